@@ -97,7 +97,7 @@ impl Drawings {
     /// What the next record adds.
     ///
     /// # Errors
-    /// None with the standard messages; the encoder has them.
+    /// [`CdrError`] where a message cannot be encoded; these can.
     pub fn of(&mut self, record: &Telemetry) -> Result<Vec<Drawing>, CdrError> {
         let before = self.before.take();
         let before = before.filter(|before| before.header.sender_id == record.header.sender_id);

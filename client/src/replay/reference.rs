@@ -82,7 +82,9 @@ impl Reference {
 
     /// Repeats what the daemon did up to the gather of a record.
     pub(super) fn move_on_to(&mut self, record: &Telemetry) {
-        let behind_ns = record.release_ns.saturating_sub(2 * record.period_ns);
+        // An exchange that was held up gathers for a cycle that has long passed.
+        let needed_ns = record.release_ns.min(window_release_ns(record));
+        let behind_ns = needed_ns.saturating_sub(2 * record.period_ns);
         if let Some(trajectory) = &mut self.trajectory {
             trajectory.forget_before(behind_ns);
         }
@@ -164,14 +166,11 @@ impl Reference {
 
     /// The window of a record, of a horizon of so many steps.
     pub(super) fn window(&mut self, record: &Telemetry, steps: usize) -> &ReferenceWindow {
-        // A cycle that is late has inputs that were gathered for the next one.
-        let ahead = record.window_first_cycle.cast_signed() - record.cycle.cast_signed();
-        let ahead_ns = ahead.wrapping_mul(record.period_ns.cast_signed());
         if let Some(trajectory) = &self.trajectory {
             self.window.fill(
                 trajectory,
                 record.window_first_cycle,
-                record.release_ns.saturating_add_signed(ahead_ns),
+                window_release_ns(record),
                 record.period_ns,
                 steps,
                 record.reference_lead_ns,
@@ -201,5 +200,59 @@ impl Reference {
 
     pub(super) fn chunks_in_force(&self) -> Vec<ReferenceChunk> {
         self.in_force.iter().map(|chunk| **chunk).collect()
+    }
+}
+
+/// The release of the first sample of a record's window: a cycle that is late has inputs that were gathered for the next one.
+fn window_release_ns(record: &Telemetry) -> u64 {
+    let ahead = record.window_first_cycle.cast_signed() - record.cycle.cast_signed();
+    let ahead_ns = ahead.wrapping_mul(record.period_ns.cast_signed());
+    record.release_ns.saturating_add_signed(ahead_ns)
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_controller::robot::RobotParameters;
+
+    use super::*;
+
+    const PERIOD_NS: u64 = 5_000_000;
+
+    #[test]
+    fn a_window_of_an_exchange_that_was_held_up_is_sampled_as_it_was() {
+        let robot = Robot::new(&RobotParameters::paper(1)).expect("a robot");
+        let mut chunk = ReferenceChunk {
+            mode: ChunkMode::Replace.code(),
+            count: 120,
+            ..ReferenceChunk::default()
+        };
+        for (k, point) in chunk.points.iter_mut().take(120).enumerate() {
+            point.time_ns = k as u64 * PERIOD_NS;
+            point.position_m[0] = 1e-3 * k as f64;
+        }
+        let mut reference = Reference::default();
+        reference.begin(&robot);
+        reference.take_chunk(&chunk);
+        let record = |cycle, gather, window_first_cycle| Telemetry {
+            cycle,
+            release_ns: cycle * PERIOD_NS,
+            period_ns: PERIOD_NS,
+            gather,
+            window_first_cycle,
+            ..Telemetry::default()
+        };
+        let mut first = record(2, 1, 2);
+        first.event_count = 1;
+        first.events[0].kind = EventKind::Reference.code();
+        reference.take_events(&first);
+        let mut check = |record: &Telemetry, last: u64| {
+            reference.move_on_to(record);
+            let window = reference.window(record, 2);
+            assert!((window.get(last).position_m.x - 1e-3 * last as f64).abs() < 1e-12);
+            assert_eq!(window.get(last + 1), window.get(last));
+        };
+        check(&first, 64);
+        // 76 periods later, with a window that was gathered for the third cycle: it ends before.
+        check(&record(78, 2, 3), 65);
     }
 }

@@ -70,7 +70,7 @@ pub(super) struct Around {
 }
 
 /// Records a daemon into a file.
-pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
+pub(super) fn record(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     let (_, robot) = target.location()?;
     let connection = target.connect()?;
@@ -87,6 +87,10 @@ pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
     let path: PathBuf = task.output.map_or_else(default, Path::to_owned);
     let name = path.display();
     let cannot_write = || format!("cannot write {name}");
+    if task.around.is_some() && path.exists() {
+        // Told now and not after the wait.
+        bail!("{name} is there already");
+    }
     let mut head = Head::new(robot, &status, offset_ns)?;
     let settings = configuration(status.settings, &status)?;
     head.attach("settings.toml", "application/toml", settings.into_bytes());
@@ -104,16 +108,14 @@ pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
     let sink = Sink::new(head, &path, before);
     let mut recorder = Recorder::new(sink, robot, &status, offset_ns);
     let ended = match task.around {
-        // Not after the wait for it.
-        Some(_) if path.exists() => bail!("{name} is there already"),
         Some(around) => {
             eprintln!("waiting for {}; Ctrl-C ends it", around.trigger);
-            recorder.record(&connection, &mut streams, task, &interrupt)?
+            recorder.record(&connection, &mut streams, &mut task, &interrupt)?
         }
         None => match recorder.begin()? {
             Ok(()) => {
                 eprintln!("recording into {name}; Ctrl-C ends it");
-                recorder.record(&connection, &mut streams, task, &interrupt)?
+                recorder.record(&connection, &mut streams, &mut task, &interrupt)?
             }
             Err(cause) => Ended::Failed(cause),
         },
@@ -259,7 +261,7 @@ impl Recorder {
         &mut self,
         connection: &Connection,
         streams: &mut Streams,
-        task: Task<'_>,
+        task: &mut Task<'_>,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Ended> {
         let begin = Instant::now();

@@ -32,8 +32,10 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
     Ok(done)
 }
 
-/// Strip charts: name, and the value of a record in that unit.
-const STRIPS: [(&str, fn(&Telemetry) -> f64); 4] = [
+/// A strip chart: name with unit, and the value of a record in that unit.
+type Strip = (&'static str, fn(&Telemetry) -> f64);
+
+const STRIPS: [Strip; 4] = [
     ("error [mm]", |record| 1e3 * record.position_error_m),
     ("clearance [mm]", |record| 1e3 * record.clearance_m),
     ("response [us]", |record| {
