@@ -110,7 +110,7 @@ impl Hard {
         let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
         let (mut times, mut errors_mm) = (histogram()?, Vec::new());
         let (mut spare_m, mut cut_short) = (f64::INFINITY, 0_u64);
-        let cycles = (scene.cycles / u64::from(speed)).min(CYCLES_MAX);
+        let cycles = (size.task.scene()?.cycles / u64::from(speed)).min(CYCLES_MAX);
         for cycle in 0..cycles {
             let window: Vec<_> = (1..=u64::from(HORIZON))
                 .map(|step| sample(scene.curve.position_m(at_s(cycle + step))))

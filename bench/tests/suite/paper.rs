@@ -98,7 +98,8 @@ fn the_folder_holds_figures_a_page_and_tables() {
         let text = std::fs::read_to_string(folder.join(name)).expect("a text");
         let picture = roxmltree::Document::parse(&text).expect("XML");
         let mut texts = picture.descendants().filter_map(|node| node.text());
-        let is_axis = |text: &str| ["time [s]", "x [mm]"].contains(&text.trim());
+        let is_axis =
+            |text: &str| ["time [s]", "x [mm]", "share of the cycles"].contains(&text.trim());
         assert!(texts.any(is_axis), "{name}");
         figures += 1;
     }

@@ -86,13 +86,14 @@ fn followed(solver: SolverKind) -> [f64; 2] {
 
 #[test]
 fn a_fast_spiral_among_obstacles_is_followed_within_its_budget() {
+    // A local solver is held up by a ball on the way; it moves all the same.
     for (solver, most_m) in [
-        (SolverKind::GaussNewton, 5e-4),
-        (SolverKind::KpsoRefined, 1e-4),
+        (SolverKind::KpsoRefined, 1e-6),
+        (SolverKind::GaussNewton, 6e-3),
     ] {
         let [mean_m, spare_m] = followed(solver);
         println!("{solver:?}: {mean_m:.1e} m off, {spare_m:.1e} m beyond the safe distance");
         assert!(mean_m < most_m, "{solver:?}: {mean_m} m");
-        assert!(spare_m > -1e-5, "{solver:?}: {spare_m} m");
+        assert!(spare_m > -1e-9, "{solver:?}: {spare_m} m");
     }
 }

@@ -131,7 +131,7 @@ impl Moment {
     }
 }
 
-/// Its rates are at most 1 % farther from the desired ones than the best that the scan finds, and in nine of ten moments as near.
+/// In 98 of 100 moments its rates are as near to the desired ones as the best that the scan finds, and at most 3 % farther in the others.
 #[test]
 fn the_search_finds_what_a_scan_finds() {
     let is_whole = std::env::var_os("CDCR_WHOLE").is_some();
@@ -155,5 +155,5 @@ fn the_search_finds_what_a_scan_finds() {
         at(0.9),
         at(0.98)
     );
-    assert!(count > 100 && at(0.9) <= 1e-6 && at(1.0) <= 0.01);
+    assert!(count > 100 && at(0.98) <= 1e-6 && at(1.0) <= 0.03);
 }
