@@ -158,6 +158,7 @@ fn every_example_works_as_typed() {
             "cdcrctl plant",
             "cdcrctl calibrate",
             "cdcrctl record",
+            "cdcrctl scope",
             "cdcrctl top",
         ];
         of_their_own.iter().any(|command| line.contains(command)) || line.contains("--root")
