@@ -17,8 +17,8 @@ pub(crate) struct RecordingOptions {
     /// End after this long
     #[arg(long, value_name = "TIME", value_parser = value::wait_duration)]
     pub(crate) duration: Option<Duration>,
-    /// Record only what is around the first time that this happens: incident, fault, mode, error>LENGTH, clearance<LENGTH or
-    /// response>TIME. What was before is kept in memory until then, 64 MB at most
+    /// Record only what is around the first time that this happens: incident, fault, mode, error>5mm, clearance<5mm or
+    /// response>800us. What was before is kept in memory until then, 64 MB at most
     #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]
     pub(crate) around: Option<Trigger>,
     /// With --around: how much of what was before, 0 to 60 s
@@ -32,7 +32,7 @@ pub(crate) struct RecordingOptions {
 /// Options of `scope`.
 #[derive(Debug, Args)]
 pub(crate) struct ScopeOptions {
-    /// What to wait for: incident, fault, mode, error>LENGTH, clearance<LENGTH or response>TIME, as in error>5mm
+    /// What to wait for: incident, fault, mode, error>5mm, clearance<5mm, response>800us
     #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]
     pub(crate) trigger: Trigger,
     /// How much of what was before, 0 to 60 s
