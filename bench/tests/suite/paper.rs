@@ -108,6 +108,8 @@ fn the_folder_holds_figures_a_page_and_tables() {
     assert_eq!(page.matches("<svg").count(), figures);
     // One for each simulation, and the machine.
     assert_eq!(page.matches("<table").count(), 3 + 1);
+    // Its contents lead to places of its own.
+    let page = page.replace("href=\"#", "");
     for word in ["src=", "href=", "url(", "<script", "@import"] {
         assert!(
             !page.contains(word),
