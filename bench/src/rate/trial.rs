@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_client::{Connection, FeedError, TelemetryStream, monotonic_ns};
+use cdcr_client::{Connection, FeedError, LinkError, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Statistics, Status, Telemetry};
 use hdrhistogram::Histogram;
@@ -25,6 +25,8 @@ const READ_EVERY: Duration = Duration::from_millis(2);
 /// A robot that does not follow with so long a period, or a longer one, does not fail because of the rate: the
 /// set-up is broken \[ms\].
 const EASY_MS: f64 = 2.0;
+/// How often a trial begins anew in which the daemon sent nothing for a second: that says nothing about its period.
+const HELD_UP_MAX: usize = 2;
 /// How long the status with the last cycles may take. Generous: machines stall.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(5);
 /// What start, begin of tracking, warm-up and end take, about \[s\].
@@ -75,10 +77,19 @@ pub struct Trial {
 impl Trial {
     /// Starts a daemon, lets it track, and measures.
     pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
-        let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
         let measured = Duration::from_secs_f64(length.measured_s(period_ms));
-        let observed = observe(&daemon, stage, measured);
-        let observed = daemon.stop().and(observed);
+        let observe = || {
+            let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
+            let observed = observe(&daemon, stage, measured);
+            daemon.stop().and(observed)
+        };
+        let mut observed = observe();
+        for _ in 0..HELD_UP_MAX {
+            interrupt::check()?;
+            if observed.as_ref().is_err_and(was_held_up) {
+                observed = observe();
+            }
+        }
         interrupt::check()?;
         let mut trial = Self {
             case,
@@ -126,6 +137,14 @@ impl Trial {
         let metrics = self.metrics.as_ref().map(TrialMetrics::row);
         joined([json!(self.case), own, json!(metrics)])
     }
+}
+
+/// Whether the machine held the whole daemon up for so long that it was taken for dead.
+fn was_held_up(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        let feed = cause.downcast_ref::<FeedError>();
+        feed.is_some_and(|feed| matches!(feed, FeedError::Link(LinkError::Silent { .. })))
+    })
 }
 
 /// Whether this error says that the robot does not follow; every other one says nothing about the period.
@@ -366,6 +385,7 @@ fn quantile_mm(sorted_m: &[f64], quantile: f64) -> f64 {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use cdcr_client::Liveness;
     use cdcr_shared_types::LatencySummary;
     use cdcr_shared_types::codes::LateCause;
 
@@ -482,6 +502,12 @@ pub(super) mod tests {
         assert!(!did_not_follow(&anyhow::anyhow!(
             "the daemon ended by itself"
         )));
+        let silent = wrapped(FeedError::Link(LinkError::Silent {
+            service: "telemetry",
+            waited: Duration::from_secs(1),
+            liveness: Liveness::Unknown,
+        }));
+        assert!(was_held_up(&silent) && !did_not_follow(&silent));
         assert!(did_not_follow(&anyhow::anyhow!(
             "{DOES_NOT_FOLLOW} within 10 s"
         )));
