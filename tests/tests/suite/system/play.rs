@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cdcr_client::Spiral;
+use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_tests::{
@@ -11,9 +11,13 @@ use cdcr_tests::{
 };
 use rustix::process::Signal;
 
-/// A recording of a curve beside an obstacle that moves, and the daemon that drew it, at rest elsewhere.
-fn recorded() -> (Daemon, PathBuf) {
-    let daemon = Daemon::start(PATIENT);
+/// A recording `run.mcap` of a curve that is tracked beside an obstacle which moves; `before`: what else is asked before that.
+pub(super) fn record_beside(
+    daemon: &Daemon,
+    id: u32,
+    start_m: [f64; 3],
+    before: impl FnOnce(&Connection),
+) -> PathBuf {
     let file = daemon.place().folder().join("run.mcap");
     let mut command = daemon.place().command("cdcrctl");
     let mut recorder = Program::start(command.arg("record").arg("-o").arg(&file));
@@ -21,8 +25,8 @@ fn recorded() -> (Daemon, PathBuf) {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let obstacle = Obstacle {
-        id: 7,
-        start_m: [0.4, 0.0, 0.5],
+        id,
+        start_m,
         radius_m: 0.02,
         velocity_m_s: [0.0, 0.01, 0.0],
         measured_ns: cdcr_client::monotonic_ns(),
@@ -33,13 +37,21 @@ fn recorded() -> (Daemon, PathBuf) {
     telemetry
         .outcome_on(EventKind::Obstacles, &header, TIMEOUT)
         .unwrap();
+    before(&connection);
     let curve = Spiral {
         duration_s: 1.5,
         ..Spiral::for_sections(&[0.3; 3])
     };
     track(&connection, &curve);
     recorder.signal(Signal::INT);
-    assert_says(&recorder.output(), 0, &["1 obstacle updates"]);
+    assert_says(&recorder.output(), 0, &["run.mcap", "1 obstacle updates"]);
+    file
+}
+
+/// Such a recording, and the daemon that drew the curve, at rest elsewhere.
+fn recorded() -> (Daemon, PathBuf) {
+    let daemon = Daemon::start(PATIENT);
+    let file = record_beside(&daemon, 7, [0.4, 0.0, 0.5], |_| ());
     let place = daemon.place();
     place.says("cdcrctl obstacle clear", 0, &[]);
     place.says("cdcrctl home --wait", 0, &[]);

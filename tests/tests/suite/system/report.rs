@@ -4,45 +4,20 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use cdcr_client::Spiral;
-use cdcr_shared_types::Obstacle;
-use cdcr_shared_types::codes::{EventKind, RequestKind};
+use cdcr_shared_types::codes::RequestKind;
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, assert_says, track, wait_until};
-use rustix::process::Signal;
+use cdcr_tests::{Daemon, PATIENT, Program};
 use serde_json::Value;
+
+use super::play::record_beside;
 
 /// A recording of a robot of the laboratory that tracks beside an obstacle, and its page.
 fn page() -> (Daemon, String) {
     let daemon = Daemon::start(PATIENT);
-    let file = daemon.place().folder().join("run.mcap");
-    let mut command = daemon.place().command("cdcrctl");
-    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&file));
-    wait_until("the recorder has begun", || file.exists());
-    let connection = daemon.connect();
-    let mut telemetry = connection.telemetry().unwrap();
-    let obstacle = Obstacle {
-        id: 1,
-        start_m: [0.3, 0.0, 0.5],
-        radius_m: 0.02,
-        velocity_m_s: [0.0, 0.01, 0.0],
-        measured_ns: cdcr_client::monotonic_ns(),
-        ..Default::default()
-    };
-    let sender = connection.obstacle_sender().unwrap();
-    let header = sender.upsert(&[obstacle]).unwrap();
-    telemetry
-        .outcome_on(EventKind::Obstacles, &header, TIMEOUT)
-        .unwrap();
-    // Refused: nobody feeds.
-    assert!(connection.request(RequestKind::Track).is_err());
-    let curve = Spiral {
-        duration_s: 1.5,
-        ..Spiral::for_sections(&[0.3; 3])
-    };
-    track(&connection, &curve);
-    recorder.signal(Signal::INT);
-    assert_says(&recorder.output(), 0, &["run.mcap"]);
+    record_beside(&daemon, 1, [0.3, 0.0, 0.5], |connection| {
+        // Refused: nobody feeds.
+        assert!(connection.request(RequestKind::Track).is_err());
+    });
     let place = daemon.place();
     place.says(
         "cdcrctl report run.mcap -o run.html",

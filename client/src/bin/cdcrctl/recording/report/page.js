@@ -234,13 +234,7 @@ function chart({ title, unit, series, limits = [], range, log = false, factor = 
       const below = y < box.top + 18;
       svg.append(drawn('text', { class: 'limit-text', x: box.right - 4, y: below ? y + 14 : y - 5, 'text-anchor': 'end' }, limit.label));
     }
-    const cursor = drawn('line', { class: 'now', y1: box.top, y2: box.bottom });
-    svg.append(cursor);
-    svg.cursor = () => {
-      cursor.setAttribute('x1', sx(now_s));
-      cursor.setAttribute('x2', sx(now_s));
-    };
-    picks_time(svg, box);
+    tells_time(svg, box, sx);
     return svg;
   });
   watchers.push(() => {
@@ -252,6 +246,17 @@ function chart({ title, unit, series, limits = [], range, log = false, factor = 
     });
   });
   return element('figure', {}, caption, holder);
+}
+
+// A line at the present time in a panel, whose clicks choose another.
+function tells_time(svg, box, sx) {
+  const cursor = drawn('line', { class: 'now', y1: box.top, y2: box.bottom });
+  svg.append(cursor);
+  svg.cursor = () => {
+    cursor.setAttribute('x1', sx(now_s));
+    cursor.setAttribute('x2', sx(now_s));
+  };
+  picks_time(svg, box);
 }
 
 // A click or a drag in a panel chooses the time.
@@ -729,13 +734,7 @@ function happened() {
     for (const { t_s, kind, text } of data.events) mark(t_s, 27, kind === 'refused' || kind === 'stop' ? 'var(--bad)' : 'var(--c1)', `${t_s.toFixed(3)} s: ${text}`);
     curves.misses.forEach((count, i) => { if (count) mark(times[i], 46, 'var(--bad)', `${times[i].toFixed(2)} s: ${count} deadline misses`); });
     ['mode', 'event', 'miss'].forEach((name, k) => svg.append(drawn('text', { x: LEFT - 6, y: box.top + 15 + 21 * k, 'text-anchor': 'end' }, name)));
-    const cursor = drawn('line', { class: 'now', y1: box.top, y2: box.bottom });
-    svg.append(cursor);
-    svg.cursor = () => {
-      cursor.setAttribute('x1', sx(now_s));
-      cursor.setAttribute('x2', sx(now_s));
-    };
-    picks_time(svg, box);
+    tells_time(svg, box, sx);
     return svg;
   });
   watchers.push(() => strip.firstChild?.cursor());
