@@ -1,7 +1,7 @@
 //! One random message of each kind in a folder, for readers that others wrote: schema, bytes, type hash, and what they hold.
 //!
 //! ```sh
-//! cargo run -p cdcr-interchange --features sample --example samples -- FOLDER
+//! cargo run -p cdcr-interchange --example samples -- FOLDER
 //! ```
 
 use std::error::Error;

@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Makes a recording of a daemon of its own, recording.mcap, and its tables in a folder, and reads what cdcr-view serves of it.
+# Makes, with the programs that run.sh built, a recording of a daemon of its own, recording.mcap, and its tables in a folder, and reads what cdcr-view serves of it.
 set -euo pipefail
 folder=$1
-cargo build -q --locked -p cdcr-daemon -p cdcr-client -p cdcr-view --bins
 root=$(mktemp -d -p /dev/shm)
 export CDCR_PREFIX=cdcr_oracle_ CDCR_ROOT=$root CDCR_ROBOT=oracle
 programs=()

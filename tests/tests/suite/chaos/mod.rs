@@ -161,10 +161,19 @@ fn come_back(daemon: &Daemon) {
     };
     // What the machine is still busy with may stop it once more.
     wait_until("it tracks again", || {
-        let reset = connection.request_within(RequestKind::Reset, TIMEOUT);
-        let feed = || connection.feed(&line, options);
-        let track = || feed()?.run(|_| ControlFlow::Continue(()));
-        reset.is_ok() && track().is_ok_and(|report| report.tracked)
+        let track = || {
+            connection.request_within(RequestKind::Reset, TIMEOUT)?;
+            connection
+                .feed(&line, options)?
+                .run(|_| ControlFlow::Continue(()))
+        };
+        match track() {
+            Ok(report) if report.tracked => true,
+            other => {
+                println!("not yet: {other:?}");
+                false
+            }
+        }
     });
     let record = wait_mode(&mut telemetry, Mode::Tracking);
     assert_eq!(record.obstacle_count, 0);
