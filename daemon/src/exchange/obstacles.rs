@@ -11,6 +11,8 @@ use crate::obstacles::ObstacleSet;
 pub(super) struct Obstacles {
     known: ObstacleSet,
     sources: ObstacleSources,
+    /// When the newest message was sent that cleared the list \[ns\].
+    cleared_ns: u64,
     refused: u64,
 }
 
@@ -19,6 +21,7 @@ impl Obstacles {
         Self {
             known: ObstacleSet::default(),
             sources: ObstacleSources::new(config),
+            cleared_ns: 0,
             refused: 0,
         }
     }
@@ -44,13 +47,19 @@ impl Obstacles {
         gather_ns: u64,
         now_ns: u64,
     ) -> Result<u32, Refused> {
-        let result = if is_newer {
+        let result = if is_newer && !self.is_cleared(update) {
             self.take_newer(update, gather_ns, now_ns)
         } else {
             Err(Refused::whole(Outcome::Stale))
         };
         self.refused += u64::from(result.is_err());
         result
+    }
+
+    /// Whether the list was cleared after `update` was sent: senders are served in turn, and it waited longer than another's clear.
+    /// One that does not say when it was sent is not older than anything.
+    fn is_cleared(&self, update: &ObstacleUpdate) -> bool {
+        (1..self.cleared_ns).contains(&update.header.sent_ns)
     }
 
     fn take_newer(
@@ -71,6 +80,9 @@ impl Obstacles {
             self.sources.hear(update, gather_ns);
         }
         self.known = updated?;
+        if update.action == ObstacleAction::Clear.code() {
+            self.cleared_ns = self.cleared_ns.max(update.header.sent_ns.min(now_ns));
+        }
         if update.action == ObstacleAction::Remove.code() {
             let sender = update.header.sender_id;
             self.sources.let_leave(sender, &self.known, now_ns);

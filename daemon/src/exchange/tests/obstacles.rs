@@ -122,6 +122,26 @@ fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
     assert_eq!(rig.gather().obstacles.count(), 0);
 }
 
+/// Senders are served in turn, so an obstacle may wait longer than another's clear that was sent after it.
+#[test]
+fn an_obstacle_that_was_sent_before_the_list_was_cleared_does_not_come_back() {
+    let mut rig = Rig::new("");
+    rig.gather();
+    let waited = rig.update(4, ObstacleAction::Upsert, &[0]);
+    rig.next_cycle += 1;
+    rig.tell(5, ObstacleAction::Clear, &[]);
+    rig.obstacles.send_copy(waited).unwrap();
+    assert_eq!(rig.gather().obstacles.count(), 0);
+    assert_eq!(rig.counted(Outcome::Stale), 1);
+    // What is sent after it counts, and what does not say when.
+    rig.tell(4, ObstacleAction::Upsert, &[0]);
+    assert_eq!(rig.gather().obstacles.count(), 1);
+    let mut undated = rig.update(6, ObstacleAction::Upsert, &[0, 0]);
+    undated.header.sent_ns = 0;
+    rig.obstacles.send_copy(undated).unwrap();
+    assert_eq!(rig.gather().obstacles.count(), 2);
+}
+
 #[test]
 fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
     let mut rig = Rig::new("");

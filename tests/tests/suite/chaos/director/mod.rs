@@ -389,12 +389,27 @@ impl<'a> Director<'a> {
         }
         let cleared_ns = self.obstacles.clear().unwrap().sent_ns;
         // A sender that leaves takes with it what the daemon has not yet taken in. A run that failed shows no more records.
-        let has_none = || {
+        let begin = Instant::now();
+        while !ending.load(Ordering::Relaxed) {
             let newest = self.view.newest();
-            newest.is_some_and(|record| record.gather_ns > cleared_ns && record.obstacle_count == 0)
-        };
-        wait_until("it has no obstacle", || {
-            ending.load(Ordering::Relaxed) || has_none()
-        });
+            if newest
+                .as_ref()
+                .is_some_and(|record| record.gather_ns > cleared_ns && record.obstacle_count == 0)
+            {
+                break;
+            }
+            assert!(
+                begin.elapsed() < TIMEOUT,
+                "the obstacles cleared at {cleared_ns} ns are still there: {:?}; the daemon's log:\n{}",
+                newest.map(|record| (
+                    record.cycle,
+                    record.gather_ns,
+                    record.mode,
+                    record.obstacle_count
+                )),
+                self.daemon.log()
+            );
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 }
