@@ -116,8 +116,7 @@ pub struct SafeCommand {
     pub clearance_m: f64,
 }
 
-/// What a mode desires, made safe: the nearest command inside every limit (where slower ones stop sooner, at most 3 % farther away, in 98 of 100 cases 1e-6), and of those the nearest that keeps
-/// clear. Both hold at the end of the period and, when no other command follows, until the robot rests.
+/// What a mode desires, made safe: the nearest command inside every limit, and of those near to it one that keeps clear (docs/model.md §7 and §8). Both hold at the end of the period and, when no other command follows, until the robot rests.
 ///
 /// A section whose cables have play stands while its motors turn round, so another one must not come nearer to an obstacle because the first
 /// one gives way. The rule of the guard holds for the cables on their way through the play, too: section by section, exactly at the ends of the period and

@@ -58,13 +58,13 @@ struct Found {
     active: Active,
 }
 
-/// How the nearest point changes with the largest component.
-pub(super) struct Slopes {
-    /// First and second derivative of half its squared distance.
+/// What holds the nearest point, by what its bounds change with.
+pub(super) struct Pulls {
+    /// Half the squared distance of the point.
     pub(super) half_square: f64,
-    pub(super) curvature: f64,
-    /// Of itself.
-    pub(super) at: Vector,
+    /// How much that falls for each unit of the largest component, and of 1 / way.
+    pub(super) most: f64,
+    pub(super) per_way: f64,
 }
 
 /// normal · x ≥ bound, with a normal of length 1.
@@ -218,32 +218,28 @@ impl Region {
         self.look_at_all();
     }
 
-    /// How what was found last changes with the largest component, where the way changes by `way_slope` times that, with the half-spaces that hold it.
-    /// `None` where nothing was found.
-    pub(super) fn slopes(&self, way_slope: f64) -> Option<Slopes> {
+    /// What holds what was found last. For every other largest component and way half the squared distance is at least what these tell: it is a convex function of
+    /// the largest component and 1 / way. `None` where nothing was found.
+    pub(super) fn pulls(&self) -> Option<Pulls> {
         if !self.found.is_known {
             return None;
         }
-        let active = &self.found.active;
-        let (mut half_square, mut curvature) = (0.0, 0.0);
-        let mut bound_slopes = Vector::default();
-        for i in 0..active.count {
-            let [first, second] = active.rows[i].bound_slopes(self.way_s, way_slope);
-            half_square += active.multipliers[i] * first;
-            curvature += active.multipliers[i] * second;
-            bound_slopes[i] = first;
+        let Found { to, at, active, .. } = &self.found;
+        let mut away = *to;
+        add(&mut away, at, -1.0);
+        let mut pulls = Pulls {
+            half_square: 0.5 * dot(&away, &away),
+            most: 0.0,
+            per_way: 0.0,
+        };
+        for (row, multiplier) in active.rows[..active.count].iter().zip(&active.multipliers) {
+            match row.room {
+                Room::Way(room) if row.bound > row.fixed => pulls.per_way += multiplier * room,
+                Room::Most if row.bound > row.fixed => pulls.most += multiplier,
+                _ => {}
+            }
         }
-        let multiplier_slopes = active.solved(|i| bound_slopes[i])?;
-        let mut at = Vector::default();
-        for (row, slope) in active.rows[..active.count].iter().zip(&multiplier_slopes) {
-            add(&mut at, &row.normal, *slope);
-        }
-        curvature += dot(&multiplier_slopes, &bound_slopes);
-        Some(Slopes {
-            half_square,
-            curvature,
-            at,
-        })
+        Some(pulls)
     }
 
     /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
@@ -392,19 +388,6 @@ impl Row {
     /// Whether nothing but the way bounds it.
     fn is_free(&self) -> bool {
         self.fixed == f64::NEG_INFINITY
-    }
-
-    /// The first and second derivative of the bound by the largest component.
-    fn bound_slopes(&self, way_s: f64, way_slope: f64) -> [f64; 2] {
-        let share = way_slope / way_s;
-        match self.room {
-            Room::Way(room) if self.bound > self.fixed => {
-                let slope = room / way_s * share;
-                [slope, -2.0 * slope * share]
-            }
-            Room::Most if self.bound > self.fixed => [-1.0, 0.0],
-            _ => [0.0, 0.0],
-        }
     }
 }
 

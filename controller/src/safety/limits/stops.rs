@@ -1,44 +1,35 @@
 //! The nearest rates of a robot that comes to rest after them: slower ones stop sooner, and have more room.
 //!
-//! With no component faster than f, and the way to rest of f, the rates inside the limits are convex, and their nearest has a distance d(f). The
-//! multipliers of what holds it tell the slope of d²/2: it grows with f where the way limits, and falls where f does. So f is looked for where the
-//! slope changes its sign, from above, by the method of Newton and by secants, in a bounded number of steps.
+//! With no component faster than f, and s = s(f) to rest, the rates inside the limits are convex, and the nearest of them has a distance. Half
+//! its square is a convex function of f and 1/s, so the multipliers of what holds those rates give a plane below it. But 1/s(f) is convex, too: over f the
+//! distance can have several minima. So the f that is tried next is the one at which the highest plane is lowest, until no plane leaves room for less (docs/model.md §7).
 
 use super::Limits;
 use crate::robot::BendRates;
 use crate::safety::clearance::{Stopping, fastest};
-use crate::safety::projection::{Region, Slopes};
+use crate::safety::projection::Region;
 
 /// Fastest components that are tried.
-const TRIED_MAX: usize = 6;
-/// What the square of the distance may be too large by, as a share.
+const TRIED_MAX: usize = 16;
+/// What the square of the distance may be too large by, as a share,
 const WITHIN: f64 = 1e-6;
-/// Fastest components that differ by less than this share are the same.
-const SAME: f64 = 1e-6;
-/// A share by which fastest components are near to each other.
-const NEAR: f64 = 0.01;
-/// The share of what is between that a step of Newton's method leaves on either side.
-const MARGIN: f64 = 0.1;
-/// The share of a fastest component that is tried next where nothing tells more.
-const LESS: f64 = 0.7;
+/// of this square at least \[rad²/s²\].
+const SQUARE_MIN: f64 = 1e-9;
 
-/// A fastest component on one side of the one that is looked for.
+/// A plane below half the squared distance: `offset - most f - per_way / s(f)`, which touches it at f = `fastest_rad_s`.
 #[derive(Clone, Copy)]
-struct Side {
+struct Plane {
     fastest_rad_s: f64,
-    /// Of half the squared distance; 0: not known.
-    slope: f64,
-    /// Where Newton's method leads from there \[rad/s\].
-    newton_rad_s: f64,
+    offset: f64,
+    most: f64,
+    per_way: f64,
 }
 
-/// What is known of the fastest component that is looked for.
-struct Search {
-    low: Side,
-    high: Side,
-    last_slope: f64,
-    /// Where the component that is fastest at `high` begins to be bounded by that \[rad/s\]; `None`: it is there.
-    bounded_rad_s: Option<f64>,
+/// Those that are known, by their fastest component.
+struct Planes {
+    stopping: Stopping,
+    known: [Plane; TRIED_MAX + 1],
+    count: usize,
 }
 
 impl Limits<'_> {
@@ -51,36 +42,31 @@ impl Limits<'_> {
         let mut limits = self.of_way(most_rad_s);
         let mut region = Region::EMPTY;
         limits.fill(&mut region, most_rad_s);
-        let mut found = limits.nearest_in(&mut region, desired)?;
+        let mut rates = limits.nearest_in(&mut region, desired)?;
         let Some(stopping) = self.stopping else {
-            return Some(found);
+            return Some(rates);
         };
-        let (mut rates, mut least) = (found, square_between(&found, desired));
-        let mut search = Search::new(most_rad_s);
+        let mut least = square_between(&rates, desired);
+        let mut planes = Planes::at_rest(stopping, desired);
         let mut fastest_rad_s = most_rad_s;
         for _ in 0..TRIED_MAX {
-            let Some(slopes) = region.slopes(stopping.way_slope_s2()) else {
+            let Some(plane) = Plane::of(&region, stopping, fastest_rad_s) else {
                 break;
             };
-            let bounded_rad_s = bounded_rad_s(stopping, fastest_rad_s, &found, &slopes);
-            search.narrow(fastest_rad_s, &slopes, bounded_rad_s);
-            let Some(next_rad_s) = search.next_rad_s() else {
+            planes.insert(plane);
+            let enough = 0.5 * (least - WITHIN * least.max(SQUARE_MIN));
+            let Some(next_rad_s) = planes.lowest_below(enough) else {
                 break;
             };
-            let gain = slopes.half_square * (next_rad_s - fastest_rad_s);
-            if search.low.slope < 0.0 && gain.abs() <= WITHIN * least {
-                break;
-            }
             fastest_rad_s = next_rad_s;
             limits = self.of_way(fastest_rad_s);
             region.move_to(fastest_rad_s, limits.way_s);
             let Some(nearest) = limits.nearest_in(&mut region, desired) else {
                 break;
             };
-            found = nearest;
-            let square = square_between(&found, desired);
+            let square = square_between(&nearest, desired);
             if square < least {
-                (rates, least) = (found, square);
+                (rates, least) = (nearest, square);
             }
         }
         Some(rates)
@@ -96,110 +82,76 @@ impl Limits<'_> {
     }
 }
 
-impl Search {
-    fn new(most_rad_s: f64) -> Self {
-        let unknown = |fastest_rad_s| Side {
+impl Plane {
+    /// The one that touches at what was found last; `None` where nothing was.
+    fn of(region: &Region, stopping: Stopping, fastest_rad_s: f64) -> Option<Self> {
+        let pulls = region.pulls()?;
+        let per_way_1_s = 1.0 / stopping.way(fastest_rad_s).way_s;
+        Some(Self {
             fastest_rad_s,
-            slope: 0.0,
-            newton_rad_s: 0.0,
-        };
-        Self {
-            low: unknown(0.0),
-            high: unknown(most_rad_s),
-            last_slope: 0.0,
-            bounded_rad_s: None,
-        }
-    }
-
-    fn narrow(&mut self, fastest_rad_s: f64, slopes: &Slopes, bounded_rad_s: Option<f64>) {
-        let slope = slopes.half_square;
-        let newton_rad_s = if slopes.curvature > 0.0 {
-            fastest_rad_s - slope / slopes.curvature
-        } else {
-            f64::NAN
-        };
-        let here = Side {
-            fastest_rad_s,
-            slope,
-            newton_rad_s,
-        };
-        // Secants that lead to the same side twice begin at less of the other's slope (the Illinois method).
-        let share = if self.last_slope * slope > 0.0 {
-            0.5
-        } else {
-            1.0
-        };
-        if slope > 0.0 {
-            self.low.slope *= share;
-            self.high = here;
-            self.bounded_rad_s = bounded_rad_s;
-        } else {
-            self.high.slope *= share;
-            self.low = here;
-        }
-        self.last_slope = slope;
-    }
-
-    /// What is tried next; `None` where nothing is left to be gained.
-    fn next_rad_s(&self) -> Option<f64> {
-        let [low, high] = [&self.low, &self.high];
-        let width = high.fastest_rad_s - low.fastest_rad_s;
-        if width <= SAME * high.fastest_rad_s {
-            return None;
-        }
-        if let Some(bounded_rad_s) = self.bounded_rad_s {
-            let beyond = bounded_rad_s - low.fastest_rad_s;
-            if beyond.abs() <= SAME * low.fastest_rad_s {
-                // From far away that is what was expected, from near it is so.
-                let near_rad_s = (1.0 + NEAR) * low.fastest_rad_s;
-                return (near_rad_s < high.fastest_rad_s).then_some(near_rad_s);
-            }
-            if beyond > 0.0 && bounded_rad_s < high.fastest_rad_s {
-                return Some(bounded_rad_s);
-            }
-        }
-        let last = if self.last_slope > 0.0 { high } else { low };
-        let share = (last.newton_rad_s - low.fastest_rad_s) / width;
-        if share > MARGIN && share < 1.0 - MARGIN {
-            return Some(last.newton_rad_s);
-        }
-        if low.slope == 0.0 {
-            return Some(LESS * high.fastest_rad_s);
-        }
-        let is_inside = |side: &Side| {
-            let inside = low.fastest_rad_s..high.fastest_rad_s;
-            inside.contains(&side.newton_rad_s)
-        };
-        let leaps = !is_inside(low) && !is_inside(high);
-        let share = if leaps {
-            0.5
-        } else {
-            low.slope / (low.slope - high.slope)
-        };
-        Some(low.fastest_rad_s + share * width)
+            offset: pulls.half_square + pulls.most * fastest_rad_s + pulls.per_way * per_way_1_s,
+            most: pulls.most,
+            per_way: pulls.per_way,
+        })
     }
 }
 
-/// At which fastest component (rad/s) the fastest one of these rates is bounded by that, when it changes with one over the way; `None`: it is bounded.
-fn bounded_rad_s(
-    stopping: Stopping,
-    fastest_rad_s: f64,
-    rates: &BendRates,
-    slopes: &Slopes,
-) -> Option<f64> {
-    let components = rates.as_slice().iter().zip(&slopes.at);
-    let most = components.max_by(|(one, _), (other, _)| one.abs().total_cmp(&other.abs()));
-    let (rate, slope) = most.map(|(rate, slope)| (rate.abs(), slope * rate.signum()))?;
-    if rate >= (1.0 - SAME) * fastest_rad_s {
-        return None;
+impl Planes {
+    /// The one of rest, where only the fastest component bounds.
+    fn at_rest(stopping: Stopping, desired: &BendRates) -> Self {
+        let components = desired.as_slice().iter();
+        let rest = Plane {
+            fastest_rad_s: 0.0,
+            offset: 0.5 * components.clone().map(|rate| rate * rate).sum::<f64>(),
+            most: components.map(|rate| rate.abs()).sum(),
+            per_way: 0.0,
+        };
+        Self {
+            stopping,
+            known: [rest; TRIED_MAX + 1],
+            count: 1,
+        }
     }
-    // rate(f) = a + b / way(f) = f, with way(f) = moving + f · way_slope.
-    let (way_s, way_slope) = (stopping.way(fastest_rad_s).way_s, stopping.way_slope_s2());
-    let b = -slope * way_s * way_s / way_slope;
-    let a = rate - b / way_s;
-    let p = stopping.moving_s - a * way_slope;
-    let q = a * stopping.moving_s + b;
-    Some(((p * p + 4.0 * way_slope * q).sqrt() - p) / (2.0 * way_slope))
+
+    fn insert(&mut self, plane: Plane) {
+        let known = &mut self.known[..=self.count];
+        let place = known[..self.count].partition_point(|p| p.fastest_rad_s < plane.fastest_rad_s);
+        known[place..].rotate_right(1);
+        known[place] = plane;
+        self.count += 1;
+    }
+
+    /// The fastest component at which the highest of the planes is lowest, if it is below `enough` there. Between two neighbours that is where they cross: planes are concave
+    /// over f.
+    fn lowest_below(&self, enough: f64) -> Option<f64> {
+        let known = &self.known[..self.count];
+        let neighbours = known.iter().zip(&known[1..]);
+        let crossings = neighbours.map(|(low, high)| self.crossing(low, high));
+        let (value, fastest_rad_s) = crossings.min_by(|one, other| one.0.total_cmp(&other.0))?;
+        (value < enough).then_some(fastest_rad_s)
+    }
+
+    /// Where two planes cross between the places at which they touch, and their value there.
+    fn crossing(&self, low: &Plane, high: &Plane) -> (f64, f64) {
+        let (moving_s, slope_s2) = (self.stopping.moving_s, self.stopping.way_slope_s2());
+        let offset = low.offset - high.offset;
+        let most = low.most - high.most;
+        // (offset - most f) (moving + slope f) = per_way
+        let constant = offset * moving_s - (low.per_way - high.per_way);
+        let linear = offset * slope_s2 - most * moving_s;
+        let square = -most * slope_s2;
+        let root = (linear * linear - 4.0 * square * constant).sqrt();
+        let both = -0.5 * (linear + root.copysign(linear));
+        let range = low.fastest_rad_s..high.fastest_rad_s;
+        let crossing_rad_s = [both / square, constant / both]
+            .into_iter()
+            .find(|fastest_rad_s| range.contains(fastest_rad_s))
+            .unwrap_or(0.5 * (range.start + range.end));
+        let per_way_1_s = 1.0 / (moving_s + slope_s2 * crossing_rad_s);
+        let [low, high] = [low, high]
+            .map(|plane| plane.offset - plane.most * crossing_rad_s - plane.per_way * per_way_1_s);
+        (low.max(high), crossing_rad_s)
+    }
 }
 
 fn square_between(one: &BendRates, other: &BendRates) -> f64 {

@@ -23,8 +23,6 @@ const LOOPS: [u64; 12] = [6, 3, 0, 1, 2, 4, 5, 7, 8, 9, 10, 11];
 
 /// Decelerations at which the nearest rates inside the limits are compared (rad/s²): at once, where the limits are convex, and that of a daemon.
 const DECELERATIONS_RAD_S2: [f64; 2] = [f64::INFINITY, 40.0];
-/// What rates may be farther from the desired ones than the oracle's, as a share, where slower ones stop sooner.
-const FARTHER: f64 = 0.01;
 
 /// A count, or where it begins, from the environment.
 pub(crate) fn number(name: &str, otherwise: u64) -> u64 {
@@ -194,13 +192,8 @@ fn the_limits_give_the_nearest_rates() {
             let found = distance(moment.command().rates.as_slice());
             compared += 1;
             cut += u32::from(best > 1e-3);
-            let share = if deceleration_rad_s2.is_finite() {
-                FARTHER
-            } else {
-                0.0
-            };
             assert!(
-                found <= (1.0 + share) * best + 1e-4,
+                found <= best + 1e-4,
                 "{name}: {found} rad/s instead of {best}"
             );
         }

@@ -97,6 +97,12 @@ impl Moment {
             .with_acceleration(&self.previous, self.change_rad_s)
     }
 
+    /// The distance of the rates that are found.
+    fn found(&self) -> f64 {
+        let found = self.limits().nearest(&self.desired).rates;
+        square_between(&found, &self.desired).sqrt()
+    }
+
     /// The distance of the nearest rates of which no component is faster.
     fn distance(&self, fastest_rad_s: f64) -> f64 {
         let limits = self.limits().of_way(fastest_rad_s);
@@ -131,29 +137,59 @@ impl Moment {
     }
 }
 
-/// In 98 of 100 moments its rates are as near to the desired ones as the best that the scan finds, and at most 3 % farther in the others.
+/// Its rates are as near to the desired ones as the best that the scan finds.
 #[test]
 fn the_search_finds_what_a_scan_finds() {
     let is_whole = std::env::var_os("CDCR_WHOLE").is_some();
     let seeds = if is_whole { 2000 } else { 200 };
-    let mut farther = Vec::new();
+    let (mut cut, mut farthest) = (0, (0.0, 0));
     for seed in 0..seeds {
         let moment = Moment::random(seed);
         let least = moment.scanned();
-        let found = moment.limits().nearest(&moment.desired).rates;
-        let distance = square_between(&found, &moment.desired).sqrt();
         if least > 1e-4 {
-            farther.push((distance / least - 1.0, seed));
+            cut += 1;
+            let farther = moment.found() / least - 1.0;
+            if farther > farthest.0 {
+                farthest = (farther, seed);
+            }
         }
     }
-    farther.sort_by(|one, other| one.0.total_cmp(&other.0));
-    let count = farther.len();
-    let at = |share: f64| farther[((count - 1) as f64 * share) as usize].0;
-    let worst = &farther[count.saturating_sub(5)..];
     println!(
-        "{count} cut; farther by {:.1e} in nine of ten, {:.1e} in 98 of 100, most (with their seeds) {worst:?}",
-        at(0.9),
-        at(0.98)
+        "{cut} cut; farther by {:.1e} at most, moment {}",
+        farthest.0, farthest.1
     );
-    assert!(count > 100 && at(0.98) <= 1e-6 && at(1.0) <= 0.03);
+    assert!(cut > 100 && farthest.0 <= 1e-5);
+}
+
+/// The distance over the fastest component has more than one minimum (docs/model.md §7). Two of three sections are a hundredth of a radian from their limit: slow
+/// rates have room enough there, fast ones of the first section pay for themselves.
+#[test]
+fn the_distance_has_two_minima() {
+    let robot = Robot::new(&RobotParameters::paper(3)).expect("the paper's robot");
+    let bent_rad = robot.sections()[1].bend_max_rad - 0.01;
+    let desired = BendRates::from_slice(&[2.0, 0.0, 2.0, 0.0, 2.0, 0.0]).expect("three sections");
+    let moment = Moment {
+        at: Configuration::from_slice(&[0.0, 0.0, bent_rad, 0.0, bent_rad, 0.0]).expect("a shape"),
+        commanded: None,
+        previous: desired,
+        desired,
+        change_rad_s: f64::INFINITY,
+        stopping: Stopping {
+            moving_s: PERIOD_S,
+            deceleration_rad_s2: 20.0,
+        },
+        robot,
+    };
+    let fastest_rad_s: Vec<f64> = (20..=200).map(|step| 0.01 * f64::from(step)).collect();
+    let distances: Vec<f64> = fastest_rad_s.iter().map(|f| moment.distance(*f)).collect();
+    let is_least = |i: &usize| distances[i - 1] > distances[*i] && distances[*i] < distances[i + 1];
+    let minima: Vec<f64> = (1..distances.len() - 1)
+        .filter(is_least)
+        .map(|i| fastest_rad_s[i])
+        .collect();
+    let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+    let found = moment.found();
+    println!("minima at {minima:?} rad/s; {found} rad/s away, {least} of the scan");
+    assert_eq!(minima.len(), 2);
+    assert!(found <= least);
 }
