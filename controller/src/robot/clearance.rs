@@ -53,9 +53,10 @@ pub struct Body {
     section_count: usize,
 }
 
-/// Where the search ended.
-struct Closest {
-    clearance_m: f64,
+/// Between which points a clearance is least.
+pub(crate) struct Closest {
+    /// As [`Nearest::clearance_m`] (m).
+    pub(crate) clearance_m: f64,
     section: usize,
     /// Point of the obstacle's axis (m, base frame).
     axis_m: Vector3<f64>,
@@ -72,11 +73,11 @@ impl Body {
 
     /// The same for one section of this robot, from 0.
     pub fn nearest_of(&self, section: usize, obstacle: &Obstacle) -> Nearest {
-        let closest = self.closest_of(section, obstacle, obstacle.axis());
-        self.place(&closest, obstacle)
+        self.place(&self.closest_of(section, obstacle), obstacle)
     }
 
-    fn place(&self, closest: &Closest, obstacle: &Obstacle) -> Nearest {
+    /// All that is known of the place that [`Self::closest_of`] found.
+    pub(crate) fn place(&self, closest: &Closest, obstacle: &Obstacle) -> Nearest {
         let tube = &self.tubes[closest.section];
         let foot = tube.foot(&closest.axis_m);
         let apart = foot.point_m - closest.axis_m;
@@ -169,7 +170,7 @@ impl Body {
                     continue;
                 }
             }
-            let clearance_m = self.closest_of(j, obstacle, axis).clearance_m;
+            let clearance_m = self.clearance_of(j, obstacle);
             if !is_beyond(clearance_m, axis, travel_m[j]) {
                 clearances_m[j] = clearance_m;
             }
@@ -179,8 +180,13 @@ impl Body {
 
     /// The clearance of one section of this robot, from 0 (m).
     pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
-        let axis = obstacle.axis();
-        self.closest_of(section, obstacle, axis).clearance_m
+        self.closest_of(section, obstacle).clearance_m
+    }
+
+    /// The direction of [`Nearest`] alone, for less: not finite where backbone and axis meet.
+    pub(crate) fn direction(&self, closest: &Closest) -> Vector3<f64> {
+        let tube = &self.tubes[closest.section];
+        tube.way_from_m(&closest.axis_m).normalize()
     }
 
     /// What the clearance of one section of this robot is at least (m), by its chord: for about a fifth of the time that the
@@ -223,12 +229,12 @@ impl Body {
                 first = section;
             }
         }
-        let mut best = self.closest_of(first, obstacle, axis);
+        let mut best = self.closest_of(first, obstacle);
         for section in 0..self.section_count {
             if section == first || bounds_m[section] >= best.clearance_m {
                 continue;
             }
-            let other = self.closest_of(section, obstacle, axis);
+            let other = self.closest_of(section, obstacle);
             // A NaN replaces what was found, and stays.
             if other.clearance_m < best.clearance_m || other.clearance_m.is_nan() {
                 best = other;
@@ -237,9 +243,9 @@ impl Body {
         best
     }
 
-    /// The same for one section. `axis` is the obstacle's.
-    fn closest_of(&self, section: usize, obstacle: &Obstacle, axis: &Axis) -> Closest {
-        let tube = &self.tubes[section];
+    /// The same for one section.
+    pub(crate) fn closest_of(&self, section: usize, obstacle: &Obstacle) -> Closest {
+        let (axis, tube) = (obstacle.axis(), &self.tubes[section]);
         let (t, Wide([distance_m])) = tube.nearest(axis);
         Closest {
             clearance_m: distance_m - tube.radius_m - obstacle.radius_m(),
@@ -413,5 +419,39 @@ impl Robot {
             start_m = end_m;
         }
         displacement_m
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::robot::{RobotParameters, Shape};
+
+    proptest! {
+        #[test]
+        fn the_direction_alone_is_that_of_the_nearest_place(
+            bends in prop::array::uniform4(-3.0..3.0_f64),
+            [start, end] in prop::array::uniform2(prop::array::uniform3(-0.6..0.6_f64)),
+            straight: bool,
+        ) {
+            let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
+            let bends = if straight { [0.0; 4] } else { bends };
+            let body = robot.body(&Configuration::from_slice(&bends).unwrap());
+            let [start_m, end_m] = [start, end].map(Vector3::from);
+            let shapes = [Shape::Capsule { start_m, end_m }, Shape::Sphere { centre_m: start_m }];
+            for shape in shapes {
+                let obstacle = Obstacle::new(shape, 0.01, Vector3::zeros()).unwrap();
+                for section in 0..2 {
+                    let nearest = body.nearest_of(section, &obstacle);
+                    let direction = body.direction(&body.closest_of(section, &obstacle));
+                    let off = (direction - nearest.direction).norm();
+                    let distance_m = nearest.clearance_m + 0.01 + robot.sections()[section].body_radius_m;
+                    prop_assert!(off * distance_m < 1e-12, "{off} at {distance_m} m");
+                }
+            }
+        }
     }
 }

@@ -47,6 +47,7 @@ mod tube;
 mod wide;
 
 pub use body_motion::BodyMotion;
+pub(crate) use clearance::Closest;
 pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
 pub use jacobian::Jacobian;

@@ -296,6 +296,28 @@ impl Tube<1> {
         }
     }
 
+    /// From a point to the nearest one of the arc (m): what [`Self::foot`] tells of it, without the angle.
+    pub(super) fn way_from_m(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
+        let point = WideVector::splat(point_m);
+        let local = self.local(&(point - self.start_m));
+        let (Wide([q_h]), Wide([h])) = in_plane(self.curvature_1_m, &local);
+        let [faces] = faces(
+            self.bend_rad,
+            local.0[2],
+            (point - self.end_m).dot(&self.end_along),
+        );
+        if h < CENTRE || !faces {
+            return self.nearer_end(&point).point_m - point_m;
+        }
+        let (Wide([curvature_1_m]), local) = (self.curvature_1_m, local.narrow());
+        // Away from the centre of the circle: (-X, Z)/H.
+        let outwards = q_h / (h * (h + 1.0));
+        let across_m = outwards * (1.0 - curvature_1_m * local.x);
+        let along_m = -outwards * curvature_1_m * local.z;
+        self.across.narrow() * across_m + self.along.narrow() * along_m
+            - self.normal.narrow() * local.y
+    }
+
     /// The end of the arc that is nearer to a point; of two equally near, the start.
     fn nearer_end(&self, point_m: &WideVector<1>) -> Foot {
         let [start, end] = [self.start_m, self.end_m].map(|end| (*point_m - end).norm_squared());

@@ -4,6 +4,7 @@
 mod near;
 mod play;
 mod rows;
+mod watched;
 mod way;
 
 use crate::estimator::Slack;

@@ -1,14 +1,14 @@
 //! The obstacles that the body can get too near to, section by section, and what is left of their clearances at a place.
 
 use core::cell::{Cell, OnceCell};
-use std::borrow::Cow;
 
 use nalgebra::Vector3;
 
 use crate::robot::{
-    BendRates, Body, BodyMotion, Configuration, Obstacle, Pose, Robot, SECTIONS_MAX, Shape,
+    BendRates, Body, BodyMotion, Closest, Configuration, Nearest, Pose, Robot, SECTIONS_MAX,
 };
 
+use super::watched::{CAPSULE_LOOKS, There, Watched, least_m};
 use super::{ClearanceGuard, StoppingWay, fastest};
 
 /// Obstacles that are watched one by one. When more than these are within reach, the robot stands still.
@@ -23,9 +23,7 @@ const ROUNDING_M: f64 = 1e-6;
 const LOOKS: u32 = 4000;
 /// As many more where a command is linearised anew, among few obstacles.
 const RENEWAL_LOOKS: u32 = 2000;
-/// How many of them an exact clearance from a capsule takes the time of,
-const CAPSULE_LOOKS: u32 = 7;
-/// a place of the way,
+/// How many of them a place of the way takes the time of,
 const PLACE_LOOKS: u32 = 24;
 /// and a row of a correction, with its part of the solution, beside its clearance.
 pub(super) const ROW_LOOKS: u32 = 10;
@@ -75,21 +73,6 @@ pub(super) struct Stance {
     frames: [Pose; SECTIONS_MAX + 1],
     pub(super) body: Body,
     motion: OnceCell<BodyMotion>,
-}
-
-#[derive(Clone, Copy)]
-pub(super) struct Watched<'a> {
-    obstacle: &'a Obstacle,
-    /// Its place among the watched.
-    index: usize,
-    speed_m_s: f64,
-    /// The clearance of each section now \[m\], at least, and exactly where it is less than `kept_m`: infinite for one that is
-    /// not watched.
-    start_m: [f64; SECTIONS_MAX],
-    /// D, or what counts instead \[m\].
-    pub(super) kept_m: f64,
-    /// As [`DIP_M`].
-    pub(super) dip_m: f64,
 }
 
 /// Where the robot is at s = `way_s`: bend + s q̇.
@@ -207,10 +190,6 @@ impl<'a> Near<'a> {
         (least_m.is_nan() || least_m <= self.beyond_m).then_some(least_m)
     }
 
-    pub(super) fn watched_at(&self, index: usize) -> Option<&Watched<'a>> {
-        self.watched.get(index)?.as_ref()
-    }
-
     pub(super) fn watched(&self) -> impl Iterator<Item = &Watched<'a>> {
         self.watched.iter().map_while(Option::as_ref)
     }
@@ -267,8 +246,9 @@ impl<'a> Near<'a> {
             let Some(watched) = &self.watched[index] else {
                 continue;
             };
+            let there = watched.after(place.time_s);
             for j in sections(which[index]) {
-                let spare = self.spare_m(place, watched, j);
+                let spare = self.spare_m(place, &there, j);
                 // A NaN is too little, too.
                 let lack_m = lack_m(watched);
                 let is_enough = spare >= -lack_m;
@@ -286,67 +266,83 @@ impl<'a> Near<'a> {
     }
 
     /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
-    fn spare_m(&self, place: &Place, watched: &Watched<'_>, j: usize) -> f64 {
+    fn spare_m(&self, place: &Place, there: &There<'_>, j: usize) -> f64 {
+        let watched = there.watched;
         let least_m = place.clearance_min_m(watched, j);
         if least_m >= watched.kept_m {
             return least_m - watched.kept_m;
         }
-        let floor_m = self.floor_m(watched, j, place.time_s);
-        let clearance_m =
-            self.clearance_below(&place.stance.body, watched, (j, place.time_s), floor_m);
-        clearance_m - floor_m
+        let most_m = watched.floor_most_m(j, place.time_s);
+        let clearance_m = self.clearance_below(&place.stance.body, there, j, most_m);
+        if clearance_m >= most_m {
+            return clearance_m - most_m;
+        }
+        clearance_m - self.floor_m(there, j)
     }
 
-    /// The clearance of section j at a place \[m\]: exactly, or a bound of at least what is kept, or at least `enough_m`.
-    pub(super) fn clearance_m(
+    /// Where section j is nearest to an obstacle at a place, if its clearance is less than `enough_m`.
+    pub(super) fn nearest_below(
         &self,
         place: &Place,
-        watched: &Watched<'_>,
+        there: &There<'_>,
         j: usize,
         enough_m: f64,
-    ) -> f64 {
-        let least_m = place.clearance_min_m(watched, j);
-        if least_m >= watched.kept_m {
-            return least_m;
+    ) -> Option<Nearest> {
+        if place.clearance_min_m(there.watched, j) >= enough_m {
+            return None;
         }
-        let enough_m = enough_m.min(watched.kept_m);
-        self.clearance_below(&place.stance.body, watched, (j, place.time_s), enough_m)
+        let body = &place.stance.body;
+        let closest = self.closest_below(body, there, j, enough_m).ok()?;
+        let is_short = closest.clearance_m < enough_m;
+        is_short.then(|| body.place(&closest, there.obstacle()))
     }
 
-    /// The clearance of section j of a body from an obstacle after a time \[m\]: exactly, or a bound of at least `enough_m`.
-    fn clearance_below(
+    /// The clearance of section j of a body \[m\]: exactly, or a bound of at least `enough_m`.
+    fn clearance_below(&self, body: &Body, there: &There<'_>, j: usize, enough_m: f64) -> f64 {
+        let closest = self.closest_below(body, there, j, enough_m);
+        closest.map_or_else(|least_m| least_m, |closest| closest.clearance_m)
+    }
+
+    /// Where section j of a body is nearest to an obstacle.
+    ///
+    /// # Errors
+    /// A bound of its clearance \[m\] that is at least `enough_m`, where there is one.
+    fn closest_below(
         &self,
         body: &Body,
-        watched: &Watched<'_>,
-        (j, time_s): (usize, f64),
+        there: &There<'_>,
+        j: usize,
         enough_m: f64,
-    ) -> f64 {
-        let obstacle = watched.obstacle_at(time_s);
-        if watched.looks() == 1 {
+    ) -> Result<Closest, f64> {
+        let obstacle = there.obstacle();
+        if there.watched.is_ball() {
             self.count(1);
-            return body.clearance_of(j, &obstacle);
+            return Ok(body.closest_of(j, obstacle));
         }
         // The direction in which both were nearest last tells more than the chord does.
-        let known = &self.directions[watched.index][j];
+        let known = &self.directions[there.watched.index][j];
         let direction = Vector3::from(known.get());
         let least_m = if direction == Vector3::zeros() {
-            body.clearance_min_of(j, &obstacle)
+            body.clearance_min_of(j, obstacle)
         } else {
-            body.clearance_min_along(j, &obstacle, &direction)
+            body.clearance_min_along(j, obstacle, &direction)
         };
         if least_m >= enough_m {
             self.count(1);
-            return least_m;
+            return Err(least_m);
         }
         self.count(CAPSULE_LOOKS);
-        let nearest = body.nearest_of(j, &obstacle);
-        known.set(nearest.direction.into());
-        nearest.clearance_m
+        let closest = body.closest_of(j, obstacle);
+        known.set(body.direction(&closest).into());
+        Ok(closest)
     }
 
-    /// What section j must keep after `time_s` \[m\]: min(D, what is left to the robot that stands still). A NaN gives D, which
+    /// What section j must keep \[m\]: min(D, what is left to the robot that stands still). A NaN gives D, which
     /// no NaN reaches.
-    pub(super) fn floor_m(&self, watched: &Watched<'_>, j: usize, time_s: f64) -> f64 {
+    pub(super) fn floor_m(&self, there: &There<'_>, j: usize) -> f64 {
+        let There {
+            watched, time_s, ..
+        } = *there;
         let start_m = watched.start_m[j];
         if watched.stands() || start_m == f64::INFINITY {
             return start_m.min(watched.kept_m);
@@ -361,7 +357,7 @@ impl<'a> Near<'a> {
             return known_m.get();
         }
         let floor_m = self
-            .clearance_below(&self.still.body, watched, (j, time_s), watched.kept_m)
+            .clearance_below(&self.still.body, there, j, watched.kept_m)
             .min(watched.kept_m);
         if is_period {
             known_m.set(floor_m);
@@ -433,60 +429,6 @@ impl Place {
         let moved_m = self.displacement_m[j] + watched.moves_m(self.time_s) + ROUNDING_M;
         watched.start_m[j] - moved_m
     }
-}
-
-impl Watched<'_> {
-    /// Where it is after a time.
-    pub(super) fn obstacle_at(&self, time_s: f64) -> Cow<'_, Obstacle> {
-        if self.stands() {
-            return Cow::Borrowed(self.obstacle);
-        }
-        Cow::Owned(self.obstacle.moved(time_s))
-    }
-
-    pub(super) fn stands(&self) -> bool {
-        self.speed_m_s == 0.0
-    }
-
-    /// The least of its clearances now \[m\]; NaN where one is.
-    fn nearest_m(&self) -> f64 {
-        least_m(self.start_m.into_iter())
-    }
-
-    /// What an exact clearance from it counts.
-    pub(super) fn looks(&self) -> u32 {
-        match self.obstacle.shape() {
-            Shape::Sphere { .. } => 1,
-            Shape::Capsule { .. } => CAPSULE_LOOKS,
-        }
-    }
-
-    /// Those that can come too near.
-    pub(super) fn sections(&self) -> u8 {
-        let bit = |j: usize| u8::from(self.start_m[j] != f64::INFINITY) << j;
-        (0..SECTIONS_MAX).map(bit).sum()
-    }
-
-    /// How far it moves at most \[m\].
-    pub(super) fn moves_m(&self, time_s: f64) -> f64 {
-        self.speed_m_s * time_s
-    }
-
-    /// What that is at most, for less than it costs to find it.
-    pub(super) fn floor_most_m(&self, j: usize, time_s: f64) -> f64 {
-        (self.start_m[j] + self.moves_m(time_s)).min(self.kept_m)
-    }
-}
-
-/// The least of some clearances; NaN where one is.
-fn least_m(clearances_m: impl Iterator<Item = f64>) -> f64 {
-    clearances_m.fold(f64::INFINITY, |least_m, clearance_m| {
-        if least_m.is_nan() || clearance_m >= least_m {
-            least_m
-        } else {
-            clearance_m
-        }
-    })
 }
 
 /// The sections of a bit set.

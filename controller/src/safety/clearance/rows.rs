@@ -1,10 +1,11 @@
 //! The half-spaces of rates in which clearances that are too small become as large as they must be.
 
-use crate::robot::{BendRates, COORDINATES_MAX};
+use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
 use super::ClearanceGuard;
-use super::near::{Near, Place, ROW_LOOKS, Watched, ends_s, sections};
+use super::near::{Near, Place, ROW_LOOKS, ends_s, sections};
+use super::watched::Watched;
 
 /// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
 const MARGIN_M: f64 = 1e-9;
@@ -20,6 +21,8 @@ struct Short<'a> {
     watched: &'a Watched<'a>,
     index: usize,
     section: usize,
+    /// Where both are nearest there.
+    nearest: Nearest,
 }
 
 /// Bounds `region` to where the clearances that are too small are as large as they must be, to first order: those at the place where the
@@ -38,19 +41,38 @@ pub(super) fn bound(
         rows: [None; ROWS_MAX],
         count: 0,
     };
-    if ends_s(guard, rates).contains(&lack.way_s) {
-        for (index, watched) in near.watched().enumerate() {
-            for section in sections(watched.sections()) {
-                least.insert_if_short(near, &place, index, section, false);
+    let is_end = ends_s(guard, rates).contains(&lack.way_s);
+    for (index, watched) in near.watched().enumerate() {
+        let there = watched.after(place.time_s);
+        for section in sections(watched.sections()) {
+            let floor_m = watched.floor_most_m(section, place.time_s);
+            // Between the ends, the one that was found counts as too small, and no other.
+            let enough_m = if is_end {
+                floor_m
+            } else if (index, section) == (lack.index, lack.section) {
+                f64::INFINITY
+            } else {
+                continue;
+            };
+            if let Some(nearest) = near.nearest_below(&place, &there, section, enough_m) {
+                least.insert(Short {
+                    spare_m: nearest.clearance_m - floor_m,
+                    place: &place,
+                    watched,
+                    index,
+                    section,
+                    nearest,
+                });
             }
         }
-    } else {
-        least.insert_if_short(near, &place, lack.index, lack.section, true);
     }
     let shorts = || least.rows.iter().flatten();
     for short in shorts() {
-        let is_first = !near.has_row(short.index, short.section);
-        short.bound(near, guard, (!is_first).then_some(rates), region);
+        if near.has_row(short.index, short.section) {
+            short.bound(near, guard, &short.nearest, Some(rates), region);
+        } else {
+            short.bound(near, guard, &short.standing(near), None, region);
+        }
     }
     for short in shorts() {
         near.note_row(short.index, short.section);
@@ -71,10 +93,15 @@ pub(super) fn bound_again(
     for way_s in ends_s(guard, desired_rates) {
         let place = near.place(guard, around.unwrap_or(&rest), way_s);
         for (index, watched) in near.watched().enumerate() {
+            let there = watched.after(place.time_s);
             for section in sections(watched.sections()) {
                 let floor_m = watched.floor_most_m(section, place.time_s);
-                let is_short = || near.clearance_m(&place, watched, section, floor_m) < floor_m;
-                if near.has_row(index, section) || around.is_some() && is_short() {
+                let enough_m = match around {
+                    _ if near.has_row(index, section) => f64::INFINITY,
+                    Some(_) => floor_m,
+                    None => continue,
+                };
+                if let Some(nearest) = near.nearest_below(&place, &there, section, enough_m) {
                     near.note_row(index, section);
                     let short = Short {
                         spare_m: 0.0,
@@ -82,72 +109,57 @@ pub(super) fn bound_again(
                         watched,
                         index,
                         section,
+                        nearest,
                     };
-                    short.bound(near, guard, around, region);
+                    short.bound(near, guard, &nearest, around, region);
                 }
             }
         }
     }
 }
 
-/// Those with the least spare, in its order.
+/// Those with the least spare.
 struct Least<'a> {
     rows: [Option<Short<'a>>; ROWS_MAX],
     count: usize,
 }
 
 impl<'a> Least<'a> {
-    /// A clearance that was found between the ends counts as too small.
-    fn insert_if_short(
-        &mut self,
-        near: &'a Near<'_>,
-        place: &'a Place,
-        index: usize,
-        section: usize,
-        is_found: bool,
-    ) {
-        let Some(watched) = near.watched_at(index) else {
-            return;
-        };
-        let floor_m = watched.floor_most_m(section, place.time_s);
-        let clearance_m = near.clearance_m(place, watched, section, floor_m);
-        let spare_m = clearance_m - floor_m;
-        if spare_m < 0.0 || is_found {
-            self.insert(Short {
-                spare_m,
-                place,
-                watched,
-                index,
-                section,
-            });
-        }
-    }
-
     fn insert(&mut self, short: Short<'a>) {
-        let is_before = |row: &Option<Short<'_>>| row.is_some_and(|r| r.spare_m <= short.spare_m);
-        let place = self.rows.partition_point(is_before);
-        if place < ROWS_MAX {
-            self.count = (self.count + 1).min(ROWS_MAX);
-            self.rows[place..self.count].rotate_right(1);
-            self.rows[place] = Some(short);
+        if self.count < ROWS_MAX {
+            self.rows[self.count] = Some(short);
+            self.count += 1;
+            return;
+        }
+        let known = self.rows.iter_mut().flatten();
+        if let Some(most) = known.max_by(|one, other| one.spare_m.total_cmp(&other.spare_m))
+            && short.spare_m < most.spare_m
+        {
+            *most = short;
         }
     }
 }
 
 impl Short<'_> {
+    /// Where both are nearest when the robot stands still.
+    fn standing(&self, near: &Near<'_>) -> Nearest {
+        near.count(self.watched.looks());
+        let there = self.watched.after(self.place.time_s);
+        near.still().body.nearest_of(self.section, there.obstacle())
+    }
+
     /// To first order around these rates, or around the robot that stands still: there each clearance is as large as it must be, so
     /// that there is a region.
     fn bound(
         &self,
         near: &Near<'_>,
         guard: &ClearanceGuard<'_>,
+        nearest: &Nearest,
         around: Option<&BendRates>,
         region: &mut Region,
     ) {
-        near.count(ROW_LOOKS + self.watched.looks());
-        let obstacle = self.watched.obstacle_at(self.place.time_s);
+        near.count(ROW_LOOKS);
         let stance = around.map_or(near.still(), |_| &self.place.stance);
-        let nearest = stance.body.nearest_of(self.section, &obstacle);
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
         let motion = stance.motion(guard.robot);
         motion.point_jacobian(self.section, nearest.s, &mut columns);
@@ -156,7 +168,8 @@ impl Short<'_> {
         let least_m = if let Some(rates) = around {
             let rates = rates.as_slice().iter();
             let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
-            let floor_m = near.floor_m(self.watched, self.section, self.place.time_s);
+            let there = self.watched.after(self.place.time_s);
+            let floor_m = near.floor_m(&there, self.section);
             gained_m + MARGIN_M + floor_m - nearest.clearance_m
         } else {
             // The clearance is what is left to the robot that stands still, and at least the floor.

@@ -2,7 +2,8 @@
 
 use crate::robot::{BendRates, SECTIONS_MAX};
 
-use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, Watched, ends_s, sections};
+use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
+use super::watched::Watched;
 use super::{ClearanceGuard, StoppingWay, fastest};
 
 /// How often a part of the way is halved before it counts as not clear.
