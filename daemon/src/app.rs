@@ -241,8 +241,12 @@ impl Signals {
 
 /// The cycle of a configuration whose parts fit into the period on this machine.
 fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
-    let share = kernel_share(&System::at(Path::new("/"))).unwrap_or_else(|error| {
-        tracing::info!(%error, "the share of real-time threads is taken to be 95 % of a core");
+    let share = kernel_share(&System("/".into())).unwrap_or_else(|problem| {
+        let error = problem.value;
+        tracing::info!(
+            error,
+            "the share of real-time threads is taken to be 95 % of a core"
+        );
         KERNEL_SHARE
     });
     let link = RobotLink::new(validated).context("the simulated robot")?;

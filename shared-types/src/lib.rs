@@ -32,7 +32,7 @@
 //!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
 //!
 //! The messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` does that at the edge. Beside
-//! them is only what daemon and client need to meet: folders, files, locks, permissions, space in memory.
+//! them is only what daemon and client need to meet: folders, files, locks, permissions, space in memory, and the one reader of `/proc/stat`.
 
 mod access;
 pub mod codes;
@@ -46,6 +46,7 @@ mod measurement;
 pub mod message;
 mod obstacles;
 mod presence;
+pub mod proc_stat;
 mod reference;
 mod services;
 mod settings;

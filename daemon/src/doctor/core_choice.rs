@@ -2,14 +2,12 @@
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::time::Duration;
 
 use crate::config::Validated;
 
 use super::cores::SIBLING_SHARE;
-use super::sample::busy_between;
-use super::system::field_of;
+use super::sample::{allowed_cores, core_loads, cores as cores_of};
 use super::{CPU, CoreSet, System, daemon_process};
 
 /// How long hyper-threads are watched, where there are some.
@@ -23,9 +21,8 @@ const LOOP: (&str, &str) = ("cdcr-cycle", "cdcrd");
 pub(crate) fn with_core(validated: &Validated) -> Validated {
     let mut validated = validated.clone();
     if validated.config.realtime.core < 0 {
-        let system = System::at(Path::new("/"));
-        let lock_file = validated.location.lock_file(&validated.config.robot.name);
-        let ours = daemon_process(&system, &lock_file);
+        let system = System("/".into());
+        let ours = daemon_process(&system, &validated);
         let core = choose(&system, ours, can_be_pinned);
         validated.config.realtime.core =
             core.and_then(|core| i32::try_from(core).ok()).unwrap_or(-1);
@@ -79,15 +76,11 @@ fn loops(system: &System) -> Vec<(u32, usize)> {
     };
     let (thread_name, program) = LOOP;
     let mut loops = Vec::new();
-    for process in system.numbers("/proc") {
-        if !is_named(&format!("/proc/{process}"), program) {
-            continue;
-        }
+    let processes = system.numbers("/proc").into_iter();
+    for process in processes.filter(|id| is_named(&format!("/proc/{id}"), program)) {
         for id in system.numbers(&format!("/proc/{process}/task")) {
             let folder = format!("/proc/{process}/task/{id}");
-            let status = system.read(&format!("{folder}/status")).unwrap_or_default();
-            let list = field_of(&status, "Cpus_allowed_list").unwrap_or_default();
-            let cores = CoreSet::parse(&list);
+            let cores = allowed_cores(system, &folder);
             if is_named(&folder, thread_name) && cores.count() == 1 {
                 loops.extend(cores.iter().map(|core| (process, core)));
             }
@@ -113,11 +106,15 @@ fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
     if siblings.values().all(|others| others.count() == 0) {
         return Vec::new();
     }
-    let look = || system.read("/proc/stat").unwrap_or_default();
+    let look = || cores_of(&system.read("/proc/stat").unwrap_or_default());
     let before = look();
     std::thread::sleep(WATCHED);
-    let busy = busy_between(&before, &look());
-    let is_busy = |other: usize| busy.get(&other).is_some_and(|share| *share > SIBLING_SHARE);
+    let loads = core_loads(&before, &look());
+    let is_busy = |other: usize| {
+        loads
+            .get(&other)
+            .is_some_and(|load| load.busy > SIBLING_SHARE)
+    };
     let shared = siblings
         .into_iter()
         .filter(|(_, others)| others.iter().any(is_busy));
@@ -215,16 +212,12 @@ mod tests {
             fake.write(&path, siblings);
         }
         let stat = |busy: u64| {
-            let idle = 1000 - busy;
-            format!("cpu0 0 0 0 1000\ncpu1 {busy} 0 0 {idle}\ncpu2 0 0 0 1000\ncpu3 0 0 0 1000")
+            let cores = [0, busy, 0, 0].into_iter().enumerate();
+            let lines = cores.map(|(core, busy)| format!("cpu{core} {busy} 0 0 1000 0 0 0 0\n"));
+            lines.collect::<String>()
         };
         fake.write("/proc/stat", &stat(0));
         assert_eq!(chosen(&fake), Some(3));
-        let busy = busy_between(
-            &stat(0),
-            &stat(0).replace("cpu1 0 0 0 1000", "cpu1 900 0 0 1000"),
-        );
-        assert!(busy[&1] > 0.99 && busy[&3] == 0.0);
         // Written while it is watched.
         std::thread::scope(|scope| {
             let system = &fake.scene.system;
@@ -232,8 +225,7 @@ mod tests {
             let mut used = 0;
             while !choice.is_finished() {
                 used += 100;
-                let text = stat(0).replace("cpu1 0", &format!("cpu1 {used}"));
-                fake.write("/proc/stat.new", &text);
+                fake.write("/proc/stat.new", &stat(used));
                 let path = |name: &str| system.path(name);
                 std::fs::rename(path("/proc/stat.new"), path("/proc/stat")).unwrap();
                 std::thread::sleep(WATCHED / 20);

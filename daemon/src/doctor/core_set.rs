@@ -50,6 +50,9 @@ fn range_of(part: &str) -> std::ops::Range<usize> {
 /// As the kernel writes it; the empty set is `none`.
 impl fmt::Display for CoreSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return f.write_str("none");
+        }
         let mut runs: Vec<(usize, usize)> = Vec::new();
         for core in self.iter() {
             match runs.last_mut() {
@@ -57,18 +60,11 @@ impl fmt::Display for CoreSet {
                 _ => runs.push((core, core)),
             }
         }
-        if runs.is_empty() {
-            return f.write_str("none");
-        }
-        for (index, (first, last)) in runs.iter().enumerate() {
-            let comma = if index == 0 { "" } else { "," };
-            if first == last {
-                write!(f, "{comma}{first}")?;
-            } else {
-                write!(f, "{comma}{first}-{last}")?;
-            }
-        }
-        Ok(())
+        let words = runs.iter().map(|(first, last)| {
+            let end = (last > first).then(|| format!("-{last}"));
+            format!("{first}{}", end.unwrap_or_default())
+        });
+        f.write_str(&words.collect::<Vec<_>>().join(","))
     }
 }
 

@@ -7,10 +7,9 @@ use std::str::FromStr;
 
 use cdcr_scratch::Scratch;
 
-use super::sample::{InterruptRate, Neighbour, Thread};
-use super::{CoreSet, Finding, Load, Plan, Probe, Scene, Severity, System, checks};
+use super::sample::{InterruptRate, Thread};
+use super::{CHECKS, CoreSet, Finding, Load, Probe, Scene, System};
 use crate::config::{Config, RealtimeMode};
-use crate::core_budget::CoreBudget;
 
 /// A scene over a folder that plays the system.
 pub(super) struct Fake {
@@ -22,22 +21,14 @@ pub(super) struct Fake {
 impl Fake {
     pub(super) fn new(files: &[(&str, &str)]) -> Self {
         let folder = Scratch::temporary().unwrap();
-        let root = std::path::PathBuf::from("/run/cdcr");
+        let mut config = Config::default();
+        config.realtime.core = 1;
+        config.realtime.mode = RealtimeMode::Prefer;
+        config.transport.root = "/run/cdcr".to_owned();
         let fake = Self {
             scene: Scene {
-                system: System::at(folder.path()),
-                plan: Plan {
-                    mode: RealtimeMode::Prefer,
-                    core: Some(1),
-                    cycle_priority: 80,
-                    exchange_priority: 70,
-                    period_ms: 5.0,
-                    core_budget: CoreBudget::new(&Config::default()),
-                    no_deep_sleep: true,
-                    lock_file: root.join("cdcr_cdcr.lock"),
-                    root,
-                    is_for_group: false,
-                },
+                system: System(folder.path().to_owned()),
+                validated: config.check().unwrap(),
                 probe: Probe {
                     fifo: Ok(()),
                     pinned: true,
@@ -71,19 +62,17 @@ impl Fake {
 
     /// Sets something of the scene that a line of `findings.txt` names.
     pub(super) fn set(&mut self, name: &str, value: &str) {
-        let Scene { plan, probe, .. } = &mut self.scene;
-        let words: Vec<&str> = value.split(' ').collect();
+        let Scene {
+            validated, probe, ..
+        } = &mut self.scene;
+        let realtime = &mut validated.config.realtime;
         let refused = || Err(value.to_owned());
         match name {
-            "plan.core" => plan.core = value.parse().ok(),
-            "plan.cycle_priority" => plan.cycle_priority = parsed(value),
-            "plan.no_deep_sleep" => plan.no_deep_sleep = parsed(value),
-            "plan.period_ms" => plan.period_ms = parsed(value),
-            "plan.spin_us" => {
-                let mut config = Config::default();
-                config.realtime.spin_us = parsed(value);
-                plan.core_budget = CoreBudget::new(&config);
-            }
+            "realtime.core" => realtime.core = parsed(value),
+            "realtime.cycle_priority" => realtime.cycle_priority = parsed(value),
+            "realtime.no_deep_sleep" => realtime.no_deep_sleep = parsed(value),
+            "realtime.spin_us" => realtime.spin_us = parsed(value),
+            "cycle.period_ms" => validated.config.cycle.period_ms = parsed(value),
             "probe.deep_sleep_lock" => probe.deep_sleep_lock = refused(),
             "probe.fifo" => probe.fifo = refused(),
             "probe.memlock_max_bytes" => probe.memlock_max_bytes = Some(parsed(value)),
@@ -106,7 +95,7 @@ impl Fake {
                 probe.shared_memory_bytes = sizes.ok_or_else(|| value.to_owned());
             }
             "probe.user_id" => probe.user_id += 1,
-            _ => self.count(name, &words),
+            _ => self.count(name, &value.split(' ').collect::<Vec<_>>()),
         }
     }
 
@@ -121,13 +110,11 @@ impl Fake {
                 let core = load.cores.entry(1).or_default();
                 (core.steal, core.steal_since_start) = (parsed(now), parsed(since_start));
             }
-            ("load.neighbour", [name, share, flags @ ..]) => load.neighbours.push(Neighbour {
-                thread: thread(name, flags),
-                share: parsed(share),
-            }),
+            ("load.neighbour", [name, share, flags @ ..]) => {
+                load.neighbours.push((thread(name, flags), parsed(share)));
+            }
             ("load.realtime", [name, priority, allowed, flags @ ..]) => {
                 load.realtime.push(Thread {
-                    is_realtime: *priority != "0",
                     priority: parsed(priority),
                     allowed: CoreSet::parse(allowed),
                     ..thread(name, flags)
@@ -145,12 +132,8 @@ impl Fake {
 
     /// What the check with this key says.
     pub(super) fn finding(&self, key: &str) -> Finding {
-        let check = checks().find(|check| check.key == key);
+        let check = CHECKS.iter().find(|check| check.key == key);
         check.expect("a known key").finding(&self.scene)
-    }
-
-    pub(super) fn severity(&self, key: &str) -> Severity {
-        self.finding(key).severity
     }
 
     /// Asserts what a line of `findings.txt` says that is found.
@@ -160,16 +143,17 @@ impl Fake {
         let finding = self.finding(key);
         let text = format!("{} | {} |", finding.value, finding.remedy);
         let found = if severities.contains('/') {
-            let modes = [
+            let in_mode = |mode| {
+                self.scene.validated.config.realtime.mode = mode;
+                self.finding(key).severity.word()
+            };
+            [
                 RealtimeMode::Require,
                 RealtimeMode::Off,
                 RealtimeMode::Prefer,
-            ];
-            let [require, off, prefer] = modes.map(|mode| {
-                self.scene.plan.mode = mode;
-                self.severity(key).word()
-            });
-            [require, prefer, off].join("/")
+            ]
+            .map(in_mode)
+            .join("/")
         } else {
             finding.severity.word().to_owned()
         };
@@ -187,7 +171,9 @@ fn thread(name: &str, flags: &[&str]) -> Thread {
     Thread {
         is_kernel: flags.contains(&"kernel"),
         is_deadline: flags.contains(&"deadline"),
-        ..Thread::named(name, id.map_or(77, parsed))
+        name: name.to_owned(),
+        id: id.map_or(77, parsed),
+        ..Thread::default()
     }
 }
 

@@ -2,14 +2,10 @@
 
 use serde::Serialize;
 
-/// The remedy of what is well.
-pub(crate) const NOTHING_TO_DO: &str = "nothing to do";
-
 /// How bad it is. The order is that of badness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Severity {
-    /// As it should be.
     Ok,
     /// It could not be read, so that nobody can call it good.
     Unknown,
@@ -23,81 +19,60 @@ impl Severity {
     /// Every severity, best first.
     pub(crate) const ALL: [Self; 4] = [Self::Ok, Self::Unknown, Self::Warning, Self::Fault];
 
-    pub(crate) const fn word(self) -> &'static str {
-        match self {
-            Self::Ok => "ok",
-            Self::Unknown => "unknown",
-            Self::Warning => "warning",
-            Self::Fault => "fault",
-        }
+    pub(crate) fn word(self) -> &'static str {
+        ["ok", "unknown", "warning", "fault"][self as usize]
     }
 
     /// Exit status of a report whose worst severity this is. The numbers stay clear of 1 (any other error),
     /// 2 (wrong command line) and those from 64 on.
-    pub(crate) const fn exit_status(self) -> u8 {
-        match self {
-            Self::Ok => 0,
-            Self::Unknown | Self::Warning => 10,
-            Self::Fault => 20,
-        }
+    pub(crate) fn exit_status(self) -> u8 {
+        [0, 10, 10, 20][self as usize]
     }
 }
 
-/// What a check says about its subject.
+/// What was seen where it is as it should be, or the problem.
+pub(super) type Assessed<T = String> = Result<T, Problem>;
+
+/// Something that is not as it should be, or cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Assessment {
-    pub(crate) severity: Severity,
+pub(crate) struct Problem {
+    pub(super) severity: Severity,
     /// What was seen.
     pub(crate) value: String,
-    pub(crate) remedy: String,
+    pub(super) remedy: String,
 }
 
-impl Assessment {
-    /// As it should be.
-    pub(crate) fn ok(value: impl Into<String>) -> Self {
-        Self::new(Severity::Ok, value, NOTHING_TO_DO)
-    }
-
-    /// Bad for timing.
-    pub(crate) fn warning(value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(Severity::Warning, value, remedy)
-    }
-
-    /// It keeps the daemon from starting.
-    pub(crate) fn fault(value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(Severity::Fault, value, remedy)
-    }
-
-    /// Not to be read; `remedy` makes it readable.
-    pub(crate) fn unknown(value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(Severity::Unknown, value, remedy)
-    }
-
-    /// As it should be where `is_good`, bad for timing where not.
-    pub(crate) fn good_if(
-        is_good: bool,
-        value: impl Into<String>,
-        remedy: impl Into<String>,
-    ) -> Self {
-        let severity = if is_good {
-            Severity::Ok
-        } else {
-            Severity::Warning
-        };
-        Self::new(severity, value, remedy)
-    }
-
-    pub(crate) fn new(
-        severity: Severity,
-        value: impl Into<String>,
-        remedy: impl Into<String>,
-    ) -> Self {
+impl Problem {
+    fn new(severity: Severity, value: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
             severity,
             value: value.into(),
             remedy: remedy.into(),
         }
     }
+
+    /// `what` is a file, or what stands in it.
+    pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Self {
+        unknown(
+            format!("{what} cannot be read: {cause}"),
+            "run `cdcrd doctor` as root, or look by hand",
+        )
+    }
+}
+
+/// Bad for timing.
+pub(super) fn warning(value: impl Into<String>, remedy: impl Into<String>) -> Problem {
+    Problem::new(Severity::Warning, value, remedy)
+}
+
+/// It keeps the daemon from starting.
+pub(super) fn fault(value: impl Into<String>, remedy: impl Into<String>) -> Problem {
+    Problem::new(Severity::Fault, value, remedy)
+}
+
+/// Not to be read; `remedy` makes it readable.
+pub(super) fn unknown(value: impl Into<String>, remedy: impl Into<String>) -> Problem {
+    Problem::new(Severity::Unknown, value, remedy)
 }
 
 /// One thing that matters, and how it is.
@@ -113,7 +88,7 @@ pub(crate) struct Finding {
     pub(crate) value: String,
     /// Why it matters, in one sentence.
     pub(crate) why: &'static str,
-    /// The command that corrects it, or [`NOTHING_TO_DO`].
+    /// The command that corrects it, or `nothing to do`.
     pub(crate) remedy: String,
 }
 
@@ -136,45 +111,5 @@ impl DoctorReport {
     pub(crate) fn count(&self, severity: Severity) -> usize {
         let same = |finding: &&Finding| finding.severity == severity;
         self.findings.iter().filter(same).count()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn finding(severity: Severity) -> Finding {
-        Finding {
-            key: "key",
-            title: "title",
-            severity,
-            value: String::new(),
-            why: "",
-            remedy: String::new(),
-        }
-    }
-
-    #[test]
-    fn the_worst_finding_is_the_worst_of_the_report() {
-        assert_eq!(DoctorReport::new(Vec::new()).worst, Severity::Ok);
-        for (index, worst) in Severity::ALL.into_iter().enumerate() {
-            let mut findings: Vec<_> = Severity::ALL[..=index]
-                .iter()
-                .copied()
-                .map(finding)
-                .collect();
-            assert_eq!(DoctorReport::new(findings.clone()).worst, worst);
-            findings.reverse();
-            let report = DoctorReport::new(findings);
-            assert_eq!(report.worst, worst);
-            assert_eq!(report.count(worst), 1);
-        }
-    }
-
-    #[test]
-    fn a_worse_verdict_never_has_a_smaller_exit_status() {
-        let statuses = Severity::ALL.map(Severity::exit_status);
-        assert!(statuses.is_sorted());
-        assert!(!statuses.contains(&1) && !statuses.contains(&2));
     }
 }

@@ -1,21 +1,9 @@
 //! Who else uses the core.
 
 use super::cores::TWO_CORES;
+use super::finding::{Assessed, Problem, warning};
 use super::sample::{Load, Thread};
-use super::{Assessed, Assessment, CoreSet, Scene, Unreadable};
-
-checks! {
-    RealTime steal, "stolen time",
-        "While the hypervisor lets another machine run on this core, no priority helps.";
-    RealTime neighbours, "threads on the core",
-        "Others on the core empty its caches, and keep the kernel busy there when the cycle is due.";
-    RealTime realtime_neighbours, "real-time threads",
-        "A real-time thread of the same or a higher priority goes before the loop.";
-    RealTime interrupts, "interrupts",
-        "Each interrupt on the core goes before the cycle, whatever its priority.";
-    RealTime irqbalance, "irqbalance",
-        "It moves interrupts to this core when others are busier.";
-}
+use super::{CoreSet, Scene};
 
 /// A smaller stolen share is a matter of how time is counted.
 const STEAL_SHARE: f64 = 0.01;
@@ -26,53 +14,54 @@ const INTERRUPT_HZ: f64 = 100.0;
 /// How many of the largest are named.
 const NAMED: usize = 3;
 
-fn steal(scene: &Scene) -> Assessed {
+/// The first ones in words.
+fn named(all: impl Iterator<Item = String>) -> String {
+    all.take(NAMED).collect::<Vec<_>>().join(", ")
+}
+
+pub(super) fn steal(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let load = scene.load()?.cores.get(&core);
-    let load =
-        load.ok_or_else(|| Unreadable::new(format!("the time of core {core}"), "not shown"))?;
+    let hidden = || Problem::unreadable(&format!("the time of core {core}"), "not shown");
+    let load = load.ok_or_else(hidden)?;
+    let [now, since_start] = [load.steal, load.steal_since_start];
     let value = format!(
         "{:.1} % in this second, {:.2} % since the machine started",
-        100.0 * load.steal,
-        100.0 * load.steal_since_start
+        100.0 * now,
+        100.0 * since_start
     );
-    Ok(Assessment::good_if(
-        load.steal.max(load.steal_since_start) < STEAL_SHARE,
-        value,
-        "ask for dedicated (pinned) cores for this virtual machine",
-    ))
+    if now.max(since_start) < STEAL_SHARE {
+        return Ok(value);
+    }
+    let remedy = "ask for dedicated (pinned) cores for this virtual machine";
+    Err(warning(value, remedy))
 }
 
-fn neighbours(scene: &Scene) -> Assessed {
+pub(super) fn neighbours(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let neighbours = &scene.load()?.neighbours;
-    let sum: f64 = neighbours.iter().map(|neighbour| neighbour.share).sum();
-    let named = neighbours.iter().take(NAMED).map(|neighbour| {
-        let Thread { name, id, .. } = &neighbour.thread;
-        format!("{name} ({id}) {:.0} %", 100.0 * neighbour.share)
+    let Some((busiest, _)) = neighbours.first() else {
+        return Ok(format!("nobody else on core {core}"));
+    };
+    let sum: f64 = neighbours.iter().map(|(_, share)| share).sum();
+    let each = neighbours.iter().map(|(thread, share)| {
+        let Thread { name, id, .. } = thread;
+        format!("{name} ({id}) {:.0} %", 100.0 * share)
     });
-    let named: Vec<_> = named.collect();
-    if named.is_empty() {
-        return Ok(Assessment::ok(format!("nobody else on core {core}")));
+    let value = format!("{:.0} % of core {core}: {}", 100.0 * sum, named(each));
+    if sum < NEIGHBOUR_SHARE {
+        return Ok(value);
     }
-    let value = format!("{:.0} % of core {core}: {}", 100.0 * sum, named.join(", "));
-    let remedy = away(scene, &neighbours[0].thread);
-    Ok(Assessment::good_if(sum < NEIGHBOUR_SHARE, value, remedy))
-}
-
-/// The command that moves a thread to other cores.
-fn away(scene: &Scene, thread: &Thread) -> String {
     let others = scene.other_cores().unwrap_or_default();
-    if is_daemons(thread) {
-        return apart(&others);
-    }
-    if thread.is_kernel || others == CoreSet::default() {
-        return "isolate the core (see `isolated core`)".to_owned();
-    }
-    format!(
-        "sudo taskset -pc {others} {}   (or isolate the core)",
-        thread.id
-    )
+    let remedy = if is_daemons(busiest) {
+        apart(&others)
+    } else if busiest.is_kernel || others.count() == 0 {
+        "isolate the core (see `isolated core`)".to_owned()
+    } else {
+        let id = busiest.id;
+        format!("sudo taskset -pc {others} {id}   (or isolate the core)")
+    };
+    Err(warning(value, remedy))
 }
 
 /// A thread that another daemon of ours has pinned here: its core is a matter of its configuration.
@@ -88,72 +77,59 @@ fn apart(others: &CoreSet) -> String {
     format!("set another realtime.core (of {others}) for this cdcrd or for the other one")
 }
 
-fn realtime_neighbours(scene: &Scene) -> Assessed {
+pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let limit = scene.plan.exchange_priority;
+    let limit = scene.realtime().exchange_priority;
     let (kernel, programs): (Vec<_>, Vec<_>) = rivals(scene.load()?, core, limit)
         .into_iter()
         .partition(|thread| thread.is_kernel);
-    let named = |threads: &[&Thread]| {
-        let words: Vec<_> = threads.iter().take(NAMED).map(|t| described(t)).collect();
-        words.join(", ")
-    };
+    let described = |threads: &[&Thread]| named(threads.iter().map(|thread| described(thread)));
     let Some(first) = programs.first() else {
-        return Ok(Assessment::ok(if kernel.is_empty() {
-            "none that could go before the loop".to_owned()
-        } else {
-            format!("only {} of the kernel's: {}", kernel.len(), named(&kernel))
-        }));
+        return Ok(match kernel.len() {
+            0 => "none that could go before the loop".to_owned(),
+            count => format!("only {count} of the kernel's: {}", described(&kernel)),
+        });
     };
-    let value = format!(
-        "{} may use core {core}: {}",
-        programs.len(),
-        named(&programs)
-    );
-    Ok(Assessment::warning(value, stood_back(scene, first)))
-}
-
-/// The command after which a program's real-time thread does not go before the loop.
-fn stood_back(scene: &Scene, thread: &Thread) -> String {
     let others = scene.other_cores().unwrap_or_default();
-    if is_daemons(thread) {
+    let remedy = if is_daemons(first) {
         apart(&others)
     } else if others.count() > 0 {
-        format!("sudo taskset -pc {others} {}", thread.id)
+        format!("sudo taskset -pc {others} {}", first.id)
     } else {
-        format!("sudo chrt -f -p 1 {}", thread.id)
-    }
+        format!("sudo chrt -f -p 1 {}", first.id)
+    };
+    let count = programs.len();
+    let value = format!("{count} may use core {core}: {}", described(&programs));
+    Err(warning(value, remedy))
 }
 
 /// A real-time thread; one of the kernel with what it is there for.
 fn described(thread: &Thread) -> String {
+    let Thread {
+        name, id, priority, ..
+    } = thread;
     let policy = if thread.is_deadline {
         "deadline"
     } else {
         "priority"
     };
-    let Thread { name, id, .. } = thread;
-    let known = format!("{name} ({id}) {policy} {}", thread.priority);
-    if thread.is_kernel {
-        format!("{known}, {}", errand(name))
-    } else {
-        known
-    }
+    let errand = if thread.is_kernel { errand(name) } else { "" };
+    format!("{name} ({id}) {policy} {priority}{errand}")
 }
 
 /// What a real-time thread of the kernel does. All of them are idle unless the kernel itself needs them, and
 /// the machine needs them then: their priorities are left alone.
 fn errand(name: &str) -> &'static str {
     let known = [
-        ("migration/", "moves threads between cores"),
-        ("watchdog", "restarts a machine that hangs"),
-        ("idle_inject/", "keeps the processor from overheating"),
-        ("sugov:", "sets the frequency"),
-        ("irq/", "serves a device"),
-        ("rcu", "frees memory of the kernel"),
+        ("migration/", ", moves threads between cores"),
+        ("watchdog", ", restarts a machine that hangs"),
+        ("idle_inject/", ", keeps the processor from overheating"),
+        ("sugov:", ", sets the frequency"),
+        ("irq/", ", serves a device"),
+        ("rcu", ", frees memory of the kernel"),
     ];
     let found = known.iter().find(|(begin, _)| name.starts_with(begin));
-    found.map_or("a helper of the kernel", |(_, errand)| errand)
+    found.map_or(", a helper of the kernel", |(_, errand)| errand)
 }
 
 /// Threads that may go before the exchange on the core, and programs that are there for good.
@@ -166,53 +142,50 @@ fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
     load.realtime.iter().filter(is_rival).collect()
 }
 
-fn interrupts(scene: &Scene) -> Assessed {
+pub(super) fn interrupts(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let rates = &scene.load()?.interrupts;
-    let named = rates.iter().take(NAMED).map(|rate| {
+    if rates.is_empty() {
+        return Ok(format!("none on core {core}"));
+    }
+    let each = rates.iter().map(|rate| {
         format!(
             "{} ({}) {:.0}/s",
             rate.label, rate.description, rate.rate_hz
         )
     });
-    let named: Vec<_> = named.collect();
-    if named.is_empty() {
-        return Ok(Assessment::ok(format!("none on core {core}")));
-    }
-    let devices = || rates.iter().filter(|rate| rate.is_device());
-    let device_hz: f64 = devices().map(|rate| rate.rate_hz).sum();
-    let value = format!("{device_hz:.0}/s of devices; largest {}", named.join(", "));
-    let Some(worst) = devices().next().filter(|_| device_hz >= INTERRUPT_HZ) else {
-        return Ok(Assessment::ok(value));
+    let devices: Vec<_> = rates.iter().filter(|rate| rate.is_device()).collect();
+    let device_hz: f64 = devices.iter().map(|rate| rate.rate_hz).sum();
+    let value = format!("{device_hz:.0}/s of devices; largest {}", named(each));
+    let Some(worst) = devices.first().filter(|_| device_hz >= INTERRUPT_HZ) else {
+        return Ok(value);
     };
     let others = scene.other_cores()?;
-    let remedy = if others.count() == 0 {
-        TWO_CORES.to_owned()
-    } else {
-        format!(
+    let remedy = match others.count() {
+        0 => TWO_CORES.to_owned(),
+        _ => format!(
             "echo {others} | sudo tee /proc/irq/{}/smp_affinity_list",
             worst.label
-        )
+        ),
     };
-    Ok(Assessment::warning(value, remedy))
+    Err(warning(value, remedy))
 }
 
-fn irqbalance(scene: &Scene) -> Assessed {
+pub(super) fn irqbalance(scene: &Scene) -> Assessed {
     let Some(process) = scene.load()?.irqbalance else {
-        return Ok(Assessment::ok("does not run"));
+        return Ok("does not run".to_owned());
     };
     let core = scene.core()?;
     if scene.system.cores("isolated")?.contains(core) {
-        return Ok(Assessment::ok("runs, and spares isolated cores"));
+        return Ok("runs, and spares isolated cores".to_owned());
     }
     let environment = scene.system.read(&format!("/proc/{process}/environ"))?;
-    let banned = environment
-        .split('\0')
-        .find_map(|variable| variable.strip_prefix("IRQBALANCE_BANNED_CPULIST="));
+    let mut variables = environment.split('\0');
+    let banned = variables.find_map(|word| word.strip_prefix("IRQBALANCE_BANNED_CPULIST="));
     if CoreSet::parse(banned.unwrap_or_default()).contains(core) {
-        return Ok(Assessment::ok(format!("runs, and spares core {core}")));
+        return Ok(format!("runs, and spares core {core}"));
     }
-    Ok(Assessment::warning(
+    Err(warning(
         "runs, and does not spare the core",
         format!(
             "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl \

@@ -2,23 +2,10 @@
 //! about it.
 //!
 //! A [`Scene`] holds all that was seen: files ([`System`]), trials ([`Probe`]), one second of counters
-//! ([`Load`]), and what the configuration asks ([`Plan`]). Each check assesses one thing of it and changes
-//! nothing, so that tests assess scenes of their own.
+//! ([`Load`]), and the configuration. Each check assesses one thing of it and changes nothing, so that tests assess scenes of
+//! their own.
 //!
 //! Where the configuration asks for no real time, what matters only to real time is shown and assessed good.
-
-/// The checks of a file: whom each concerns, the function that assesses it (its name is the key), title, and why it matters.
-macro_rules! checks {
-    ($($concern:ident $assess:ident, $title:literal, $why:literal;)+) => {
-        pub(super) const CHECKS: &[super::Check] = &[$(super::Check {
-            key: stringify!($assess),
-            title: $title,
-            why: $why,
-            concern: super::Concern::$concern,
-            assess: $assess,
-        }),+];
-    };
-}
 
 mod core_choice;
 mod core_set;
@@ -29,145 +16,205 @@ mod finding;
 mod folder;
 mod load;
 mod machine;
-mod memory;
-mod plan;
 mod privileges;
 mod probe;
 mod sample;
 mod scheduler;
-mod sysctls;
 mod system;
 
 use std::path::Path;
-use std::time::{Duration, Instant};
 
 pub(crate) use core_choice::with_core;
-pub(crate) use core_set::CoreSet;
-pub(crate) use finding::{Assessment, DoctorReport, Finding, NOTHING_TO_DO, Severity};
-pub(crate) use plan::Plan;
-pub(crate) use probe::Probe;
-pub(crate) use sample::{Load, Snapshot};
+pub(crate) use finding::{DoctorReport, Finding, Severity};
 pub(crate) use scheduler::kernel_share;
-pub(crate) use system::{System, Unreadable};
+pub(crate) use system::System;
 
-use crate::config::{RealtimeMode, Validated};
+use core_set::CoreSet;
+use finding::{Assessed, Problem};
+use probe::Probe;
+use sample::Load;
+
+use crate::config::{RealtimeConfig, RealtimeMode, Validated};
 
 /// The kernel's folder of the cores.
 const CPU: &str = "/sys/devices/system/cpu";
-const WATCHED: Duration = Duration::from_secs(1);
 
 /// All that was seen.
 #[derive(Debug, Clone)]
-pub(crate) struct Scene {
-    pub(crate) system: System,
-    pub(crate) plan: Plan,
-    pub(crate) probe: Probe,
+struct Scene {
+    system: System,
+    /// The configuration, with the core that was chosen.
+    validated: Validated,
+    probe: Probe,
     /// What happened on the core meanwhile.
-    pub(crate) load: Result<Load, Unreadable>,
-}
-
-/// What a check finds, or what it could not read.
-type Assessed = Result<Assessment, Unreadable>;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Concern {
-    /// To every daemon.
-    Always,
-    /// Only where the configuration asks for real time.
-    RealTime,
+    load: Assessed<Load>,
 }
 
 struct Check {
     key: &'static str,
     title: &'static str,
     why: &'static str,
-    concern: Concern,
     assess: fn(&Scene) -> Assessed,
 }
 
-/// Every check, in the order of the report.
-fn checks() -> impl Iterator<Item = &'static Check> {
-    let groups: [&[Check]; 8] = [
-        privileges::CHECKS,
-        scheduler::CHECKS,
-        cores::CHECKS,
-        sysctls::CHECKS,
-        load::CHECKS,
-        machine::CHECKS,
-        memory::CHECKS,
-        folder::CHECKS,
-    ];
-    groups.into_iter().flatten()
+/// The function of each check (its name is the key), title, and why it matters.
+macro_rules! checks {
+    ($($file:ident::$assess:ident, $title:literal, $why:literal;)+) => {
+        &[$(Check { key: stringify!($assess), title: $title, why: $why, assess: $file::$assess }),+]
+    };
 }
+
+/// Every check, in the order of the report.
+const CHECKS: &[Check] = checks! {
+    privileges::fifo, "SCHED_FIFO",
+        "Without a real-time priority every other program may keep the cycle waiting for many periods.";
+    privileges::pin, "pinned to a core",
+        "A thread that moves between cores meets cold caches and whoever is there.";
+    privileges::memory_lock, "locked memory",
+        "A page that was given away must be fetched again in the middle of a cycle.";
+    scheduler::preemption, "pre-emption model",
+        "Where the kernel does not let itself be interrupted, the cycle waits until it has finished.";
+    scheduler::rt_throttling, "RT throttling",
+        "The kernel halts real-time threads beyond their share of a second; without a limit a hung one keeps its core for ever.";
+    scheduler::rt_group, "RT group",
+        "In a control group without real-time runtime, SCHED_FIFO is refused even to root.";
+    cores::cores, "number of cores",
+        "On a single core everything else runs between the cycles, on what they leave.";
+    cores::isolation, "isolated core",
+        "The system puts ordinary threads on every core that is not isolated.";
+    cores::tick, "timer tick",
+        "The tick and deferred work of the kernel cost every core microseconds, hundreds of times a second.";
+    cores::siblings, "hyper-threads",
+        "Two threads on one physical core slow each other down to about half.";
+    cores::governor, "frequency governor",
+        "A governor that saves power slows the core down between cycles, and a solve then takes longer.";
+    cores::deep_sleep, "deep sleep",
+        "Out of a deep sleep a core needs up to hundreds of microseconds to wake up.";
+    scheduler::sysctls, "kernel settings",
+        "Some work that the kernel does by default moves memory in use, or comes onto a core that should be quiet.";
+    load::steal, "stolen time",
+        "While the hypervisor lets another machine run on this core, no priority helps.";
+    load::neighbours, "threads on the core",
+        "Others on the core empty its caches, and keep the kernel busy there when the cycle is due.";
+    load::realtime_neighbours, "real-time threads",
+        "A real-time thread of the same or a higher priority goes before the loop.";
+    load::interrupts, "interrupts",
+        "Each interrupt on the core goes before the cycle, whatever its priority.";
+    load::irqbalance, "irqbalance",
+        "It moves interrupts to this core when others are busier.";
+    machine::clock_source, "clock source",
+        "The loop reads the clock thousands of times a second; the slow ones cost microseconds each time.";
+    machine::virtual_machine, "virtual machine",
+        "A hypervisor may halt a core for milliseconds at any time, and nothing inside can prevent it.";
+    machine::shared_memory, "shared memory",
+        "The daemon and its clients meet in files in the root folder; when its memory is full, nobody can connect.";
+    machine::huge_pages, "transparent huge pages",
+        "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile; hence the daemon exempts itself.";
+    machine::swap, "swap",
+        "Memory that is not locked may be on a disk when the cycle needs it.";
+    folder::root_folder, "root folder",
+        "Whoever may write here can disturb the robot; where the daemon may not, it does not start.";
+};
+
+/// Checks that matter to every daemon; the others only where the configuration asks for real time.
+const ALWAYS: [&str; 2] = ["shared_memory", "root_folder"];
 
 /// Looks at this machine with the eyes of a daemon of this configuration. Takes a second.
 pub(crate) fn examine(validated: &Validated) -> DoctorReport {
-    Scene::here(validated).report()
+    let system = System("/".into());
+    let validated = with_core(validated);
+    let core = validated.config.realtime.core();
+    let mut ours = vec![std::process::id()];
+    ours.extend(daemon_process(&system, &validated));
+    let load = core.ok_or_else(no_core);
+    let load = load.and_then(|core| Load::watch(&system, core, &ours));
+    let probe = Probe::new(&system, &validated);
+    let scene = Scene {
+        system,
+        validated,
+        probe,
+        load,
+    };
+    scene.report()
+}
+
+fn no_core() -> Problem {
+    Problem::unreadable("the core", "the system does not tell which cores it has")
+}
+
+/// The process id that the daemon of this robot left in its lock file.
+fn daemon_process(system: &System, validated: &Validated) -> Option<u32> {
+    let name = &validated.config.robot.name;
+    let lock_file = validated.location.lock_file(name);
+    let id = system.number(&lock_file.to_string_lossy()).ok()?;
+    u32::try_from(id).ok()
 }
 
 impl Scene {
-    /// This machine, for a daemon of this configuration.
-    pub(crate) fn here(validated: &Validated) -> Self {
-        let system = System::at(Path::new("/"));
-        let plan = Plan::new(&with_core(validated));
-        let load = watch(&system, &plan);
-        let probe = Probe::new(&system, &plan);
-        Self {
-            system,
-            plan,
-            probe,
-            load,
-        }
+    fn report(&self) -> DoctorReport {
+        DoctorReport::new(CHECKS.iter().map(|check| check.finding(self)).collect())
     }
 
-    pub(crate) fn report(&self) -> DoctorReport {
-        DoctorReport::new(checks().map(|check| check.finding(self)).collect())
+    fn realtime(&self) -> &RealtimeConfig {
+        &self.validated.config.realtime
+    }
+
+    fn period_ms(&self) -> f64 {
+        self.validated.config.cycle.period_ms
+    }
+
+    /// The root folder of daemon and clients.
+    fn root(&self) -> &Path {
+        self.validated.location.root()
     }
 
     /// The core of the real-time threads.
-    fn core(&self) -> Result<usize, Unreadable> {
-        let none = || Unreadable::new("the core", "the system does not tell which cores it has");
-        self.plan.core.ok_or_else(none)
+    fn core(&self) -> Assessed<usize> {
+        self.realtime().core().ok_or_else(no_core)
     }
 
-    fn has_no_tick(&self) -> Result<bool, Unreadable> {
+    fn load(&self) -> Assessed<&Load> {
+        self.load.as_ref().map_err(Clone::clone)
+    }
+
+    fn has_no_tick(&self) -> Assessed<bool> {
         let quiet = self.system.read_if_there(&format!("{CPU}/nohz_full"))?;
         Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(self.core()?))
     }
 
-    fn load(&self) -> Result<&Load, Unreadable> {
-        self.load.as_ref().map_err(Clone::clone)
-    }
-
     /// Whether the daemon of this robot runs.
     fn daemon_runs(&self) -> bool {
-        let process = daemon_process(&self.system, &self.plan.lock_file);
-        process.is_some_and(|id| self.system.path(&format!("/proc/{id}")).exists())
+        let process = daemon_process(&self.system, &self.validated);
+        process.is_some_and(|id| self.system.path(format!("/proc/{id}")).exists())
     }
 
     /// The cores that run, without that of the real-time threads.
-    fn other_cores(&self) -> Result<CoreSet, Unreadable> {
+    fn other_cores(&self) -> Assessed<CoreSet> {
         Ok(self.system.online()?.without(self.core()?))
+    }
+
+    /// A privilege is not granted: a fault where real time is required.
+    fn missing(&self, value: impl Into<String>, remedy: impl Into<String>) -> Problem {
+        match self.realtime().mode {
+            RealtimeMode::Require => finding::fault(value, remedy),
+            _ => finding::warning(value, remedy),
+        }
     }
 }
 
 impl Check {
     fn finding(&self, scene: &Scene) -> Finding {
-        let assessed = (self.assess)(scene);
-        let Assessment {
-            mut severity,
-            value,
-            mut remedy,
-        } = assessed.unwrap_or_else(|unreadable| {
-            let remedy = "run `cdcrd doctor` as root, or look by hand";
-            Assessment::unknown(unreadable.to_string(), remedy)
-        });
-        if self.concern == Concern::RealTime && scene.plan.mode == RealtimeMode::Off {
-            severity = Severity::Ok;
-        }
-        if severity == Severity::Ok {
-            NOTHING_TO_DO.clone_into(&mut remedy);
-        }
+        let concerns = scene.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&self.key);
+        let (severity, value, remedy) = match (self.assess)(scene) {
+            Err(Problem {
+                severity,
+                value,
+                remedy,
+            }) if concerns => (severity, value, remedy),
+            Ok(value) | Err(Problem { value, .. }) => {
+                (Severity::Ok, value, "nothing to do".to_owned())
+            }
+        };
         Finding {
             key: self.key,
             title: self.title,
@@ -179,26 +226,6 @@ impl Check {
     }
 }
 
-/// The process id that the daemon of this robot left in its lock file.
-fn daemon_process(system: &System, lock_file: &Path) -> Option<u32> {
-    let id = system.number(&lock_file.to_string_lossy()).ok()?;
-    u32::try_from(id).ok()
-}
-
-fn watch(system: &System, plan: &Plan) -> Result<Load, Unreadable> {
-    let core = plan
-        .core
-        .ok_or_else(|| Unreadable::new("the load", "no core is known"))?;
-    let mut ours = vec![std::process::id()];
-    ours.extend(daemon_process(system, &plan.lock_file));
-    let before = Snapshot::take(system, core)?;
-    let start = Instant::now();
-    std::thread::sleep(WATCHED);
-    let after = Snapshot::take(system, core)?;
-    let seconds = start.elapsed().as_secs_f64();
-    Ok(Load::between(&before, &after, core, seconds, &ours))
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::HashSet;
@@ -208,9 +235,9 @@ mod tests {
 
     #[test]
     fn every_check_has_a_name_of_its_own_and_a_reason() {
-        let keys: HashSet<_> = checks().map(|check| check.key).collect();
-        assert_eq!(keys.len(), checks().count());
-        for check in checks() {
+        let keys: HashSet<_> = CHECKS.iter().map(|check| check.key).collect();
+        assert_eq!(keys.len(), CHECKS.len());
+        for check in CHECKS {
             assert!(check.why.ends_with('.'), "{}: {}", check.key, check.why);
         }
     }
@@ -236,13 +263,13 @@ mod tests {
                 }
             }
         }
-        assert_eq!(assessed, checks().map(|check| check.key).collect());
+        assert_eq!(assessed, CHECKS.iter().map(|check| check.key).collect());
     }
 
     #[test]
     fn a_system_that_shows_nothing_is_unknown_and_not_good() {
         let mut fake = Fake::new(&[]);
-        fake.scene.load = Err(Unreadable::new("/proc/stat", "gone"));
+        fake.scene.load = Err(Problem::unreadable("/proc/stat", "gone"));
         fake.scene.probe.fifo = Err("no".to_owned());
         let report = fake.scene.report();
         assert!(report.count(Severity::Unknown) > 5, "{report:#?}");
@@ -254,7 +281,7 @@ mod tests {
     #[test]
     fn nothing_of_real_time_is_bad_where_none_is_asked_for() {
         let mut fake = Fake::new(&[]);
-        fake.scene.plan.mode = RealtimeMode::Off;
+        fake.scene.validated.config.realtime.mode = RealtimeMode::Off;
         fake.scene.probe.fifo = Err("no".to_owned());
         fake.scene.probe.memory_lock = Err("no".to_owned());
         let report = fake.scene.report();
@@ -267,7 +294,7 @@ mod tests {
     fn what_is_ok_needs_no_mending() {
         for finding in Fake::new(&[]).scene.report().findings {
             let is_ok = finding.severity == Severity::Ok;
-            assert_eq!(is_ok, finding.remedy == NOTHING_TO_DO, "{finding:?}");
+            assert_eq!(is_ok, finding.remedy == "nothing to do", "{finding:?}");
         }
     }
 }

@@ -1,102 +1,106 @@
 //! What happens on the core meanwhile: two snapshots of the kernel's counters, and their difference.
 
 use std::collections::{BTreeMap, HashMap};
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks};
 
 use super::core_set::CoreSet;
-use super::system::{System, Unreadable, field_of};
+use super::finding::{Assessed, Problem};
+use super::system::{System, field_of};
+
+const WATCHED: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Snapshot {
-    cores: BTreeMap<usize, Ticks>,
+struct Snapshot {
+    cores: BTreeMap<usize, CoreTicks>,
     threads: HashMap<u32, Thread>,
-    interrupts: BTreeMap<String, Interrupt>,
+    /// Description and count of each, by its label.
+    interrupts: BTreeMap<String, (String, u64)>,
 }
 
-/// Time of one core since the machine started, in the kernel's ticks.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Ticks {
-    busy: u64,
-    steal: u64,
-    total: u64,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Thread {
-    pub(crate) process: u32,
-    pub(crate) id: u32,
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Thread {
+    pub(super) process: u32,
+    pub(super) id: u32,
     /// Its name, without control characters.
-    pub(crate) name: String,
+    pub(super) name: String,
     /// Whether it is one of the kernel's.
-    pub(crate) is_kernel: bool,
-    /// Whether its policy is `SCHED_FIFO` or `SCHED_RR`.
-    pub(crate) is_realtime: bool,
+    pub(super) is_kernel: bool,
     /// Whether its policy is `SCHED_DEADLINE`, which goes before every priority.
-    pub(crate) is_deadline: bool,
-    /// Real-time priority; 0 for other threads.
-    pub(crate) priority: i32,
+    pub(super) is_deadline: bool,
+    /// Real-time priority (`SCHED_FIFO`, `SCHED_RR`); 0 for other threads.
+    pub(super) priority: i32,
     /// Cores that it may run on; read for real-time threads only.
-    pub(crate) allowed: CoreSet,
+    pub(super) allowed: CoreSet,
     /// Core on which it was seen last.
-    pub(crate) core: usize,
+    pub(super) core: usize,
     /// Time that it has used, in the kernel's ticks.
-    pub(crate) ticks: u64,
+    pub(super) ticks: u64,
 }
 
-#[cfg(test)]
-impl Thread {
-    /// An ordinary thread on core 1 that has done nothing.
-    pub(super) fn named(name: &str, id: u32) -> Self {
-        Self {
-            process: id,
-            id,
-            name: name.to_owned(),
-            is_kernel: false,
-            is_realtime: false,
-            is_deadline: false,
-            priority: 0,
-            allowed: CoreSet::default(),
-            core: 1,
-            ticks: 0,
-        }
+/// What happened between two snapshots.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Load {
+    pub(super) cores: BTreeMap<usize, CoreLoad>,
+    /// Threads that used time and were last seen on our core, with the share that each used; the busiest first.
+    pub(super) neighbours: Vec<(Thread, f64)>,
+    /// Every real-time thread of other processes.
+    pub(super) realtime: Vec<Thread>,
+    /// Interrupts on our core, the most frequent first.
+    pub(super) interrupts: Vec<InterruptRate>,
+    /// Process id of irqbalance, when it runs.
+    pub(super) irqbalance: Option<u32>,
+}
+
+/// Shares of one core's time, 0 to 1.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct CoreLoad {
+    pub(super) busy: f64,
+    /// Given to somebody else by the hypervisor, between the snapshots.
+    pub(super) steal: f64,
+    pub(super) steal_since_start: f64,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct InterruptRate {
+    /// Number of a device's interrupt, name of another.
+    pub(super) label: String,
+    pub(super) description: String,
+    pub(super) rate_hz: f64,
+}
+
+impl InterruptRate {
+    /// Whether it is one of a device, which can be moved to another core.
+    pub(super) fn is_device(&self) -> bool {
+        is_number(&self.label)
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Interrupt {
-    description: String,
-    count: u64,
+fn is_number(label: &str) -> bool {
+    label.parse::<u32>().is_ok()
 }
 
 impl Snapshot {
     /// The counters now; those of interrupts on `core`.
-    pub(crate) fn take(system: &System, core: usize) -> Result<Self, Unreadable> {
+    fn take(system: &System, core: usize) -> Assessed<Self> {
         let cores = cores(&system.read("/proc/stat")?);
         if cores.is_empty() {
-            return Err(Unreadable::new("/proc/stat", "it has no line of a core"));
+            return Err(Problem::unreadable("/proc/stat", "no line of a core"));
         }
         let interrupts = system.read_if_there("/proc/interrupts")?;
         Ok(Self {
             cores,
             threads: threads(system),
-            interrupts: interrupts.map_or_else(BTreeMap::new, |text| interrupts_of(&text, core)),
+            interrupts: interrupts_of(&interrupts.unwrap_or_default(), core),
         })
     }
 }
 
-/// Lines `cpu3 user nice system idle iowait irq softirq steal …`. The line `cpu` is the sum of all.
-fn cores(stat: &str) -> BTreeMap<usize, Ticks> {
-    let lines = stat.lines().filter_map(|line| {
-        let mut words = line.split_whitespace();
-        let core = words.next()?.strip_prefix("cpu")?.parse().ok()?;
-        // What guests use is inside `user` already.
-        let times: Vec<u64> = words.take(8).map_while(|word| word.parse().ok()).collect();
-        let at = |index: usize| times.get(index).copied().unwrap_or(0);
-        let total = times.iter().copied().fold(0, u64::saturating_add);
-        let (idle, steal) = (at(3).saturating_add(at(4)), at(7));
-        let busy = total.saturating_sub(idle).saturating_sub(steal);
-        Some((core, Ticks { busy, steal, total }))
-    });
-    lines.collect()
+/// The time of each core by a text of `/proc/stat`.
+pub(super) fn cores(stat: &str) -> BTreeMap<usize, CoreTicks> {
+    let each = core_ticks(stat).filter_map(|(core, ticks)| Some((core?, ticks)));
+    each.collect()
 }
 
 /// Every thread. One that ends while we look is left out.
@@ -105,17 +109,12 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
     for process in system.numbers("/proc") {
         let folder = format!("/proc/{process}/task");
         for id in system.numbers(&folder) {
-            let Ok(stat) = system.read(&format!("{folder}/{id}/stat")) else {
+            let stat = system.read(&format!("{folder}/{id}/stat"));
+            let Some(mut thread) = thread_of(&stat.unwrap_or_default(), process, id) else {
                 continue;
             };
-            let Some(mut thread) = thread_of(&stat, process, id) else {
-                continue;
-            };
-            if (thread.is_realtime || thread.is_deadline)
-                && let Ok(status) = system.read(&format!("{folder}/{id}/status"))
-            {
-                let list = field_of(&status, "Cpus_allowed_list");
-                thread.allowed = CoreSet::parse(&list.unwrap_or_default());
+            if thread.is_realtime() {
+                thread.allowed = allowed_cores(system, &format!("{folder}/{id}"));
             }
             threads.insert(id, thread);
         }
@@ -123,8 +122,15 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
     threads
 }
 
+/// The cores that the thread of a folder may use; none where that cannot be read.
+pub(super) fn allowed_cores(system: &System, folder: &str) -> CoreSet {
+    let status = system.read(&format!("{folder}/status")).unwrap_or_default();
+    CoreSet::parse(&field_of(&status, "Cpus_allowed_list").unwrap_or_default())
+}
+
 /// Flag of a thread of the kernel.
 const PF_KTHREAD: u64 = 0x0020_0000;
+const SCHED_DEADLINE: u64 = 6;
 
 /// One thread of its `stat`. The name is in parentheses, and may hold anything, parentheses too.
 fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
@@ -133,19 +139,23 @@ fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
     let fields: Vec<&str> = rest.split_whitespace().collect();
     // proc(5) counts from 1, and the state after the name is its field 3.
     let number = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();
-    let policy = number(41)?;
     Some(Thread {
         process,
         id,
         name: printable(name),
         is_kernel: number(9)? & PF_KTHREAD != 0,
-        is_realtime: matches!(policy, 1 | 2),
-        is_deadline: policy == 6,
+        is_deadline: number(41)? == SCHED_DEADLINE,
         priority: i32::try_from(number(40)?).ok()?,
         allowed: CoreSet::default(),
         core: usize::try_from(number(39)?).ok()?,
         ticks: number(14)?.saturating_add(number(15)?),
     })
+}
+
+impl Thread {
+    fn is_realtime(&self) -> bool {
+        self.is_deadline || self.priority > 0
+    }
 }
 
 fn printable(name: &str) -> String {
@@ -154,7 +164,7 @@ fn printable(name: &str) -> String {
 }
 
 /// A head of the cores that run, then lines `label: count for each core, description`.
-fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, Interrupt> {
+fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
     let ours = format!("CPU{core}");
@@ -163,115 +173,89 @@ fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, Interrupt> {
     };
     let parsed = lines.filter_map(|line| {
         let (label, rest) = line.split_once(':')?;
-        let words: Vec<&str> = rest.split_whitespace().collect();
+        let (label, words) = (label.trim(), rest.split_whitespace().collect::<Vec<_>>());
         let count = words.get(column)?.parse().ok()?;
         let described = words.get(head.len()..).unwrap_or_default();
-        let is_device = label.trim().parse::<u32>().is_ok();
-        let description = match described.last() {
-            Some(name) if is_device => printable(name),
-            _ => printable(&described.join(" ")),
+        // Before the name of a device stand its controller and pin.
+        let skipped = if is_number(label) {
+            described.len().saturating_sub(1)
+        } else {
+            0
         };
-        let interrupt = Interrupt { description, count };
-        Some((label.trim().to_owned(), interrupt))
+        let description = printable(&described[skipped..].join(" "));
+        Some((label.to_owned(), (description, count)))
     });
     parsed.collect()
 }
 
-/// What happened between two snapshots.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Load {
-    pub(crate) cores: BTreeMap<usize, CoreLoad>,
-    /// Threads that used time and were last seen on our core, the busiest first.
-    pub(crate) neighbours: Vec<Neighbour>,
-    /// Every real-time thread of other processes.
-    pub(crate) realtime: Vec<Thread>,
-    /// Interrupts on our core, the most frequent first.
-    pub(crate) interrupts: Vec<InterruptRate>,
-    /// Process id of irqbalance, when it runs.
-    pub(crate) irqbalance: Option<u32>,
-}
-
-/// Shares of one core's time, 0 to 1.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct CoreLoad {
-    /// Used for something, between the snapshots.
-    pub(crate) busy: f64,
-    /// Given to somebody else by the hypervisor, between the snapshots.
-    pub(crate) steal: f64,
-    /// The same since the machine started.
-    pub(crate) steal_since_start: f64,
-}
-
-/// A thread that used time and was last seen on our core.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Neighbour {
-    pub(crate) thread: Thread,
-    /// Its share of the core's time, 0 to 1.
-    pub(crate) share: f64,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct InterruptRate {
-    /// Number, or the kernel's abbreviation.
-    pub(crate) label: String,
-    /// Device, or what it is.
-    pub(crate) description: String,
-    /// How often on our core \[1/s\].
-    pub(crate) rate_hz: f64,
-}
-
-impl InterruptRate {
-    /// Whether a device sends it: those have numbers, and can be moved.
-    pub(crate) fn is_device(&self) -> bool {
-        self.label.parse::<u32>().is_ok()
-    }
-}
-
 impl Load {
+    /// What happens in a second; what is ours as in [`Load::between`].
+    pub(super) fn watch(system: &System, core: usize, ours: &[u32]) -> Assessed<Self> {
+        let before = Snapshot::take(system, core)?;
+        let start = Instant::now();
+        std::thread::sleep(WATCHED);
+        let after = Snapshot::take(system, core)?;
+        let seconds = start.elapsed().as_secs_f64();
+        Ok(Self::between(&before, &after, core, seconds, ours))
+    }
+
     /// The difference of two snapshots that were taken `seconds` apart. `ours` are the processes that are
     /// no neighbours: this one, and the daemon of this robot when it runs.
-    pub(crate) fn between(
+    fn between(
         before: &Snapshot,
         after: &Snapshot,
         core: usize,
         seconds: f64,
         ours: &[u32],
     ) -> Self {
-        let foreign = |thread: &&Thread| !ours.contains(&thread.process);
-        let threads = || after.threads.values().filter(foreign);
-        let ticks = ticks_between(before, after, core).total;
+        let threads = || {
+            after
+                .threads
+                .values()
+                .filter(|thread| !ours.contains(&thread.process))
+        };
+        let total = since(&before.cores, &after.cores, core).total;
         let mut neighbours: Vec<_> = threads()
             .filter(|thread| thread.core == core)
-            .filter_map(|thread| neighbour(before, thread, ticks))
+            .map(|thread| {
+                let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
+                // A thread that is new has used all its time meanwhile; so has one with the id of another.
+                let used = thread.ticks.checked_sub(earlier).unwrap_or(thread.ticks);
+                (thread.clone(), share(used, total))
+            })
+            .filter(|(_, share)| *share > 0.0)
             .collect();
-        neighbours.sort_by(|a, b| b.share.total_cmp(&a.share));
+        neighbours.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         let mut realtime: Vec<_> = threads()
-            .filter(|thread| thread.is_realtime || thread.is_deadline)
+            .filter(|thread| thread.is_realtime())
             .cloned()
             .collect();
         realtime.sort_by_key(|thread| (-thread.priority, thread.id));
+        let irqbalance = threads().find(|thread| thread.name == "irqbalance");
         Self {
-            cores: core_loads(before, after),
+            cores: core_loads(&before.cores, &after.cores),
             neighbours,
             realtime,
             interrupts: interrupt_rates(before, after, seconds),
-            irqbalance: threads()
-                .find(|thread| thread.name == "irqbalance")
-                .map(|thread| thread.process),
+            irqbalance: irqbalance.map(|thread| thread.process),
         }
     }
 }
 
-fn ticks_between(before: &Snapshot, after: &Snapshot, core: usize) -> Ticks {
-    let of = |snapshot: &Snapshot| snapshot.cores.get(&core).copied().unwrap_or_default();
-    let (before, after) = (of(before), of(after));
-    Ticks {
+type Cores = BTreeMap<usize, CoreTicks>;
+
+/// The time of a core between two readings. Counters that run backwards (of a core that was off) count nothing.
+fn since(before: &Cores, after: &Cores, core: usize) -> CoreTicks {
+    let [before, after] =
+        [before, after].map(|cores| cores.get(&core).copied().unwrap_or_default());
+    CoreTicks {
         busy: after.busy.saturating_sub(before.busy),
         steal: after.steal.saturating_sub(before.steal),
         total: after.total.saturating_sub(before.total),
     }
 }
 
+/// 0 to 1, and 0 of nothing.
 fn share(part: u64, total: u64) -> f64 {
     if total == 0 {
         return 0.0;
@@ -279,9 +263,10 @@ fn share(part: u64, total: u64) -> f64 {
     (part as f64 / total as f64).min(1.0)
 }
 
-fn core_loads(before: &Snapshot, after: &Snapshot) -> BTreeMap<usize, CoreLoad> {
-    let loads = after.cores.iter().map(|(core, since_start)| {
-        let ticks = ticks_between(before, after, *core);
+/// Shares of each core's time between two readings.
+pub(super) fn core_loads(before: &Cores, after: &Cores) -> BTreeMap<usize, CoreLoad> {
+    let loads = after.iter().map(|(core, since_start)| {
+        let ticks = since(before, after, *core);
         let load = CoreLoad {
             busy: share(ticks.busy, ticks.total),
             steal: share(ticks.steal, ticks.total),
@@ -292,41 +277,16 @@ fn core_loads(before: &Snapshot, after: &Snapshot) -> BTreeMap<usize, CoreLoad> 
     loads.collect()
 }
 
-/// Share of each core that was used for something between two texts of `/proc/stat`, 0 to 1.
-pub(super) fn busy_between(before: &str, after: &str) -> BTreeMap<usize, f64> {
-    let snapshot = |stat| Snapshot {
-        cores: cores(stat),
-        ..Snapshot::default()
-    };
-    let loads = core_loads(&snapshot(before), &snapshot(after));
-    let busy = loads.into_iter().map(|(core, load)| (core, load.busy));
-    busy.collect()
-}
-
-/// A thread that is new has used all its time between the snapshots; so has one with the id of another.
-fn neighbour(before: &Snapshot, thread: &Thread, ticks: u64) -> Option<Neighbour> {
-    let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
-    let used = match thread.ticks.checked_sub(earlier) {
-        Some(used) => used,
-        None => thread.ticks,
-    };
-    (used > 0).then(|| Neighbour {
-        thread: thread.clone(),
-        share: share(used, ticks),
-    })
-}
-
 fn interrupt_rates(before: &Snapshot, after: &Snapshot, seconds: f64) -> Vec<InterruptRate> {
-    let rates = after.interrupts.iter().filter_map(|(label, now)| {
-        let earlier = before.interrupts.get(label).map_or(0, |old| old.count);
-        let count = now.count.saturating_sub(earlier);
-        (count > 0).then(|| InterruptRate {
+    let rates = after.interrupts.iter().map(|(label, (description, now))| {
+        let earlier = before.interrupts.get(label).map_or(0, |(_, count)| *count);
+        InterruptRate {
             label: label.clone(),
-            description: now.description.clone(),
-            rate_hz: count as f64 / seconds.max(1e-3),
-        })
+            description: description.clone(),
+            rate_hz: now.saturating_sub(earlier) as f64 / seconds.max(1e-3),
+        }
     });
-    let mut rates: Vec<_> = rates.collect();
+    let mut rates: Vec<_> = rates.filter(|rate| rate.rate_hz > 0.0).collect();
     rates.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
     rates
 }
@@ -336,11 +296,11 @@ mod tests {
     use super::super::fake::Fake;
     use super::*;
 
-    /// A line of a thread, with those fields that matter here.
-    fn stat(id: u32, name: &str, flags: u64, ticks: u64, core: usize, rt: (u32, u32)) -> String {
+    /// A line of a thread, with those fields that matter here; `rt` is its priority and policy.
+    fn stat(id: u32, name: &str, ticks: u64, core: usize, rt: (u32, u32)) -> String {
         // As proc(5) counts them; the first two are the id and the name.
         let mut fields = [0; 53];
-        (fields[9], fields[14], fields[39]) = (flags, ticks, core as u64);
+        (fields[14], fields[39]) = (ticks, core as u64);
         (fields[40], fields[41]) = (u64::from(rt.0), u64::from(rt.1));
         let rest: Vec<_> = fields[4..].iter().map(ToString::to_string).collect();
         format!("{id} ({name}) S {}", rest.join(" "))
@@ -362,19 +322,19 @@ mod tests {
             "cpu 9 9 9 9\ncpu0 0 0 0 100 0 0 0 0 0 0\ncpu1 10 0 0 90 0 0 0 0 0 0\nintr 5\n",
             "      CPU0 CPU1\n 24: 7 5 IO-APIC 5-edge eth0\nLOC: 0 10 Local timer interrupts\nERR: 0\n",
             &[
-                (50, stat(50, "a) (b", 0, 10, 1, (0, 0))),
-                (51, stat(51, "elsewhere", 0, 10, 0, (0, 0))),
-                (53, stat(53, "ours", 0, 10, 1, (80, 1))),
+                (50, stat(50, "a) (b", 10, 1, (0, 0))),
+                (51, stat(51, "elsewhere", 10, 0, (0, 0))),
+                (53, stat(53, "ours", 10, 1, (80, 1))),
             ],
         );
         let after = snapshot(
             "cpu 9 9 9 9\ncpu0 50 0 0 150 0 0 0 0 0 0\ncpu1 40 0 0 140 0 0 0 20 0 0\n",
             "      CPU0 CPU1\n 24: 7 305 IO-APIC 5-edge eth0\nLOC: 0 260 Local timer interrupts\nERR: 0\n",
             &[
-                (50, stat(50, "a) (b", 0, 30, 1, (0, 0))),
-                (51, stat(51, "elsewhere", 0, 40, 0, (0, 0))),
-                (52, stat(52, "fresh", 0, 5, 1, (99, 1))),
-                (53, stat(53, "ours", 0, 90, 1, (80, 1))),
+                (50, stat(50, "a) (b", 30, 1, (0, 0))),
+                (51, stat(51, "elsewhere", 40, 0, (0, 0))),
+                (52, stat(52, "fresh", 5, 1, (99, 1))),
+                (53, stat(53, "ours", 90, 1, (80, 1))),
             ],
         );
         let load = Load::between(&before, &after, 1, 1.0, &[53]);
@@ -382,9 +342,9 @@ mod tests {
         assert!((core.busy - 0.3).abs() < 1e-9 && (core.steal - 0.2).abs() < 1e-9);
         assert!((core.steal_since_start - 0.1).abs() < 1e-9);
         assert_eq!(load.cores.len(), 2);
-        let names: Vec<_> = load.neighbours.iter().map(|n| &*n.thread.name).collect();
+        let names: Vec<_> = load.neighbours.iter().map(|(t, _)| &*t.name).collect();
         assert_eq!(names, ["a) (b", "fresh"]);
-        assert!((load.neighbours[0].share - 0.2).abs() < 1e-9);
+        assert!((load.neighbours[0].1 - 0.2).abs() < 1e-9);
         assert_eq!(load.realtime.len(), 1);
         assert!(load.realtime[0].allowed.contains(1) && load.realtime[0].priority == 99);
         let [device, timer] = &load.interrupts[..] else {
@@ -399,13 +359,13 @@ mod tests {
     #[test]
     fn odd_content_is_left_out() {
         let nothing = snapshot(
-            "cpu1\ncpu2 x y\n",
+            "cpu1 0 0 0 0 0 0 0 0\ncpu2 x y\n",
             "\u{1b}",
             &[
                 (1, String::new()),
                 (2, ")(".to_owned()),
                 (3, "3 (x) S".to_owned()),
-                (4, stat(4, "\u{1b}[31m\nred", 0, 1, 1, (0, 0))),
+                (4, stat(4, "\u{1b}[31m\nred", 1, 1, (0, 0))),
             ],
         );
         let load = Load::between(&nothing, &nothing, 1, 0.0, &[]);
@@ -416,8 +376,8 @@ mod tests {
         let fake = Fake::new(&[("/proc/stat", "intr 5")]);
         assert!(Snapshot::take(&fake.scene.system, 1).is_err());
         // Counters that run backwards (a core that was off) are no load.
-        let high = snapshot("cpu1 5 0 0 5\n", "CPU1\n 1: 9 x\n", &[]);
-        let low = snapshot("cpu1 1 0 0 1\n", "CPU1\n 1: 2 x\n", &[]);
+        let high = snapshot("cpu1 5 0 0 5 0 0 0 0\n", "CPU1\n 1: 9 x\n", &[]);
+        let low = snapshot("cpu1 1 0 0 1 0 0 0 0\n", "CPU1\n 1: 2 x\n", &[]);
         let load = Load::between(&high, &low, 1, 1.0, &[]);
         assert!(load.cores[&1].busy == 0.0 && load.interrupts.is_empty());
     }

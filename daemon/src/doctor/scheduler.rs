@@ -1,17 +1,18 @@
-//! The kernel's scheduler: pre-emption, and what it takes from real-time threads.
+//! The kernel's scheduler: pre-emption, what it takes from real-time threads, and settings that let it disturb them.
 
-use crate::core_budget::{Costs, KERNEL_SHARE};
+use crate::core_budget::{CoreBudget, Costs, KERNEL_SHARE};
 
+use super::finding::{Assessed, unknown, warning};
 use super::privileges::may_have_priority;
 use super::system::chosen_of;
-use super::{Assessed, Assessment, Scene, System, Unreadable};
+use super::{Scene, System};
 
 /// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
-pub(super) const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
+const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 
 /// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one is kept:
 /// ordinary tasks of the core starve otherwise, those of the kernel among them.
-pub(crate) fn kernel_share(system: &System) -> Result<f64, Unreadable> {
+pub(crate) fn kernel_share(system: &System) -> Assessed<f64> {
     let runtime_us = system.number(RT_RUNTIME_US)?;
     let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
     Ok(if runtime_us < 0 {
@@ -21,87 +22,69 @@ pub(crate) fn kernel_share(system: &System) -> Result<f64, Unreadable> {
     })
 }
 
-checks! {
-    RealTime preemption, "pre-emption model",
-        "Where the kernel does not let itself be interrupted, the cycle waits until it has finished.";
-    RealTime rt_throttling, "RT throttling",
-        "The kernel halts real-time threads beyond their share of a second; without a limit a hung one keeps its core for ever.";
-    RealTime rt_group, "RT group",
-        "In a control group without real-time runtime, SCHED_FIFO is refused even to root.";
-}
+/// Below this period, microseconds count: a kernel that can be interrupted everywhere, and the tick, are good enough above
+/// \[ms\].
+pub(super) const PERIOD_MS_FINE: f64 = 1.0;
 
-/// From this period on, a kernel that can be interrupted everywhere is good enough without `PREEMPT_RT`.
-const PERIOD_MS_FULL: f64 = 1.0;
-
-fn preemption(scene: &Scene) -> Assessed {
+pub(super) fn preemption(scene: &Scene) -> Assessed {
     let system = &scene.system;
     let version = system.read("/proc/sys/kernel/version")?;
     let flag = system.read_if_there("/sys/kernel/realtime")?;
-    if version.contains("PREEMPT_RT") || flag.as_deref() == Some("1") {
-        return Ok(Assessment::ok("PREEMPT_RT"));
-    }
-    if version.contains("PREEMPT_DYNAMIC") {
-        return dynamic_preemption(scene);
-    }
-    Ok(if version.contains("PREEMPT") {
-        of_model(scene, "full", "PREEMPT")
+    let has = |word| version.contains(word);
+    if has("PREEMPT_RT") || flag.as_deref() == Some("1") {
+        Ok("PREEMPT_RT".to_owned())
+    } else if has("PREEMPT_DYNAMIC") {
+        dynamic_preemption(scene)
+    } else if has("PREEMPT") {
+        of_model(scene, "full", "PREEMPT".to_owned())
     } else {
-        of_model(
-            scene,
-            "none",
-            "none or voluntary, fixed when the kernel was built",
-        )
-    })
+        let value = "none or voluntary, fixed when the kernel was built";
+        of_model(scene, "none", value.to_owned())
+    }
 }
 
 /// The model can be chosen at run time; the file that tells it is readable for root only.
 fn dynamic_preemption(scene: &Scene) -> Assessed {
-    let told = scene.system.read("/sys/kernel/debug/sched/preempt");
-    let chosen = told
-        .as_deref()
-        .ok()
-        .and_then(|text| chosen_of(text, ['(', ')']));
-    if let Some(model) = chosen {
-        return Ok(of_model(scene, model, &format!("dynamic, {model}")));
+    let text = scene.system.read("/sys/kernel/debug/sched/preempt");
+    if let Some(model) = chosen_of(&text.unwrap_or_default(), ['(', ')']) {
+        return of_model(scene, model, format!("dynamic, {model}"));
     }
     if let Some(model) = scene.system.boot_option("preempt")? {
-        let value = format!("dynamic, {model} at boot");
-        return Ok(of_model(scene, &model, &value));
+        return of_model(scene, &model, format!("dynamic, {model} at boot"));
     }
-    Ok(Assessment::unknown(
+    Err(unknown(
         "dynamic, the model in force cannot be read",
         "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt",
     ))
 }
 
-fn of_model(scene: &Scene, model: &str, value: &str) -> Assessment {
+fn of_model(scene: &Scene, model: &str, value: String) -> Assessed {
     // A lazy kernel is lazy towards ordinary threads only.
-    let is_full = matches!(model, "full" | "lazy");
-    if is_full && scene.plan.period_ms >= PERIOD_MS_FULL {
-        return Assessment::ok(value);
-    }
-    if is_full {
-        return Assessment::warning(
-            format!("{value}; the period is {} ms", scene.plan.period_ms),
-            "install a kernel with PREEMPT_RT",
-        );
-    }
-    Assessment::warning(
-        value,
-        "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a \
-         kernel with PREEMPT_RT",
-    )
-}
-
-fn rt_throttling(scene: &Scene) -> Assessed {
-    let share = kernel_share(&scene.system)?;
-    if scene.system.number(RT_RUNTIME_US)? < 0 {
-        return Ok(Assessment::warning(
-            "off: nothing guards the core from a hung loop",
-            "sudo sysctl kernel.sched_rt_runtime_us=950000",
+    if !matches!(model, "full" | "lazy") {
+        return Err(warning(
+            value,
+            "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a \
+             kernel with PREEMPT_RT",
         ));
     }
-    let usual = scene.plan.core_budget;
+    let period_ms = scene.period_ms();
+    if period_ms < PERIOD_MS_FINE {
+        let value = format!("{value}; the period is {period_ms} ms");
+        return Err(warning(value, "install a kernel with PREEMPT_RT"));
+    }
+    Ok(value)
+}
+
+pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
+    let share = kernel_share(&scene.system)?;
+    let remedy = "sudo sysctl kernel.sched_rt_runtime_us=950000";
+    if scene.system.number(RT_RUNTIME_US)? < 0 {
+        return Err(warning(
+            "off: nothing guards the core from a hung loop",
+            remedy,
+        ));
+    }
+    let usual = CoreBudget::new(&scene.validated.config);
     let budget = usual.with_kernel_share(share);
     let costs = Costs::default();
     let value = format!(
@@ -111,39 +94,34 @@ fn rt_throttling(scene: &Scene) -> Assessed {
         100.0 * budget.share_max(),
         budget.describe(costs)
     );
-    let is_enough = budget.solve_ns(costs) == usual.solve_ns(costs);
-    let remedy = "sudo sysctl kernel.sched_rt_runtime_us=950000";
-    Ok(Assessment::good_if(is_enough, value, remedy))
+    if budget.solve_ns(costs) == usual.solve_ns(costs) {
+        Ok(value)
+    } else {
+        Err(warning(value, remedy))
+    }
 }
 
-fn rt_group(scene: &Scene) -> Assessed {
-    if let Some((file, runtime_us)) = group_runtime_us(scene)? {
-        return Ok(if runtime_us == 0 {
-            scene.plan.missing(
-                "this control group has no real-time runtime",
-                format!("echo 950000 | sudo tee {file}   (and first in the groups above it)"),
-            )
-        } else {
-            Assessment::ok(format!("{runtime_us} µs"))
-        });
-    }
-    if scene.probe.fifo.is_err() && may_have_priority(scene)? {
-        return Ok(scene.plan.missing(
+pub(super) fn rt_group(scene: &Scene) -> Assessed {
+    match group_runtime_us(scene)? {
+        Some((file, 0)) => Err(scene.missing(
+            "this control group has no real-time runtime",
+            format!("echo 950000 | sudo tee {file}   (and first in the groups above it)"),
+        )),
+        Some((_, runtime_us)) => Ok(format!("{runtime_us} µs")),
+        None if scene.probe.fifo.is_err() && may_have_priority(scene)? => Err(scene.missing(
             "SCHED_FIFO is refused in spite of the privilege: probably CONFIG_RT_GROUP_SCHED",
             "boot with rt_group_sched=0, or start cdcrd in the root control group",
-        ));
+        )),
+        None => Ok("no limit of a group".to_owned()),
     }
-    Ok(Assessment::ok("no limit of a group"))
 }
 
 /// The file and the real-time runtime of this process's group, where the kernel has version 1 of control
 /// groups with real-time groups.
-fn group_runtime_us(scene: &Scene) -> Result<Option<(String, i64)>, Unreadable> {
+fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
     let system = &scene.system;
-    let (groups, mounts) = (
-        system.read("/proc/self/cgroup")?,
-        system.read("/proc/mounts")?,
-    );
+    let groups = system.read("/proc/self/cgroup")?;
+    let mounts = system.read("/proc/mounts")?;
     let (Some(group), Some(mount)) = (cpu_group(&groups), cpu_mount(&mounts)) else {
         return Ok(None);
     };
@@ -158,14 +136,15 @@ fn group_runtime_us(scene: &Scene) -> Result<Option<(String, i64)>, Unreadable> 
     Ok(None)
 }
 
+fn has_cpu(list: &str) -> bool {
+    list.split(',').any(|name| name == "cpu")
+}
+
 /// Lines `1:cpu,cpuacct:/group`.
 fn cpu_group(groups: &str) -> Option<&str> {
     groups.lines().find_map(|line| {
         let (controllers, group) = line.split_once(':')?.1.split_once(':')?;
-        controllers
-            .split(',')
-            .any(|name| name == "cpu")
-            .then_some(group)
+        has_cpu(controllers).then_some(group)
     })
 }
 
@@ -174,9 +153,81 @@ fn cpu_mount(mounts: &str) -> Option<&str> {
     mounts.lines().find_map(|line| {
         let mut words = line.split_whitespace().skip(1);
         let (folder, kind, options) = (words.next()?, words.next()?, words.next()?);
-        let is_cpu = kind == "cgroup" && options.split(',').any(|option| option == "cpu");
-        is_cpu.then_some(folder)
+        (kind == "cgroup" && has_cpu(options)).then_some(folder)
     })
+}
+
+/// When a setting matters.
+enum Matters {
+    Always,
+    /// Where the core has no tick, and so should be left alone.
+    WithoutTick,
+    /// Where microseconds count: without the tick, or at short periods.
+    Finely,
+}
+
+/// A setting, the value from which on it is good or, at 0, the only good one, and what it does otherwise.
+const SETTINGS: [(&str, i64, Matters, &str); 5] = [
+    (
+        "kernel.timer_migration",
+        0,
+        Matters::WithoutTick,
+        "timers of idle cores move to busy ones, nohz_full or not",
+    ),
+    (
+        "kernel.numa_balancing",
+        0,
+        Matters::Always,
+        "takes pages away to see who uses them, also locked ones",
+    ),
+    (
+        "vm.compact_unevictable_allowed",
+        0,
+        Matters::Always,
+        "moves locked pages, and who touches one waits",
+    ),
+    (
+        "kernel.nmi_watchdog",
+        0,
+        Matters::Finely,
+        "interrupts every core, whatever its priority",
+    ),
+    (
+        "vm.stat_interval",
+        10,
+        Matters::Finely,
+        "counts on every core so often (in s)",
+    ),
+];
+
+pub(super) fn sysctls(scene: &Scene) -> Assessed {
+    let has_no_tick = scene.has_no_tick()?;
+    let is_fine = has_no_tick || scene.period_ms() < PERIOD_MS_FINE;
+    let (mut values, mut remedies) = (Vec::new(), Vec::new());
+    for (name, good, matters, does) in SETTINGS {
+        let is_meant = match matters {
+            Matters::Always => true,
+            Matters::WithoutTick => has_no_tick,
+            Matters::Finely => is_fine,
+        };
+        let path = format!("/proc/sys/{}", name.replace('.', "/"));
+        // A kernel without the feature has no file.
+        if !is_meant || scene.system.read_if_there(&path)?.is_none() {
+            continue;
+        }
+        let value = scene.system.number(&path)?;
+        let is_good = if good == 0 { value == 0 } else { value >= good };
+        if !is_good {
+            values.push(format!("{name} = {value}: {does}"));
+            remedies.push(format!("{name}={good}"));
+        }
+    }
+    if values.is_empty() {
+        return Ok("none that disturbs the loop".to_owned());
+    }
+    let settings = remedies.join(" ");
+    let remedy = format!("sudo sysctl {settings}   (and for good in /etc/sysctl.d/)");
+    Err(warning(values.join("; "), remedy))
 }
 
 #[cfg(test)]

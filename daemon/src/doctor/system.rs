@@ -8,71 +8,46 @@ use std::path::{Path, PathBuf};
 
 use super::CPU;
 use super::core_set::CoreSet;
+use super::finding::{Assessed, Problem};
 
 /// No file that is read here is longer: the longest, `/proc/interrupts`, has 5 MB on a machine with 512 cores.
 const FILE_BYTES_MAX: u64 = 64 << 20;
 
-/// The system, as its files show it.
+/// The system whose files are below a folder: `/` for the real one.
 #[derive(Debug, Clone)]
-pub(crate) struct System {
-    root: PathBuf,
-}
-
-/// Something that could not be read, and why.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{what} cannot be read: {cause}")]
-pub(crate) struct Unreadable {
-    /// File, or what stands in it.
-    pub(crate) what: String,
-    pub(crate) cause: String,
-}
-
-impl Unreadable {
-    pub(crate) fn new(what: impl Into<String>, cause: impl Into<String>) -> Self {
-        Self {
-            what: what.into(),
-            cause: cause.into(),
-        }
-    }
-}
+pub(crate) struct System(pub(crate) PathBuf);
 
 impl System {
-    /// The system whose files are below `root`: `/` for the real one.
-    pub(crate) fn at(root: &Path) -> Self {
-        Self {
-            root: root.to_owned(),
-        }
-    }
-
     /// Where the file `path` of the system is.
-    pub(crate) fn path(&self, path: &str) -> PathBuf {
-        self.root.join(path.trim_start_matches('/'))
+    pub(super) fn path(&self, path: impl AsRef<Path>) -> PathBuf {
+        let path = path.as_ref();
+        self.0.join(path.strip_prefix("/").unwrap_or(path))
     }
 
     /// The text of a file without the white space around it. Bytes that are no UTF-8 are replaced.
-    pub(crate) fn read(&self, path: &str) -> Result<String, Unreadable> {
+    pub(super) fn read(&self, path: &str) -> Assessed {
         self.text(path)
-            .map_err(|cause| Unreadable::new(path, cause.to_string()))
+            .map_err(|cause| Problem::unreadable(path, cause))
     }
 
     /// As [`System::read`]; none when there is no such file.
-    pub(crate) fn read_if_there(&self, path: &str) -> Result<Option<String>, Unreadable> {
+    pub(super) fn read_if_there(&self, path: &str) -> Assessed<Option<String>> {
         match self.text(path) {
             Ok(text) => Ok(Some(text)),
             Err(cause) if cause.kind() == ErrorKind::NotFound => Ok(None),
-            Err(cause) => Err(Unreadable::new(path, cause.to_string())),
+            Err(cause) => Err(Problem::unreadable(path, cause)),
         }
     }
 
     /// A number that stands alone in a file.
-    pub(crate) fn number(&self, path: &str) -> Result<i64, Unreadable> {
+    pub(super) fn number(&self, path: &str) -> Assessed<i64> {
         let text = self.read(path)?;
-        text.parse()
-            .map_err(|_| Unreadable::new(path, format!("{text:?} is no number")))
+        let odd = |_| Problem::unreadable(path, format!("{text:?} is no number"));
+        text.parse().map_err(odd)
     }
 
     /// The names in a folder, in order; none when there is no such folder.
-    pub(crate) fn names(&self, folder: &str) -> Vec<String> {
+    pub(super) fn names(&self, folder: &str) -> Vec<String> {
         let entries = std::fs::read_dir(self.path(folder));
         let names = entries.into_iter().flatten().flatten();
         let mut names: Vec<_> = names
@@ -83,33 +58,33 @@ impl System {
     }
 
     /// The names in a folder that are numbers: processes, threads.
-    pub(crate) fn numbers(&self, folder: &str) -> Vec<u32> {
+    pub(super) fn numbers(&self, folder: &str) -> Vec<u32> {
         let names = self.names(folder);
         names.iter().filter_map(|name| name.parse().ok()).collect()
     }
 
     /// The cores that a file below the folder of the cores lists.
-    pub(crate) fn cores(&self, file: &str) -> Result<CoreSet, Unreadable> {
+    pub(super) fn cores(&self, file: &str) -> Assessed<CoreSet> {
         Ok(CoreSet::parse(&self.read(&format!("{CPU}/{file}"))?))
     }
 
-    pub(crate) fn online(&self) -> Result<CoreSet, Unreadable> {
+    pub(super) fn online(&self) -> Assessed<CoreSet> {
         self.cores("online")
     }
 
     /// The other cores on the hardware of `core`.
-    pub(crate) fn siblings(&self, core: usize) -> Result<CoreSet, Unreadable> {
+    pub(super) fn siblings(&self, core: usize) -> Assessed<CoreSet> {
         let siblings = self.cores(&format!("cpu{core}/topology/thread_siblings_list"));
         Ok(siblings?.without(core))
     }
 
     /// The cores that this process may use.
-    pub(crate) fn allowed(&self) -> Result<CoreSet, Unreadable> {
+    pub(super) fn allowed(&self) -> Assessed<CoreSet> {
         Ok(CoreSet::parse(&self.own_status("Cpus_allowed_list")?))
     }
 
     /// The last value of `key=value` on the kernel's command line.
-    pub(crate) fn boot_option(&self, key: &str) -> Result<Option<String>, Unreadable> {
+    pub(super) fn boot_option(&self, key: &str) -> Assessed<Option<String>> {
         let line = self.read("/proc/cmdline")?;
         let mut values = line.split_whitespace().filter_map(|word| {
             let value = word.strip_prefix(key)?.strip_prefix('=')?;
@@ -119,10 +94,10 @@ impl System {
     }
 
     /// A field of `/proc/self/status`.
-    pub(crate) fn own_status(&self, field: &str) -> Result<String, Unreadable> {
+    pub(super) fn own_status(&self, field: &str) -> Assessed {
         let path = "/proc/self/status";
         field_of(&self.read(path)?, field)
-            .ok_or_else(|| Unreadable::new(path, format!("it has no {field}")))
+            .ok_or_else(|| Problem::unreadable(path, format!("it has no {field}")))
     }
 
     fn text(&self, path: &str) -> std::io::Result<String> {
@@ -151,34 +126,20 @@ pub(super) fn chosen_of(text: &str, brackets: [char; 2]) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_scratch::Scratch;
-
-    use super::*;
+    use super::super::fake::Fake;
 
     #[test]
     fn what_is_missing_differs_from_what_is_not_readable() {
-        let folder = Scratch::temporary().unwrap();
-        std::fs::write(folder.path().join("number"), " 12 \n").unwrap();
-        std::fs::write(folder.path().join("odd"), b"\xff\xfe\0 x".as_slice()).unwrap();
-        let system = System::at(folder.path());
+        let fake = Fake::new(&[("/number", " 12 \n"), ("/folder/odd", "x")]);
+        let system = &fake.scene.system;
+        std::fs::write(system.0.join("folder/odd"), b"\xff\xfe\0 x".as_slice()).unwrap();
         assert_eq!(system.number("/number"), Ok(12));
-        assert!(system.number("/odd").is_err());
-        assert!(system.read("/odd").is_ok());
+        assert!(system.number("/folder/odd").is_err() && system.read("/folder/odd").is_ok());
         assert_eq!(system.read_if_there("/nowhere"), Ok(None));
-        let missing = system.read("/nowhere").unwrap_err().to_string();
+        let missing = system.read("/nowhere").unwrap_err().value;
         assert!(missing.starts_with("/nowhere cannot be read"), "{missing}");
         // A folder is no file: there, but not to be read.
-        std::fs::create_dir(folder.path().join("folder")).unwrap();
         assert!(system.read_if_there("/folder").is_err());
-        assert_eq!(system.names("/folder"), Vec::<String>::new());
-        assert_eq!(system.names("/"), ["folder", "number", "odd"]);
-    }
-
-    #[test]
-    fn fields_and_choices_are_found() {
-        assert_eq!(field_of("a:\t1\nb : 2 3\n", "b").as_deref(), Some("2 3"));
-        assert_eq!(field_of("a:\t1", "c"), None);
-        assert_eq!(chosen_of("always [never]", ['[', ']']), Some("never"));
-        assert_eq!(chosen_of("always ]never[", ['[', ']']), None);
+        assert_eq!(system.names("/"), ["folder", "number"]);
     }
 }

@@ -4,6 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
+use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
+
 /// One thread of a process, as the kernel counts it since its start.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThreadCounts {
@@ -62,16 +64,9 @@ pub fn core_share(
 /// Time that the hypervisor has kept this core from the machine since its start \[ms\], in steps of a tick
 /// of 10 ms. None where the kernel does not count it.
 pub fn steal_ms(core: usize) -> Option<f64> {
-    steal_in(&fs::read_to_string("/proc/stat").ok()?, core)
-}
-
-/// The eighth number behind the name of the core, in hundredths of a second (proc(5)).
-fn steal_in(stat: &str, core: usize) -> Option<f64> {
-    let name = format!("cpu{core}");
-    let mut lines = stat.lines();
-    let line = lines.find(|line| line.split_ascii_whitespace().next() == Some(&name))?;
-    let ticks: f64 = line.split_ascii_whitespace().nth(8)?.parse().ok()?;
-    Some(ticks * 10.0)
+    let stat = fs::read_to_string("/proc/stat").ok()?;
+    let (_, ticks) = core_ticks(&stat).find(|(of, _)| *of == Some(core))?;
+    Some((ticks.steal * TICK_NS) as f64 * 1e-6)
 }
 
 #[cfg(test)]
@@ -79,15 +74,6 @@ mod tests {
     use cdcr_test_skip::{Need, skip};
 
     use super::*;
-
-    #[test]
-    fn the_steal_of_a_core_is_read_as_proc_says() {
-        let stat =
-            "cpu 1 2 3 4 5 6 7 8 9 10\ncpu1 1 2 3 4 5 6 7 80 9 10\ncpu11 0 0 0 0 0 0 0 7 0 0\n";
-        assert_eq!(steal_in(stat, 1), Some(800.0));
-        assert_eq!(steal_in(stat, 11), Some(70.0));
-        assert_eq!(steal_in(stat, 2), None);
-    }
 
     #[test]
     fn the_share_of_a_core_is_that_of_the_named_threads_and_never_negative() {

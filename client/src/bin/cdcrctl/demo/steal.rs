@@ -1,10 +1,8 @@
 use std::fs;
 use std::time::Instant;
 
+use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
 use serde::Serialize;
-
-/// One tick of `/proc/stat` \[s\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
-const TICK_S: f64 = 0.01;
 
 /// What the hypervisor took from the core of the loop while it ran.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -44,16 +42,12 @@ impl StealReading {
     }
 }
 
-/// The eighth number of the line of a core (`proc_stat(5)`), or its mean over all cores \[s\].
+/// The time stolen from a core, or its mean over all cores \[s\].
 fn steal_s(text: &str, core: Option<u32>) -> Option<f64> {
-    let cores = text.lines().filter_map(|line| {
-        let (name, numbers) = line.strip_prefix("cpu")?.split_once(' ')?;
-        let steal: f64 = numbers.split_ascii_whitespace().nth(7)?.parse().ok()?;
-        Some((name.parse::<u32>().ok()?, TICK_S * steal))
-    });
-    let counted: Vec<f64> = cores
-        .filter(|(name, _)| core.is_none_or(|core| core == *name))
-        .map(|(_, steal_s)| steal_s)
+    let is_counted = |of: usize| core.is_none_or(|core| of == core as usize);
+    let counted: Vec<f64> = core_ticks(text)
+        .filter(|(of, _)| of.is_some_and(is_counted))
+        .map(|(_, ticks)| (ticks.steal * TICK_NS) as f64 * 1e-9)
         .collect();
     (!counted.is_empty()).then(|| counted.iter().sum::<f64>() / counted.len() as f64)
 }
@@ -63,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steal_is_the_eighth_number_of_the_core_or_the_mean_of_all() {
+    fn steal_is_that_of_the_core_or_the_mean_of_all() {
         let text = "cpu  9 9 9 9 9 9 9 997 0 0\ncpu0 1 2 3 4 5 6 7 490 9 10\n\
                     cpu1 1 2 3 4 5 6 7 510 9 10\nintr 5\n";
         let close = |core, expected_s: f64| {
@@ -71,7 +65,6 @@ mod tests {
         };
         assert!(close(Some(1), 5.1) && close(Some(0), 4.9) && close(None, 5.0));
         assert_eq!(steal_s(text, Some(7)), None);
-        assert_eq!(steal_s("cpu0 1 2\n", None), None);
     }
 
     #[test]

@@ -1,0 +1,58 @@
+//! Time of the cores, as `/proc/stat` counts it: the one reader of daemon, client and measurements.
+
+/// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
+pub const TICK_NS: u64 = 10_000_000;
+
+/// Time of a core since the machine started, in ticks of [`TICK_NS`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CoreTicks {
+    /// Used for something.
+    pub busy: u64,
+    /// Given to somebody else by the hypervisor.
+    pub steal: u64,
+    /// All of it, idle or not.
+    pub total: u64,
+}
+
+/// Each core in a text of `/proc/stat`; `None` is the sum of all. Lines that are not as `proc_stat(5)` says are left out.
+pub fn core_ticks(stat: &str) -> impl Iterator<Item = (Option<usize>, CoreTicks)> {
+    stat.lines().filter_map(|line| {
+        let (name, times) = line.strip_prefix("cpu")?.split_once(' ')?;
+        let core = match name {
+            "" => None,
+            number => Some(number.parse().ok()?),
+        };
+        // user nice system idle iowait irq softirq steal. What guests use is inside `user` already.
+        let mut ticks = [0_u64; 8];
+        let mut words = times.split_ascii_whitespace();
+        for tick in &mut ticks {
+            *tick = words.next()?.parse().ok()?;
+        }
+        let total = ticks.into_iter().fold(0, u64::saturating_add);
+        let [_, _, _, idle, waiting, _, _, steal] = ticks;
+        let unused = idle.saturating_add(waiting).saturating_add(steal);
+        let busy = total.saturating_sub(unused);
+        Some((core, CoreTicks { busy, steal, total }))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_line_of_a_core_is_read_as_proc_says() {
+        let text = "cpu  9 9 9 9 9 9 9 997 0 0\ncpu0 1 2\ncpu1 1 2 3 40 5 6 7 507 9 10\ncpu2 x\n\
+                    cpu10 1 2 3 4 5 6 7 1 9 10\nintr 5\ncpu3";
+        let read: Vec<_> = core_ticks(text).collect();
+        let names: Vec<_> = read.iter().map(|(core, _)| *core).collect();
+        assert_eq!(names, [None, Some(1), Some(10)]);
+        let expected = CoreTicks {
+            busy: 19,
+            steal: 507,
+            total: 571,
+        };
+        assert_eq!(read[1].1, expected);
+        assert_eq!(read[0].1.steal, 997);
+    }
+}
