@@ -23,7 +23,7 @@ use super::*;
 use crate::config::{Config, Interface};
 use crate::handover::MeasurementUse;
 use crate::link::RobotLink;
-use trial::{PERIOD_S, TRACK, Trial, Watch};
+use trial::{PERIOD_S, TRACK, Trial, clock};
 
 /// A reference that is far away is gone to at once.
 const DIRECT: &str = "[motion]\napproach = \"direct\"\n";
@@ -528,9 +528,7 @@ fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
         let validated = Config::parse(text, Path::new("trial")).unwrap();
         let cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
         // Each look takes 100 ns, and so does a cycle.
-        cycle
-            .with_kernel_share(0.9)
-            .check_that_it_fits(&Watch::default())
+        cycle.with_kernel_share(0.9).check_that_it_fits(&clock())
     };
     assert_eq!(check(""), Ok(()));
     let short = "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.05\n";

@@ -25,6 +25,7 @@ use crate::handover::{
     ChangedSettings, CycleEnds, CycleInputs, CycleRequest, ReporterEnds, Settings, channels,
 };
 use crate::link::RobotLink;
+use crate::rt::clock::ManualClock;
 use crate::rt::schedule::Release;
 use crate::services;
 
@@ -35,29 +36,6 @@ const BEGIN_NS: u64 = 100_000 * MS;
 /// The robot is lost after this without a measurement.
 const TIMEOUT_MS: u64 = 50;
 
-/// A clock that the test moves, on a machine that slept for as long as the test says.
-#[derive(Debug, Default)]
-#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
-struct Still {
-    now_ns: Cell<u64>,
-    /// What passes with each look at it, as for a thread that stands still between them \[ns\].
-    stall_ns: Cell<u64>,
-    slept_ns: Cell<u64>,
-}
-
-impl Clock for Still {
-    fn now_ns(&self) -> u64 {
-        self.now_ns.update(|now_ns| now_ns + self.stall_ns.get());
-        self.now_ns.get()
-    }
-    fn sleep_until(&self, time_ns: u64) {
-        self.now_ns.set(time_ns);
-    }
-    fn slept_ns(&self) -> std::ops::RangeInclusive<u64> {
-        self.slept_ns.get()..=self.slept_ns.get()
-    }
-}
-
 /// An exchange, a cycle, and one end of everything that clients and drivers have.
 struct Rig {
     exchange: Exchange,
@@ -67,7 +45,7 @@ struct Rig {
     reloaded: rtrb::Producer<ChangedSettings>,
     shared: Shared,
     schedule: Schedule,
-    clock: Still,
+    clock: ManualClock,
     next_cycle: u64,
     sequence: Cell<u64>,
     measurements: Publisher<ipc::Service, Measurement, ()>,
@@ -116,7 +94,7 @@ impl Rig {
             reloaded: ends.reloaded,
             shared: Shared::default(),
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
-            clock: Still::default(),
+            clock: ManualClock::default(),
             next_cycle: 1,
             sequence: Cell::default(),
             node,

@@ -1,5 +1,6 @@
 //! `CLOCK_MONOTONIC`.
 
+use std::cell::Cell;
 use std::ops::RangeInclusive;
 
 use rustix::time::{ClockId, Timespec, clock_gettime};
@@ -57,6 +58,43 @@ impl Clock for MonotonicClock {
         let awake_or_not_ns = read_ns(ClockId::Boottime);
         let after_ns = read_ns(ClockId::Monotonic);
         awake_or_not_ns.saturating_sub(after_ns)..=awake_or_not_ns.saturating_sub(before_ns)
+    }
+}
+
+/// A clock that goes on by what a test says, all \[ns\].
+#[derive(Debug, Default)]
+#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
+pub struct ManualClock {
+    pub now_ns: Cell<u64>,
+    /// What passes with each look at it: a coarse one is a computation that is slow.
+    pub step_ns: Cell<u64>,
+    /// How late each sleep ends.
+    pub late_ns: Cell<u64>,
+    pub slept_ns: Cell<u64>,
+}
+
+impl ManualClock {
+    pub fn new(now_ns: u64) -> Self {
+        Self {
+            now_ns: Cell::new(now_ns),
+            ..Self::default()
+        }
+    }
+}
+
+impl Clock for ManualClock {
+    fn now_ns(&self) -> u64 {
+        self.now_ns.set(self.now_ns.get() + self.step_ns.get());
+        self.now_ns.get()
+    }
+
+    fn sleep_until(&self, time_ns: u64) {
+        self.now_ns
+            .set(self.now_ns.get().max(time_ns) + self.late_ns.get());
+    }
+
+    fn slept_ns(&self) -> RangeInclusive<u64> {
+        self.slept_ns.get()..=self.slept_ns.get()
     }
 }
 

@@ -124,40 +124,14 @@ impl Schedule {
 
 #[cfg(test)]
 mod tests {
-    use std::cell::Cell;
-
     use super::*;
-
-    /// A clock that moves when it is read and by sleeps, which end late, both by what the test says \[ns\].
-    struct Slow {
-        now: Cell<u64>,
-        late: Cell<u64>,
-        tick: Cell<u64>,
-    }
-
-    impl Clock for Slow {
-        fn now_ns(&self) -> u64 {
-            self.now.set(self.now.get() + self.tick.get());
-            self.now.get()
-        }
-        fn sleep_until(&self, time_ns: u64) {
-            self.now.set(self.now.get().max(time_ns) + self.late.get());
-        }
-    }
-
-    fn clock(now_ns: u64) -> Slow {
-        Slow {
-            now: Cell::new(now_ns),
-            late: Cell::new(0),
-            tick: Cell::new(0),
-        }
-    }
+    use crate::rt::clock::ManualClock;
 
     #[test]
     fn a_thread_that_spins_wakes_early_and_starts_at_its_release() {
-        let (clock, schedule) = (clock(0), Schedule::new(0, 100));
-        clock.tick.set(1);
-        clock.late.set(12);
+        let (clock, schedule) = (ManualClock::new(0), Schedule::new(0, 100));
+        clock.step_ns.set(1);
+        clock.late_ns.set(12);
         let mut schedule = schedule.with_spin(30);
         for cycle in 1..=3 {
             let release = schedule.wait(&clock);
@@ -172,14 +146,14 @@ mod tests {
             rehearsed = Some((cycle, release_ns));
         });
         assert_eq!((rehearsed, release.start_ns), (Some((4, 400)), 400));
-        clock.late.set(50);
+        clock.late_ns.set(50);
         let release = schedule.wait_with(&clock, |_, _| unreachable!("it woke up too late"));
         assert!((20..30).contains(&(release.start_ns - release.due_ns)));
     }
 
     #[test]
     fn punctual_cycles_follow_each_other() {
-        let (clock, mut schedule) = (clock(1000), Schedule::new(1000, 100));
+        let (clock, mut schedule) = (ManualClock::new(1000), Schedule::new(1000, 100));
         for cycle in 1..=5 {
             let release = schedule.wait(&clock);
             assert_eq!(
@@ -197,8 +171,8 @@ mod tests {
 
     #[test]
     fn a_late_wake_up_inside_the_period_is_late_but_skips_nothing() {
-        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
-        clock.late.set(60);
+        let (clock, mut schedule) = (ManualClock::new(0), Schedule::new(0, 100));
+        clock.late_ns.set(60);
         let release = schedule.wait(&clock);
         assert_eq!(
             (
@@ -212,22 +186,22 @@ mod tests {
 
     #[test]
     fn a_stall_skips_whole_periods_and_keeps_the_grid() {
-        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        let (clock, mut schedule) = (ManualClock::new(0), Schedule::new(0, 100));
         schedule.wait(&clock);
-        clock.late.set(350);
+        clock.late_ns.set(350);
         let release = schedule.wait(&clock);
         assert_eq!(
             (release.cycle, release.release_ns, release.skipped),
             (5, 500, 3)
         );
         assert_eq!((release.due_ns, release.start_ns), (200, 550));
-        clock.late.set(0);
+        clock.late_ns.set(0);
         assert_eq!(schedule.wait(&clock).cycle, 6);
     }
 
     #[test]
     fn an_overrun_by_little_takes_its_release_late() {
-        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        let (clock, mut schedule) = (ManualClock::new(0), Schedule::new(0, 100));
         schedule.wait(&clock);
         for (ran_until, cycle, skipped, start) in [
             (200, 2, 0, 205),
@@ -237,7 +211,7 @@ mod tests {
             // Releases that passed long ago are skipped.
             (803, 8, 2, 808),
         ] {
-            clock.now.set(ran_until);
+            clock.now_ns.set(ran_until);
             let release = schedule.wait(&clock);
             assert_eq!(
                 release,
@@ -254,9 +228,9 @@ mod tests {
 
     #[test]
     fn a_long_computation_skips_too() {
-        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        let (clock, mut schedule) = (ManualClock::new(0), Schedule::new(0, 100));
         schedule.wait(&clock);
-        clock.now.set(330);
+        clock.now_ns.set(330);
         let release = schedule.wait(&clock);
         assert_eq!((release.cycle, release.skipped), (4, 2));
     }

@@ -4,11 +4,9 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 
 use cdcr_shared_types::codes::LateCause;
+use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
 
 use crate::rt::clock::Clock;
-
-/// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
-const TICK_NS: u64 = 10_000_000;
 
 /// How often the steal is read while nothing happens \[ns\]: what was stolen long before a late cycle must
 /// not explain it.
@@ -114,48 +112,33 @@ fn between(readings: &[Reading; 3], due_ns: u64) -> Stolen {
 #[derive(Debug)]
 struct StealReader {
     file: File,
-    line: String,
+    core: Option<usize>,
     text: Vec<u8>,
 }
 
 impl StealReader {
     /// A reader for `core`, or for the sum of all cores. None where `/proc/stat` is not there.
     fn open(core: Option<usize>) -> Option<Self> {
-        let reader = Self {
+        Some(Self {
             file: File::open("/proc/stat").ok()?,
-            line: core.map_or_else(|| "cpu ".to_owned(), |core| format!("cpu{core} ")),
+            core,
             text: vec![0; 64 * 1024],
-        };
-        Some(reader)
+        })
     }
 
     /// Time stolen since the machine started \[ns\].
     fn read_ns(&mut self) -> Option<u64> {
         let length = self.file.read_at(&mut self.text, 0).ok()?;
         let text = core::str::from_utf8(&self.text[..length]).ok()?;
-        Some(steal_ticks(text, &self.line)? * TICK_NS)
+        let (_, ticks) = core_ticks(text).find(|(core, _)| *core == self.core)?;
+        Some(ticks.steal * TICK_NS)
     }
-}
-
-/// The eighth number of a `cpu` line (`proc_stat(5)`).
-fn steal_ticks(text: &str, line: &str) -> Option<u64> {
-    let numbers = text.lines().find_map(|l| l.strip_prefix(line))?;
-    numbers.split_ascii_whitespace().nth(7)?.parse().ok()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn steal_is_the_eighth_number_of_the_cores_line() {
-        let text = "cpu  9 9 9 9 9 9 9 997 0 0\ncpu0 1 2 3 4 5 6 7 490 9 10\n\
-                    cpu1 1 2 3 4 5 6 7 507 9 10\ncpu10 1 2 3 4 5 6 7 1 9 10\nintr 5\n";
-        assert_eq!(steal_ticks(text, "cpu1 "), Some(507));
-        assert_eq!(steal_ticks(text, "cpu "), Some(997));
-        assert_eq!(steal_ticks(text, "cpu7 "), None);
-        assert_eq!(steal_ticks("cpu0 1 2", "cpu0 "), None);
-    }
+    use crate::rt::clock::ManualClock;
 
     const MS: u64 = 1_000_000;
 
@@ -200,22 +183,9 @@ mod tests {
         assert_eq!(stolen(50), [40, 120]);
     }
 
-    /// A clock that a test sets.
-    #[derive(Default)]
-    struct Still(std::cell::Cell<u64>);
-
-    impl Clock for Still {
-        fn now_ns(&self) -> u64 {
-            self.0.get()
-        }
-        fn sleep_until(&self, time_ns: u64) {
-            self.0.set(time_ns);
-        }
-    }
-
     #[test]
     fn the_late_cycles_of_a_look_share_one_reading() {
-        let clock = Still::default();
+        let clock = ManualClock::default();
         let mut steal = Steal::of(None, &clock);
         let window_ms = |stolen: Stolen| stolen.window_ns / MS;
         clock.sleep_until(20 * MS);
@@ -236,7 +206,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_read_was_not_stolen() {
-        let clock = Still::default();
+        let clock = ManualClock::default();
         let mut steal = Steal::default();
         clock.sleep_until(400 * MS);
         steal.look(&clock);

@@ -15,6 +15,7 @@ use crate::config::{Config, Interface};
 use crate::convert;
 use crate::handover::TimedMeasurement;
 use crate::link::RobotLink;
+use crate::rt::clock::ManualClock;
 
 /// Follow the reference of the lease that every inputs here have.
 pub(super) const TRACK: Request = Request::Track { lease_number: 0 };
@@ -25,16 +26,12 @@ pub(super) const MEASURED_BEFORE_NS: u64 = 1_000_000;
 /// Release of cycle 0.
 pub(super) const BEGIN_NS: u64 = 1_000_000_000;
 
-#[derive(Debug, Default)]
-pub(super) struct Watch(Cell<u64>);
-
-impl Clock for Watch {
-    fn now_ns(&self) -> u64 {
-        self.0.set(self.0.get() + 100);
-        self.0.get()
+/// A clock that goes on when it is looked at.
+pub(super) fn clock() -> ManualClock {
+    ManualClock {
+        step_ns: Cell::new(100),
+        ..ManualClock::default()
     }
-
-    fn sleep_until(&self, _: u64) {}
 }
 
 /// A daemon's cycle, and the robot behind its driver.
@@ -60,7 +57,7 @@ pub(super) struct Trial {
     pub(super) frozen_tip_m: Option<Vector3<f64>>,
     pub(super) inputs: CycleInputs,
     trajectory: Trajectory,
-    clock: Watch,
+    clock: ManualClock,
     next: u64,
     asked: Option<Request>,
     last: Option<CycleRecord>,
@@ -116,7 +113,7 @@ impl Trial {
             frozen_tip_m: None,
             lead_ns: ns(validated.config.actuator.lead_ms()),
             inputs,
-            clock: Watch::default(),
+            clock: clock(),
             next: 0,
             asked: None,
             last: None,
@@ -204,10 +201,10 @@ impl Trial {
             return;
         }
         let release_ns = BEGIN_NS + self.next * PERIOD_NS;
-        self.clock.0.set(release_ns - before_ns);
+        self.clock.now_ns.set(release_ns - before_ns);
         self.cycle
             .rehearse(self.next, release_ns, &self.inputs, &self.clock);
-        let now_ns = self.clock.0.get();
+        let now_ns = self.clock.now_ns.get();
         assert!(now_ns <= release_ns, "a rehearsal is over by the release");
         self.rehearsal_looks = self
             .rehearsal_looks
@@ -225,7 +222,7 @@ impl Trial {
             start_ns: release_ns + 20_000,
             skipped,
         };
-        self.clock.0.set(release.start_ns);
+        self.clock.now_ns.set(release.start_ns);
         let mut asked = self.asked.take();
         let next_request = || {
             asked
@@ -245,7 +242,7 @@ impl Trial {
 
     /// What follows the solver takes so long.
     pub(super) fn rest_after(&mut self, took_ns: u64) {
-        self.clock.0.set(self.cycle.solve_over_ns + took_ns);
+        self.clock.now_ns.set(self.cycle.solve_over_ns + took_ns);
         self.cycle.rest(&self.clock);
     }
 

@@ -36,7 +36,7 @@ fn what_was_seen_while_the_gather_stood_still_is_taken() {
         update.obstacles[0].measured_ns = seen_ns;
         rig.obstacles.send_copy(update).unwrap();
         rig.measure_at(5, 0.0, seen_ns);
-        rig.clock.stall_ns.set(stall_ns);
+        rig.clock.step_ns.set(stall_ns);
         rig.gather();
         assert_eq!(rig.counted(outcome), 2, "{stall_ns} ns: {outcome:?}");
     }

@@ -10,7 +10,7 @@ use cdcr_daemon::config::Config;
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRequest, Settings, TimedMeasurement};
 use cdcr_daemon::link::RobotLink;
-use cdcr_daemon::rt::clock::Clock;
+use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_daemon::rt::suspend::SuspendWatch;
 use cdcr_daemon::rt::sys::set_fifo;
@@ -225,16 +225,6 @@ fn nothing_that_controls_looks_at_the_wall_clock() {
     assert!(looked > 100, "{looked} files");
 }
 
-/// A clock that a test sets \[ns\].
-struct Still(u64);
-
-impl Clock for Still {
-    fn now_ns(&self) -> u64 {
-        self.0
-    }
-    fn sleep_until(&self, _: u64) {}
-}
-
 const PERIOD_NS: u64 = 5_000_000;
 
 /// Inputs that no message can bring: what they come from has passed no check.
@@ -284,7 +274,12 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
             ticket: 1,
             request: Request::Track { lease_number: 0 },
         }];
-        let record = cycle.run(release, &inputs, || requests.pop(), &Still(PERIOD_NS));
+        let record = cycle.run(
+            release,
+            &inputs,
+            || requests.pop(),
+            &ManualClock::new(PERIOD_NS),
+        );
         assert_eq!(record.mode, expected);
         assert!(record.rates.as_slice().iter().all(|rate| rate.is_finite()));
         let is_fault = matches!(record.mode, InnerMode::Faulted { .. });
@@ -329,7 +324,12 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
             request: Request::Track { lease_number: 0 },
         }];
         requests.truncate(usize::from(number == 1));
-        let record = cycle.run(release, &inputs, || requests.pop(), &Still(release_ns));
+        let record = cycle.run(
+            release,
+            &inputs,
+            || requests.pop(),
+            &ManualClock::new(release_ns),
+        );
         assert_eq!(record.mode, expected, "cycle {number}");
     }
 }

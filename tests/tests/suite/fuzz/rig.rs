@@ -14,7 +14,7 @@ use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
 use cdcr_daemon::link::RobotLink;
-use cdcr_daemon::rt::clock::Clock;
+use cdcr_daemon::rt::clock::{Clock, ManualClock};
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{ChunkMode, Interface, MeasurementKind, RequestKind};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
@@ -36,21 +36,6 @@ body_radius_m = 0.015
 const GATHER_LEAD_NS: u64 = 200_000;
 /// Time that passes whenever somebody looks at the clock: a solve is over after some hundred looks.
 const LOOK_NS: u64 = 10_000;
-
-/// A clock that goes on when it is looked at.
-#[derive(Debug, Default)]
-struct Watch(Cell<u64>);
-
-impl Clock for Watch {
-    fn now_ns(&self) -> u64 {
-        self.0.set(self.0.get() + LOOK_NS);
-        self.0.get()
-    }
-
-    fn sleep_until(&self, time_ns: u64) {
-        self.0.set(self.0.get().max(time_ns));
-    }
-}
 
 /// Plays a script, and says what happened.
 pub(crate) fn play(script: &Script, tally: &Tally) {
@@ -78,7 +63,7 @@ pub(crate) struct Rig {
     period_ns: u64,
     cycle: Cycle,
     real: KinematicPlant,
-    clock: Watch,
+    clock: ManualClock,
     trajectory: Trajectory,
     inputs: CycleInputs,
     requests: VecDeque<CycleRequest>,
@@ -94,7 +79,10 @@ impl Rig {
             period_ns: ns(validated.config.cycle.period_ms),
             cycle: Cycle::new(validated, link).unwrap(),
             real: KinematicPlant::new(&validated.robot, validated.initial),
-            clock: Watch::default(),
+            clock: ManualClock {
+                step_ns: Cell::new(LOOK_NS),
+                ..ManualClock::default()
+            },
             trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, validated.robot.reach_m()),
             inputs,
             requests: VecDeque::new(),

@@ -1,6 +1,5 @@
 //! One run: a controller, the robot behind its driver, the clients, the exchange's part of the work.
 
-use std::cell::Cell;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -14,7 +13,7 @@ use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
 use cdcr_daemon::link::RobotLink;
 use cdcr_daemon::obstacles::ObstacleSet;
-use cdcr_daemon::rt::clock::Clock;
+use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Header, InputEvent, Telemetry};
@@ -30,22 +29,6 @@ const ORIGIN_NS: u64 = 10_000_000_000;
 /// How long before a release the inputs are gathered \[ns\].
 const LEAD_NS: u64 = 200_000;
 
-/// A clock that goes on by a step with each look: a coarse one is a solver that is slow.
-#[derive(Debug, Default)]
-struct Watch {
-    now_ns: Cell<u64>,
-    step_ns: Cell<u64>,
-}
-
-impl Clock for Watch {
-    fn now_ns(&self) -> u64 {
-        self.now_ns.set(self.now_ns.get() + self.step_ns.get());
-        self.now_ns.get()
-    }
-
-    fn sleep_until(&self, _: u64) {}
-}
-
 pub(super) struct World {
     dice: Dice,
     cycle: Cycle,
@@ -57,7 +40,7 @@ pub(super) struct World {
     driver: Driver,
     inputs: CycleInputs,
     trajectory: Trajectory,
-    clock: Watch,
+    clock: ManualClock,
     next: u64,
     /// Gathers that a stall of the exchange still takes.
     held_up: u32,
@@ -88,7 +71,7 @@ impl World {
             driver,
             inputs: CycleInputs::new(Settings::new(config)),
             trajectory: Trajectory::with_capacity(1024, robot.reach_m()),
-            clock: Watch::default(),
+            clock: ManualClock::default(),
             next: 1,
             held_up: 0,
             asked: None,
