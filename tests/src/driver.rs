@@ -1,13 +1,13 @@
 //! A driver in a process of its own, which can be faulty, and be killed.
 
 use std::io::Write as _;
-use std::process::{Child, Command, Stdio};
+use std::ops::{Deref, DerefMut};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use cdcr_controller::plant::{Flaws, Preset};
-use rustix::process::{Pid, Signal, kill_process};
 
-use crate::{Place, binary};
+use crate::{Place, Running, binary};
 
 /// What can be wrong with a driver.
 pub const FAULTS: [&str; 5] = ["silent", "late", "frozen", "jumping", "nan"];
@@ -30,7 +30,7 @@ pub fn told_flaws() -> Flaws {
 
 /// A driver process: `cdcr-test-driver`. Dropping it kills it.
 #[derive(Debug)]
-pub struct DriverProcess(Child);
+pub struct DriverProcess(Running);
 
 impl DriverProcess {
     /// Starts one for the daemon of `place`. Its robot is where the last driver left it.
@@ -64,28 +64,27 @@ impl DriverProcess {
 
     fn spawn(mut command: Command) -> Self {
         command.stdin(Stdio::piped()).stdout(Stdio::null());
-        Self(command.spawn().expect("the driver starts"))
+        Self(Running::start(&mut command))
     }
 
     /// Makes it faulty for a while.
     pub fn be(&mut self, fault: &str, duration: Duration) {
-        let pipe = self.0.stdin.as_mut().expect("its input is a pipe");
+        let pipe = self.0.0.stdin.as_mut().expect("its input is a pipe");
         // A driver that is just being killed does not hear it.
         let _ = writeln!(pipe, "{fault} {}", duration.as_millis());
     }
+}
 
-    pub fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.0), signal).expect("it is a child");
-    }
+impl Deref for DriverProcess {
+    type Target = Running;
 
-    pub fn runs(&mut self) -> bool {
-        self.0.try_wait().expect("it is a child").is_none()
+    fn deref(&self) -> &Running {
+        &self.0
     }
 }
 
-impl Drop for DriverProcess {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+impl DerefMut for DriverProcess {
+    fn deref_mut(&mut self) -> &mut Running {
+        &mut self.0
     }
 }

@@ -17,19 +17,21 @@ pub mod record;
 pub mod robot;
 pub mod system_calls;
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Deref, DerefMut};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::process::{Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, Line, TelemetryStream, Trajectory};
+use cdcr_client::{
+    Connection, FeedEnd, FeedEvent, FeedOptions, Line, TelemetryStream, Trajectory, monotonic_ns,
+};
 use cdcr_controller::plant::Preset;
 use cdcr_shared_types::codes::Mode;
-use cdcr_shared_types::{Location, Status, Telemetry};
+use cdcr_shared_types::{Location, Obstacle, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
-pub use program::Program;
-use rustix::process::{Pid, Signal, kill_process};
+pub use program::{Program, Running};
+use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 pub const ROBOT: &str = "cdcr";
@@ -160,6 +162,20 @@ pub fn paper_line(duration_s: f64) -> Line {
     }
 }
 
+/// Of each [`ball`].
+pub const BALL_RADIUS_M: f64 = 0.02;
+
+/// A ball that stands here, seen now.
+pub fn ball(id: u32, start_m: [f64; 3]) -> Obstacle {
+    Obstacle {
+        id,
+        start_m,
+        radius_m: BALL_RADIUS_M,
+        measured_ns: monotonic_ns(),
+        ..Obstacle::default()
+    }
+}
+
 /// Tracks a trajectory to its end; the records of the cycles that did.
 pub fn track(connection: &Connection, trajectory: &dyn Trajectory) -> Vec<Telemetry> {
     let mut records = Vec::new();
@@ -186,8 +202,9 @@ impl Default for Place {
 /// A running `cdcrd`.
 #[derive(Debug)]
 pub struct Daemon {
+    // Ends before its place goes.
+    child: Running,
     place: Place,
-    child: Child,
     log: PathBuf,
     configuration: String,
     simulated: Preset,
@@ -219,10 +236,9 @@ impl Daemon {
         let log = place.folder().join("cdcrd.log");
         let mut command = command_of(&place, configuration, simulated, &log);
         change(&mut command);
-        let child = command.spawn().expect("cdcrd starts");
         let daemon = Self {
+            child: Running::start(&mut command),
             place,
-            child,
             log,
             configuration: configuration.to_owned(),
             simulated,
@@ -234,7 +250,7 @@ impl Daemon {
     /// Starts it again after its end, at the same place.
     pub fn restart(&mut self) {
         let mut command = command_of(&self.place, &self.configuration, self.simulated, &self.log);
-        self.child = command.spawn().expect("cdcrd starts");
+        self.child = Running::start(&mut command);
         self.wait_until_up();
     }
 
@@ -263,60 +279,36 @@ impl Daemon {
         }
     }
 
-    pub fn id(&self) -> u32 {
-        self.child.id()
-    }
-
-    pub fn runs(&mut self) -> bool {
-        let status = self.child.try_wait().expect("it is our child");
-        status.is_none()
-    }
-
-    /// Sends a signal.
-    pub fn signal(&self, signal: Signal) {
-        let id = Pid::from_child(&self.child);
-        kill_process(id, signal).expect("the daemon runs");
-    }
-
     /// Asks it to end, and waits for it.
     pub fn stop(&mut self) -> ExitStatus {
         self.signal(Signal::TERM);
-        self.wait()
+        self.stop_after_signal()
     }
 
     /// Waits for its end after a signal was sent.
     pub fn stop_after_signal(&mut self) -> ExitStatus {
-        self.wait()
+        let Self { child, log, .. } = self;
+        child.wait(|| std::fs::read_to_string(&*log).unwrap_or_default())
     }
 
-    /// Kills it outright. The child is reaped: before that, it is not dead for iceoryx2.
+    /// Kills it outright.
     pub fn kill(&mut self) {
         self.signal(Signal::KILL);
-        self.wait();
-    }
-
-    fn wait(&mut self) -> ExitStatus {
-        let begin = Instant::now();
-        loop {
-            if let Some(status) = self.child.try_wait().expect("it is our child") {
-                return status;
-            }
-            assert!(
-                begin.elapsed() < TIMEOUT,
-                "the daemon does not end:\n{}",
-                self.log()
-            );
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        self.stop_after_signal();
     }
 }
 
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        if let Ok(None) = self.child.try_wait() {
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
+impl Deref for Daemon {
+    type Target = Running;
+
+    fn deref(&self) -> &Running {
+        &self.child
+    }
+}
+
+impl DerefMut for Daemon {
+    fn deref_mut(&mut self) -> &mut Running {
+        &mut self.child
     }
 }
 

@@ -17,7 +17,7 @@ use cdcr_shared_types::codes::{
 use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
 
 use crate::robot::DrivenRobot;
-use crate::{Place, ROBOT, TIMEOUT};
+use crate::{Place, ROBOT, TIMEOUT, ball};
 
 /// What the load did, so that a test can say that there was one.
 #[derive(Debug, Default)]
@@ -120,16 +120,12 @@ pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
     every(Duration::from_micros(100), ending, || {
         turn = turn.wrapping_add(1);
         let shift_m = 0.05 * f64::from(turn % 100) / 100.0;
-        let ball = Obstacle {
-            id: turn % 60,
-            start_m: [0.3 + shift_m, 0.2, 0.3],
-            radius_m: 0.02,
+        let moving = Obstacle {
             velocity_m_s: [0.1, 0.0, 0.0],
-            measured_ns: monotonic_ns(),
             lifetime_ns: 200_000_000,
-            ..Obstacle::default()
+            ..ball(turn % 60, [0.3 + shift_m, 0.2, 0.3])
         };
-        obstacles.upsert(&[ball]).unwrap();
+        obstacles.upsert(&[moving]).unwrap();
         done.updates.fetch_add(1, Ordering::Relaxed);
     });
 }

@@ -1,7 +1,8 @@
 //! A program that runs beside a test.
 
 use std::io::{ErrorKind, Read};
-use std::process::{Child, Command, Output, Stdio};
+use std::ops::{Deref, DerefMut};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -10,10 +11,59 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::TIMEOUT;
 
-/// A program that runs beside the test. Killed when dropped.
+/// A process of the test. Dropping it kills and reaps it: before that, it is not dead for iceoryx2.
+#[derive(Debug)]
+pub struct Running(pub Child);
+
+impl Running {
+    pub fn start(command: &mut Command) -> Self {
+        loop {
+            match command.spawn() {
+                // A fresh copy: while another test starts a program, that one's child holds it open for a moment.
+                Err(cause) if cause.kind() == ErrorKind::ExecutableFileBusy => {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                child => return Self(child.expect("the program starts")),
+            }
+        }
+    }
+
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
+
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.0), signal).expect("it is our child");
+    }
+
+    pub fn runs(&mut self) -> bool {
+        let status = self.0.try_wait().expect("it is our child");
+        status.is_none()
+    }
+
+    /// Waits for its end. Where that does not come, `words` are part of the report.
+    pub fn wait(&mut self, words: impl Fn() -> String) -> ExitStatus {
+        let begin = Instant::now();
+        while self.runs() {
+            let is_late = begin.elapsed() > TIMEOUT;
+            assert!(!is_late, "the program does not end:\n{}", words());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.0.wait().expect("it is our child")
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A program that runs beside the test, and what it prints. Killed when dropped.
 #[derive(Debug)]
 pub struct Program {
-    child: Child,
+    child: Running,
     out: Printed,
     err: Printed,
 }
@@ -22,40 +72,17 @@ impl Program {
     /// Starts it; what it prints is kept.
     pub fn start(command: &mut Command) -> Self {
         let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = loop {
-            match command.spawn() {
-                // A fresh copy: while another test starts a program, that one's child holds it open for a moment.
-                Err(cause) if cause.kind() == ErrorKind::ExecutableFileBusy => {
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                child => break child.expect("the program starts"),
-            }
-        };
+        let mut child = Running::start(command);
         Self {
-            out: Printed::read(child.stdout.take().expect("a pipe")),
-            err: Printed::read(child.stderr.take().expect("a pipe")),
+            out: Printed::read(child.0.stdout.take().expect("a pipe")),
+            err: Printed::read(child.0.stderr.take().expect("a pipe")),
             child,
         }
     }
 
-    pub fn id(&self) -> u32 {
-        self.child.id()
-    }
-
-    /// Sends a signal.
-    pub fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.child), signal).expect("it is our child");
-    }
-
-    pub fn runs(&mut self) -> bool {
-        let status = self.child.try_wait().expect("it is our child");
-        status.is_none()
-    }
-
     /// Lines that it has printed on standard output so far.
     pub fn lines(&self) -> usize {
-        let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
-        text.split(|byte| *byte == b'\n').count() - 1
+        self.printed().split('\n').count() - 1
     }
 
     /// What it has printed on standard output so far.
@@ -66,23 +93,25 @@ impl Program {
 
     /// Waits for its end.
     pub fn output(&mut self) -> Output {
-        let begin = Instant::now();
-        while self.runs() {
-            assert!(begin.elapsed() < TIMEOUT, "the program does not end");
-            std::thread::sleep(Duration::from_millis(5));
-        }
         Output {
-            status: self.child.wait().expect("it is our child"),
+            status: self.child.wait(String::new),
             stdout: self.out.finish(),
             stderr: self.err.finish(),
         }
     }
 }
 
-impl Drop for Program {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+impl Deref for Program {
+    type Target = Running;
+
+    fn deref(&self) -> &Running {
+        &self.child
+    }
+}
+
+impl DerefMut for Program {
+    fn deref_mut(&mut self) -> &mut Running {
+        &mut self.child
     }
 }
 

@@ -12,12 +12,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use cdcr_client::{Connection, Spiral, monotonic_ns};
+use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::codes::{LateCause, ObstacleShape, timing};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ball, wait_status};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Two daemons on one core would be each other's load.
@@ -54,13 +54,9 @@ fn cage() -> Vec<Obstacle> {
             let height_m = 0.06 + 0.1 * (index / 8) as f64;
             let at = |z| [0.0445 * cos, 0.0445 * sin, z];
             Obstacle {
-                id: index as u32 + 1,
                 shape: ObstacleShape::Capsule.code(),
-                start_m: at(height_m),
                 end_m: at(height_m + 0.09),
-                radius_m: 0.02,
-                measured_ns: monotonic_ns(),
-                ..Obstacle::default()
+                ..ball(index as u32 + 1, at(height_m))
             }
         })
         .collect()

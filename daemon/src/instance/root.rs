@@ -436,18 +436,4 @@ mod tests {
             std::fs::remove_file(&root).expect("it is ours");
         }
     }
-
-    #[test]
-    fn a_root_on_a_disk_is_refused() {
-        // A file system that is neither memory nor ours; where it is memory, there is nothing to refuse.
-        let folder = Scratch::on_disk().expect("a folder");
-        if is_in_memory(folder.path()).expect("it is there") {
-            return;
-        }
-        let error = prepare(folder.path()).expect_err("it is on a disk");
-        let text = error.to_string();
-        for part in ["on a disk", "--root", "/dev/shm"] {
-            assert!(text.contains(part), "{part}: {text}");
-        }
-    }
 }

@@ -2,6 +2,7 @@
 //! binary for the tests of the whole system.)
 use std::process::{Command, Output};
 
+use cdcr_daemon::config::DEFAULT_TEXT;
 use cdcr_scratch::Scratch;
 
 /// `cdcrd` with no variable of ours but these.
@@ -39,6 +40,7 @@ fn refused(output: &Output) -> String {
 
 #[test]
 fn options_win_over_defaults_and_are_checked() {
+    assert_eq!(printed(&cdcrd(&["config", "default"])), DEFAULT_TEXT);
     let good = cdcrd(&[
         "check", "--robot", "trunk", "--prefix", "lab_", "--root", "/tmp/lab",
     ]);
@@ -62,7 +64,8 @@ fn an_option_wins_over_a_variable_over_the_file_over_the_default() {
     let explain = ["config", "explain", "cycle.period_ms"];
     let with_file = [&explain[..], &["--config", file]].concat();
     let with_option = [&with_file[..], &["--set", "cycle.period_ms=4"]].concat();
-    let variable = [("CDCR_CYCLE_PERIOD_MS", "3")];
+    // An empty one counts as not set.
+    let variable = [("CDCR_CYCLE_PERIOD_MS", "3"), ("CDCR_CYCLE_MISS_LIMIT", "")];
     for (output, value, origin) in [
         (cdcrd(&explain), "5.0", "default".to_owned()),
         (cdcrd(&with_file), "2.0", format!("{file}, line 3")),
@@ -138,6 +141,11 @@ fn mistakes_name_their_place_and_the_nearest_key() {
     );
     let text = refused(&cdcrd(&["config", "explain", "period_ms"]));
     assert!(text.contains("did you mean cycle.period_ms?"), "{text}");
+    let text = refused(&cdcrd(&["check", "--config", "/no/such.toml"]));
+    assert!(
+        text.contains("/no/such.toml") && text.contains("config default"),
+        "{text}"
+    );
     let usage = cdcrd(&["check", "--set", "cycle.period_ms"]);
     assert_eq!(usage.status.code(), Some(2));
     assert!(text_of(&usage.stderr).contains("like cycle.period_ms=2"));

@@ -285,7 +285,6 @@ pub(crate) struct WaitOptions {
     pub(crate) wait: Option<Duration>,
 }
 
-/// Options of the demo.
 #[derive(Debug, Args)]
 pub(crate) struct DemoOptions {
     /// Sections of the robot: 1, 2 or 3, as in the paper
@@ -302,7 +301,6 @@ pub(crate) struct DemoOptions {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Options of `status`.
 #[derive(Debug, Args)]
 pub(crate) struct StatusOptions {
     /// How to print
@@ -316,7 +314,6 @@ pub(crate) struct StatusOptions {
     pub(crate) reset_statistics: bool,
 }
 
-/// Options of `top`.
 #[derive(Debug, Args)]
 pub(crate) struct TopOptions {
     /// Pictures a second, 1 to 60
@@ -327,7 +324,6 @@ pub(crate) struct TopOptions {
     pub(crate) ascii: bool,
 }
 
-/// Options of `incidents`.
 #[derive(Debug, Args)]
 pub(crate) struct IncidentsOptions {
     /// One line (text) or one JSON object for each
@@ -341,7 +337,6 @@ pub(crate) struct IncidentsOptions {
     pub(crate) follow: bool,
 }
 
-/// Options of `echo`.
 #[derive(Debug, Args)]
 pub(crate) struct EchoOptions {
     /// Which messages
@@ -362,7 +357,6 @@ pub(crate) struct EchoOptions {
     pub(crate) rate: Option<f64>,
 }
 
-/// Options of `hz`.
 #[derive(Debug, Args)]
 pub(crate) struct HzOptions {
     /// Which messages
@@ -373,7 +367,6 @@ pub(crate) struct HzOptions {
     pub(crate) count: Option<u64>,
 }
 
-/// Options of `plot`.
 #[derive(Debug, Args)]
 pub(crate) struct PlotOptions {
     /// Which messages

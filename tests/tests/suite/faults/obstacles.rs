@@ -7,25 +7,14 @@ use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, wait_status};
+use cdcr_tests::{BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, ball, wait_status};
 
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, say};
 
 /// The safe distance of the default configuration.
 const SAFE_DISTANCE_M: f64 = 0.01;
-const BALL_RADIUS_M: f64 = 0.02;
 const BODY_RADIUS_M: f64 = 0.015;
-
-fn ball(id: u32, start_m: [f64; 3]) -> Obstacle {
-    Obstacle {
-        id,
-        start_m,
-        radius_m: BALL_RADIUS_M,
-        measured_ns: monotonic_ns(),
-        ..Obstacle::default()
-    }
-}
 
 /// What became of an update, in its record.
 fn event(record: &Telemetry, header: &Header) -> Option<InputEvent> {

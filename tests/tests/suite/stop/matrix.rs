@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, oversleep_until, text, wait_status,
+    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, ball, oversleep_until, text, wait_status,
     wait_until,
 };
 
@@ -36,16 +36,9 @@ const BENT: &str = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.
 /// Nobody measures: it keeps starting.
 const UNHEARD: &str = "[link]\nkind = \"driver\"\n";
 
-/// A ball in the body of the robot: a fault.
-fn ball() -> Obstacle {
-    Obstacle {
-        id: 63,
-        start_m: [0.0, 0.0, 0.02],
-        end_m: [0.0, 0.0, 0.02],
-        radius_m: 0.02,
-        measured_ns: monotonic_ns(),
-        ..Obstacle::default()
-    }
+/// In the body of the robot: a fault.
+fn ball_inside() -> Obstacle {
+    ball(63, [0.0, 0.0, 0.02])
 }
 
 /// What a stop took, and whether the machine was seen to disturb it.
@@ -192,7 +185,7 @@ impl Row {
         if modes == [Mode::Faulted] {
             // Before the floods, whose own obstacles may take all the room.
             let obstacles = connection.obstacle_sender().unwrap();
-            obstacles.upsert(&[ball()]).unwrap();
+            obstacles.upsert(&[ball_inside()]).unwrap();
             wait_status(&connection, |status| status.mode == Mode::Faulted.code());
         }
         let ending = AtomicBool::new(false);

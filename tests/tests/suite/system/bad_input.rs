@@ -3,7 +3,7 @@
 use cdcr_client::{Connection, ReferenceFeed, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
-use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, wait_status};
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, wait_status};
 
 fn point(offset_ms: i64, position_m: [f64; 3]) -> ReferencePoint {
     ReferencePoint {
@@ -91,58 +91,4 @@ fn bad_points_are_refused_with_the_reason_and_counted() {
     }
     let before = status.cycles;
     wait_status(&connection, |status| status.cycles > before + 20);
-}
-
-#[test]
-fn a_bad_configuration_is_named_by_file_line_key_and_range() {
-    let place = Place::new();
-    let cases = [
-        (
-            "[cycle]\nperiod_ms = 0.01\n",
-            ["line 2", "cycle.period_ms", "0.1 to 100"],
-        ),
-        ("[cycle]\n\nperiod = 5\n", ["line 3", "period", "period_ms"]),
-        (
-            "[controller]\nsolver = \"magic\"\n",
-            ["line 2", "magic", "kpso-refined"],
-        ),
-        ("[robot]\nname = 7\n", ["line 2", "7", "string"]),
-    ];
-    for (text, expected) in cases {
-        place.write("bad.toml", text);
-        for (command, status) in [("check", 78), ("run", 78)] {
-            let line = format!("cdcrd {command} --config bad.toml");
-            let printed = place.says(&line, status, &expected);
-            assert!(printed.contains("bad.toml"), "{printed}");
-        }
-    }
-    let parts = ["/no/such.toml", "config default"];
-    place.says("cdcrd check --config /no/such.toml", 78, &parts);
-}
-
-#[test]
-fn the_default_configuration_checks() {
-    let place = Place::new();
-    let text = place.says("cdcrd config default", 0, &[]);
-    place.write("default.toml", &text);
-    place.says("cdcrd check --config default.toml", 0, &["3 sections"]);
-}
-
-#[test]
-fn a_bad_reference_file_is_named_by_line() {
-    let daemon = Daemon::start(PATIENT);
-    let cases = [
-        ("t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,nan,0,0.9\n", "3"),
-        (
-            "t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,0,0,0.9\n0.1,0,0,0.9\n",
-            "4",
-        ),
-        ("t_s,x_m,y_m\n0,0,0\n", "z_m"),
-    ];
-    for (text, part) in cases {
-        daemon.place().write("path.csv", text);
-        daemon
-            .place()
-            .says("cdcrctl ref file path.csv", 1, &["path.csv", part]);
-    }
 }

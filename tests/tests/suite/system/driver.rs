@@ -9,13 +9,10 @@ use cdcr_client::{
     section_lengths_m,
 };
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{
-    Interface, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
-};
+use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, TIMEOUT, paper_line, tracked, until_undisturbed, wait_mode, wait_record, wait_status,
-    wait_until,
+    Daemon, TIMEOUT, paper_line, tracked, until_undisturbed, wait_record, wait_status, wait_until,
 };
 
 use super::freeze;
@@ -55,36 +52,6 @@ impl Robot {
             self.turn();
         }
     }
-}
-
-#[test]
-fn a_lost_measurement_faults_until_it_is_back_and_reset() {
-    let daemon = Daemon::start(CONFIGURATION);
-    let connection = daemon.connect();
-    let mut telemetry = connection.telemetry().unwrap();
-    assert_eq!(
-        wait_record(&mut telemetry, |_| true).mode,
-        Mode::Starting.code()
-    );
-
-    let mut robot = Robot::new(&connection);
-    let mut newest = Mode::Starting.code();
-    robot.run_until(|| {
-        while let Some(record) = telemetry.try_next().unwrap() {
-            newest = record.mode;
-        }
-        newest == Mode::Holding.code()
-    });
-    // From here on, no measurement.
-    let fault = wait_mode(&mut telemetry, Mode::Faulted);
-    assert_eq!(fault.reason, Reason::MeasurementLost.code());
-    assert!(
-        connection.request(RequestKind::Reset).is_err(),
-        "the cause still stands"
-    );
-    robot.run_until(|| connection.request(RequestKind::Reset).is_ok());
-    let status = wait_status(&connection, |status| status.faults == 1);
-    assert_eq!(status.faults, 1);
 }
 
 #[test]
@@ -251,27 +218,6 @@ fn a_driver_of_the_other_interface_is_refused_and_moves_nothing() {
     let status = connection.status(TIMEOUT).unwrap();
     assert_eq!(status.mode, Mode::Starting.code());
     assert_eq!(robot.bend_rad(), stood);
-}
-
-#[test]
-fn a_bad_measurement_is_refused_and_counted() {
-    let daemon = Daemon::start(CONFIGURATION);
-    let connection = daemon.connect();
-    let mut robot = Robot::new(&connection).0;
-    let mut bad = robot.measurement(MeasurementKind::Configuration);
-    bad.bend_rad[3] = f64::NAN;
-    let code = Outcome::NotFinite.code() as usize;
-    let begin = Instant::now();
-    while connection.status(TIMEOUT).unwrap().outcomes[code] == 0 {
-        assert!(begin.elapsed() < TIMEOUT);
-        bad.measured_ns = monotonic_ns();
-        robot.send(&bad);
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    assert_eq!(
-        connection.status(TIMEOUT).unwrap().mode,
-        Mode::Starting.code()
-    );
 }
 
 #[test]

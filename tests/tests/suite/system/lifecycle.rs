@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use cdcr_client::{ConnectError, Connection};
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, Place, ROBOT, TIMEOUT, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, wait_mode, wait_status};
 use rustix::process::Signal;
 
 #[test]
@@ -80,18 +80,6 @@ fn killed_and_started_again_it_works_at_once() {
     drop(before);
     let status = daemon.stop();
     assert!(status.success(), "{}", daemon.log());
-}
-
-#[test]
-fn without_a_daemon_the_client_says_where_it_looked_and_how_to_start_one() {
-    let place = Place::new();
-    let error = Connection::open(place.location(), ROBOT).expect_err("nothing runs");
-    assert!(
-        matches!(error, ConnectError::DaemonNotRunning { .. }),
-        "{error:?}"
-    );
-    let parts = [place.location().prefix(), ROBOT, "cdcrd run"];
-    place.says("cdcrctl status", 1, &parts);
 }
 
 #[test]

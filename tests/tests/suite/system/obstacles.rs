@@ -2,26 +2,14 @@
 
 use std::ops::ControlFlow;
 
-use cdcr_client::{
-    Connection, FeedEvent, Line, ObstacleSender, TelemetryStream, monotonic_ns, obstacles,
-};
+use cdcr_client::{Connection, FeedEvent, Line, ObstacleSender, TelemetryStream, obstacles};
 use cdcr_shared_types::codes::{EventKind, Mode, ObstacleShape, Outcome, RequestKind, guard};
 use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, Service, Telemetry, ipc};
-use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, tracked, wait_record, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, ball, tracked, wait_record, wait_status};
 use iceoryx2::prelude::Node;
 
 /// The safe distance of the default configuration.
 const SAFE_DISTANCE_M: f64 = 0.01;
-
-fn ball(id: u32, start_m: [f64; 3]) -> Obstacle {
-    Obstacle {
-        id,
-        start_m,
-        radius_m: 0.02,
-        measured_ns: monotonic_ns(),
-        ..Obstacle::default()
-    }
-}
 
 /// A client that sends obstacles and hears what becomes of them.
 struct Client {

@@ -6,7 +6,7 @@ use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, text, track, wait_record, wait_status,
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, text, track, wait_record, wait_status,
     wait_until,
 };
 use rustix::process::Signal;
@@ -25,12 +25,8 @@ pub(super) fn record_beside(
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let obstacle = Obstacle {
-        id,
-        start_m,
-        radius_m: 0.02,
         velocity_m_s: [0.0, 0.01, 0.0],
-        measured_ns: cdcr_client::monotonic_ns(),
-        ..Default::default()
+        ..ball(id, start_m)
     };
     let sender = connection.obstacle_sender().unwrap();
     let header = sender.upsert(&[obstacle]).unwrap();

@@ -11,14 +11,14 @@ use cdcr_client::{
     Connection, FeedEnd, FeedError, FeedEvent, Line, LinkError, ObstacleSender, RequestError,
     TelemetryStream, monotonic_ns,
 };
+use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
-use cdcr_shared_types::{Measurement, Obstacle};
 use cdcr_tests::load::connect;
 use cdcr_tests::{
-    EndWhenDropped, PATIENT, Place, ROBOT, TIMEOUT, paper_line, tracked, wait_record, wait_status,
-    wait_until,
+    EndWhenDropped, PATIENT, Place, ROBOT, Running, TIMEOUT, ball, paper_line, tracked,
+    wait_record, wait_status, wait_until,
 };
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 
 /// Kills of a daemon that held; others are killed while they start.
 const KILLS: usize = 50;
@@ -30,7 +30,7 @@ const RETURN_TIMES_MAX: u32 = 2;
 const SLOW_TIMES: u32 = 15;
 
 /// A daemon that is killed and reaped when dropped.
-struct Life(std::process::Child);
+struct Life(Running);
 
 /// What the newest daemon said is part of the report of a test that fails.
 struct LogOfFailure<'a>(&'a Place);
@@ -53,7 +53,7 @@ impl Life {
         command.args(["run", "--config"]).arg(config);
         let log = std::fs::File::create(Self::log(place)).expect("the folder is writable");
         let command = command.stdout(Stdio::null()).stderr(log);
-        Self(command.spawn().expect("cdcrd starts"))
+        Self(Running::start(command))
     }
 
     fn log(place: &Place) -> std::path::PathBuf {
@@ -63,7 +63,7 @@ impl Life {
     /// A connection to it, or what it says instead.
     fn connect(&mut self, place: &Place) -> Connection {
         Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap_or_else(|error| {
-            let ended = self.0.try_wait().expect("it is our child");
+            let ended = self.0.0.try_wait().expect("it is our child");
             let log = std::fs::read_to_string(Self::log(place)).unwrap_or_default();
             panic!("{error}\nits end: {ended:?}\nits log: {log}")
         })
@@ -71,8 +71,8 @@ impl Life {
 
     /// Ends it as a service manager does.
     fn end(mut self) {
-        kill_process(Pid::from_child(&self.0), Signal::TERM).expect("it is our child");
-        let status = self.0.wait().expect("it is our child");
+        self.0.signal(Signal::TERM);
+        let status = self.0.wait(String::new);
         assert!(status.success(), "{status}");
     }
 
@@ -88,10 +88,8 @@ impl Life {
 impl Drop for Life {
     fn drop(&mut self) {
         if thread::panicking() {
-            println!("the daemon at the end: {:?}", self.0.try_wait());
+            println!("the daemon at the end: {:?}", self.0.0.try_wait());
         }
-        let _ = self.0.kill();
-        let _ = self.0.wait();
     }
 }
 
@@ -149,14 +147,8 @@ impl<'c> Old<'c> {
             .unwrap();
         assert_eq!(answer.header.sender_id, self.daemon);
         wait_status(self.connection, |status| status.process_id == process);
-        let ball = Obstacle {
-            id: 1,
-            start_m: [5.0, 0.0, 0.0],
-            radius_m: 0.01,
-            measured_ns: monotonic_ns(),
-            ..Obstacle::default()
-        };
-        let sent = self.obstacles.upsert(&[ball]).unwrap();
+        let far = ball(1, [5.0, 0.0, 0.0]);
+        let sent = self.obstacles.upsert(&[far]).unwrap();
         let event = self
             .telemetry
             .event_on(EventKind::Obstacles, &sent, TIMEOUT)

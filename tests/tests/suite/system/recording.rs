@@ -8,11 +8,11 @@ use std::time::Duration;
 use cdcr_client::{Connection, Spiral};
 use cdcr_interchange::mcap::{Channel, Item, Reader, Stamp, Writer};
 use cdcr_interchange::{decode, encode};
+use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_shared_types::message::Struct;
-use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, text, track, wait_mode, wait_until,
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, text, track, wait_mode, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -77,15 +77,8 @@ fn curve() -> Spiral {
 
 fn know_an_obstacle(connection: &Connection) {
     let mut telemetry = connection.telemetry().unwrap();
-    let obstacle = Obstacle {
-        id: 1,
-        start_m: [0.3, 0.0, 0.5],
-        radius_m: 0.02,
-        measured_ns: cdcr_client::monotonic_ns(),
-        ..Default::default()
-    };
     let sender = connection.obstacle_sender().unwrap();
-    let header = sender.upsert(&[obstacle]).unwrap();
+    let header = sender.upsert(&[ball(1, [0.3, 0.0, 0.5])]).unwrap();
     let outcome = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
     assert_eq!(outcome.unwrap().code(), 0);
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use cdcr_client::replay::{Outcome, Replayer};
-use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, monotonic_ns};
+use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{
     EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Judged, Reason,
@@ -15,7 +15,9 @@ use cdcr_shared_types::{ReferenceChunk, Telemetry};
 
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, TIMEOUT, tracked, until_undisturbed, wait_mode};
+use cdcr_tests::{
+    Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, tracked, until_undisturbed, wait_mode,
+};
 
 /// How many cycles solved, and how many commands the guard changed: of those, which only for the play of the cables.
 #[derive(Debug, Default)]
@@ -116,22 +118,13 @@ fn spiral() -> Spiral {
 
 /// A ball that stands on the paper's line, and a bar that comes from the side.
 fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
-    let ball = cdcr_shared_types::Obstacle {
-        id: 1,
-        start_m: [0.055, 0.0, 0.885],
-        radius_m: 0.02,
-        measured_ns: monotonic_ns(),
-        ..Default::default()
-    };
     let bar = cdcr_shared_types::Obstacle {
-        id: 2,
         shape: ObstacleShape::Capsule.code(),
-        start_m: [-0.1, -0.2, 0.5],
         end_m: [-0.1, 0.2, 0.5],
         velocity_m_s: [0.02, 0.0, 0.0],
-        ..ball
+        ..ball(2, [-0.1, -0.2, 0.5])
     };
-    [ball, bar]
+    [ball(1, [0.055, 0.0, 0.885]), bar]
 }
 
 #[test]

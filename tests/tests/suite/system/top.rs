@@ -2,13 +2,13 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
-use std::process::{Child, Stdio};
+use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, TIMEOUT, wait_status};
-use rustix::process::{Pid, Signal, kill_process};
+use cdcr_tests::{Daemon, Running, TIMEOUT, wait_status};
+use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
 
@@ -73,30 +73,14 @@ impl Terminal {
     }
 }
 
-/// `cdcrctl top`. Killed when dropped.
-struct Top(Child);
-
-impl Top {
-    fn start(daemon: &Daemon, theirs: &File) -> Self {
-        let mut command = daemon.place().command("cdcrctl");
-        let side = || Stdio::from(theirs.try_clone().unwrap());
-        command
-            .args(["top"])
-            .envs([("LC_ALL", "C.UTF-8"), ("TERM", "xterm")]);
-        let command = command.stdin(side()).stdout(side()).stderr(side());
-        Self(command.spawn().unwrap())
-    }
-
-    fn wait(&mut self) -> Option<i32> {
-        self.0.wait().unwrap().code()
-    }
-}
-
-impl Drop for Top {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// `cdcrctl top`.
+fn top(daemon: &Daemon, theirs: &File) -> Running {
+    let mut command = daemon.place().command("cdcrctl");
+    let side = || Stdio::from(theirs.try_clone().unwrap());
+    command
+        .args(["top"])
+        .envs([("LC_ALL", "C.UTF-8"), ("TERM", "xterm")]);
+    Running::start(command.stdin(side()).stdout(side()).stderr(side()))
 }
 
 #[test]
@@ -108,7 +92,7 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
         let (mut terminal, theirs) = Terminal::new(100, 30);
         let before = tcgetattr(&theirs).unwrap().local_modes;
         assert!(before.contains(LocalModes::ECHO));
-        let mut top = Top::start(&daemon, &theirs);
+        let mut top = top(&daemon, &theirs);
         terminal.wait_for("STOP");
         terminal.wait_for("side x, z");
         terminal.wait_until("a screen of its own", vt100::Screen::alternate_screen);
@@ -127,9 +111,12 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
         }
         match signal {
             None => terminal.press("q"),
-            Some(signal) => kill_process(Pid::from_child(&top.0), signal).unwrap(),
+            Some(signal) => top.signal(signal),
         }
-        assert_eq!(top.wait(), Some(if signal.is_none() { 0 } else { 130 }));
+        assert_eq!(
+            top.wait(String::new).code(),
+            Some(if signal.is_none() { 0 } else { 130 })
+        );
         terminal.wait_until("it is given back", |screen| !screen.alternate_screen());
         assert_eq!(tcgetattr(&theirs).unwrap().local_modes, before);
     }
@@ -139,14 +126,14 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
 fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
     let mut daemon = Daemon::start("");
     let (mut terminal, theirs) = Terminal::new(100, 30);
-    let mut top = Top::start(&daemon, &theirs);
+    let mut top = top(&daemon, &theirs);
     terminal.wait_for("HOLDING");
     daemon.kill();
     terminal.wait_for("no cycle for a second");
     daemon.restart();
     terminal.wait_for("another daemon began");
     terminal.press("q");
-    assert_eq!(top.wait(), Some(0));
+    assert_eq!(top.wait(String::new).code(), Some(0));
 }
 
 #[test]

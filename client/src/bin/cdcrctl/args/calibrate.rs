@@ -8,7 +8,6 @@ use clap::{Args, Subcommand, ValueEnum, ValueHint};
 use super::Format;
 use crate::value;
 
-/// Options of `calibrate`.
 #[derive(Debug, Args)]
 pub(crate) struct CalibrateOptions {
     #[command(subcommand)]

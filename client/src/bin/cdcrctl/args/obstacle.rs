@@ -7,7 +7,6 @@ use clap_complete::ArgValueCandidates;
 use super::{Format, complete};
 use crate::value::{self, Vector};
 
-/// Options of `obstacle`.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleOptions {
     #[command(subcommand)]

@@ -5,7 +5,6 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use crate::value;
 
-/// Options of `plant`.
 #[derive(Debug, Args)]
 pub(crate) struct PlantOptions {
     /// Which robot, as link.simulated: laboratory is built well, sloppy is worn, slow has motors with a lag, of blind only

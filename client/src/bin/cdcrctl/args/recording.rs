@@ -8,7 +8,6 @@ use crate::setting::Change;
 use crate::trigger::Trigger;
 use crate::value;
 
-/// Options of `record`.
 #[derive(Debug, Args)]
 pub(crate) struct RecordingOptions {
     /// File to make [default: ROBOT-DATE-TIME.mcap, in UTC]
@@ -29,7 +28,6 @@ pub(crate) struct RecordingOptions {
     pub(crate) after: Duration,
 }
 
-/// Options of `scope`.
 #[derive(Debug, Args)]
 pub(crate) struct ScopeOptions {
     /// What to wait for: incident, fault, mode, error>5mm, clearance<5mm, response>800us
@@ -49,7 +47,6 @@ pub(crate) struct ScopeOptions {
     pub(crate) output: Option<PathBuf>,
 }
 
-/// Options of `info`.
 #[derive(Debug, Args)]
 pub(crate) struct InfoOptions {
     /// The recording
@@ -63,7 +60,6 @@ pub(crate) struct InfoOptions {
     pub(crate) repair: bool,
 }
 
-/// Options of `replay`.
 #[derive(Debug, Args)]
 pub(crate) struct ReplayOptions {
     /// The recording
@@ -83,7 +79,6 @@ pub(crate) struct ReplayOptions {
     pub(crate) format: Format,
 }
 
-/// Options of `convert`.
 #[derive(Debug, Args)]
 pub(crate) struct ConvertOptions {
     /// The recording
@@ -94,7 +89,6 @@ pub(crate) struct ConvertOptions {
     pub(crate) csv: PathBuf,
 }
 
-/// Options of `report`.
 #[derive(Debug, Args)]
 pub(crate) struct ReportOptions {
     /// The recording

@@ -7,7 +7,6 @@ use clap::{Args, Subcommand};
 
 use crate::value::{self, Vector};
 
-/// Options of `ref`.
 #[derive(Debug, Args)]
 pub(crate) struct RefOptions {
     #[command(subcommand)]
@@ -109,7 +108,6 @@ pub(crate) struct ChangeArguments {
     pub(crate) plane: FigurePlane,
 }
 
-/// Options of the spiral.
 #[derive(Debug, Args)]
 pub(crate) struct SpiralOptions {
     /// First value of the parameter t, in degrees [default: 5]
@@ -123,7 +121,6 @@ pub(crate) struct SpiralOptions {
     pub(crate) feed: FeedArguments,
 }
 
-/// Options of the line.
 #[derive(Debug, Args)]
 pub(crate) struct LineOptions {
     /// Where it begins, in m [default: tip of the straight robot]
@@ -144,7 +141,6 @@ pub(crate) struct LineOptions {
     pub(crate) feed: FeedArguments,
 }
 
-/// Options of the circle.
 #[derive(Debug, Args)]
 pub(crate) struct CircleOptions {
     /// Radius in m [default: 0.16986 for a last section of 0.3 m]
@@ -186,7 +182,6 @@ pub(crate) struct FigureArguments {
     pub(crate) feed: FeedArguments,
 }
 
-/// Options of the helix.
 #[derive(Debug, Args)]
 pub(crate) struct HelixOptions {
     /// Turns from end to end
@@ -209,7 +204,6 @@ pub(crate) struct LissajousOptions {
     pub(crate) figure: FigureArguments,
 }
 
-/// Options of the rose.
 #[derive(Debug, Args)]
 pub(crate) struct RoseOptions {
     /// k: so many petals where it is odd, twice as many where it is even
@@ -219,7 +213,6 @@ pub(crate) struct RoseOptions {
     pub(crate) figure: FigureArguments,
 }
 
-/// Options of the polygon.
 #[derive(Debug, Args)]
 pub(crate) struct PolygonOptions {
     /// How many corners it has
@@ -238,7 +231,6 @@ pub(crate) struct StdinOptions {
     pub(crate) feed: FeedArguments,
 }
 
-/// Options of a file.
 #[derive(Debug, Args)]
 pub(crate) struct FileOptions {
     /// The CSV file; its rows are sent as they are, time counts from the first row

@@ -6,7 +6,6 @@ use clap_complete::ArgValueCompleter;
 use super::{Format, complete};
 use crate::setting::Change;
 
-/// Options of `settings`.
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true)]
 pub(crate) struct SettingsOptions {

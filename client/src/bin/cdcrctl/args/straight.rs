@@ -19,7 +19,6 @@ pub(crate) struct StraightArguments {
     pub(crate) dry_run: bool,
 }
 
-/// Options of `goto`.
 #[derive(Debug, Args)]
 pub(crate) struct GotoOptions {
     /// Where the tip shall be, in m in the base frame
@@ -29,7 +28,6 @@ pub(crate) struct GotoOptions {
     pub(crate) way: StraightArguments,
 }
 
-/// Options of `jog`.
 #[derive(Debug, Args)]
 pub(crate) struct JogOptions {
     /// How far the tip shall move from where it is, in m in the base frame

@@ -22,7 +22,6 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, Spiral};
-use cdcr_shared_types::Status;
 
 use crate::Done;
 use crate::args::{DemoOptions, Format};
@@ -37,15 +36,7 @@ use place::PrivatePlace;
 use report::{DemoReport, Run};
 use shape::Backbone;
 use sketch::Sketch;
-use steal::{Steal, StealReading};
-
-struct Fed {
-    cycles: Vec<Cycle>,
-    incidents: IncidentCauses,
-    steal: Option<Steal>,
-    status: Status,
-    lost_records: u64,
-}
+use steal::StealReading;
 
 pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
     if let Some(out) = &options.out {
@@ -96,26 +87,20 @@ fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::R
     let Some(connection) = daemon.connect(interrupt)? else {
         return Ok(None);
     };
-    let fed = feed(&connection, spiral, interrupt)
+    let run = feed(&connection, spiral, baseline, interrupt)
         .map_err(|cause| anyhow!(daemon.explained(&format!("{cause:#}"))));
     // The client leaves before its daemon does, so that nothing of it stays behind.
     drop(connection);
     daemon.stop()?;
-    Ok(fed?.map(|fed| Run {
-        baseline,
-        cycles: fed.cycles,
-        incidents: fed.incidents,
-        steal: fed.steal,
-        status: fed.status,
-        lost_records: fed.lost_records,
-    }))
+    run
 }
 
 fn feed(
     connection: &Connection,
     spiral: &Spiral,
+    baseline: Result<Baseline, String>,
     interrupt: &Interrupt,
-) -> anyhow::Result<Option<Fed>> {
+) -> anyhow::Result<Option<Run>> {
     let options = FeedOptions {
         track: true,
         ..FeedOptions::default()
@@ -151,7 +136,8 @@ fn feed(
     for incident in incidents::kept(connection, &mut incidents)? {
         attributed.take(&incident);
     }
-    Ok(Some(Fed {
+    Ok(Some(Run {
+        baseline,
         cycles,
         incidents: attributed,
         steal,

@@ -46,11 +46,7 @@ pub(super) fn moments(cycles: &[Cycle], step_s: f64) -> Vec<&Cycle> {
 mod tests {
     use super::super::cycle::tests::synthetic;
     use super::*;
-
-    fn distance(a: Position, b: Position) -> f64 {
-        let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
-        squares.sum::<f64>().sqrt()
-    }
+    use crate::feed::distance_m;
 
     #[test]
     fn the_backbone_leads_from_the_base_to_the_tip_and_has_the_robots_length() {
@@ -61,10 +57,10 @@ mod tests {
         assert_eq!(points[0], [0.0; 3]);
         // The tip of the synthetic run lies 0.2 nm beside the spiral.
         let tip = points[points.len() - 1];
-        assert!(distance(tip, cycle.tip_m) < 1e-9, "{tip:?}");
+        assert!(distance_m(tip, cycle.tip_m) < 1e-9, "{tip:?}");
         let length: f64 = points
             .windows(2)
-            .map(|pair| distance(pair[0], pair[1]))
+            .map(|pair| distance_m(pair[0], pair[1]))
             .sum();
         assert!((length - 0.9).abs() < 1e-4, "{length}");
         assert!(tip[0].hypot(tip[1]) > 0.05, "it is bent: {tip:?}");

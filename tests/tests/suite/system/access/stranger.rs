@@ -7,11 +7,11 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use cdcr_client::{Connection, monotonic_ns};
+use cdcr_client::Connection;
+use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::Interface;
-use cdcr_shared_types::{Obstacle, Service};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{PATIENT, Place, Program, ROBOT, TIMEOUT, text, wait_status, wait_until};
+use cdcr_tests::{PATIENT, Place, Program, ROBOT, TIMEOUT, ball, text, wait_status, wait_until};
 
 /// User and group `nobody`.
 pub(super) const NOBODY: u32 = 65_534;
@@ -120,15 +120,7 @@ pub(super) fn busy_daemon(place: &Place) -> impl Sized {
     let mut command = place.command("cdcrd");
     let (daemon, connection) = start(place, command.args(["run", "--config"]).arg(config));
     let obstacles = connection.obstacle_sender().unwrap();
-    let far = Obstacle {
-        id: 7,
-        start_m: [5.0; 3],
-        end_m: [5.0; 3],
-        radius_m: 0.01,
-        measured_ns: monotonic_ns(),
-        ..Obstacle::default()
-    };
-    obstacles.upsert(&[far]).unwrap();
+    obstacles.upsert(&[ball(7, [5.0; 3])]).unwrap();
     wait_status(&connection, |status| status.obstacle_count == 1);
     let ports = (
         connection.telemetry().unwrap(),
