@@ -14,6 +14,8 @@
 //!
 //! It must not know: references, obstacles, requests, the robot's driver.
 
+mod measured_error;
+
 use std::time::Duration;
 
 use cdcr_controller::nmpc::SolveStatus;
@@ -28,6 +30,7 @@ use crate::handover::{CycleRecord, CycleReport, MeasurementUse, ReporterEnds, Sh
 use crate::rt::attribution::{Attribution, Blame, EvaluatedCycle, Timing};
 use crate::rt::clock::Clock;
 use crate::{convert, services};
+use measured_error::MeasuredError;
 
 /// It looks for reports every two periods, that is, for the cost of one wake-up in two cycles, and not more often than once a
 /// millisecond.
@@ -48,6 +51,7 @@ pub struct Reporter {
     daemon_id: u64,
     incidents_sent: u64,
     last_mode: Mode,
+    measured_error: MeasuredError,
     attribution: Attribution,
 }
 
@@ -70,6 +74,7 @@ impl Reporter {
             daemon_id,
             incidents_sent: 0,
             last_mode: Mode::Starting,
+            measured_error: MeasuredError::default(),
             attribution: Attribution::default(),
         }
     }
@@ -106,6 +111,12 @@ impl Reporter {
             if matches!(blame, Blame::Own(_)) || begins_fault {
                 self.hand_incident_on(&telemetry, shared);
             }
+            let sensed = [&record.tip_measurement, &record.measurement];
+            self.measured_error.take(
+                record.release.release_ns,
+                convert::reference_position_m(record),
+                sensed.into_iter().flatten(),
+            );
             let late_cause = match blame {
                 Blame::Own(_) => scheduling.late_cause,
                 Blame::InTime | Blame::Before(_) => LateCause::None.code(),
@@ -187,6 +198,8 @@ impl Reporter {
             clearance_guarded: record.clearance_hit,
             tip_position_m: record.tip.position_m.into(),
             reference_distance_m: convert::position_error_m(record),
+            reference_position_m: convert::reference_position_m(record).into(),
+            measured_error_m: self.measured_error.distance_m(),
             following: record.following,
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
             dropped_events: inputs.dropped_events,

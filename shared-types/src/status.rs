@@ -104,7 +104,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
-    pub struct Status "cdcr.Status.v7" {
+    pub struct Status "cdcr.Status.v8" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
@@ -183,6 +183,11 @@ message! {
         tip_position_m: [f64; 3],
         /// Distance of tip and reference in the newest cycle \[m\]; NaN without a reference.
         position_error_m: f64,
+        /// Position of the reference in the newest cycle \[m\]; NaN without one.
+        reference_position_m: [f64; 3],
+        /// Distance of tip and reference when a sensor of the tip measured it last \[m\]: its noise is in it, and what the model is off by. NaN without
+        /// a reference or such a sensor.
+        measured_error_m: f64,
         /// Following error of each section in the newest cycle \[rad\], as in [`Telemetry`](crate::Telemetry).
         following_error_rad: [f64; SECTIONS_MAX] [used 1 robot.sections],
         /// Following error of each cable in the newest cycle \[m\], as in [`Telemetry`](crate::Telemetry).

@@ -12,7 +12,10 @@ pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,
 };
-pub use outgoing::{command, guard_flags, position_error_m, robot, scheduling, telemetry, text};
+pub use outgoing::{
+    command, guard_flags, position_error_m, reference_position_m, robot, scheduling, telemetry,
+    text,
+};
 pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use cdcr_controller::reference::{Approach, Orientation, ReferenceSample, Referen
 use cdcr_controller::robot::{CABLES_MAX, Robot, Shape, quaternion_xyzw};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, LateCause};
+use nalgebra::Vector3;
 
 use super::enumerations::{
     self, interface, lease_state, measurement_state, mode, reason, reference_state, solver_status,
@@ -163,9 +164,14 @@ fn approach(approach: &Approach) -> wire::Approach {
 
 /// Distance of tip and reference \[m\]; NaN without a reference.
 pub fn position_error_m(record: &CycleRecord) -> f64 {
+    (record.tip.position_m - reference_position_m(record)).norm()
+}
+
+/// Position of the reference at the release \[m\]; NaN without one.
+pub fn reference_position_m(record: &CycleRecord) -> Vector3<f64> {
     match record.reference.state {
-        ReferenceState::None => f64::NAN,
-        _ => (record.tip.position_m - record.reference.position_m).norm(),
+        ReferenceState::None => Vector3::repeat(f64::NAN),
+        _ => record.reference.position_m,
     }
 }
 

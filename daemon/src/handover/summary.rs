@@ -66,6 +66,10 @@ pub struct Summary {
     pub tip_position_m: [f64; 3],
     /// Distance of tip and reference \[m\]; NaN without a reference.
     pub reference_distance_m: f64,
+    /// Reference at the release \[m\]; NaN without one.
+    pub reference_position_m: [f64; 3],
+    /// Distance of tip and reference when a sensor of the tip measured it last \[m\]; NaN without either.
+    pub measured_error_m: f64,
     /// How far the robot is from where it is commanded to be.
     pub following: FollowingError,
     /// Whether that is more than the warning.

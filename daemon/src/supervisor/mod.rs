@@ -356,6 +356,8 @@ fn take_over(status: &mut wire::Status, summary: &Summary) {
     status.clearance_m = summary.clearance_m;
     status.tip_position_m = summary.tip_position_m;
     status.position_error_m = summary.reference_distance_m;
+    status.reference_position_m = summary.reference_position_m;
+    status.measured_error_m = summary.measured_error_m;
     status.following_error_rad = summary.following.bend_rad;
     status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;
@@ -377,6 +379,8 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         link: convert::link(config.link.kind).code(),
         interface: convert::interface(config.link.interface).code(),
         position_error_m: f64::NAN,
+        reference_position_m: [f64::NAN; 3],
+        measured_error_m: f64::NAN,
         period_ns,
         deadline_ns: config.cycle.deadline_ns(),
         robot: convert::robot(&validated.robot),

@@ -29,6 +29,8 @@ const GO_LEAD: Duration = Duration::from_millis(500);
 const STATUS: Duration = Duration::from_secs(1);
 /// A tip that is farther than this from where its way was computed from has moved, whatever error is allowed \[m\].
 const MOVED_M: f64 = 2e-3;
+/// What a sensor of the tip measured longer ago than this is of the way, not of its end \[ns\].
+const FRESH_NS: u64 = 100_000_000;
 /// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
 pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
@@ -93,8 +95,7 @@ pub(crate) fn go(
     check_stands(&connection, &before)?;
     let (done, _) = follow(&connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
-        let end_m = newest(&connection)?.tip_position_m;
-        tell_end(distance_m(end_m, goal_m), arguments.max_error)?;
+        tell_end(&newest(&connection)?, goal_m, arguments.max_error)?;
     }
     Ok(done)
 }
@@ -135,13 +136,24 @@ fn rests(record: &Telemetry) -> bool {
         .all(|rate| *rate == 0.0)
 }
 
-/// Says how near the tip is to the point, and fails where that is farther than `limit_m`.
-fn tell_end(left_m: f64, limit_m: f64) -> anyhow::Result<()> {
-    let [left, limit] = [left_m, limit_m].map(|m| 1e3 * m);
-    if left_m > limit_m {
-        bail!("the tip is {left:.3} mm from the point, more than --max-error, {limit:.3} mm");
+/// Says how near the tip is to the point, as estimated and as measured, and fails where either is farther than `limit_m`.
+fn tell_end(end: &Telemetry, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
+    let estimated_m = distance_m(end.tip_position_m, goal_m);
+    let (mut largest_m, mut by) = (estimated_m, String::new());
+    if end.release_ns < end.tip_measured_ns + FRESH_NS {
+        let measured_m = distance_m(end.tip_measured_m, goal_m);
+        largest_m = largest_m.max(measured_m);
+        by = format!(" ({:.3} mm by its sensor)", 1e3 * measured_m);
     }
-    writeln!(std::io::stdout(), "the tip is {left:.3} mm from the point")?;
+    let left = 1e3 * estimated_m;
+    if largest_m > limit_m {
+        let limit = 1e3 * limit_m;
+        bail!("the tip is {left:.3} mm from the point{by}, more than --max-error, {limit:.3} mm");
+    }
+    writeln!(
+        std::io::stdout(),
+        "the tip is {left:.3} mm from the point{by}"
+    )?;
     Ok(())
 }
 
@@ -388,4 +400,31 @@ fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::R
         report.chunks
     )?;
     Ok(Done::Good)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_of_a_way_is_where_the_estimate_and_the_sensor_say() {
+        let mut end = Telemetry {
+            release_ns: 1_000_000_000,
+            tip_position_m: [0.1, 0.0, 0.8],
+            tip_measured_m: [0.103, 0.0, 0.8],
+            tip_measured_ns: 995_000_000,
+            ..Telemetry::default()
+        };
+        let text = tell_end(&end, [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
+        let text = text.to_string();
+        assert!(
+            text.contains("0.000 mm from the point (3.000 mm by its sensor)"),
+            "{text}"
+        );
+        assert!(tell_end(&end, [0.1, 0.0, 0.8], 0.004).is_ok());
+        // A sensor that is silent says nothing of the end; the estimate does.
+        end.tip_measured_ns = 800_000_000;
+        assert!(tell_end(&end, [0.1, 0.0, 0.8], 0.002).is_ok());
+        assert!(tell_end(&end, [0.103, 0.0, 0.8], 0.002).is_err());
+    }
 }

@@ -126,11 +126,16 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
     write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
     if status.position_error_m.is_finite() {
+        let [x, y, z] = status.reference_position_m.map(|m| 1e3 * m);
+        let error = 1e3 * status.position_error_m;
         write!(
             out,
-            ", {:.3} mm from its reference",
-            1e3 * status.position_error_m
+            ", {error:.3} mm from its reference, {x:.1}, {y:.1}, {z:.1} mm"
         )?;
+    }
+    if status.measured_error_m.is_finite() {
+        let error = 1e3 * status.measured_error_m;
+        write!(out, "; by its sensor {error:.3} mm from it")?;
     }
     let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
     let largest_rad = status.following_error_rad[..sections]
@@ -347,6 +352,8 @@ mod tests {
             interface: Interface::Position.code(),
             tip_position_m: [0.1, -0.02, 0.3],
             position_error_m: 0.0015,
+            reference_position_m: [0.1015, -0.02, 0.3],
+            measured_error_m: 0.0018,
             following_error_rad: [0.01, 0.02, 9.0, 0.0, 0.0, 0.0],
             following_warnings: 8,
             ..Status::default()
@@ -367,7 +374,7 @@ mod tests {
         for expected in [
             "mode        tracking (started), 5 faults in 1234 cycles\n",
             "misses      the leaky bucket was full 3 times; a robot behind a driver would have been stopped",
-            "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference\n",
+            "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference, 101.5, -20.0, 300.0 mm; by its sensor 1.800 mm from it\n",
             "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
             "SCHED_FIFO is missing: run as the service",
             "the last 2m 3s",

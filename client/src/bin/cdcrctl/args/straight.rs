@@ -11,7 +11,8 @@ pub(crate) struct StraightArguments {
     /// Largest acceleration of the tip, in m/s²
     #[arg(long, value_name = "M/S2", value_parser = value::positive, default_value = "0.5")]
     pub(crate) acceleration: f64,
-    /// Largest error at the end: fail when the tip stays farther from the point than this; with its unit, 2mm or 0.002m
+    /// Largest error at the end: fail when the tip stays farther from the point than this, as estimated or, with a sensor of the tip, as
+    /// measured; with its unit, 2mm or 0.002m
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m, default_value = "2mm")]
     pub(crate) max_error: f64,
     /// Move nothing: say what the motion would ask of the robot, and whether it can be reached

@@ -1,0 +1,86 @@
+use cdcr_controller::estimator::Measurement;
+use nalgebra::Vector3;
+
+use crate::handover::TimedMeasurement;
+
+/// How far the tip is from its reference as a sensor of the tip says: what the model is off by is in it, and the noise of the sensor.
+#[derive(Debug)]
+pub(super) struct MeasuredError {
+    /// The newest release \[ns\], and where the reference was then \[m\]; NaN without one.
+    release_ns: u64,
+    reference_m: Vector3<f64>,
+    measured_ns: u64,
+    distance_m: f64,
+}
+
+impl Default for MeasuredError {
+    fn default() -> Self {
+        Self {
+            release_ns: 0,
+            reference_m: Vector3::repeat(f64::NAN),
+            measured_ns: 0,
+            distance_m: f64::NAN,
+        }
+    }
+}
+
+impl MeasuredError {
+    /// Of the newest measurement \[m\]; NaN without one, and without a reference.
+    pub(super) fn distance_m(&self) -> f64 {
+        self.distance_m
+    }
+
+    /// A cycle with its reference \[m\] (NaN: none) and its newest measurements. A measurement is older than the release: the reference of its
+    /// time lies on the line through those of the last two releases.
+    pub(super) fn take<'a>(
+        &mut self,
+        release_ns: u64,
+        reference_m: Vector3<f64>,
+        measurements: impl IntoIterator<Item = &'a TimedMeasurement>,
+    ) {
+        let period_ns = release_ns.saturating_sub(self.release_ns).max(1) as f64;
+        let moved_m = reference_m - self.reference_m;
+        (self.release_ns, self.reference_m) = (release_ns, reference_m);
+        for timed in measurements {
+            let Measurement::TipPosition(tip_m) = timed.measurement else {
+                continue;
+            };
+            if timed.measured_ns > self.measured_ns || !self.distance_m.is_finite() {
+                self.measured_ns = timed.measured_ns;
+                let age = release_ns.saturating_sub(timed.measured_ns) as f64 / period_ns;
+                self.distance_m = (tip_m - (reference_m - age * moved_m)).norm();
+            }
+        }
+        if !reference_m.x.is_finite() {
+            self.distance_m = f64::NAN;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_measurement_is_compared_with_the_reference_of_its_time() {
+        let at = |x_m| Vector3::new(x_m, 0.0, 0.5);
+        let measured = |measured_ns, x_m| TimedMeasurement {
+            measurement: Measurement::TipPosition(at(x_m)),
+            measured_ns,
+        };
+        let mut error = MeasuredError::default();
+        let mut distance_m = |release_ns, reference_m, timed| {
+            error.take(release_ns, reference_m, &timed);
+            error.distance_m()
+        };
+        assert!(distance_m(100, at(0.1), None).is_nan());
+        // 0.02 beside where the reference was half a period before.
+        let known_m = distance_m(110, at(0.2), Some(measured(105, 0.17)));
+        assert!((known_m - 0.02).abs() < 1e-12, "{known_m}");
+        // The same again says nothing new.
+        let still_m = distance_m(120, at(0.3), Some(measured(105, 0.17)));
+        assert!((still_m - 0.02).abs() < 1e-12, "{still_m}");
+        let none_m = Vector3::repeat(f64::NAN);
+        assert!(distance_m(130, none_m, Some(measured(125, 0.3))).is_nan());
+    }
+}
