@@ -219,8 +219,9 @@ pub(crate) enum Task {
     /// Wait until something happens, record what is around it, and draw it
     #[command(
         after_help = "Examples:\n  cdcrctl scope --trigger 'error>5mm'\n  cdcrctl scope --trigger fault --before 10s -o fault.mcap\n\n\
-        Draws error, clearance, response and the fastest bend over the time, each with its least and largest value, and a line at the\n\
-        cycle that fired: the first in which it holds after one in which it does not. What was before is in the file, too."
+        Draws error, clearance, response, the fastest bend and the mode over the time, on a terminal while it waits and records, with the level of\n\
+        the trigger and a line at the cycle that fired: the first in which it holds after one in which it does not. q ends it.\n\
+        In the end the same charts are printed. What was before is in the file, too."
     )]
     Scope(ScopeOptions),
     /// Show what a recording holds: messages, gaps, modes, misses, the largest error

@@ -2,6 +2,8 @@
 //!
 //! Knows no message.
 
+use std::env;
+
 use anstyle::AnsiColor;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -130,6 +132,24 @@ impl Ink {
 }
 
 impl Signs {
+    /// The best that the terminal can show, by what the environment says of it.
+    pub(crate) fn of_terminal() -> Self {
+        let of = |key: &str| env::var(key).ok().filter(|value| !value.is_empty());
+        let locale = of("LC_ALL")
+            .or_else(|| of("LC_CTYPE"))
+            .or_else(|| of("LANG"));
+        let is_unicode = locale.is_some_and(|locale| {
+            let locale = locale.to_uppercase();
+            locale.contains("UTF-8") || locale.contains("UTF8")
+        });
+        match (is_unicode, of("TERM").as_deref()) {
+            (false, _) => Self::Ascii,
+            // The console of Linux has fonts with half blocks, and without Braille.
+            (true, Some("linux")) => Self::HalfBlocks,
+            (true, _) => Self::Braille,
+        }
+    }
+
     /// Dots in a cell, across and up.
     fn dots(self) -> (u16, u16) {
         match self {
@@ -139,11 +159,12 @@ impl Signs {
         }
     }
 
-    fn marker(self, ink: Ink) -> Marker {
+    /// What draws a line; `letter` where there is nothing finer.
+    pub(crate) fn marker(self, letter: char) -> Marker {
         match self {
             Self::Braille => Marker::Braille,
             Self::HalfBlocks => Marker::HalfBlock,
-            Self::Ascii => Marker::Custom(ink.letter()),
+            Self::Ascii => Marker::Custom(letter),
         }
     }
 }
@@ -193,7 +214,8 @@ impl Scene {
     }
 
     fn paint(&self, view: View, signs: Signs, dot_m: f64, context: &mut Context<'_>) {
-        let layer = |context: &mut Context<'_>, ink: Ink| context.marker(signs.marker(ink));
+        let layer =
+            |context: &mut Context<'_>, ink: Ink| context.marker(signs.marker(ink.letter()));
         for solid in &self.obstacles {
             let ink = if solid.is_near {
                 Ink::NearObstacle

@@ -56,7 +56,11 @@ fn errors_say_what_is_so_and_what_to_do() {
 fn the_obstacles_that_are_known_are_listed() {
     let daemon = Daemon::start(PATIENT);
     assert_eq!(done(&daemon, "obstacle list"), "no obstacles are known\n");
-    done(&daemon, "obstacle add --id 7 --at 0.5,0,0.25 --radius 0.02");
+    done(&daemon, "obstacle add --id 7 --at 0.5,0,0.35 --radius 0.02");
+    done(
+        &daemon,
+        "obstacle move --id 7 --at 0.5,0,0.25 --radius 0.02",
+    );
     done(
         &daemon,
         "obstacle add --id 8 --at 0.5,0,0 --to 0.5,0,1 --radius 0.02",

@@ -1,4 +1,4 @@
-//! `cdcrctl top` in a terminal, with keys as people press them.
+//! `cdcrctl top` and `scope` in a terminal, with keys as people press them.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -73,12 +73,13 @@ impl Terminal {
     }
 }
 
-/// `cdcrctl top`.
-fn top(daemon: &Daemon, theirs: &File) -> Running {
+/// `cdcrctl` with a terminal.
+fn shown(daemon: &Daemon, theirs: &File, arguments: &[&str]) -> Running {
     let mut command = daemon.place().command("cdcrctl");
     let side = || Stdio::from(theirs.try_clone().unwrap());
     command
-        .args(["top"])
+        .args(arguments)
+        .current_dir(daemon.place().folder())
         .envs([("LC_ALL", "C.UTF-8"), ("TERM", "xterm")]);
     Running::start(command.stdin(side()).stdout(side()).stderr(side()))
 }
@@ -92,7 +93,7 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
         let (mut terminal, theirs) = Terminal::new(100, 30);
         let before = tcgetattr(&theirs).unwrap().local_modes;
         assert!(before.contains(LocalModes::ECHO));
-        let mut top = top(&daemon, &theirs);
+        let mut top = shown(&daemon, &theirs, &["top"]);
         terminal.wait_for("STOP");
         terminal.wait_for("side x, z");
         terminal.wait_until("a screen of its own", vt100::Screen::alternate_screen);
@@ -126,7 +127,7 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
 fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
     let mut daemon = Daemon::start("");
     let (mut terminal, theirs) = Terminal::new(100, 30);
-    let mut top = top(&daemon, &theirs);
+    let mut top = shown(&daemon, &theirs, &["top"]);
     terminal.wait_for("HOLDING");
     daemon.kill();
     terminal.wait_for("no cycle for a second");
@@ -142,4 +143,37 @@ fn without_a_terminal_it_says_what_else_there_is() {
     daemon
         .place()
         .says("cdcrctl top", 1, &["draws on a terminal", "--format json"]);
+}
+
+#[test]
+fn the_scope_draws_while_it_waits_and_gives_the_terminal_back() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    for fires in [true, false] {
+        let (mut terminal, theirs) = Terminal::new(80, 24);
+        let before = tcgetattr(&theirs).unwrap().local_modes;
+        let line = "scope --trigger mode --before 1s --after 500ms -o mode.mcap";
+        let line: Vec<_> = line.split(' ').collect();
+        let mut scope = shown(&daemon, &theirs, &line);
+        terminal.wait_until("a screen of its own", vt100::Screen::alternate_screen);
+        terminal.wait_for("waiting for mode");
+        terminal.wait_for("clearance [mm]");
+        if fires {
+            connection.request(RequestKind::Home).unwrap();
+        } else {
+            terminal.press("q");
+        }
+        assert_eq!(
+            scope.wait(String::new).code(),
+            Some(if fires { 0 } else { 130 })
+        );
+        terminal.wait_until("it is given back", |screen| !screen.alternate_screen());
+        assert_eq!(tcgetattr(&theirs).unwrap().local_modes, before);
+        let file = daemon.place().folder().join("mode.mcap");
+        assert_eq!(file.exists(), fires);
+        if fires {
+            terminal.wait_for("before and");
+            std::fs::remove_file(file).unwrap();
+        }
+    }
 }

@@ -18,6 +18,7 @@ pub(crate) struct ObstacleOptions {
 pub(crate) enum ObstacleAction {
     /// Add a sphere, or with --to a capsule; a known id is replaced
     #[command(
+        visible_alias = "move",
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
         cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s\n  \
         cdcrctl obstacle add --id 3 --at 0.5,0,0.6 --radius 0.05 --velocity -0.02,0,0 --lifetime 10s\n\n\

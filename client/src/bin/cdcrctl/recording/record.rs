@@ -45,7 +45,7 @@ pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result
         output: options.output.as_deref(),
         duration: options.duration,
         around,
-        watch: &mut |_, _| {},
+        watch: &mut (),
     };
     record(target, task)
 }
@@ -57,9 +57,28 @@ pub(super) struct Task<'a> {
     pub(super) duration: Option<Duration>,
     /// Only what is around this.
     pub(super) around: Option<Around>,
-    /// Sees each record, and whether the recording begins with it.
-    pub(super) watch: &'a mut dyn FnMut(&Telemetry, bool),
+    pub(super) watch: &'a mut dyn Watch,
 }
+
+/// Sees what is recorded as it comes.
+pub(super) trait Watch {
+    /// A record; and what it fires, where the recording begins with it.
+    fn take(&mut self, record: &Telemetry, fires: Option<Trigger>) {
+        if let Some(trigger) = fires {
+            eprintln!("{trigger} in cycle {}", record.cycle);
+        }
+    }
+
+    /// A few hundred times a second; whether the recording shall end.
+    fn look(&mut self) -> anyhow::Result<bool> {
+        Ok(false)
+    }
+
+    /// Nothing more comes.
+    fn end(&mut self) {}
+}
+
+impl Watch for () {}
 
 /// A recording of what was before something and of what comes after.
 #[derive(Debug, Clone, Copy)]
@@ -120,6 +139,7 @@ pub(super) fn record(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done
             Err(cause) => Ended::Failed(cause),
         },
     };
+    task.watch.end();
     if !recorder.sink.has_begun() {
         return match ended {
             Ended::Interrupted => Ok(Done::Interrupted),
@@ -269,7 +289,7 @@ impl Recorder {
         let mut ends = task.duration.map(|duration| begin + duration);
         loop {
             // What has passed until then is read once more.
-            let is_interrupted = interrupt.is_raised();
+            let is_interrupted = interrupt.is_raised() || task.watch.look()?;
             let is_over = ends.is_some_and(|ends| Instant::now() >= ends);
             // What a cycle took in stands before its record: it came before that.
             let mut records = Vec::new();
@@ -282,9 +302,8 @@ impl Recorder {
             for record in cycles {
                 let waits_for = task.around.filter(|_| !self.sink.has_begun());
                 let fires = waits_for.filter(|around| self.fires(around.trigger, record));
-                (task.watch)(record, fires.is_some());
+                task.watch.take(record, fires.map(|around| around.trigger));
                 if let Some(around) = fires {
-                    eprintln!("{} in cycle {}", around.trigger, record.cycle);
                     ends = Some(now + around.after);
                     written = written.and(self.begin()?);
                 }

@@ -1,12 +1,19 @@
+mod screen;
+
 use std::collections::VecDeque;
-use std::io::{self, Write};
+use std::io::{IsTerminal as _, Write, stdin, stdout};
+use std::time::Duration;
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
+use ratatui::crossterm::event::{self, Event};
 
-use super::record::{Around, Task, record};
+use super::record::{Around, Task, Watch, record};
 use crate::Done;
 use crate::args::{ScopeOptions, Target};
+use crate::top;
+use crate::trigger::Trigger;
+use screen::Screen;
 
 /// Columns of a chart, beside its numbers.
 const COLUMNS: usize = 64;
@@ -18,18 +25,61 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
         before: options.before,
         after: options.after,
     };
-    let mut shot = Shot::new(around);
+    let mut scope = Scope {
+        shot: Shot::new(around),
+        on_terminal: stdout().is_terminal() && stdin().is_terminal(),
+        screen: None,
+    };
     let task = Task {
         output: options.output.as_deref(),
         duration: options.duration,
         around: Some(around),
-        watch: &mut |record, fires| shot.take(record, fires),
+        watch: &mut scope,
     };
     let done = record(target, task)?;
     if done == Done::Good {
-        write!(io::stdout().lock(), "{}", shot.text())?;
+        write!(stdout().lock(), "{}", scope.shot.text())?;
     }
     Ok(done)
+}
+
+/// What was seen, and where it is drawn.
+struct Scope {
+    shot: Shot,
+    on_terminal: bool,
+    screen: Option<Screen>,
+}
+
+impl Watch for Scope {
+    fn take(&mut self, record: &Telemetry, fires: Option<Trigger>) {
+        if self.screen.is_none() {
+            ().take(record, fires);
+        }
+        self.shot.take(record, fires.is_some());
+    }
+
+    fn look(&mut self) -> anyhow::Result<bool> {
+        if !self.on_terminal {
+            return Ok(false);
+        }
+        let screen = match &mut self.screen {
+            Some(screen) => screen,
+            none => none.insert(Screen::begin()?),
+        };
+        screen.show(&self.shot)?;
+        while event::poll(Duration::ZERO)? {
+            if let Event::Key(key) = event::read()?
+                && top::quits(&key)
+            {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    fn end(&mut self) {
+        self.screen = None;
+    }
 }
 
 /// A strip chart: name with unit, and the value of a record in that unit.

@@ -7,7 +7,6 @@ mod panels;
 mod recent;
 mod seen;
 
-use std::env;
 use std::io::{IsTerminal as _, stdin, stdout};
 use std::time::{Duration, Instant};
 
@@ -57,7 +56,11 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
         seen: Seen::default(),
         paused: None,
         zoom: 1.0,
-        signs: if options.ascii { Signs::Ascii } else { signs() },
+        signs: if options.ascii {
+            Signs::Ascii
+        } else {
+            Signs::of_terminal()
+        },
         heard: Instant::now(),
         silent: None,
     };
@@ -67,24 +70,6 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
     let watched = top.watch(&mut terminal, every, &interrupt);
     ratatui::try_restore().context("the terminal")?;
     watched
-}
-
-/// The best that the terminal can show, by what the environment says of it.
-fn signs() -> Signs {
-    let of = |key: &str| env::var(key).ok().filter(|value| !value.is_empty());
-    let locale = of("LC_ALL")
-        .or_else(|| of("LC_CTYPE"))
-        .or_else(|| of("LANG"));
-    let is_unicode = locale.is_some_and(|locale| {
-        let locale = locale.to_uppercase();
-        locale.contains("UTF-8") || locale.contains("UTF8")
-    });
-    match (is_unicode, of("TERM").as_deref()) {
-        (false, _) => Signs::Ascii,
-        // The console of Linux has fonts with half blocks, and without Braille.
-        (true, Some("linux")) => Signs::HalfBlocks,
-        (true, _) => Signs::Braille,
-    }
 }
 
 struct Top<'a> {
@@ -183,6 +168,11 @@ impl Top<'_> {
             silent: self.silent.as_deref(),
         }
     }
+}
+
+/// Whether a key ends a program on a screen of its own.
+pub(crate) fn quits(key: &KeyEvent) -> bool {
+    action(key) == Some(Action::Quit)
 }
 
 fn action(key: &KeyEvent) -> Option<Action> {
