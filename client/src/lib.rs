@@ -126,4 +126,4 @@ pub use trajectory::{
     Trajectory,
 };
 #[cfg(feature = "csv")]
-pub use trajectory::{FileTrajectory, TrajectoryFileError};
+pub use trajectory::{FileTrajectory, TrajectoryFileError, TrajectoryFileProblem};

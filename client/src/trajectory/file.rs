@@ -1,6 +1,7 @@
 mod error;
 
-pub use error::TrajectoryFileError;
+use error::TrajectoryFileProblem as Problem;
+pub use error::{TrajectoryFileError, TrajectoryFileProblem};
 
 use std::io::Read;
 use std::path::Path;
@@ -28,6 +29,13 @@ pub struct FileTrajectory {
     quaternions: Option<Vec<[f64; 4]>>,
 }
 
+/// A problem, and in which line.
+type Located = (Option<u64>, Problem);
+
+fn at(line: u64) -> impl FnOnce(Problem) -> Located {
+    move |problem| (Some(line), problem)
+}
+
 /// One row of the file, checked by itself.
 struct Row {
     time_s: f64,
@@ -41,9 +49,10 @@ impl FileTrajectory {
     /// # Errors
     /// With the file, the line and what would be right.
     pub fn read(path: &Path) -> Result<Self, TrajectoryFileError> {
-        let text = std::fs::read_to_string(path).map_err(|cause| TrajectoryFileError::Read {
+        let text = std::fs::read_to_string(path).map_err(|cause| TrajectoryFileError {
             path: path.to_owned(),
-            cause,
+            line: None,
+            problem: Problem::Read(cause),
         })?;
         Self::parse(path, &text)
     }
@@ -53,14 +62,24 @@ impl FileTrajectory {
     /// # Errors
     /// As [`read`](Self::read).
     pub fn parse(path: &Path, text: &str) -> Result<Self, TrajectoryFileError> {
+        Self::checked(path, text).map_err(|(line, problem)| TrajectoryFileError {
+            path: path.to_owned(),
+            line,
+            problem,
+        })
+    }
+
+    fn checked(path: &Path, text: &str) -> Result<Self, Located> {
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
             .comment(Some(b'#'))
             // The reader takes a comment that the file ends with for a row.
             .from_reader(text.as_bytes().chain(&b"\n"[..]));
-        let header = reader.headers().map_err(|e| csv_error(path, text, &e))?;
-        let columns = Columns::find(path, header)?;
-        check_end(path, text, header)?;
+        let header = reader
+            .headers()
+            .map_err(|error| csv_problem(text, &error))?;
+        let columns = Columns::find(header).map_err(at(1))?;
+        check_end(text, header)?;
         let mut trajectory = Self {
             name: path.display().to_string(),
             times_s: Vec::new(),
@@ -68,21 +87,20 @@ impl FileTrajectory {
             quaternions: columns.quaternion.map(|_| Vec::new()),
         };
         for record in reader.records() {
-            let record = record.map_err(|e| csv_error(path, text, &e))?;
+            let record = record.map_err(|error| csv_problem(text, &error))?;
+            let row = columns.row(&record);
             let line = line_of(record.position(), text);
-            let row = columns.row(path, line, &record)?;
-            trajectory.push(path, line, &row)?;
+            row.and_then(|row| trajectory.push(&row))
+                .map_err(at(line))?;
         }
-        trajectory.finish(path)
+        trajectory.finish().map_err(|problem| (None, problem))
     }
 
-    fn push(&mut self, path: &Path, line: u64, row: &Row) -> Result<(), TrajectoryFileError> {
+    fn push(&mut self, row: &Row) -> Result<(), Problem> {
         if let Some(&previous_s) = self.times_s.last()
             && row.time_s - previous_s < 1e-6
         {
-            return Err(TrajectoryFileError::TimeNotIncreasing {
-                path: path.to_owned(),
-                line,
+            return Err(Problem::TimeNotIncreasing {
                 time_s: row.time_s,
                 previous_s,
             });
@@ -95,11 +113,10 @@ impl FileTrajectory {
         Ok(())
     }
 
-    fn finish(mut self, path: &Path) -> Result<Self, TrajectoryFileError> {
+    fn finish(mut self) -> Result<Self, Problem> {
         let rows = self.times_s.len();
         if rows < 2 {
-            let path = path.to_owned();
-            return Err(TrajectoryFileError::TooShort { path, rows });
+            return Err(Problem::TooShort(rows));
         }
         let start_s = self.times_s[0];
         for time_s in &mut self.times_s {
@@ -156,32 +173,26 @@ struct Columns {
 }
 
 impl Columns {
-    fn find(path: &Path, header: &csv::StringRecord) -> Result<Self, TrajectoryFileError> {
-        check_header(path, header)?;
+    fn find(header: &csv::StringRecord) -> Result<Self, Problem> {
+        check_header(header)?;
         // A spreadsheet may put a byte-order mark before the first name.
         let names: Vec<&str> = header
             .iter()
             .map(|name| name.trim_start_matches('\u{feff}'))
             .collect();
         let is_twice = |(index, name): &(usize, &&str)| names[..*index].contains(name);
-        let named = names
+        let mut named = names
             .iter()
             .enumerate()
             .filter(|(_, name)| !name.is_empty());
-        if let Some((_, column)) = named.into_iter().find(is_twice) {
-            return Err(TrajectoryFileError::DuplicateColumn {
-                path: path.to_owned(),
-                column: (*column).to_owned(),
-            });
+        if let Some((_, column)) = named.find(is_twice) {
+            return Err(Problem::DuplicateColumn((*column).to_owned()));
         }
         let place = |column: &'static str| names.iter().position(|&name| name == column);
-        let find = |columns: [&'static str; 4]| -> Result<[usize; 4], TrajectoryFileError> {
+        let find = |columns: [&'static str; 4]| -> Result<[usize; 4], Problem> {
             let mut found = [0; 4];
             for (slot, column) in found.iter_mut().zip(columns) {
-                *slot = place(column).ok_or_else(|| TrajectoryFileError::MissingColumn {
-                    path: path.to_owned(),
-                    column,
-                })?;
+                *slot = place(column).ok_or(Problem::MissingColumn(column))?;
             }
             Ok(found)
         };
@@ -194,19 +205,12 @@ impl Columns {
         })
     }
 
-    fn row(
-        &self,
-        path: &Path,
-        line: u64,
-        record: &csv::StringRecord,
-    ) -> Result<Row, TrajectoryFileError> {
+    fn row(&self, record: &csv::StringRecord) -> Result<Row, Problem> {
         let number = |index: usize, column: &'static str| {
             let text = record.get(index).unwrap_or("");
             match text.parse::<f64>() {
                 Ok(value) if value.abs() <= MAGNITUDE_MAX => Ok(value),
-                _ => Err(TrajectoryFileError::NotANumber {
-                    path: path.to_owned(),
-                    line,
+                _ => Err(Problem::NotANumber {
                     column,
                     text: text.to_owned(),
                 }),
@@ -221,7 +225,7 @@ impl Columns {
         };
         let [time_s, x, y, z] = four(self.pose, POSE_COLUMNS)?;
         let quaternion = match self.quaternion {
-            Some(places) => Some(unit(path, line, four(places, QUATERNION_COLUMNS)?)?),
+            Some(places) => Some(unit(four(places, QUATERNION_COLUMNS)?)?),
             None => None,
         };
         Ok(Row {
@@ -233,49 +237,36 @@ impl Columns {
 }
 
 /// Whether the first line is a header at all, of columns that commas separate.
-fn check_header(path: &Path, header: &csv::StringRecord) -> Result<(), TrajectoryFileError> {
-    let path = path.to_owned();
+fn check_header(header: &csv::StringRecord) -> Result<(), Problem> {
     if !header.is_empty() && header.iter().all(|name| name.parse::<f64>().is_ok()) {
-        return Err(TrajectoryFileError::NoHeader { path });
+        return Err(Problem::NoHeader);
     }
-    let text = header.get(0).unwrap_or("");
-    match text
-        .chars()
-        .find(|letter| [';', '\t', '|', ' '].contains(letter))
-    {
-        Some(found) => Err(TrajectoryFileError::Separator { path, found }),
-        None => Ok(()),
-    }
+    let mut letters = header.get(0).unwrap_or("").chars();
+    let found = letters.find(|letter| [';', '\t', '|', ' '].contains(letter));
+    found.map_or(Ok(()), |found| Err(Problem::Separator(found)))
 }
 
 /// A file that was cut in the middle of a number still has a number there.
-fn check_end(
-    path: &Path,
-    text: &str,
-    header: &csv::StringRecord,
-) -> Result<(), TrajectoryFileError> {
+fn check_end(text: &str, header: &csv::StringRecord) -> Result<(), Located> {
     let last = text.rsplit(['\n', '\r']).next().unwrap_or("").trim();
     if last.is_empty() || last.starts_with('#') {
         return Ok(());
     }
-    let cells: Vec<_> = last.split(',').collect();
-    let name = header.get(cells.len() - 1).map(str::to_owned);
-    Err(TrajectoryFileError::Cut {
-        path: path.to_owned(),
-        line: text.lines().count(),
-        column: name.unwrap_or_else(|| cells.len().to_string()),
-        text: cells
-            .last()
-            .map_or(String::new(), |cell| cell.trim().to_owned()),
-    })
+    let columns = last.split(',').count();
+    let name = header.get(columns - 1).map(str::to_owned);
+    let cell = last.rsplit(',').next().unwrap_or_default();
+    let problem = Problem::Cut {
+        column: name.unwrap_or_else(|| columns.to_string()),
+        text: cell.trim().to_owned(),
+    };
+    Err((Some(text.lines().count() as u64), problem))
 }
 
 /// The quaternion with rounding removed, when its length is 1 but for rounding.
-fn unit(path: &Path, line: u64, q: [f64; 4]) -> Result<[f64; 4], TrajectoryFileError> {
+fn unit(q: [f64; 4]) -> Result<[f64; 4], Problem> {
     let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if (norm - 1.0).abs() > UNIT_TOLERANCE {
-        let path = path.to_owned();
-        return Err(TrajectoryFileError::NotUnit { path, line, norm });
+        return Err(Problem::NotUnit(norm));
     }
     Ok(q.map(|x| x / norm))
 }
@@ -291,19 +282,14 @@ fn line_of(position: Option<&csv::Position>, text: &str) -> u64 {
     position.line() + skipped.count() as u64
 }
 
-fn csv_error(path: &Path, text: &str, error: &csv::Error) -> TrajectoryFileError {
-    let line = line_of(error.position(), text);
+fn csv_problem(text: &str, error: &csv::Error) -> Located {
     let cause = match error.kind() {
         csv::ErrorKind::UnequalLengths {
             expected_len, len, ..
         } => format!("the row has {len} cells, the header {expected_len}"),
         _ => error.to_string(),
     };
-    TrajectoryFileError::Csv {
-        path: path.to_owned(),
-        line,
-        cause,
-    }
+    (Some(line_of(error.position(), text)), Problem::Csv(cause))
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ pub use changed::Changed;
 pub use circle::Circle;
 pub use figure::{Figure, FigurePlane, FigureShape};
 #[cfg(feature = "csv")]
-pub use file::{FileTrajectory, TrajectoryFileError};
+pub use file::{FileTrajectory, TrajectoryFileError, TrajectoryFileProblem};
 pub use line::Line;
 pub use spiral::Spiral;
 #[cfg(feature = "model")]

@@ -1,99 +1,78 @@
+use std::fmt;
 use std::path::PathBuf;
 
 use super::MAGNITUDE_MAX;
 
 /// What is wrong with a reference file, and where.
+#[derive(Debug)]
+pub struct TrajectoryFileError {
+    /// The file.
+    pub path: PathBuf,
+    /// Number of the line, from 1; none: it is about the whole file.
+    pub line: Option<u64>,
+    /// What is wrong there.
+    pub problem: TrajectoryFileProblem,
+}
+
+impl fmt::Display for TrajectoryFileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (path, problem) = (self.path.display(), &self.problem);
+        match (self.line, problem) {
+            (Some(line), _) => write!(f, "{path}:{line}: {problem}"),
+            (None, TrajectoryFileProblem::Read(cause)) => write!(
+                f,
+                "cannot read {path}: {cause}; it must be a CSV file with the columns t_s,x_m,y_m,z_m or \
+                 t_s,x_m,y_m,z_m,qx,qy,qz,qw"
+            ),
+            (None, _) => write!(f, "{path} {problem}"),
+        }
+    }
+}
+
+impl core::error::Error for TrajectoryFileError {}
+
+/// What may be wrong in a reference file.
 #[derive(Debug, thiserror::Error)]
-pub enum TrajectoryFileError {
+pub enum TrajectoryFileProblem {
     /// It cannot be read.
-    #[error(
-        "cannot read {}: {cause}; it must be a CSV file with the columns t_s,x_m,y_m,z_m or \
-         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
-        path.display()
-    )]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        cause: std::io::Error,
-    },
+    #[error("{0}")]
+    Read(std::io::Error),
     /// It is not CSV.
-    #[error("{}:{line}: {cause}", path.display())]
-    Csv {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
-        /// Why.
-        cause: String,
-    },
-    /// The header lacks a column.
-    #[error(
-        "{}:1: column {column} is missing; the header is t_s,x_m,y_m,z_m or \
-         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
-        path.display()
-    )]
-    MissingColumn {
-        /// The file.
-        path: PathBuf,
-        /// The column.
-        column: &'static str,
-    },
+    #[error("{0}")]
+    Csv(String),
+    /// The header lacks this column.
+    #[error("column {0} is missing; the header is t_s,x_m,y_m,z_m or t_s,x_m,y_m,z_m,qx,qy,qz,qw")]
+    MissingColumn(&'static str),
     /// The first line is no header.
     #[error(
-        "{}:1: the header is missing: the first line is a row of numbers; put above it t_s,x_m,y_m,z_m or \
-         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
-        path.display()
+        "the header is missing: the first line is a row of numbers; put above it t_s,x_m,y_m,z_m or \
+         t_s,x_m,y_m,z_m,qx,qy,qz,qw"
     )]
-    NoHeader {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Something else than a comma stands between the columns.
+    NoHeader,
+    /// This stands between the columns, and not a comma.
     #[error(
-        "{}:1: {found:?} stands between the columns; put commas there, and points into the numbers (0.9, not 0,9)",
-        path.display()
+        "{0:?} stands between the columns; put commas there, and points into the numbers (0.9, not 0,9)"
     )]
-    Separator {
-        /// The file.
-        path: PathBuf,
-        /// What stands there.
-        found: char,
-    },
+    Separator(char),
     /// The last line does not end.
     #[error(
-        "{}:{line}: the file ends in this line, in column {column}, at {text:?}, which may be half of what was \
-         meant: write the file again, or end the line with a line break",
-        path.display()
+        "the file ends in this line, in column {column}, at {text:?}, which may be half of what was meant: write the \
+         file again, or end the line with a line break"
     )]
     Cut {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: usize,
         /// Name or number of the column.
         column: String,
         /// What stands there.
         text: String,
     },
-    /// The header names a column twice.
-    #[error("{}:1: column {column} is there more than once", path.display())]
-    DuplicateColumn {
-        /// The file.
-        path: PathBuf,
-        /// The column.
-        column: String,
-    },
+    /// The header names this column twice.
+    #[error("column {0} is there more than once")]
+    DuplicateColumn(String),
     /// A cell is not a finite number, or too large.
     #[error(
-        "{}:{line}: {column} is {text:?}; it must be a finite number, at most {MAGNITUDE_MAX:e} either way",
-        path.display()
+        "{column} is {text:?}; it must be a finite number, at most {MAGNITUDE_MAX:e} either way"
     )]
     NotANumber {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
         /// The column.
         column: &'static str,
         /// What stands there.
@@ -101,40 +80,18 @@ pub enum TrajectoryFileError {
     },
     /// Time does not go forward.
     #[error(
-        "{}:{line}: t_s = {time_s} does not come after {previous_s} of the row before; \
-         times must increase by at least 1 µs",
-        path.display()
+        "t_s = {time_s} does not come after {previous_s} of the row before; times must increase by at least 1 µs"
     )]
     TimeNotIncreasing {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
         /// Time in that row \[s\].
         time_s: f64,
         /// Time in the row before \[s\].
         previous_s: f64,
     },
-    /// A quaternion is not of length 1.
-    #[error("{}:{line}: the quaternion has length {norm:.4}; it must be 1", path.display())]
-    NotUnit {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
-        /// Its length.
-        norm: f64,
-    },
-    /// There is nothing to follow.
-    #[error(
-        "{} has {rows} rows of data; a reference needs at least 2 below the header \
-         t_s,x_m,y_m,z_m",
-        path.display()
-    )]
-    TooShort {
-        /// The file.
-        path: PathBuf,
-        /// Rows found.
-        rows: usize,
-    },
+    /// A quaternion has this length, and not 1.
+    #[error("the quaternion has length {0:.4}; it must be 1")]
+    NotUnit(f64),
+    /// So many rows are nothing to follow.
+    #[error("has {0} rows of data; a reference needs at least 2 below the header t_s,x_m,y_m,z_m")]
+    TooShort(usize),
 }
