@@ -90,6 +90,10 @@ impl Curve {
         self
     }
 
+    pub(crate) fn is_empty(&self) -> bool {
+        self.points().next().is_none()
+    }
+
     fn points(&self) -> impl Iterator<Item = &Point> {
         self.pieces.iter().flatten()
     }
@@ -113,14 +117,31 @@ pub(crate) enum Scale {
 }
 
 pub(crate) struct Panel {
-    pub(crate) title: String,
-    pub(crate) x: &'static str,
+    title: String,
+    x: &'static str,
     pub(crate) y: &'static str,
-    pub(crate) scale: Scale,
+    scale: Scale,
     pub(crate) curves: Vec<Curve>,
 }
 
 impl Panel {
+    /// With the labels of its axes.
+    pub(crate) fn new(
+        title: impl Into<String>,
+        [x, y]: [&'static str; 2],
+        scale: Scale,
+        curves: Vec<Curve>,
+    ) -> Self {
+        let title = title.into();
+        Self {
+            title,
+            x,
+            y,
+            scale,
+            curves,
+        }
+    }
+
     fn is_log(&self) -> bool {
         matches!(self.scale, Scale::Log { .. } | Scale::LogLog { .. })
     }
@@ -353,13 +374,12 @@ mod tests {
     fn a_panel_without_points_can_be_drawn() {
         let (log, log_log) = (Scale::Log { floor: 1e-3 }, Scale::LogLog { floor: 1e-3 });
         for scale in [Scale::Linear, log, log_log, Scale::LogAcross, Scale::Equal] {
-            let panel = Panel {
-                title: "nothing".into(),
-                x: "x",
-                y: "y",
+            let panel = Panel::new(
+                "nothing",
+                ["x", "y"],
                 scale,
-                curves: vec![Curve::line("", Vec::new(), BLUE)],
-            };
+                vec![Curve::line("", Vec::new(), BLUE)],
+            );
             let svg = sheet(&[panel], 1, 500).expect("drawn");
             assert!(svg.contains("nothing"));
         }

@@ -10,7 +10,8 @@ use cdcr_bench::budget::BudgetOptions;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
 use cdcr_bench::deadline::DeadlineOptions;
 use cdcr_bench::footprint::FootprintOptions;
-use cdcr_bench::latency::{LatencyOptions, baseline};
+use cdcr_bench::latency::LatencyOptions;
+use cdcr_bench::latency::baseline::{self, PeerOptions};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::QualityOptions;
 use cdcr_bench::rate::RateOptions;
@@ -19,7 +20,6 @@ use cdcr_bench::robustness::RobustnessOptions;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::simulation::Effort;
 use cdcr_bench::solver::SolverOptions;
-use cdcr_shared_types::Location;
 use cdcr_testbed::interrupt;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 
@@ -57,7 +57,7 @@ enum Command {
     Compare(CompareArguments),
     /// The other process of `latency`.
     #[command(name = baseline::PEER, hide = true)]
-    Peer(PeerArguments),
+    Peer(PeerOptions),
 }
 
 /// Declares the benchmarks: what each is, its name, its options, what stands below its help.
@@ -196,24 +196,6 @@ struct CompareArguments {
     fail_on_worse: bool,
 }
 
-#[derive(Debug, clap::Args)]
-struct PeerArguments {
-    /// Prefix of the files in shared memory.
-    #[arg(long)]
-    prefix: String,
-    /// Root folder of iceoryx2.
-    #[arg(long)]
-    root: PathBuf,
-    /// The process that started it.
-    #[arg(long)]
-    parent: u32,
-    #[arg(long)]
-    core: usize,
-    /// Both processes are on one core.
-    #[arg(long)]
-    shares: bool,
-}
-
 /// Carries the command line out.
 pub(crate) fn run() -> Result<()> {
     let (command, matches) = (Cli::command(), Cli::command().get_matches());
@@ -223,7 +205,7 @@ pub(crate) fn run() -> Result<()> {
         Command::All(asked) => asked.run(start()?),
         Command::One(one) => one.run(&start()?),
         Command::Compare(asked) => asked.run(),
-        Command::Peer(asked) => asked.run(),
+        Command::Peer(asked) => baseline::peer(&asked),
     }
 }
 
@@ -328,17 +310,6 @@ impl CompareArguments {
             );
         }
         Ok(())
-    }
-}
-
-impl PeerArguments {
-    fn run(&self) -> Result<()> {
-        baseline::peer(&baseline::PeerOptions {
-            location: Location::new(&self.prefix, &self.root)?,
-            core: self.core,
-            parent: self.parent,
-            shares: self.shares,
-        })
     }
 }
 

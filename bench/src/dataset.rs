@@ -8,7 +8,6 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
-use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::metric::{Better, Metric, median};
@@ -39,6 +38,19 @@ pub struct Dataset {
     pub recordings: Vec<Recording>,
 }
 
+/// What a benchmark measures in each of its rounds, as a table.
+pub struct RoundTable {
+    /// Key of the JSON.
+    pub key: &'static str,
+    pub file: &'static str,
+    pub title: &'static str,
+    pub columns: &'static [Column],
+    /// A name, a unit and the key of a row: see [`Dataset::compare`].
+    pub numbers: &'static [(&'static str, &'static str, &'static str)],
+    /// Begin of the names of a row's numbers.
+    pub path: fn(&Value) -> String,
+}
+
 pub struct Plot {
     pub name: &'static str,
     pub caption: &'static str,
@@ -56,12 +68,26 @@ pub struct Recording {
 }
 
 impl Dataset {
-    /// Adds a number of which less is better; nothing where no round measured it.
-    pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
-        self.add_metric(Metric::new(name, unit, Better::Lower, rounds));
+    pub fn new(name: &'static str, heading: &'static str, explanation: &'static str) -> Self {
+        Self {
+            name,
+            heading,
+            explanation,
+            ..Self::default()
+        }
     }
 
-    pub fn add_metric(&mut self, metric: Metric) {
+    /// Adds a number of which less is better; nothing where no round measured it.
+    pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
+        self.add(Metric::new(name, unit, Better::Lower, rounds));
+    }
+
+    /// The same of which more is better.
+    pub fn higher(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
+        self.add(Metric::new(name, unit, Better::Higher, rounds));
+    }
+
+    fn add(&mut self, metric: Metric) {
         self.metrics
             .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
     }
@@ -74,6 +100,20 @@ impl Dataset {
             let values = each(rounds, key).map(|value| factor * value);
             self.lower(format!("{path}/{name}"), unit, values);
         }
+    }
+
+    /// Adds a table of rows that every round measured in the same order, see [`together`], and the numbers of each row.
+    pub fn add_rounds(&mut self, table: &RoundTable, rounds: &[Vec<Value>]) -> Vec<Value> {
+        let mut rows = Vec::new();
+        for index in 0..rounds.first().map_or(0, Vec::len) {
+            let of_row: Vec<Value> = rounds.iter().map(|rows| rows[index].clone()).collect();
+            let row = together(&of_row, &[]);
+            self.compare(&(table.path)(&row), &of_row, table.numbers);
+            rows.push(row);
+        }
+        let sheet = Sheet::of(table.title, table.columns, rows.clone());
+        self.sheets.push(sheet.key(table.key).file(table.file));
+        rows
     }
 
     pub fn fact(&mut self, key: &str, value: impl Into<Value>) {
@@ -116,7 +156,7 @@ impl Dataset {
 }
 
 /// Rows, and who gets them in which form.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Sheet {
     key: Option<&'static str>,
     file: Option<&'static str>,
@@ -126,22 +166,15 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// Rows that nobody gets yet.
-    pub fn new(rows: &[impl Serialize]) -> Result<Self> {
-        let rows = rows.iter().map(serde_json::to_value);
-        Ok(Self {
-            rows: rows.collect::<Result<_, _>>()?,
-            ..Self::default()
-        })
-    }
-
-    /// A table of rows that are JSON already.
+    /// Shows rows to people as a table, unless it has no title. The columns of a CSV begin with these.
     pub fn of(title: &str, columns: &[Column], rows: Vec<Value>) -> Self {
         Self {
+            key: None,
+            file: None,
+            title: title.to_owned(),
+            columns: columns.to_vec(),
             rows,
-            ..Self::default()
         }
-        .table(title, columns)
     }
 
     /// Puts the rows into the JSON, under this key.
@@ -155,14 +188,6 @@ impl Sheet {
     #[must_use]
     pub fn file(mut self, name: &'static str) -> Self {
         self.file = Some(name);
-        self
-    }
-
-    /// Shows them to people as a table, unless it has no title. The columns of a CSV begin with these.
-    #[must_use]
-    pub fn table(mut self, title: impl Into<String>, columns: &[Column]) -> Self {
-        self.title = title.into();
-        self.columns = columns.to_vec();
         self
     }
 
@@ -286,7 +311,8 @@ pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> 
 }
 
 /// Rounds as one row: what these keys count is summed up, an object of counts field by field; of other numbers it is the
-/// median, but the least of `min…` and the largest of `max…`. Texts and lists are left out.
+/// median, but the least of `min…` and the largest of `max…`. Numbers and texts that are the same in all rounds stay; other
+/// texts, and lists, are left out.
 pub fn together(rounds: &[Value], counts: &[&str]) -> Value {
     merged(rounds, &|key| counts.contains(&key))
 }
@@ -304,6 +330,9 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
             Some(Value::Number(_)) if is_count(key) => {
                 values.iter().filter_map(Value::as_u64).sum::<u64>().into()
             }
+            Some(Value::Number(_) | Value::String(_)) if values.iter().all(|v| *v == values[0]) => {
+                values[0].clone()
+            }
             Some(Value::Number(_)) if key.starts_with("min") => numbers().reduce(f64::min).into(),
             Some(Value::Number(_)) if key.starts_with("max") => numbers().reduce(f64::max).into(),
             Some(Value::Number(_)) => median(numbers()).into(),
@@ -316,14 +345,14 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
 }
 
 /// The fields of several objects in one; later ones win.
-pub fn joined<const N: usize>(objects: [impl Serialize; N]) -> Result<Value> {
+pub fn joined<const N: usize>(objects: [Value; N]) -> Value {
     let mut all = Map::new();
     for object in objects {
-        if let Value::Object(fields) = serde_json::to_value(object)? {
+        if let Value::Object(fields) = object {
             all.extend(fields);
         }
     }
-    Ok(Value::Object(all))
+    Value::Object(all)
 }
 
 /// What JSON nests, under one name. A list stays one value.
@@ -471,7 +500,7 @@ mod tests {
             percent("more %", "more", 1),
             fixed("from", "ends", 1),
         ];
-        Sheet::new(&rows).expect("rows").table("Two", &columns)
+        Sheet::of("Two", &columns, rows.into())
     }
 
     #[test]
@@ -486,8 +515,8 @@ mod tests {
             {"a": null, "b": {"x": 1, "y": null}, "c": {"x": null}},
             {"a": null, "b": null, "c": {"x": null}},
         ]);
-        let rows: &Vec<Value> = rows.as_array().expect("a list");
-        let csv = Sheet::new(rows).expect("rows").csv().expect("written");
+        let rows = rows.as_array().expect("a list").clone();
+        let csv = Sheet::of("", &[], rows).csv().expect("written");
         assert_eq!(csv, "a,b_x,b_y,c_x\n,1,,\n,,,\n");
     }
 
@@ -498,7 +527,7 @@ mod tests {
         });
         // A whole number is a count only where it is declared.
         let expected = json!({
-            "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "of": { "a": 12 }, "size": 4.0, "none": null,
+            "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "of": { "a": 12 }, "size": 4.0, "word": "a", "none": null,
         });
         assert_eq!(together(&rounds, &["count", "of"]), expected);
         let mut dataset = Dataset::default();

@@ -154,13 +154,7 @@ fn exceeded(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
 }
 
 fn timed(title: String, y: &'static str, scale: Scale, curves: Vec<Curve>) -> Panel {
-    Panel {
-        title,
-        x: "time [s]",
-        y,
-        scale,
-        curves,
-    }
+    Panel::new(title, ["time [s]", y], scale, curves)
 }
 
 /// One simulation: with every solver, and that of `kpso-refined`.
@@ -233,13 +227,12 @@ impl<'a> Drawn<'a> {
     }
 
     fn shares(&self, x: &'static str, curves: Vec<Curve>) -> Panel {
-        Panel {
-            title: self.title.clone(),
-            x,
-            y: SHARE,
-            scale: Scale::LogLog { floor: SHARES },
+        Panel::new(
+            self.title.clone(),
+            [x, SHARE],
+            Scale::LogLog { floor: SHARES },
             curves,
-        }
+        )
     }
 
     /// Bend θ and direction φ of every section.

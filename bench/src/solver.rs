@@ -11,25 +11,23 @@ pub mod hard;
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::optimizer::{Budget, Simd};
 use cdcr_controller::robot::{Obstacle, Robot, Shape};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, sheet};
 use crate::closed_loop::ClosedLoop;
-use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
+use crate::dataset::{Column, Dataset, Plot, RoundTable, fixed, plain, word};
 use crate::experiment::{Experiment, Solver, Task};
 use crate::interrupt;
-use crate::metric::median;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
-use growth::{COLUMNS as GROWTH_COLUMNS, growth};
 
 const CYCLES_MAX: u64 = 400;
 /// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay
@@ -48,18 +46,39 @@ const CAPSULE_LENGTH_M: f64 = 0.03;
 
 /// Time of one size, about \[s\].
 const SIZE_S: f64 = 1.0;
-/// Time of all hard problems in a round, about \[s\].
-const HARD_S: f64 = 10.0;
-/// Time of all measurements of the safety checks in a round, about \[s\].
-const GUARD_S: f64 = 3.0;
-/// Time of all measurements of the estimate in a round, about \[s\].
-const ESTIMATE_S: f64 = 1.0;
+
+/// What is measured in each round after all sizes.
+struct Part {
+    table: &'static RoundTable,
+    /// Time of it, about.
+    whole_s: f64,
+    /// Takes one of so many cycles or moments: 1 is all of them.
+    measure: fn(u64) -> Result<Vec<Value>>,
+}
+
+static PARTS: [Part; 3] = [
+    Part {
+        table: &hard::TABLE,
+        whole_s: 10.0,
+        measure: |_| hard::measure(),
+    },
+    Part {
+        table: &guard::TABLE,
+        whole_s: 3.0,
+        measure: |shortened| guard::measure(guard::MOMENTS / shortened),
+    },
+    Part {
+        table: &estimate::TABLE,
+        whole_s: 1.0,
+        measure: |shortened| estimate::measure(estimate::CYCLES / shortened),
+    },
+];
 
 const EXPLANATION: &str = "\
 <p>How long one solve takes, back to back, without a daemon: the paper's size, and from there one thing at a \
 time. Every path of the processor gives the same bits; in each cycle all paths solve the same problem, one \
 after the other, so the speed-up is a ratio of times that were measured side by side. Each number is the \
-median of the rounds, and a round goes through all sizes. First solves are not counted.</p>\
+median of the rounds, a largest value that of all rounds; a round goes through all sizes. First solves are not counted.</p>\
 <p>The safety checks, limits and clearance guard, are measured at random moments of six sections with 64 obstacles in reach, \
 where they take longest; of five runs at each moment the fastest counts.</p>\
 <p>The estimate that a solve starts from is measured before it, cycle by cycle, with the default settings of the solver: what filters, models of motors \
@@ -86,23 +105,22 @@ pub struct SolverOptions {
     pub rounds: u32,
     #[arg(skip = sizes())]
     pub sizes: Vec<Size>,
-    /// Moments of each kind in which the safety checks are measured; twice as many cycles of the estimate.
-    #[arg(skip = guard::MOMENTS)]
-    pub moments: u64,
+    /// No hard problems, and of the others one moment in so many; 1: everything.
+    #[arg(skip = 1_u64)]
+    pub shortened: u64,
 }
 
 impl SolverOptions {
-    /// Not the short form of a quick report.
-    fn is_whole(&self) -> bool {
-        self.moments == guard::MOMENTS
+    fn parts(&self) -> &'static [Part] {
+        if self.shortened > 1 {
+            &PARTS[1..]
+        } else {
+            &PARTS
+        }
     }
 
-    fn hard_s(&self) -> f64 {
-        if self.is_whole() { HARD_S } else { 0.0 }
-    }
-
-    fn checks_s(&self) -> f64 {
-        (GUARD_S + ESTIMATE_S) * self.moments as f64 / guard::MOMENTS as f64
+    fn part_s(&self, part: &Part) -> f64 {
+        part.whole_s / self.shortened as f64
     }
 }
 
@@ -110,11 +128,11 @@ impl Benchmark for SolverOptions {
     fn of_report(quick: bool) -> Self {
         let mut sizes = sizes();
         sizes.retain(|size| !quick || size.task == Task::Spiral { sections: 1 });
-        let (rounds, moments) = if quick { (1, 50) } else { (3, guard::MOMENTS) };
+        let (rounds, shortened) = if quick { (1, 20) } else { (3, 1) };
         Self {
             rounds,
             sizes,
-            moments,
+            shortened,
         }
     }
 
@@ -123,13 +141,12 @@ impl Benchmark for SolverOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let solves_s = self.sizes.len() as f64 * SIZE_S + self.hard_s();
-        f64::from(self.rounds) * (solves_s + self.checks_s())
+        let parts_s = self.parts().iter().map(|part| self.part_s(part));
+        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + parts_s.sum::<f64>())
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let (mut rounds, mut hard) = (Vec::new(), Vec::new());
-        let (mut guarded, mut estimated) = (Vec::new(), Vec::new());
+        let (mut rounds, mut of_parts) = (Vec::new(), vec![Vec::new(); self.parts().len()]);
         for round in 1..=self.rounds {
             let mut cases = Vec::new();
             for size in &self.sizes {
@@ -139,65 +156,51 @@ impl Benchmark for SolverOptions {
                 progress.advance(SIZE_S);
             }
             rounds.push(cases);
-            if self.is_whole() {
-                hard.push(hard::measure()?);
-                progress.advance(HARD_S);
+            for (part, rounds) in self.parts().iter().zip(&mut of_parts) {
+                rounds.push((part.measure)(self.shortened)?);
+                progress.advance(self.part_s(part));
             }
-            guarded.push(guard::measure(self.moments)?);
-            let cycles = estimate::CYCLES * self.moments / guard::MOMENTS;
-            estimated.push(estimate::measure(cycles)?);
-            progress.advance(self.checks_s());
         }
         let mut dataset = dataset(&rounds)?;
-        if self.is_whole() {
-            hard::add(&mut dataset, &hard)?;
+        for (part, rounds) in self.parts().iter().zip(&of_parts) {
+            dataset.add_rounds(part.table, rounds);
         }
-        guard::add(&mut dataset, &guarded)?;
-        estimate::add(&mut dataset, &estimated)?;
         Ok(dataset)
     }
 }
 
+const TABLE: RoundTable = RoundTable {
+    key: "cases",
+    file: "solver",
+    title: "Time of a solve on every path of this processor",
+    columns: &COLUMNS,
+    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
+    path: |case| {
+        let word = |key: &str| case[key].as_str().unwrap_or_default().to_owned();
+        format!(
+            "solver/{}/{}/{}/{}-sections-{}-steps-{}x{}-{}-obstacles",
+            word("solver"),
+            word("path"),
+            word("curve"),
+            case["sections"],
+            case["horizon"],
+            case["swarm"],
+            case["iterations"],
+            case["obstacles"],
+        )
+    },
+};
+
 /// Of the cases of each round, in the same order.
-fn dataset(rounds: &[Vec<Case>]) -> Result<Dataset> {
-    let first = rounds.first().context("at least one round is needed")?;
-    let mut dataset = Dataset {
-        name: "solver",
-        heading: "Time of a solve, offline",
-        explanation: EXPLANATION,
-        ..Dataset::default()
-    };
-    let mut cases = Vec::new();
-    for (index, case) in first.iter().enumerate() {
-        let each = |value: fn(&Case) -> f64| rounds.iter().map(move |cases| value(&cases[index]));
-        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
-        cases.push(Case {
-            p50_us: middle(|case| case.p50_us),
-            p99_us: middle(|case| case.p99_us),
-            speedup_vs_scalar: middle(|case| case.speedup_vs_scalar),
-            ..case.clone()
-        });
-        let name = case.key();
-        dataset.lower(format!("{name}/p50"), "µs", each(|case| case.p50_us));
-        dataset.lower(format!("{name}/p99"), "µs", each(|case| case.p99_us));
-    }
+fn dataset(rounds: &[Vec<Value>]) -> Result<Dataset> {
+    let mut dataset = Dataset::new("solver", "Time of a solve, offline", EXPLANATION);
+    let cases = dataset.add_rounds(&TABLE, rounds);
     // The paper's size stands in every series.
-    dataset
-        .metrics
-        .sort_by(|one, other| one.name.cmp(&other.name));
-    dataset
-        .metrics
-        .dedup_by(|one, other| one.name == other.name);
+    let metrics = &mut dataset.metrics;
+    metrics.sort_by(|one, other| one.name.cmp(&other.name));
+    metrics.dedup_by(|one, other| one.name == other.name);
     dataset.fact("rounds", rounds.len());
-    let growth = Sheet::new(&growth(&cases))?.key("growth").file("solver-growth").table(
-        "Growth of the median on the fastest path, all else as in the paper's spiral with 3 sections",
-        &GROWTH_COLUMNS,
-    );
-    let all = Sheet::new(&cases)?
-        .key("cases")
-        .file("solver")
-        .table("Time of a solve on every path of this processor", &COLUMNS);
-    dataset.sheets = vec![growth, all];
+    dataset.sheets.insert(0, growth::sheet(&cases));
     dataset.plots.push(Plot {
         name: "solver-sections",
         caption: "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
@@ -208,67 +211,21 @@ fn dataset(rounds: &[Vec<Case>]) -> Result<Dataset> {
 }
 
 /// The median of every solver on the fastest path beside the sections of the robot.
-fn panel(cases: &[Case]) -> Panel {
-    let fastest = cases.last().map(|case| case.path);
-    let curve = |(solver, colour): (Solver, _)| {
-        let is_ours = |case: &&Case| {
-            let size = (case.horizon, case.obstacles, case.swarm, case.iterations);
-            let what = (Some(case.path), case.solver, case.curve);
-            what == (fastest, solver, "spiral") && size == (2, 0, 6, 30)
-        };
-        let ours = cases.iter().filter(is_ours);
-        let mut points: Vec<_> = ours.map(|c| (c.sections as f64, c.p50_us)).collect();
-        points.sort_by(|one, other| one.0.total_cmp(&other.0));
-        points.dedup_by_key(|point| point.0);
-        (!points.is_empty()).then(|| Curve::line(solver.name(), points, colour))
-    };
+fn panel(cases: &[Value]) -> Panel {
     let colours = [PURPLE, GREEN, BLUE, ORANGE];
-    Panel {
-        title: "Median of a solve on the fastest path".to_owned(),
-        x: "sections",
-        y: "time [µs]",
-        scale: Scale::Log { floor: 0.1 },
-        curves: Solver::ALL
-            .into_iter()
-            .zip(colours)
-            .filter_map(curve)
-            .collect(),
-    }
-}
-
-/// One line: one solver on one path, at one size.
-#[derive(Debug, Clone, Serialize)]
-pub struct Case {
-    pub solver: Solver,
-    /// Name of the curve; the line asks for an orientation.
-    pub curve: &'static str,
-    pub path: Simd,
-    pub sections: usize,
-    pub horizon: u32,
-    pub swarm: u32,
-    pub iterations: u32,
-    pub obstacles: usize,
-    pub p50_us: f64,
-    pub p99_us: f64,
-    /// Median of the scalar path over the median of this one, in the same run.
-    pub speedup_vs_scalar: f64,
-}
-
-impl Case {
-    /// Solver, path of the processor, curve and size.
-    fn key(&self) -> String {
-        format!(
-            "solver/{}/{}/{}/{}-sections-{}-steps-{}x{}-{}-obstacles",
-            self.solver.name(),
-            format!("{:?}", self.path).to_lowercase(),
-            self.curve,
-            self.sections,
-            self.horizon,
-            self.swarm,
-            self.iterations,
-            self.obstacles,
-        )
-    }
+    let curves = Solver::ALL
+        .into_iter()
+        .zip(colours)
+        .map(|(solver, colour)| {
+            let points = growth::series(cases, solver, growth::SECTION);
+            Curve::line(solver.name(), points, colour)
+        });
+    Panel::new(
+        "Median of a solve on the fastest path",
+        ["sections", "time [µs]"],
+        Scale::Log { floor: 0.1 },
+        curves.filter(|curve| !curve.is_empty()).collect(),
+    )
 }
 
 /// A size at which every path is measured.
@@ -385,7 +342,8 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
 
 type Runner = (Simd, Nmpc, Histogram<u64>);
 
-pub fn measure(size: &Size) -> Result<Vec<Case>> {
+/// A row for each path of the processor.
+pub fn measure(size: &Size) -> Result<Vec<Value>> {
     let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();
     for path in Simd::available() {
@@ -396,18 +354,21 @@ pub fn measure(size: &Size) -> Result<Vec<Case>> {
     let scalar_us = runners
         .first()
         .map_or(f64::NAN, |(_, _, times)| quantile_us(times, 0.5));
-    let case = |(path, _, times): &Runner| Case {
-        solver: size.solver,
-        curve: size.task.name(),
-        path: *path,
-        sections: scene.robot.section_count(),
-        horizon: size.horizon,
-        swarm: size.swarm,
-        iterations: size.iterations,
-        obstacles: size.obstacles,
-        p50_us: quantile_us(times, 0.5),
-        p99_us: quantile_us(times, 0.99),
-        speedup_vs_scalar: scalar_us / quantile_us(times, 0.5),
+    let case = |(path, _, times): &Runner| {
+        json!({
+            "solver": size.solver,
+            // The line asks for an orientation.
+            "curve": size.task.name(),
+            "path": path,
+            "sections": scene.robot.section_count(),
+            "horizon": size.horizon,
+            "swarm": size.swarm,
+            "iterations": size.iterations,
+            "obstacles": size.obstacles,
+            "p50_us": quantile_us(times, 0.5),
+            "p99_us": quantile_us(times, 0.99),
+            "speedup_vs_scalar": scalar_us / quantile_us(times, 0.5),
+        })
     };
     Ok(runners.iter().map(case).collect())
 }
@@ -475,18 +436,11 @@ mod tests {
 
     #[test]
     fn rows_are_medians_and_every_round_is_kept() {
-        let case = |sections: usize, p50_us: f64| Case {
-            solver: Solver::Kpso,
-            curve: "spiral",
-            path: Simd::Scalar,
-            sections,
-            horizon: 2,
-            swarm: 6,
-            iterations: 30,
-            obstacles: 0,
-            p50_us,
-            p99_us: 2.0 * p50_us,
-            speedup_vs_scalar: 1.0,
+        let case = |sections: usize, us: f64| {
+            json!({
+                "solver": "kpso", "curve": "spiral", "path": "scalar", "sections": sections, "horizon": 2,
+                "swarm": 6, "iterations": 30, "obstacles": 0, "p50_us": us, "p99_us": 2.0 * us,
+            })
         };
         let rounds = [9.0, 1.0, 2.0].map(|us| vec![case(1, us), case(2, 10.0 * us), case(1, us)]);
         let found = dataset(&rounds).expect("rounds");
@@ -498,6 +452,5 @@ mod tests {
         // Two sizes, two quantiles; the size that is measured twice counts once.
         assert_eq!(found.metrics.len(), 4);
         assert_eq!(found.metrics[0].rounds, [9.0, 1.0, 2.0]);
-        assert!(dataset(&[]).is_err());
     }
 }

@@ -21,9 +21,9 @@ use crate::load::Load;
 use crate::metric::{median, range};
 use crate::quantiles::Quantiles;
 
-/// The wake-ups of a plot begin here \[µs\].
 /// The least share of the cycles that is drawn.
 const SHARES: f64 = 1e-5;
+/// The wake-ups of a plot begin here \[µs\].
 const SHORTEST_US: f64 = 0.1;
 
 /// Two counts of misses differ when chance alone would make such a difference less often than this.
@@ -99,6 +99,20 @@ const TIMES: [Column; 9] = [
     fixed("max", "max", 1),
 ];
 
+/// What two runs of a daemon are compared by, and of every subject.
+const MISSES: [(&str, &str, &str); 2] = [
+    ("own_misses", "", "own_misses"),
+    ("misses", "per million", "misses_per_million"),
+];
+const QUANTILES: [(&str, &str, &str); 6] = [
+    ("wake_p50", "µs", "wake_us_p50"),
+    ("wake_p99", "µs", "wake_us_p99"),
+    ("response_p50", "µs", "response_us_p50"),
+    ("response_p99", "µs", "response_us_p99"),
+    ("command_p50", "µs", "command_us_p50"),
+    ("command_p99", "µs", "command_us_p99"),
+];
+
 /// What is measured in a stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
@@ -132,9 +146,18 @@ impl Case {
     /// Adds a round of which this is known beside what was measured.
     pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) -> Result<()> {
         let start_s = number(&of_round, "start_s").unwrap_or(0.0);
-        let (counts, times) = (json!(tally.counts), times_json(&tally.times));
-        self.rounds
-            .push(joined([key.json(), of_round, counts, times])?);
+        let counts = tally.counts;
+        let misses = per_million((
+            counts.deadline_misses,
+            counts.cycles + counts.skipped_periods,
+        ));
+        self.rounds.push(joined([
+            key.json(),
+            of_round,
+            json!(counts),
+            times_json(&tally.times),
+            json!({ "misses_per_million": misses }),
+        ]));
         let all = self.times.get_or_insert(Tally::new()?.times);
         for (all, times) in all.iter_mut().zip(&tally.times) {
             all.add(times)?;
@@ -157,7 +180,7 @@ impl Case {
     }
 
     /// All rounds together, their medians, and the rounds themselves.
-    fn row(&self, key: Key) -> Result<Value> {
+    fn row(&self, key: Key) -> Value {
         let mut all = together(&self.rounds, &COUNTED);
         let of_rounds =
             TIME_NAMES.map(|name| (format!("{name}_us"), all[format!("{name}_us")].clone()));
@@ -179,7 +202,7 @@ impl Case {
         ])
     }
 
-    fn time_rows(&self, key: Key) -> Result<Vec<Value>> {
+    fn time_rows(&self, key: Key) -> Vec<Value> {
         const TO: [&str; 4] = [
             "start (wake-up)",
             "hand-over, from the start (compute)",
@@ -295,30 +318,14 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     }
     let (mut rows, mut times, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
     for (key, case) in cases {
-        rows.push(case.row(*key)?);
-        times.extend(case.time_rows(*key)?);
+        rows.push(case.row(*key));
+        times.extend(case.time_rows(*key));
         rounds.extend_from_slice(&case.rounds);
         let path = format!("deadline/{}", key.path("/"));
         if key.subject == Subject::Daemon {
-            let misses = |row: &Value| {
-                let count = |key| row[key].as_u64().unwrap_or(0);
-                per_million((
-                    count("deadline_misses"),
-                    count("cycles") + count("skipped_periods"),
-                ))
-            };
-            dataset.compare(&path, &case.rounds, &[("own_misses", "", "own_misses")]);
-            dataset.lower(
-                format!("{path}/misses"),
-                "per million",
-                case.rounds.iter().map(misses),
-            );
+            dataset.compare(&path, &case.rounds, &MISSES);
         }
-        let numbers = ["wake", "response", "command"].map(|time| [(time, "p50"), (time, "p99")]);
-        for (time, quantile) in numbers.into_iter().flatten() {
-            let values = each(&case.rounds, &format!("{time}_us_{quantile}")).collect::<Vec<_>>();
-            dataset.lower(format!("{path}/{time}_{quantile}"), "µs", values);
-        }
+        dataset.compare(&path, &case.rounds, &QUANTILES);
         for (start_s, times) in &case.of_rounds {
             let measured = TIME_NAMES
                 .iter()
@@ -406,17 +413,16 @@ fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
             (Subject::Daemon, "daemon", BLUE),
             (Subject::Bare, "bare loop", GREEN),
         ];
-        Panel {
-            title: format!("Load {}", load.name()),
-            x: "later than, µs after the release",
-            y: "share of the cycles",
-            scale: Scale::LogLog { floor: SHARES },
-            curves: curves
+        Panel::new(
+            format!("Load {}", load.name()),
+            ["later than, µs after the release", "share of the cycles"],
+            Scale::LogLog { floor: SHARES },
+            curves
                 .into_iter()
                 .filter_map(curve)
                 .chain([deadline()])
                 .collect(),
-        }
+        )
     };
     loads.into_iter().map(panel).collect()
 }
@@ -479,7 +485,7 @@ mod tests {
             let tally = Tally::of(cycles, true).expect("bounds");
             case.push(key, of_round, tally).expect("a round");
         }
-        let row = case.row(key).expect("a row");
+        let row = case.row(key);
         for (name, expected) in [
             ("cycles", 6),
             ("deadline_misses", 2),

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREY, Panel, Scale, sheet};
 use crate::dataset::{Column, Dataset, Plot, Sheet, each, fixed, number, shorted, together, word};
-use crate::metric::{Better, Metric, median, range};
+use crate::metric::{median, range};
 use crate::progress::Progress;
 use crate::subject::daemon::{Launch, program};
 use crate::system::cores::Cores;
@@ -178,18 +178,12 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     };
     dataset.fact("realtime", realtime);
     for (_, key, unit, _) in QUANTITIES {
-        let better = if unit == YES_NO {
-            Better::Higher
+        let (name, values) = (format!("footprint/{key}"), each(&rounds, key));
+        if unit == YES_NO {
+            dataset.higher(name, unit, values);
         } else {
-            Better::Lower
-        };
-        let values = each(&rounds, key);
-        dataset.add_metric(Metric::new(
-            format!("footprint/{key}"),
-            unit,
-            better,
-            values,
-        ));
+            dataset.lower(name, unit, values);
+        }
     }
     for name in threads.iter().filter_map(|thread| thread["name"].as_str()) {
         let key = format!("threads_{name}_tracking_percent");
@@ -293,13 +287,7 @@ fn bars(threads: &[Value]) -> Panel {
                 .push(Curve::line(label, vec![(0.0, y), (percent.max(0.0), y)], colour).width(12));
         }
     }
-    Panel {
-        title: "Share of a core".to_owned(),
-        x: "[%]",
-        y: "thread",
-        scale: Scale::Linear,
-        curves,
-    }
+    Panel::new("Share of a core", ["[%]", "thread"], Scale::Linear, curves)
 }
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ pub(super) fn round(
     let times = start::times(launch, cores)?;
     let daemon = start::without_client(launch, cores)?;
     let measured = measure(&daemon, cores, idle, tracking);
-    joined([times, daemon.stop().and(measured)?])
+    Ok(joined([times, daemon.stop().and(measured)?]))
 }
 
 fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Value> {
@@ -57,7 +57,7 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     client.stop()?;
 
     let growth_kb =
-        |from: &Memory, to: &Memory| 1e-3 * (to.resident_bytes as f64 - from.resident_bytes as f64);
+        |from: &Memory, to: &Memory| anyhow::Ok(1e3 * (to.mb("VmRSS")? - from.mb("VmRSS")?));
     // Not a number where the kernel does not count what threads use.
     let sum = |shares: &BTreeMap<String, f64>, names: &[&str]| {
         let of_name =
@@ -74,26 +74,25 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     };
     // Switched off, it is not asked for either.
     let is_locked = status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0;
-    let mb = |bytes: u64| bytes as f64 / MB;
     Ok(json!({
         "core_tracking_percent": sum(&tracking, &CORE_THREADS),
-        "resident_mb": mb(after_tracking.resident_bytes),
-        "growth_kb": growth_kb(&before_tracking, &after_tracking),
+        "resident_mb": after_tracking.mb("VmRSS")?,
+        "growth_kb": growth_kb(&before_tracking, &after_tracking)?,
         "page_faults": (after_tracking.page_faults - before_tracking.page_faults) as f64,
-        "resident_start_mb": mb(after_start.resident_bytes),
-        "growth_idle_kb": growth_kb(&after_start, &before_client),
-        "growth_by_client_kb": growth_kb(&before_client, &before_tracking),
+        "resident_start_mb": after_start.mb("VmRSS")?,
+        "growth_idle_kb": growth_kb(&after_start, &before_client)?,
+        "growth_by_client_kb": growth_kb(&before_client, &before_tracking)?,
         "locked": f64::from(is_locked),
         "core_idle_percent": sum(&idle, &CORE_THREADS),
         "all_tracking_percent": sum(&tracking, &[]),
         "all_idle_percent": sum(&idle, &[]),
-        "peak_mb": mb(after_tracking.peak_bytes),
-        "own_mb": mb(after_tracking.own_bytes),
-        "shared_mb": mb(after_tracking.shared_bytes),
-        "file_mb": mb(after_tracking.file_bytes),
-        "locked_mb": mb(after_tracking.locked_bytes),
+        "peak_mb": after_tracking.mb("VmHWM")?,
+        "own_mb": after_tracking.mb("RssAnon")?,
+        "shared_mb": after_tracking.mb("RssShmem")?,
+        "file_mb": after_tracking.mb("RssFile")?,
+        "locked_mb": after_tracking.mb("VmLck")?,
         "memory_files": memory_files as f64,
-        "memory_stored_mb": mb(stored_bytes),
+        "memory_stored_mb": stored_bytes as f64 / MB,
         "root_files": root_files as f64,
         "threads": tracking.iter().map(thread).collect::<BTreeMap<_, _>>(),
     }))
@@ -113,14 +112,8 @@ fn watch(daemon: &Daemon, length: Duration) -> Result<BTreeMap<String, f64>> {
 
 /// Memory of a process at one moment, as the kernel counts it.
 struct Memory {
-    resident_bytes: u64,
-    peak_bytes: u64,
-    /// Locked, counted by address range: more than what is resident.
-    locked_bytes: u64,
-    /// Of the resident: heap and stacks, pages of files, shared memory.
-    own_bytes: u64,
-    file_bytes: u64,
-    shared_bytes: u64,
+    /// `/proc/PID/status`. `VmLck` is counted by address range: more than what is resident.
+    status: String,
     /// Since its start.
     page_faults: u64,
 }
@@ -131,19 +124,16 @@ impl Memory {
             let file = format!("/proc/{process}/{name}");
             fs::read_to_string(&file).with_context(|| format!("cannot read {file}"))
         };
-        let (stat, status) = (read("stat")?, read("status")?);
-        let bytes = |key: &str| {
-            bytes_in(&status, key).with_context(|| format!("/proc/PID/status has no {key}"))
-        };
         Ok(Self {
-            resident_bytes: bytes("VmRSS")?,
-            peak_bytes: bytes("VmHWM")?,
-            locked_bytes: bytes("VmLck")?,
-            own_bytes: bytes("RssAnon")?,
-            file_bytes: bytes("RssFile")?,
-            shared_bytes: bytes("RssShmem")?,
-            page_faults: faults_in(&stat).context("/proc/PID/stat has no faults")?,
+            status: read("status")?,
+            page_faults: faults_in(&read("stat")?).context("/proc/PID/stat has no faults")?,
         })
+    }
+
+    fn mb(&self, key: &str) -> Result<f64> {
+        let bytes = bytes_in(&self.status, key);
+        let bytes = bytes.with_context(|| format!("/proc/PID/status has no {key}"))?;
+        Ok(bytes as f64 / MB)
     }
 }
 
@@ -194,9 +184,10 @@ mod tests {
     #[test]
     fn memory_is_read_as_proc_says() {
         let ours = Memory::of(std::process::id()).unwrap();
-        let parts = ours.own_bytes + ours.file_bytes + ours.shared_bytes;
-        assert!(ours.resident_bytes > 0 && ours.resident_bytes == parts);
-        assert!(ours.peak_bytes > 0 && ours.page_faults > 0);
+        let mb = |key| ours.mb(key).unwrap();
+        let parts_mb = mb("RssAnon") + mb("RssFile") + mb("RssShmem");
+        assert!(mb("VmRSS") > 0.0 && (mb("VmRSS") - parts_mb).abs() < 1e-9);
+        assert!(mb("VmHWM") > 0.0 && ours.page_faults > 0);
         let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\nRssAnon:\t 0 kB\n";
         assert_eq!(bytes_in(status, "VmRSS"), Some(10_240));
         assert_eq!(bytes_in(status, "Vm"), None);

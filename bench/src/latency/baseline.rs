@@ -5,7 +5,7 @@
 //! real-time priority: a real-time thread that never sleeps is halted by the system.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -77,13 +77,22 @@ fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
     cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, clap::Args)]
 pub struct PeerOptions {
-    pub location: Location,
-    pub core: usize,
-    pub parent: u32,
-    /// Both are on one core: let the other one run.
-    pub shares: bool,
+    /// Prefix of the files in shared memory.
+    #[arg(long)]
+    prefix: String,
+    /// Root folder of iceoryx2.
+    #[arg(long)]
+    root: PathBuf,
+    /// The process that started it.
+    #[arg(long)]
+    parent: u32,
+    #[arg(long)]
+    core: usize,
+    /// Both processes are on one core: let the other one run.
+    #[arg(long)]
+    shares: bool,
 }
 
 /// The peer: answers until it is told to end, or its parent has ended. To be called from the main thread.
@@ -97,17 +106,11 @@ pub fn peer(options: &PeerOptions) -> Result<()> {
     ensure!(!is_orphan(), "the parent has ended");
     pin(options.core);
     let answered = answer(options, &ends);
-    if is_orphan() {
-        clean_up(&options.location);
+    // Whoever would have cleaned up is gone. A root that is no [`Place`]'s is left alone.
+    if is_orphan() && is_root_of_place(&options.root) {
+        let _ = fs::remove_dir_all(&options.root);
     }
     answered
-}
-
-/// Whoever would have cleaned up is gone. A root that is no [`Place`]'s is left alone.
-fn clean_up(location: &Location) {
-    if is_root_of_place(location.root()) {
-        let _ = fs::remove_dir_all(location.root());
-    }
 }
 
 /// Whether this is the root of a [`Place`].
@@ -119,7 +122,8 @@ fn is_root_of_place(root: &Path) -> bool {
 }
 
 fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
-    let services = Services::open(&options.location).context("a service of the peer")?;
+    let location = Location::new(&options.prefix, &options.root)?;
+    let services = Services::open(&location).context("a service of the peer")?;
     let there = services.there.subscriber_builder().create()?;
     let back = services.back.publisher_builder().create()?;
     let control = services.control.server_builder().create()?;

@@ -277,16 +277,4 @@ mod tests {
         };
         assert_eq!(lead_ns(&stale), None);
     }
-
-    #[test]
-    fn the_grid_counts_from_its_origin() {
-        let grid = Grid {
-            origin_ns: 1_000,
-            period_ns: 100,
-            lead_ns: 10,
-        };
-        assert_eq!(grid.release_ns(3), 1_300);
-        assert_eq!([1_299, 1_300, 5].map(|ns| grid.cycle_at(ns)), [2, 3, 0]);
-        assert_eq!(grid.early_ns(), 25);
-    }
 }

@@ -94,15 +94,8 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
         legs.extend(row(leg, rounds, &each_round));
         if !leg.is_grid() {
             let name = leg.name().replace('.', "/");
-            for quantile in ["p50", "p99"] {
-                let values = each(
-                    &each_round,
-                    if quantile == "p50" {
-                        "latency_us_p50"
-                    } else {
-                        "latency_us_p99"
-                    },
-                );
+            for (quantile, key) in [("p50", "latency_us_p50"), ("p99", "latency_us_p99")] {
+                let values = each(&each_round, key);
                 dataset.lower(format!("latency/{name}_{quantile}"), "µs", values);
             }
         }
@@ -267,12 +260,13 @@ fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
             .filter_map(curve)
             .collect::<Vec<_>>()
     };
-    let panel = |title: &str, legs: &[Leg]| Panel {
-        title: title.to_owned(),
-        x: "one sample in so many takes longer",
-        y: "µs",
-        scale: Scale::LogLog { floor: 0.01 },
-        curves: curves(legs, &tail),
+    let panel = |title: &str, legs: &[Leg]| {
+        Panel::new(
+            title,
+            ["one sample in so many takes longer", "µs"],
+            Scale::LogLog { floor: 0.01 },
+            curves(legs, &tail),
+        )
     };
     let commands = [
         BareOneWay,
@@ -307,13 +301,12 @@ fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
         panel("Commands beside iceoryx2 alone", &commands),
         panel(of_inputs, &inputs),
         panel("Request → answer beside iceoryx2 alone", &requests),
-        Panel {
-            title: "Stop → zero rates, without the ramp".to_owned(),
-            x: "ms",
-            y: "stops that took no longer, %",
-            scale: Scale::Linear,
-            curves: stops,
-        },
+        Panel::new(
+            "Stop → zero rates, without the ramp",
+            ["ms", "stops that took no longer, %"],
+            Scale::Linear,
+            stops,
+        ),
     ]
 }
 

@@ -52,12 +52,6 @@ impl View {
 
     pub(super) fn panel(self, title: &str, curves: Vec<Curve>) -> Panel {
         let [x, y] = self.0.map(|axis| ["x [mm]", "y [mm]", "z [mm]"][axis]);
-        Panel {
-            title: title.to_owned(),
-            x,
-            y,
-            scale: Scale::Equal,
-            curves,
-        }
+        Panel::new(title, [x, y], Scale::Equal, curves)
     }
 }

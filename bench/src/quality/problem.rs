@@ -47,20 +47,24 @@ named! {
 }
 
 impl Field {
-    fn obstacles(self, way: &Way, numbers: &mut Numbers) -> Result<Vec<Obstacle>> {
+    fn obstacles(
+        self,
+        way: impl Fn(f64) -> Vector3<f64>,
+        numbers: &mut Numbers,
+    ) -> Result<Vec<Obstacle>> {
         let still = Vector3::zeros();
         let mut obstacles = Vec::new();
         match self {
             Self::Free => {}
             Self::Ball => {
-                let centre_m = way.at(0.5);
+                let centre_m = way(0.5);
                 let ball = Shape::Sphere { centre_m };
                 obstacles.push(Obstacle::new(ball, BALL_RADIUS_M, still)?);
             }
             Self::Posts => {
                 for share in [0.3, 0.5, 0.7] {
                     let [x, y] = [(); 2].map(|()| numbers.between(-BESIDE_M, BESIDE_M));
-                    let middle_m = way.at(share) + Vector3::new(x, y, 0.0);
+                    let middle_m = way(share) + Vector3::new(x, y, 0.0);
                     let half_m = Vector3::new(0.0, 0.0, POST_M.1);
                     let post = Shape::Capsule {
                         start_m: middle_m - half_m,
@@ -71,17 +75,6 @@ impl Field {
             }
         }
         Ok(obstacles)
-    }
-}
-
-struct Way {
-    from_m: Vector3<f64>,
-    to_m: Vector3<f64>,
-}
-
-impl Way {
-    fn at(&self, share: f64) -> Vector3<f64> {
-        self.from_m + (self.to_m - self.from_m) * share
     }
 }
 
@@ -110,19 +103,17 @@ impl Problem {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
             let (start, end) = (shape(&mut numbers), shape(&mut numbers));
-            let way = Way {
-                from_m: robot.tip_pose(&start).position_m,
-                to_m: robot.tip_pose(&end).position_m,
-            };
-            let obstacles = field.obstacles(&way, &mut numbers)?;
+            let [from_m, to_m] = [&start, &end].map(|shape| robot.tip_pose(shape).position_m);
+            let way = |share: f64| from_m + (to_m - from_m) * share;
+            let obstacles = field.obstacles(way, &mut numbers)?;
             let is_clear = |shape: &Configuration| {
                 let body = robot.body(shape);
                 let least_m = CLEAR_DISTANCES * SAFE_DISTANCE_M;
                 obstacles.iter().all(|o| body.clearance_m(o) > least_m)
             };
-            let is_apart = APART_M.contains(&(way.to_m - way.from_m).norm());
+            let is_apart = APART_M.contains(&(to_m - from_m).norm());
             if is_apart && is_clear(&start) && is_clear(&end) {
-                return Ok(Self::new(start, way.to_m, obstacles));
+                return Ok(Self::new(start, to_m, obstacles));
             }
         }
         let name = field.name();

@@ -15,7 +15,7 @@ use crate::dataset::{
     word,
 };
 use crate::experiment::Solver;
-use crate::metric::{Better, Metric, median};
+use crate::metric::median;
 
 /// Errors below this are equal to people who compare two runs: a nanometre \[mm\].
 const METRIC_FLOOR_MM: f64 = 1e-6;
@@ -74,7 +74,7 @@ fn title(axis: Axis) -> &'static str {
 
 /// One variant: medians over the rounds, but the worst error, clearance and time below the safe distance of
 /// all of them.
-fn variant_row(case: &Case) -> Result<Value> {
+fn variant_row(case: &Case) -> Value {
     let own = json!({
         "value": case.variant.value(),
         "rounds": case.rounds.len(),
@@ -115,23 +115,13 @@ fn stuck_row(all: &[&Ending]) -> Option<Value> {
 
 /// Of every variant, course by course, and the endings of every round.
 pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset> {
-    let mut dataset = Dataset {
-        name: "quality",
-        heading: "What time buys",
-        explanation: EXPLANATION,
-        ..Dataset::default()
-    };
+    let mut dataset = Dataset::new("quality", "What time buys", EXPLANATION);
     for case in cases {
         let name = |what: &str| format!("quality/{}/{what}", case.variant.key());
         let errors_mm = each(&case.rounds, "mean_error_mm").map(|mm| mm.max(METRIC_FLOOR_MM));
         dataset.lower(name("mean_error"), "mm", errors_mm);
         let clearances_mm = each(&case.rounds, "min_clearance_mm");
-        dataset.add_metric(Metric::new(
-            name("least_clearance"),
-            "mm",
-            Better::Higher,
-            clearances_mm,
-        ));
+        dataset.higher(name("least_clearance"), "mm", clearances_mm);
     }
     let endings = rounds.concat();
     let mut stuck = Vec::new();
@@ -150,7 +140,7 @@ pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset>
             stuck.extend(stuck_row(&of(&endings)));
         }
     }
-    let rows: Vec<Value> = cases.iter().map(variant_row).collect::<Result<_>>()?;
+    let rows: Vec<Value> = cases.iter().map(variant_row).collect();
     for axis in Axis::ALL {
         let of_axis = rows.iter().filter(|row| row["axis"] == axis.name());
         let table = Sheet::of(title(axis), &columns(axis), of_axis.cloned().collect());
@@ -250,13 +240,7 @@ fn panel(
         let safe_mm = 1e3 * course.settings().safe_distance_m;
         curves.push(Curve::level("safe distance", safe_mm, across, DARK));
     }
-    Some(Panel {
-        title: course.name().to_owned(),
-        x: "budget [µs]",
-        y,
-        scale,
-        curves,
-    })
+    Some(Panel::new(course.name(), ["budget [µs]", y], scale, curves))
 }
 
 fn excess(field: Field, endings: &[Ending]) -> Option<Panel> {
@@ -281,13 +265,12 @@ fn excess(field: Field, endings: &[Ending]) -> Option<Panel> {
     endings.iter().find(|ending| ending.field == field)?;
     let mut curves: Vec<Curve> = Contender::ALL.map(curve).into();
     curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
-    Some(Panel {
-        title: format!("Between tip and target: {}", field.name()),
-        x: "share of the problems [%]",
-        y: "cost above the best [%]",
-        scale: Scale::Log {
+    Some(Panel::new(
+        format!("Between tip and target: {}", field.name()),
+        ["share of the problems [%]", "cost above the best [%]"],
+        Scale::Log {
             floor: EXCESS_FLOOR_PERCENT,
         },
         curves,
-    })
+    ))
 }

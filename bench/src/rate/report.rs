@@ -83,15 +83,10 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         shortest,
     } = measured;
     let how = how(realtime, spin_us);
-    let mut dataset = Dataset {
-        name: "rate",
-        heading: "How fast the loop can go",
-        explanation: EXPLANATION,
-        ..Dataset::default()
-    };
+    let mut dataset = Dataset::new("rate", "How fast the loop can go", EXPLANATION);
     let (mut default, mut rounds) = (Vec::new(), Vec::new());
     for step in &steps {
-        let of_step: Vec<Value> = step.iter().map(Trial::row).collect::<Result<_>>()?;
+        let of_step: Vec<Value> = step.iter().map(Trial::row).collect();
         let period_ms = step.first().map_or(f64::NAN, |trial| trial.period_ms);
         let path = format!("rate/default/{:.0}-hz", 1e3 / period_ms);
         dataset.compare(
@@ -106,20 +101,15 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
                 ("own_misses", "", "own_misses"),
             ],
         );
-        default.push(step_row(period_ms, step, &of_step)?);
+        default.push(step_row(period_ms, step, &of_step));
         rounds.extend(of_step);
     }
     let (mut found, mut trials) = (Vec::new(), Vec::new());
     for case in &shortest {
         let held_ms = case.held.first().map(|held| held.period_ms);
         dataset.lower(format!("rate/shortest/{}", case.case.key()), "ms", held_ms);
-        found.push(shortest_row(case)?);
-        trials.extend(
-            case.trials
-                .iter()
-                .map(Trial::row)
-                .collect::<Result<Vec<_>>>()?,
-        );
+        found.push(shortest_row(case));
+        trials.extend(case.trials.iter().map(Trial::row));
     }
     let title = format!(
         "The default ({}) with shorter and shorter periods, medians over rounds{how}",
@@ -173,13 +163,7 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
 
 fn plot(rows: &[Value]) -> Result<Plot> {
     let line = |label: &str, key: &str, colour| Curve::of_rows(label, rows, "rate_hz", key, colour);
-    let panel = |title: &str, y, scale, curves| Panel {
-        title: title.to_owned(),
-        x: "rate [Hz]",
-        y,
-        scale,
-        curves,
-    };
+    let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
     let times = vec![
         line("period", "period_us", DARK),
         line("p99.9", "response_us_p999", ORANGE),
@@ -207,7 +191,7 @@ fn plot(rows: &[Value]) -> Result<Plot> {
     })
 }
 
-fn shortest_row(shortest: &Shortest) -> Result<Value> {
+fn shortest_row(shortest: &Shortest) -> Value {
     let Shortest { held, failed, .. } = shortest;
     let period_ms = |trials: &[Trial]| trials.first().map(|trial| trial.period_ms);
     let failed_remarks = failed.last().map(|trial| &*trial.remarks);
@@ -230,7 +214,7 @@ fn shortest_row(shortest: &Shortest) -> Result<Value> {
         "failed_trials_held": count_held(failed),
         "failed_trials": failed.len(),
         "failed_remarks": failed_remarks,
-        "held": held.last().map(Trial::row).transpose()?,
+        "held": held.last().map(Trial::row),
     });
     joined([json!(shortest.case), own])
 }
@@ -244,7 +228,7 @@ fn held_in(trials: &[Trial]) -> String {
 }
 
 /// Medians over the rounds, and sums of what was counted.
-fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Result<Value> {
+fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Value {
     // Those of the first round that did not hold, or else of the last one.
     let failed = trials.iter().find(|trial| !trial.holds);
     let shown = failed.or(trials.last());

@@ -127,7 +127,7 @@ impl Trial {
         count >= trials
     }
 
-    pub fn row(&self) -> Result<Value> {
+    pub fn row(&self) -> Value {
         let own = json!({
             "period_ms": self.period_ms,
             "spin_us": self.spin_us,

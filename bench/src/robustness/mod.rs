@@ -17,12 +17,15 @@ use cdcr_controller::robot::{Obstacle, Shape};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
+pub use parts::parts;
+pub use tuning::knob;
+
 use crate::benchmark::Benchmark;
 use crate::chart::{Curve, Panel, Scale, sheet};
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
 use crate::interrupt;
 use crate::progress::Progress;
-use scenario::{Control, Scenario, Way};
+use scenario::{Control, Figure, Scenario, Way};
 
 const EXPLANATION: &str = "\
 <p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s; where a robot is said to go <em>through straight</em>, as many \
@@ -131,12 +134,8 @@ impl Benchmark for RobustnessOptions {
         if self.sweep {
             return tuning::run(self.only.as_deref(), RUN_S, progress);
         }
-        let mut dataset = Dataset {
-            name: "robustness",
-            heading: "Robots that are not their model",
-            explanation: EXPLANATION,
-            ..Dataset::default()
-        };
+        let mut dataset =
+            Dataset::new("robustness", "Robots that are not their model", EXPLANATION);
         let (mut rows, mut panels) = (Vec::<Value>::new(), Vec::<Panel>::new());
         let cases = self.cases();
         for (case, runs) in cases.iter().zip(self.all_runs(&cases, progress)?) {
@@ -167,10 +166,12 @@ impl Benchmark for RobustnessOptions {
             svg: sheet(&panels, 2, 420)?,
         });
         dataset.sheets.push(comparison(&rows));
-        dataset.sheets.push(parts::table(&rows));
+        dataset.sheets.push(parts(&rows));
         let title = "Robots that are not their model, on a figure eight";
-        let sheet = Sheet::new(&rows)?.key("scenarios").file("robustness");
-        dataset.sheets.push(sheet.table(title, &COLUMNS));
+        let sheet = Sheet::of(title, &COLUMNS, rows);
+        dataset
+            .sheets
+            .push(sheet.key("scenarios").file("robustness"));
         Ok(dataset)
     }
 }
@@ -302,16 +303,6 @@ pub fn comparison(rows: &[Value]) -> Sheet {
     Sheet::of(title, &COMPARISON, robots)
 }
 
-/// What each part of the controller is for, from the rows of a result.
-pub fn parts(rows: &[Value]) -> Sheet {
-    parts::table(rows)
-}
-
-/// What one knob of a sweep does, from the rows of its result.
-pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
-    tuning::table(knob, rows)
-}
-
 /// What a robot did with a controller, seed by seed.
 #[derive(Default)]
 struct Runs {
@@ -345,14 +336,15 @@ fn row(
     let rest_mm = at_rest(|rest| rest.error_mm);
     // None without an obstacle.
     let clearance_mm = clearances.reduce(f64::min).filter(|mm| mm.is_finite());
-    let targets = &scenario.targets;
-    let is_within = mean_mm <= targets.mean_mm
-        && worst_rms_mm <= targets.rms_mm
-        && settled_mm <= targets.settled_mm
-        && max_mm <= targets.max_mm
-        && rest_mm.unwrap_or(0.0) <= targets.rest_mm
-        && clearance_mm.unwrap_or(f64::INFINITY) >= targets.clearance_mm
-        && ideal_change.is_none_or(|ideal| rate_change <= targets.rate_change * ideal);
+    let is_within = scenario.is_reached(|figure| match figure {
+        Figure::Mean => mean_mm,
+        Figure::Rms => worst_rms_mm,
+        Figure::Settled => settled_mm,
+        Figure::Max => max_mm,
+        Figure::AtRest => rest_mm.unwrap_or(0.0),
+        Figure::RateChange => ideal_change.map_or(0.0, |ideal| rate_change / ideal),
+        Figure::Clearance => clearance_mm.unwrap_or(f64::INFINITY),
+    });
     // Nothing is wanted of a controller with a part switched off.
     let is_full = control == Control::Full;
     json!({
@@ -377,7 +369,7 @@ fn row(
         "following_error_mm": following_mm,
         // By how much the worst command is beyond a limit, as a share of that.
         "limit_excess": limit_excess,
-        "wanted": is_full.then(|| targets.text()),
+        "wanted": is_full.then(|| scenario.wanted()),
         "ok": is_full.then_some(is_within && limit_excess <= LIMIT_EXCESS_MAX),
     })
 }
@@ -390,13 +382,12 @@ fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: Control, run: &Fi
     let points = parts.map(|(part, errors_mm)| (time_s(part), most(errors_mm)));
     let curve = Curve::line(control.name(), points.collect(), control.colour());
     if control == Control::Full {
-        panels.push(Panel {
-            title: scenario.name.to_owned(),
-            x: "time [s]",
-            y: "error of the tip [mm]",
-            scale: Scale::Log { floor: 1e-3 },
-            curves: Vec::new(),
-        });
+        panels.push(Panel::new(
+            scenario.name,
+            ["time [s]", "error of the tip [mm]"],
+            Scale::Log { floor: 1e-3 },
+            Vec::new(),
+        ));
     }
     if let Some(panel) = panels.last_mut() {
         panel.curves.push(curve);

@@ -4,95 +4,37 @@ use serde_json::{Value, json};
 
 use crate::dataset::{Column, Sheet, number, word};
 
-/// A part that is switched off, the robot that shows it, and in which figure.
-struct Shown {
-    part: &'static str,
-    /// The controller without it.
-    without: &'static str,
-    robot: &'static str,
-    figure: &'static str,
-    key: &'static str,
-}
-
-const SHOWN: [Shown; 11] = [
-    Shown {
-        part: "filter of cables and bends",
-        without: "no filter",
-        robot: "30 µm of noise",
-        figure: "rate change rms, rad/s",
-        key: "rate_change_rms",
-    },
-    Shown {
-        part: "filter of the tip",
-        without: "no filter",
-        robot: "tip alone, 0.5 mm",
-        figure: "mean error, mm",
-        key: "mean_error_mm",
-    },
-    Shown {
-        part: "filter of the tip",
-        without: "no filter",
-        robot: "tip alone, 0.5 mm, 3 sections, through straight",
-        figure: "mean error, mm",
-        key: "mean_error_mm",
-    },
-    Shown {
-        part: "model of the motors",
-        without: "no actuator model",
-        robot: "lag 30 ms, delay 15 ms",
-        figure: "mean error, mm",
-        key: "mean_error_mm",
-    },
-    Shown {
-        part: "model of the play",
-        without: "no actuator model",
-        robot: "play of 0.5 mm",
-        figure: "mean error, mm",
-        key: "mean_error_mm",
-    },
-    Shown {
-        part: "offset of the tip",
-        without: "no tip",
-        robot: "wrong model",
-        figure: "settled error, mm",
-        key: "settled_error_mm",
-    },
-    Shown {
-        part: "that offset along the way",
-        without: "no offset along the way",
-        robot: "wrong model, spiral",
-        figure: "settled error, mm",
-        key: "settled_error_mm",
-    },
-    Shown {
-        part: "that offset along the way",
-        without: "no offset along the way",
-        robot: "wrong model, 5 % shorter",
-        figure: "settled error, mm",
-        key: "settled_error_mm",
-    },
-    Shown {
-        part: "weight on rates",
-        without: "no weight on rates",
-        robot: "laboratory",
-        figure: "largest rate at rest, rad/s",
-        key: "rest_rate_rad_s",
-    },
-    Shown {
-        part: "margin of the clearance",
-        without: "no margin",
-        robot: "5 % longer, ball",
-        figure: "least clearance, mm (safe distance 10)",
-        key: "min_clearance_mm",
-    },
-    Shown {
-        part: "all of it",
-        without: "first version",
-        robot: "slow",
-        figure: "mean error, mm",
-        key: "mean_error_mm",
-    },
+/// A part that is switched off, the controller without it, the robot that shows it, and the key of the figure.
+#[rustfmt::skip]
+const SHOWN: [[&str; 4]; 11] = [
+    ["filter of cables and bends", "no filter", "30 µm of noise", RATE_CHANGE],
+    ["filter of the tip", "no filter", "tip alone, 0.5 mm", MEAN],
+    ["filter of the tip", "no filter", "tip alone, 0.5 mm, 3 sections, through straight", MEAN],
+    ["model of the motors", "no actuator model", "lag 30 ms, delay 15 ms", MEAN],
+    ["model of the play", "no actuator model", "play of 0.5 mm", MEAN],
+    ["offset of the tip", "no tip", "wrong model", SETTLED],
+    ["that offset along the way", "no offset along the way", "wrong model, spiral", SETTLED],
+    ["that offset along the way", "no offset along the way", "wrong model, 5 % shorter", SETTLED],
+    ["weight on rates", "no weight on rates", "laboratory", REST_RATE],
+    ["margin of the clearance", "no margin", "5 % longer, ball", CLEARANCE],
+    ["all of it", "first version", "slow", MEAN],
 ];
+
+const MEAN: &str = "mean_error_mm";
+const SETTLED: &str = "settled_error_mm";
+const RATE_CHANGE: &str = "rate_change_rms";
+const REST_RATE: &str = "rest_rate_rad_s";
+const CLEARANCE: &str = "min_clearance_mm";
+
+fn figure(key: &str) -> &'static str {
+    match key {
+        SETTLED => "settled error, mm",
+        RATE_CHANGE => "rate change rms, rad/s",
+        REST_RATE => "largest rate at rest, rad/s",
+        CLEARANCE => "least clearance, mm (safe distance 10)",
+        _ => "mean error, mm",
+    }
+}
 
 const COLUMNS: [Column; 5] = [
     word("part", "part"),
@@ -102,21 +44,20 @@ const COLUMNS: [Column; 5] = [
     word("without", "without"),
 ];
 
-/// From the rows of a result, position interface; what they do not have is left out.
-pub(super) fn table(rows: &[Value]) -> Sheet {
-    let rows = SHOWN.iter().filter_map(|shown| {
+/// What each part of the controller is for, from the rows of a result, position interface; what they do not have is left out.
+pub fn parts(rows: &[Value]) -> Sheet {
+    let rows = SHOWN.into_iter().filter_map(|[part, without, robot, key]| {
         let of = |controller: &str| {
             let mut rows = rows.iter().filter(|row| row["interface"] == "position");
-            let row =
-                rows.find(|row| row["name"] == shown.robot && row["controller"] == controller)?;
-            number(row, shown.key)
+            let row = rows.find(|row| row["name"] == robot && row["controller"] == controller)?;
+            Some(text(number(row, key)?))
         };
         Some(json!({
-            "part": shown.part,
-            "robot": shown.robot,
-            "figure": shown.figure,
-            "with": text(of("full")?),
-            "without": text(of(shown.without)?),
+            "part": part,
+            "robot": robot,
+            "figure": figure(key),
+            "with": of("full")?,
+            "without": of(without)?,
         }))
     });
     let title =

@@ -8,6 +8,7 @@ use plotters::style::RGBColor;
 
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, SKY};
 use crate::named::named;
+use Figure::{AtRest, Clearance, Max, Mean, RateChange, Rms, Settled};
 
 /// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches
 /// \[mm\]: docs/robustness.md.
@@ -93,57 +94,24 @@ pub(super) struct Scenario {
     pub(super) ball_x_m: Option<f64>,
     /// It is sent somewhere and shall stay there, too.
     pub(super) rests: bool,
-    pub(super) targets: Targets,
+    /// Figures and their bounds; beside them, every command within its limits.
+    targets: Vec<(Figure, f64)>,
 }
 
-/// The largest value that is wanted of each figure; infinite where none is.
+/// What something may be wanted of.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Targets {
-    pub(super) mean_mm: f64,
-    pub(super) rms_mm: f64,
+pub(super) enum Figure {
+    Mean,
+    Rms,
     /// Mean error of the second half.
-    pub(super) settled_mm: f64,
-    pub(super) max_mm: f64,
+    Settled,
+    Max,
     /// Largest error of a robot that is sent somewhere and shall stay there.
-    pub(super) rest_mm: f64,
+    AtRest,
     /// Root mean square of what the rates change by, over that of the ideal robot.
-    pub(super) rate_change: f64,
-    /// The **least** clearance of the true body that is wanted.
-    pub(super) clearance_mm: f64,
-}
-
-impl Targets {
-    pub(super) const NONE: Self = Self {
-        mean_mm: f64::INFINITY,
-        rms_mm: f64::INFINITY,
-        settled_mm: f64::INFINITY,
-        max_mm: f64::INFINITY,
-        rest_mm: f64::INFINITY,
-        rate_change: f64::INFINITY,
-        clearance_mm: f64::NEG_INFINITY,
-    };
-
-    pub(super) fn text(&self) -> String {
-        let all = [
-            ("mean", self.mean_mm, "mm"),
-            ("rms", self.rms_mm, "mm"),
-            ("settled", self.settled_mm, "mm"),
-            ("max", self.max_mm, "mm"),
-            ("at rest", self.rest_mm, "mm"),
-            ("rate change", self.rate_change, "× ideal"),
-        ];
-        let finite = all.into_iter().filter(|(_, most, _)| most.is_finite());
-        let mut wanted: Vec<String> = finite
-            .map(|(name, most, unit)| format!("{name} ≤ {most} {unit}"))
-            .collect();
-        if self.clearance_mm.is_finite() {
-            wanted.push(format!("clearance ≥ {} mm", self.clearance_mm));
-        }
-        if wanted.is_empty() {
-            return "within limits".to_owned();
-        }
-        wanted.join(", ")
-    }
+    RateChange,
+    /// Of the true body; the only one that shall be large.
+    Clearance,
 }
 
 impl Scenario {
@@ -157,7 +125,7 @@ impl Scenario {
             way: Way::Eight,
             ball_x_m: None,
             rests: false,
-            targets: Targets::NONE,
+            targets: Vec::new(),
         }
     }
 
@@ -165,8 +133,33 @@ impl Scenario {
         Self { sensor, ..self }
     }
 
-    fn wants(self, targets: Targets) -> Self {
+    fn wants(self, targets: &[(Figure, f64)]) -> Self {
+        let targets = targets.to_vec();
         Self { targets, ..self }
+    }
+
+    pub(super) fn is_reached(&self, found: impl Fn(Figure) -> f64) -> bool {
+        let mut targets = self.targets.iter();
+        targets.all(|&(figure, bound)| match figure {
+            Clearance => found(figure) >= bound,
+            _ => found(figure) <= bound,
+        })
+    }
+
+    pub(super) fn wanted(&self) -> String {
+        let targets = self.targets.iter().map(|(figure, bound)| match figure {
+            Mean => format!("mean ≤ {bound} mm"),
+            Rms => format!("rms ≤ {bound} mm"),
+            Settled => format!("settled ≤ {bound} mm"),
+            Max => format!("max ≤ {bound} mm"),
+            AtRest => format!("at rest ≤ {bound} mm"),
+            RateChange => format!("rate change ≤ {bound} × ideal"),
+            Clearance => format!("clearance ≥ {bound} mm"),
+        });
+        if self.targets.is_empty() {
+            return "within limits".to_owned();
+        }
+        targets.collect::<Vec<_>>().join(", ")
     }
 
     /// In the order of the tables.
@@ -174,11 +167,7 @@ impl Scenario {
         let known = motors(0.015, 0.03);
         let lagging = |name, actuator| Self {
             actuator: known,
-            ..Self::new(name, with(|f| f.actuator = actuator)).wants(Targets {
-                mean_mm: 0.5,
-                max_mm: 2.0,
-                ..Targets::NONE
-            })
+            ..Self::new(name, with(|f| f.actuator = actuator)).wants(&[(Mean, 0.5), (Max, 2.0)])
         };
         let noisy_tip = |name, noise_m| {
             Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
@@ -200,19 +189,13 @@ impl Scenario {
             .sensor(Sensor::CablesAndTip { every: 2 })
         };
         let [spiral, lower] = [0.0, 0.06].map(|lower_m| Way::Spiral { lower_m });
-        let settled = Targets {
-            settled_mm: 0.2,
-            ..Targets::NONE
-        };
+        let settled = [(Settled, 0.2)];
         let play = with(|f| {
             f.actuator.play_m = 5e-4;
             f.noise_m = 3e-5;
             f.tip_noise_m = 3e-4;
         });
-        let mean = |mean_mm| Targets {
-            mean_mm,
-            ..Targets::NONE
-        };
+        let mean = |mean_mm| [(Mean, mean_mm)];
         let tip = |every| Sensor::CablesAndTip { every };
         let with_play = |name, play_m| Self {
             actuator: Actuator {
@@ -220,40 +203,32 @@ impl Scenario {
                 ..Actuator::IDEAL
             },
             rests: true,
-            ..Self::new(name, play).sensor(tip(1)).wants(Targets {
-                rest_mm: 0.3,
-                ..Targets::NONE
-            })
+            ..Self::new(name, play).sensor(tip(1)).wants(&[(AtRest, 0.3)])
         };
         vec![
             Self::new("ideal", Flaws::default()),
-            Self::new("30 µm of noise", with(|f| f.noise_m = 3e-5)).wants(Targets {
-                rms_mm: 0.15,
-                rate_change: 2.0,
-                ..Targets::NONE
-            }),
+            Self::new("30 µm of noise", with(|f| f.noise_m = 3e-5))
+                .wants(&[(Rms, 0.15), (RateChange, 2.0)]),
             lagging("lag 30 ms, delay 15 ms", known),
             lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
             lagging("lag 39 ms, delay 20 ms", motors(0.02, 0.039)),
-            wrong_model("wrong model", 0.05, Way::Eight).wants(settled),
-            wrong_model("wrong model, 5 % shorter", -0.05, Way::Eight).wants(settled),
-            wrong_model("wrong model, spiral", 0.05, spiral).wants(settled),
-            wrong_model("wrong model, 5 % shorter, lower spiral", -0.05, lower).wants(settled),
-            wrong_model("wrong model, 5 % shorter, spiral", -0.05, spiral).wants(Targets {
-                settled_mm: OUT_OF_REACH_MM + 0.2,
-                ..Targets::NONE
-            }),
+            wrong_model("wrong model", 0.05, Way::Eight).wants(&settled),
+            wrong_model("wrong model, 5 % shorter", -0.05, Way::Eight).wants(&settled),
+            wrong_model("wrong model, spiral", 0.05, spiral).wants(&settled),
+            wrong_model("wrong model, 5 % shorter, lower spiral", -0.05, lower).wants(&settled),
+            wrong_model("wrong model, 5 % shorter, spiral", -0.05, spiral)
+                .wants(&[(Settled, OUT_OF_REACH_MM + 0.2)]),
             with_play("play of 0.5 mm", 5e-4),
             with_play("play of 0.5 mm, known as 0.4", 4e-4),
             with_play("play of 0.5 mm, taken for 0.6", 6e-4),
-            noisy_tip("tip alone, 0.1 mm", 1e-4).wants(mean(0.1)),
-            noisy_tip("tip alone, 0.5 mm", 5e-4).wants(mean(0.25)),
-            straight(1, "tip alone, 0.1 mm, 1 section, through straight", 1e-4).wants(mean(0.1)),
-            straight(1, "tip alone, 0.5 mm, 1 section, through straight", 5e-4).wants(mean(0.25)),
-            straight(2, "tip alone, 0.1 mm, 2 sections, through straight", 1e-4).wants(mean(0.1)),
-            straight(2, "tip alone, 0.5 mm, 2 sections, through straight", 5e-4).wants(mean(0.25)),
-            straight(3, "tip alone, 0.1 mm, 3 sections, through straight", 1e-4).wants(mean(0.1)),
-            straight(3, "tip alone, 0.5 mm, 3 sections, through straight", 5e-4).wants(mean(0.25)),
+            noisy_tip("tip alone, 0.1 mm", 1e-4).wants(&mean(0.1)),
+            noisy_tip("tip alone, 0.5 mm", 5e-4).wants(&mean(0.25)),
+            straight(1, "tip alone, 0.1 mm, 1 section, through straight", 1e-4).wants(&mean(0.1)),
+            straight(1, "tip alone, 0.5 mm, 1 section, through straight", 5e-4).wants(&mean(0.25)),
+            straight(2, "tip alone, 0.1 mm, 2 sections, through straight", 1e-4).wants(&mean(0.1)),
+            straight(2, "tip alone, 0.5 mm, 2 sections, through straight", 5e-4).wants(&mean(0.25)),
+            straight(3, "tip alone, 0.1 mm, 3 sections, through straight", 1e-4).wants(&mean(0.1)),
+            straight(3, "tip alone, 0.5 mm, 3 sections, through straight", 5e-4).wants(&mean(0.25)),
         ]
         .into_iter()
         .chain(Self::longer_and_presets())
@@ -274,10 +249,7 @@ impl Scenario {
                 ball_x_m: Some(0.33),
                 ..Self::new("5 % longer, ball", longer)
                     .sensor(tip(2))
-                    .wants(Targets {
-                        clearance_mm: 9.9,
-                        ..Targets::NONE
-                    })
+                    .wants(&[(Clearance, 9.9)])
             },
             Self {
                 rests: true,

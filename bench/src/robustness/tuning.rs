@@ -29,26 +29,11 @@ const COLUMNS: [Column; 6] = [
     ),
 ];
 
-/// What can be turned, as a configuration has it.
-struct Knobs {
-    rate_weight: f64,
-    rate_change_weight: f64,
-    time_constant_ms: f64,
-}
-
-/// The preset `precise` of a daemon.
-const PRECISE: Knobs = Knobs {
-    rate_weight: 1e-10,
-    rate_change_weight: 0.0,
-    time_constant_ms: 300.0,
-};
-
-/// A knob: its key in a configuration, the values that it is turned to, and its head in pictures.
+/// A knob: its key in a configuration, its head in pictures, and the values that it is turned to.
 struct Knob {
     key: &'static str,
     head: &'static str,
     values: &'static [f64],
-    with: fn(f64) -> Knobs,
 }
 
 const KNOBS: [Knob; 3] = [
@@ -56,62 +41,38 @@ const KNOBS: [Knob; 3] = [
         key: "controller.rate_weight",
         head: "controller.rate_weight [m²/(rad/s)²]",
         values: &[0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5],
-        with: |rate_weight| Knobs {
-            rate_weight,
-            ..PRECISE
-        },
     },
     Knob {
         key: "controller.rate_change_weight",
         head: "controller.rate_change_weight [m²/(rad/s)²]",
         values: &[0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4],
-        with: |rate_change_weight| Knobs {
-            rate_change_weight,
-            ..PRECISE
-        },
     },
     Knob {
         key: "estimator.time_constant_ms",
         head: "estimator.time_constant_ms [ms]",
         values: &[0.0, 15.0, 30.0, 60.0, 100.0, 150.0, 300.0, 600.0, 1000.0],
-        with: |time_constant_ms| Knobs {
-            time_constant_ms,
-            ..PRECISE
-        },
     },
 ];
 
+/// Where each knob stands.
+type Turned = [f64; KNOBS.len()];
+
+/// The preset `precise` of a daemon.
+const PRECISE: Turned = [1e-10, 0.0, 300.0];
+
 /// The presets of a daemon, and what it has without one.
-const PRESETS: [(&str, Knobs); 4] = [
-    (
-        "none",
-        Knobs {
-            time_constant_ms: 150.0,
-            ..PRECISE
-        },
-    ),
+const PRESETS: [(&str, Turned); 4] = [
+    ("none", [1e-10, 0.0, 150.0]),
     ("precise", PRECISE),
-    (
-        "smooth",
-        Knobs {
-            rate_change_weight: 1e-5,
-            ..PRECISE
-        },
-    ),
-    (
-        "fast",
-        Knobs {
-            time_constant_ms: 60.0,
-            ..PRECISE
-        },
-    ),
+    ("smooth", [1e-10, 1e-5, 300.0]),
+    ("fast", [1e-10, 0.0, 60.0]),
 ];
 
 /// Those with `only` in their key, or all.
-fn knobs(only: Option<&str>) -> impl Iterator<Item = &'static Knob> {
-    KNOBS
-        .iter()
-        .filter(move |knob| only.is_none_or(|only| knob.key.contains(only)))
+fn knobs(only: Option<&str>) -> impl Iterator<Item = (usize, &'static Knob)> {
+    let is_meant =
+        move |(_, knob): &(usize, &Knob)| only.is_none_or(|only| knob.key.contains(only));
+    KNOBS.iter().enumerate().filter(is_meant)
 }
 
 /// Whether there is one; the presets are turned to always.
@@ -120,13 +81,16 @@ pub(super) fn is_any(only: Option<&str>) -> bool {
 }
 
 pub(super) fn count(only: Option<&str>) -> usize {
-    2 * (PRESETS.len() + knobs(only).map(|knob| knob.values.len()).sum::<usize>())
+    2 * (PRESETS.len()
+        + knobs(only)
+            .map(|(_, knob)| knob.values.len())
+            .sum::<usize>())
 }
 
 /// Turns the knobs with `only` in their key; a run takes about `run_s` \[s\].
 pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Result<Dataset> {
     let eight = FigureEight::new()?;
-    let mut row = |knob: &str, turned_to: String, value: Option<f64>, knobs: &Knobs| {
+    let mut row = |knob: &str, turned_to: String, value: Option<f64>, knobs: Turned| {
         interrupt::check()?;
         progress.begin(knob);
         let both = follow(&eight, knobs, Sensor::CablesAndTip { every: 2 })?;
@@ -143,10 +107,10 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
         }))
     };
     let (mut rows, mut panels) = (Vec::new(), Vec::new());
-    for (name, knobs) in &PRESETS {
-        rows.push(row("preset", (*name).to_owned(), None, knobs)?);
+    for (name, knobs) in PRESETS {
+        rows.push(row("preset", name.to_owned(), None, knobs)?);
     }
-    for knob in knobs(only) {
+    for (place, knob) in knobs(only) {
         let turned = knob.values.iter();
         let turned = turned.map(|value| {
             let is_small = *value > 0.0 && *value < 1e-3;
@@ -155,7 +119,9 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
             } else {
                 value.to_string()
             };
-            row(knob.key, text, Some(*value), &(knob.with)(*value))
+            let mut knobs = PRECISE;
+            knobs[place] = *value;
+            row(knob.key, text, Some(*value), knobs)
         });
         let turned: Vec<Value> = turned.collect::<Result<_>>()?;
         panels.extend(draw(knob, &turned));
@@ -171,26 +137,26 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
             svg: sheet(&panels, 2, 420)?,
         }],
         sheets: vec![
-            Sheet::new(&rows)?
+            Sheet::of("What the knobs do", &COLUMNS, rows)
                 .key("knobs")
-                .file("tuning")
-                .table("What the knobs do", &COLUMNS),
+                .file("tuning"),
         ],
         ..Dataset::default()
     })
 }
 
-fn follow(eight: &FigureEight, knobs: &Knobs, sensor: Sensor) -> Result<FigureEightRun> {
+fn follow(eight: &FigureEight, knobs: Turned, sensor: Sensor) -> Result<FigureEightRun> {
     let flaws = Preset::Laboratory.flaws();
+    let [rate_weight, rate_change_weight, time_constant_ms] = knobs;
     let settings = NmpcSettings {
-        rate_weight: knobs.rate_weight.into(),
-        rate_change_weight: knobs.rate_change_weight,
+        rate_weight: rate_weight.into(),
+        rate_change_weight,
         ..NmpcSettings::default()
     };
     let driven = Driven {
         flaws,
         actuator: flaws.actuator,
-        time_constant_s: 1e-3 * knobs.time_constant_ms,
+        time_constant_s: 1e-3 * time_constant_ms,
         obeys_positions: true,
         sensor,
         without: None,
@@ -211,13 +177,7 @@ fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
         curve("cables and tip", "rate_change_rms", BLUE),
         curve("cables only", "cables_rate_change_rms", ORANGE),
     ];
-    let panel = |y, scale, curves| Panel {
-        title: knob.key.to_owned(),
-        x: knob.head,
-        y,
-        scale,
-        curves,
-    };
+    let panel = |y, scale, curves| Panel::new(knob.key, [knob.head, y], scale, curves);
     [
         panel("error of the tip [mm]", Scale::LogAcross, error),
         panel(
@@ -228,8 +188,8 @@ fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
     ]
 }
 
-/// What was measured of one knob, from the rows of a result.
-pub(super) fn table(knob: &str, rows: &[Value]) -> Sheet {
+/// What one knob of a sweep does, from the rows of its result.
+pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
     let of = rows.iter().filter(|row| row["knob"] == knob).cloned();
     let mut columns = COLUMNS[1..].to_vec();
     if knob == "preset" {
@@ -261,14 +221,9 @@ mod tests {
 
     #[test]
     fn the_presets_are_those_of_the_daemon() {
-        for (name, knobs) in &PRESETS {
-            let values = [
-                knobs.rate_weight,
-                knobs.rate_change_weight,
-                knobs.time_constant_ms,
-            ];
+        for (name, knobs) in PRESETS {
             let keys = KNOBS.each_ref().map(|knob| knob.key);
-            assert_eq!(values, keys.map(|key| in_force(name, key)), "{name}");
+            assert_eq!(knobs, keys.map(|key| in_force(name, key)), "{name}");
         }
     }
 }

@@ -9,10 +9,9 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use nalgebra::Vector3;
-use serde::Serialize;
+use serde_json::{Value, json};
 
-use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
-use crate::metric::median;
+use crate::dataset::{Column, RoundTable, fixed, plain, word};
 use crate::named::named;
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
@@ -37,7 +36,7 @@ named! {
     }
 }
 
-pub const COLUMNS: [Column; 6] = [
+const COLUMNS: [Column; 6] = [
     word("measured", "sensed"),
     plain("cycles", "cycles"),
     fixed("estimate p50 µs", "estimate_p50_us", 2),
@@ -46,52 +45,24 @@ pub const COLUMNS: [Column; 6] = [
     fixed("both p50 µs", "both_p50_us", 2),
 ];
 
-/// One line: what is measured, and how long estimate and solve take.
-#[derive(Debug, Clone, Serialize)]
-pub struct Estimated {
-    pub sensed: Sensed,
-    pub cycles: u64,
-    pub estimate_p50_us: f64,
-    pub estimate_p99_us: f64,
-    pub solve_p50_us: f64,
-    pub both_p50_us: f64,
-}
+pub const TABLE: RoundTable = RoundTable {
+    key: "estimate",
+    file: "estimate",
+    title: "Time of the estimate and of the solve that follows it: three sections on the figure eight",
+    columns: &COLUMNS,
+    numbers: &[
+        ("p50", "µs", "estimate_p50_us"),
+        ("both/p50", "µs", "both_p50_us"),
+    ],
+    path: |row| format!("estimate/{}", row["sensed"].as_str().unwrap_or_default()),
+};
 
 /// Measures every kind for so many cycles.
-pub fn measure(cycles: u64) -> Result<Vec<Estimated>> {
+pub fn measure(cycles: u64) -> Result<Vec<Value>> {
     Sensed::ALL
         .iter()
         .map(|sensed| sensed.measure(cycles))
         .collect()
-}
-
-/// Adds what was measured in some rounds.
-pub fn add(dataset: &mut Dataset, rounds: &[Vec<Estimated>]) -> Result<()> {
-    let mut rows = Vec::new();
-    for (index, first) in rounds.first().into_iter().flatten().enumerate() {
-        let each = |value: fn(&Estimated) -> f64| rounds.iter().map(move |row| value(&row[index]));
-        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
-        rows.push(Estimated {
-            estimate_p50_us: middle(|row| row.estimate_p50_us),
-            estimate_p99_us: middle(|row| row.estimate_p99_us),
-            solve_p50_us: middle(|row| row.solve_p50_us),
-            both_p50_us: middle(|row| row.both_p50_us),
-            ..first.clone()
-        });
-        let name = format!("estimate/{}", first.sensed.name());
-        let p50 = each(|row| row.estimate_p50_us);
-        dataset.lower(format!("{name}/p50"), "µs", p50);
-        dataset.lower(
-            format!("{name}/both/p50"),
-            "µs",
-            each(|row| row.both_p50_us),
-        );
-    }
-    let sheet = Sheet::new(&rows)?.key("estimate").file("estimate");
-    let title =
-        "Time of the estimate and of the solve that follows it: three sections on the figure eight";
-    dataset.sheets.push(sheet.table(title, &COLUMNS));
-    Ok(())
 }
 
 impl Sensed {
@@ -128,7 +99,7 @@ impl Sensed {
         }
     }
 
-    fn measure(self, cycles: u64) -> Result<Estimated> {
+    fn measure(self, cycles: u64) -> Result<Value> {
         let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
         let settings = NmpcSettings::default();
         let mut nmpc = Nmpc::new(robot.clone(), FigureEight::PERIOD_S, settings)?;
@@ -171,14 +142,14 @@ impl Sensed {
                 }
             }
         }
-        Ok(Estimated {
-            sensed: self,
-            cycles,
-            estimate_p50_us: quantile_us(&estimates, 0.5),
-            estimate_p99_us: quantile_us(&estimates, 0.99),
-            solve_p50_us: quantile_us(&solves, 0.5),
-            both_p50_us: quantile_us(&both, 0.5),
-        })
+        Ok(json!({
+            "sensed": self,
+            "cycles": cycles,
+            "estimate_p50_us": quantile_us(&estimates, 0.5),
+            "estimate_p99_us": quantile_us(&estimates, 0.99),
+            "solve_p50_us": quantile_us(&solves, 0.5),
+            "both_p50_us": quantile_us(&both, 0.5),
+        }))
     }
 }
 
@@ -206,9 +177,16 @@ mod tests {
     #[test]
     fn both_take_as_long_as_each_of_them_or_longer() {
         for found in measure(200).expect("measured") {
-            println!("{found:?}");
-            assert!(found.estimate_p50_us > 0.0 && found.estimate_p50_us <= found.estimate_p99_us);
-            assert!(found.both_p50_us >= found.solve_p50_us.max(found.estimate_p50_us));
+            let us = |key: &str| found[key].as_f64().expect("a time");
+            let estimate_us = us("estimate_p50_us");
+            assert!(
+                estimate_us > 0.0 && estimate_us <= us("estimate_p99_us"),
+                "{found}"
+            );
+            assert!(
+                us("both_p50_us") >= us("solve_p50_us").max(estimate_us),
+                "{found}"
+            );
         }
     }
 }

@@ -7,10 +7,9 @@ use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotPar
 use cdcr_controller::safety::{SafeCommand, Situation, safe_command};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
-use serde::Serialize;
+use serde_json::{Value, json};
 
-use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
-use crate::metric::median;
+use crate::dataset::{Column, RoundTable, fixed, plain, word};
 use crate::named::named;
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
@@ -42,7 +41,7 @@ named! {
     }
 }
 
-pub const COLUMNS: [Column; 6] = [
+const COLUMNS: [Column; 6] = [
     word("obstacles", "crowd"),
     plain("moments", "moments"),
     fixed("p50 µs", "p50_us", 1),
@@ -51,64 +50,40 @@ pub const COLUMNS: [Column; 6] = [
     fixed("changed %", "changed_percent", 1),
 ];
 
-/// One line: the safety checks in one kind of crowd.
-#[derive(Debug, Clone, Serialize)]
-pub struct Guarded {
-    pub crowd: Crowd,
-    pub moments: u64,
-    pub p50_us: f64,
-    pub p99_us: f64,
-    pub max_us: f64,
-    /// Share of the commands that the clearance guard changed \[%\].
-    pub changed_percent: f64,
-}
+pub const TABLE: RoundTable = RoundTable {
+    key: "guard",
+    file: "guard",
+    title: "Time of the safety checks: six sections, 64 obstacles in reach",
+    columns: &COLUMNS,
+    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
+    path: |row| format!("guard/{}", row["crowd"].as_str().unwrap_or_default()),
+};
 
 /// Measures every kind of crowd in `moments` moments, the same ones in each round.
-pub fn measure(moments: u64) -> Result<Vec<Guarded>> {
+pub fn measure(moments: u64) -> Result<Vec<Value>> {
     Crowd::ALL
         .iter()
         .map(|crowd| crowd.measure(moments))
         .collect()
 }
 
-/// Adds what was measured in some rounds.
-pub fn add(dataset: &mut Dataset, rounds: &[Vec<Guarded>]) -> Result<()> {
-    let mut rows = Vec::new();
-    for (index, first) in rounds.first().into_iter().flatten().enumerate() {
-        let each = |value: fn(&Guarded) -> f64| rounds.iter().map(move |row| value(&row[index]));
-        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
-        rows.push(Guarded {
-            p50_us: middle(|row| row.p50_us),
-            p99_us: middle(|row| row.p99_us),
-            max_us: middle(|row| row.max_us),
-            ..first.clone()
-        });
-        let name = format!("guard/{}", first.crowd.name());
-        dataset.lower(format!("{name}/p50"), "µs", each(|row| row.p50_us));
-        dataset.lower(format!("{name}/p99"), "µs", each(|row| row.p99_us));
-    }
-    let sheet = Sheet::new(&rows)?.key("guard").file("guard");
-    let title = "Time of the safety checks: six sections, 64 obstacles in reach";
-    dataset.sheets.push(sheet.table(title, &COLUMNS));
-    Ok(())
-}
-
 impl Crowd {
-    fn measure(self, moments: u64) -> Result<Guarded> {
+    fn measure(self, moments: u64) -> Result<Value> {
         let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
         let (mut times, mut changed) = (histogram()?, 0);
         for seed in 0..moments {
             let command = self.moment(&robot, seed)?.measure(&robot, &mut times);
             changed += u64::from(command.clearance_hit);
         }
-        Ok(Guarded {
-            crowd: self,
-            moments,
-            p50_us: quantile_us(&times, 0.5),
-            p99_us: quantile_us(&times, 0.99),
-            max_us: quantile_us(&times, 1.0),
-            changed_percent: 100.0 * changed as f64 / moments as f64,
-        })
+        Ok(json!({
+            "crowd": self,
+            "moments": moments,
+            "p50_us": quantile_us(&times, 0.5),
+            "p99_us": quantile_us(&times, 0.99),
+            "max_us": quantile_us(&times, 1.0),
+            // Share of the commands that the clearance guard changed.
+            "changed_percent": 100.0 * changed as f64 / moments as f64,
+        }))
     }
 
     fn moment(self, robot: &Robot, seed: u64) -> Result<Moment> {
@@ -216,8 +191,9 @@ mod tests {
             let moving = moment.obstacles.iter().filter(moving).count();
             assert!(moving == 0 || moving == OBSTACLES);
             let found = crowd.measure(20).expect("measured");
-            assert!(found.p50_us > 0.0 && found.p50_us <= found.p99_us);
-            assert!(found.changed_percent > 50.0, "{found:?}");
+            let [p50, p99, changed] =
+                ["p50_us", "p99_us", "changed_percent"].map(|key| found[key].as_f64().expect(key));
+            assert!(p50 > 0.0 && p50 <= p99 && changed > 50.0, "{found}");
         }
     }
 }

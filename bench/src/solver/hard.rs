@@ -8,12 +8,11 @@ use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{ReferenceSample, ReferenceState};
 use cdcr_controller::robot::BendRates;
 use nalgebra::Vector3;
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::Size;
-use crate::dataset::{Column, Dataset, Sheet, fixed, plain, power, word};
+use crate::dataset::{Column, RoundTable, fixed, plain, power, word};
 use crate::experiment::{Solver, Task};
-use crate::metric::median;
 use crate::quantiles::{histogram, quantile_us};
 
 /// Steps of the horizon, each with rates of its own.
@@ -26,7 +25,7 @@ const OBSTACLES: [usize; 2] = [0, 16];
 /// Cycles at most, at half the spiral's time.
 const CYCLES_MAX: u64 = 400;
 
-pub const COLUMNS: [Column; 9] = [
+const COLUMNS: [Column; 9] = [
     word("solver", "solver"),
     plain("speed", "speed"),
     plain("obstacles", "obstacles"),
@@ -38,119 +37,88 @@ pub const COLUMNS: [Column; 9] = [
     fixed("cut short %", "cut_short_percent", 1),
 ];
 
-/// One line: a solver and its problem. The robot does what is planned: no guard corrects it.
-#[derive(Debug, Clone, Serialize)]
-pub struct Hard {
-    pub solver: Solver,
-    /// Times the speed of the paper's spiral.
-    pub speed: u32,
-    pub obstacles: usize,
-    pub mean_error_mm: f64,
-    pub max_error_mm: f64,
-    /// Smallest clearance on the way, less the safe distance \[mm\]; none without obstacles.
-    pub spare_clearance_mm: Option<f64>,
-    pub p50_us: f64,
-    pub p99_us: f64,
-    /// Solves that their budget ended \[%\].
-    pub cut_short_percent: f64,
-}
+pub const TABLE: RoundTable = RoundTable {
+    key: "hard",
+    file: "hard",
+    title: "Long horizons by a deadline: 3 sections, 20 steps, 4.5 ms a solve, no guard",
+    columns: &COLUMNS,
+    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
+    path: |row| {
+        let solver = row["solver"].as_str().unwrap_or_default();
+        format!(
+            "hard/{solver}/{}-times/{}-obstacles",
+            row["speed"], row["obstacles"]
+        )
+    },
+};
 
 /// Measures every problem with the solvers that refine.
-pub fn measure() -> Result<Vec<Hard>> {
+pub fn measure() -> Result<Vec<Value>> {
     let mut rows = Vec::new();
     for solver in [Solver::GaussNewton, Solver::KpsoRefined] {
         for obstacles in OBSTACLES {
             for speed in SPEEDS {
-                rows.push(Hard::measure(solver, speed, obstacles)?);
+                rows.push(solve(solver, speed, obstacles)?);
             }
         }
     }
     Ok(rows)
 }
 
-/// Adds what was measured in some rounds.
-pub fn add(dataset: &mut Dataset, rounds: &[Vec<Hard>]) -> Result<()> {
-    let mut rows = Vec::new();
-    for (index, first) in rounds.first().into_iter().flatten().enumerate() {
-        let each = |value: fn(&Hard) -> f64| rounds.iter().map(move |row| value(&row[index]));
-        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
-        let name = format!(
-            "hard/{}/{}-times/{}-obstacles",
-            first.solver.name(),
-            first.speed,
-            first.obstacles
-        );
-        dataset.lower(format!("{name}/p50"), "µs", each(|row| row.p50_us));
-        dataset.lower(format!("{name}/p99"), "µs", each(|row| row.p99_us));
-        rows.push(Hard {
-            mean_error_mm: middle(|row| row.mean_error_mm),
-            max_error_mm: middle(|row| row.max_error_mm),
-            p50_us: middle(|row| row.p50_us),
-            p99_us: middle(|row| row.p99_us),
-            cut_short_percent: middle(|row| row.cut_short_percent),
-            ..first.clone()
-        });
-    }
-    let sheet = Sheet::new(&rows)?.key("hard").file("hard");
-    let title = "Long horizons by a deadline: 3 sections, 20 steps, 4.5 ms a solve, no guard";
-    dataset.sheets.push(sheet.table(title, &COLUMNS));
-    Ok(())
-}
-
-impl Hard {
-    fn measure(solver: Solver, speed: u32, obstacles: usize) -> Result<Self> {
-        let size = Size {
-            horizon: HORIZON,
-            obstacles,
-            ..Size::paper(Task::Spiral { sections: 3 }, solver)
+/// At so many times the speed of the paper's spiral. The robot does what is planned: no guard corrects it.
+fn solve(solver: Solver, speed: u32, obstacles: usize) -> Result<Value> {
+    let size = Size {
+        horizon: HORIZON,
+        obstacles,
+        ..Size::paper(Task::Spiral { sections: 3 }, solver)
+    };
+    let (scene, settings) = (size.scene()?, size.settings());
+    let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
+    let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
+    let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
+    let (mut times, mut errors_mm) = (histogram()?, Vec::new());
+    let (mut spare_m, mut cut_short) = (f64::INFINITY, 0_u64);
+    let cycles = (size.task.scene()?.cycles / u64::from(speed)).min(CYCLES_MAX);
+    for cycle in 0..cycles {
+        let window: Vec<_> = (1..=u64::from(HORIZON))
+            .map(|step| sample(scene.curve.position_m(at_s(cycle + step))))
+            .collect();
+        let input = SolveInput {
+            configuration: &at,
+            previous_rates: &previous_rates,
+            reference: &window,
+            obstacles: &scene.obstacles,
+            tip_offset_m: 0.0,
+            elapsed_periods: 1,
+            seed: cycle,
         };
-        let (scene, settings) = (size.scene()?, size.settings());
-        let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-        let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
-        let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
-        let (mut times, mut errors_mm) = (histogram()?, Vec::new());
-        let (mut spare_m, mut cut_short) = (f64::INFINITY, 0_u64);
-        let cycles = (size.task.scene()?.cycles / u64::from(speed)).min(CYCLES_MAX);
-        for cycle in 0..cycles {
-            let window: Vec<_> = (1..=u64::from(HORIZON))
-                .map(|step| sample(scene.curve.position_m(at_s(cycle + step))))
-                .collect();
-            let input = SolveInput {
-                configuration: &at,
-                previous_rates: &previous_rates,
-                reference: &window,
-                obstacles: &scene.obstacles,
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
-                seed: cycle,
-            };
-            let begin = Instant::now();
-            let budget = Duration::from_secs_f64(1e-3 * BUDGET_MS);
-            let mut is_spent = || begin.elapsed() >= budget;
-            let (rates, report) = nmpc.solve(&input, &mut Budget::new(&mut is_spent));
-            times.saturating_record(begin.elapsed().as_nanos() as u64);
-            cut_short += u64::from(report.budget_spent);
-            at = at.advanced(&rates, scene.period_s);
-            previous_rates = rates;
-            let goal_m = window[0].position_m;
-            errors_mm.push(1e3 * (scene.robot.tip_position(&at) - goal_m).norm());
-            let body = scene.robot.body(&at);
-            let clearance_m = body.least_clearance_m(scene.obstacles.iter().copied());
-            spare_m = spare_m.min(clearance_m - settings.safe_distance_m);
-        }
-        let count = errors_mm.len() as f64;
-        Ok(Self {
-            solver,
-            speed,
-            obstacles,
-            mean_error_mm: errors_mm.iter().sum::<f64>() / count,
-            max_error_mm: errors_mm.iter().copied().fold(0.0, f64::max),
-            spare_clearance_mm: spare_m.is_finite().then_some(1e3 * spare_m),
-            p50_us: quantile_us(&times, 0.5),
-            p99_us: quantile_us(&times, 0.99),
-            cut_short_percent: 100.0 * cut_short as f64 / count,
-        })
+        let begin = Instant::now();
+        let budget = Duration::from_secs_f64(1e-3 * BUDGET_MS);
+        let mut is_spent = || begin.elapsed() >= budget;
+        let (rates, report) = nmpc.solve(&input, &mut Budget::new(&mut is_spent));
+        times.saturating_record(begin.elapsed().as_nanos() as u64);
+        cut_short += u64::from(report.budget_spent);
+        at = at.advanced(&rates, scene.period_s);
+        previous_rates = rates;
+        let goal_m = window[0].position_m;
+        errors_mm.push(1e3 * (scene.robot.tip_position(&at) - goal_m).norm());
+        let body = scene.robot.body(&at);
+        let clearance_m = body.least_clearance_m(scene.obstacles.iter().copied());
+        spare_m = spare_m.min(clearance_m - settings.safe_distance_m);
     }
+    let count = errors_mm.len() as f64;
+    Ok(json!({
+        "solver": solver,
+        "speed": speed,
+        "obstacles": obstacles,
+        "mean_error_mm": errors_mm.iter().sum::<f64>() / count,
+        "max_error_mm": errors_mm.iter().copied().fold(0.0, f64::max),
+        // Smallest clearance on the way, less the safe distance.
+        "spare_clearance_mm": spare_m.is_finite().then_some(1e3 * spare_m),
+        "p50_us": quantile_us(&times, 0.5),
+        "p99_us": quantile_us(&times, 0.99),
+        "cut_short_percent": 100.0 * cut_short as f64 / count,
+    }))
 }
 
 fn sample(position_m: [f64; 3]) -> ReferenceSample {

@@ -12,13 +12,11 @@ use cdcr_scratch::Scratch;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
+use crate::{program, stderr};
+
 fn command(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"));
-    command
-        .args(["all", "--quick", "--out"])
-        .arg(folder)
-        .args(arguments)
-        .stdin(Stdio::null());
+    let mut command = program(&["all", "--quick", "--out"]);
+    command.arg(folder).args(arguments).stdin(Stdio::null());
     command
 }
 
@@ -55,7 +53,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let place = Scratch::temporary().expect("a folder");
     let folder = place.path().join("report");
     let found = all(&folder, &["--only", "solver,budget", "--rounds", "2"]);
-    let errors = String::from_utf8_lossy(&found.stderr);
+    let errors = stderr(&found);
     assert!(found.status.success(), "{errors}");
     assert!(errors.contains("written into"), "{errors}");
     let summary = String::from_utf8(found.stdout).expect("a text");
@@ -105,7 +103,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     // A report of less stays beside it.
     let before = fs::read(folder.join("report.json")).expect("the report");
     let found = all(&folder, &["--only", "budget"]);
-    let errors = String::from_utf8_lossy(&found.stderr);
+    let errors = stderr(&found);
     assert!(found.status.success(), "{errors}");
     assert!(
         errors.contains("with solver, which this one lacks"),
@@ -199,8 +197,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
         "--load=none",
         "--setup=ordinary",
     ];
-    let mut child = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .args(arguments)
+    let mut child = program(&arguments)
         .env("TMPDIR", place.path())
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -226,7 +223,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
         kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
     }
     let output = child.wait_with_output().expect("it ends");
-    let errors = String::from_utf8_lossy(&output.stderr);
+    let errors = stderr(&output);
     assert!(!has_ended, "no daemon was seen: {errors}");
     assert!(!folders.is_empty(), "{errors}");
 
@@ -243,7 +240,7 @@ fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
     let file = folder.path().join("file");
     fs::write(&file, "").expect("written");
     let found = all(&file.join("inside"), &["--only", "budget"]);
-    let errors = String::from_utf8_lossy(&found.stderr);
+    let errors = stderr(&found);
     assert!(
         errors.contains("cannot make the folder") && errors.contains("inside"),
         "{errors}"
@@ -251,7 +248,7 @@ fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
 
     let place = Scratch::temporary().expect("a folder");
     let found = all(place.path(), &["--config", "nowhere.toml"]);
-    let errors = String::from_utf8_lossy(&found.stderr);
+    let errors = stderr(&found);
     assert_eq!(found.status.code(), Some(1));
     assert!(errors.contains("no file nowhere.toml"), "{errors}");
 }
@@ -265,7 +262,7 @@ fn a_benchmark_that_fails_does_not_lose_the_others() {
     let folder = place.path().join("report");
     let arguments = ["--only", "deadline,budget", "--config", &config];
     let found = all(&folder, &arguments);
-    let errors = String::from_utf8_lossy(&found.stderr);
+    let errors = stderr(&found);
     assert_eq!(found.status.code(), Some(1), "{errors}");
     assert!(
         errors.contains("1 of 2 benchmarks failed: deadline"),

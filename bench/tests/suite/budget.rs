@@ -1,20 +1,16 @@
 //! What `cdcr-bench budget` hands over, from a few solves.
 
-use std::process::Command;
-
 use cdcr_bench::budget::BUDGETS_US;
 use serde_json::Value;
+
+use crate::{printed, program};
 
 const CASES: [&str; 3] = ["default", "tip-axis", "obstacles"];
 
 fn run(format: &str) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .args(["budget", "--solves", "5", "--format", format])
-        .output()
-        .expect("the program runs");
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    String::from_utf8(output.stdout).expect("a text")
+    printed(&mut program(&[
+        "budget", "--solves", "5", "--format", format,
+    ]))
 }
 
 #[test]

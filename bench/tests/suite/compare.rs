@@ -1,18 +1,16 @@
 //! What `cdcr-bench compare` says of two files, and of files that are none.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
+use crate::{program, stderr};
+
 fn compare(arguments: &[&str], files: [&Path; 2]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .arg("compare")
-        .args(files)
-        .args(arguments)
-        .output()
-        .expect("the program runs")
+    let mut command = program(&["compare"]);
+    command.args(files).args(arguments).output().unwrap()
 }
 
 /// A result with these numbers, five times, so that more of them move than chance moves, or once.
@@ -79,13 +77,13 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
     ] {
         std::fs::write(&bad, text).expect("written");
         let found = compare(&[], [&good, &bad]);
-        let errors = String::from_utf8_lossy(&found.stderr);
+        let errors = stderr(&found);
         assert_eq!(found.status.code(), Some(1), "{text}");
         let words = ["bad.json is no result of cdcr-bench", "\"metrics\""];
         assert!(words.iter().all(|words| errors.contains(words)), "{errors}");
     }
     let found = compare(&[], [&folder.path().join("missing.json"), &good]);
-    let errors = String::from_utf8_lossy(&found.stderr);
+    let errors = stderr(&found);
     assert!(
         errors.contains("cannot read") && errors.contains("missing.json"),
         "{errors}"

@@ -1,11 +1,12 @@
 //! What `cdcr-bench deadline` hands over, from a few seconds of real processes.
 
 use std::path::Path;
-use std::process::Command;
 
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
 use serde_json::Value;
+
+use crate::{printed_json, program};
 
 /// Whether this user may have real-time threads; if not, only a part can be measured.
 fn is_realtime() -> bool {
@@ -72,14 +73,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
         setup,
         "--out",
     ];
-    let output = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .args(arguments)
-        .arg(folder.path())
-        .output()
-        .expect("the program runs");
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    let document: Value = serde_json::from_slice(&output.stdout).expect("one object");
+    let document = printed_json(program(&arguments).arg(folder.path()));
 
     let cases = document["cases"].as_array().expect("a list");
     for case in cases {

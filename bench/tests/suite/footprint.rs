@@ -1,15 +1,16 @@
 //! What `cdcr-bench footprint` hands over, from one daemon for a moment.
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 
+use crate::{program, stderr};
+
 fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {
-    let child = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .args(args)
+    let child = program(args)
         .env("TMPDIR", temporary)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -39,8 +40,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
         "json",
     ];
     let (process, output) = bench(folder.path(), &args);
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
+    assert!(output.status.success(), "{}", stderr(&output));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
 
     let rounds = document["rounds"].as_array().unwrap();

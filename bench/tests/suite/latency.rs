@@ -10,14 +10,11 @@ use cdcr_bench::latency::baseline::PEER;
 use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
-use serde_json::Value;
+
+use crate::{printed_json, program, stderr};
 
 /// How long a process may take: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(20);
-
-fn program() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-}
 
 /// Two rounds: each leg has its samples, and its parts make the whole.
 #[test]
@@ -68,14 +65,8 @@ fn every_way_is_measured_in_every_round() {
 
 #[test]
 fn the_program_takes_another_period() {
-    let output = program()
-        .args(["latency", "--rounds", "1", "--samples", "5"])
-        .args(["--period", "10ms", "--format", "json"])
-        .output()
-        .unwrap();
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut command = program(&["latency", "--rounds", "1", "--samples", "5"]);
+    let json = printed_json(command.args(["--period", "10ms", "--format", "json"]));
     assert_eq!(json["setting"]["period_us"], 10_000.0);
     assert_eq!(json["legs"].as_array().map(Vec::len), Some(Leg::ALL.len()));
     assert_eq!(json["targets"][0]["limit_us"], 10_100.0);
@@ -83,16 +74,8 @@ fn the_program_takes_another_period() {
 
 /// A peer at `place` whose parent is, so it is told, the process `parent`.
 fn start_peer(place: &Place, parent: &str) -> Child {
-    program()
-        .args([
-            PEER,
-            "--prefix",
-            place.location().prefix(),
-            "--core",
-            "0",
-            "--shares",
-            "--root",
-        ])
+    program(&[PEER, "--core", "0", "--shares"])
+        .args(["--prefix", place.location().prefix(), "--root"])
         .arg(place.location().root())
         .args(["--parent", parent])
         .stderr(Stdio::piped())
@@ -113,7 +96,7 @@ fn a_peer_is_only_its_parents() {
     let place = Place::new().unwrap();
     let output = start_peer(&place, "0").wait_with_output().unwrap();
     assert!(!output.status.success());
-    assert!(String::from_utf8_lossy(&output.stderr).contains("the parent has ended"));
+    assert!(stderr(&output).contains("the parent has ended"));
     assert!(place.memory_files().is_empty());
 }
 

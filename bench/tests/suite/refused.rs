@@ -1,6 +1,6 @@
 //! What makes no sense is refused, with a reason, before anything is measured.
 
-use std::process::Command;
+use crate::{program, stderr};
 
 /// What is asked, and words of the answer.
 const REFUSED: &str = "\
@@ -26,9 +26,8 @@ footprint --quick --rounds 2 => cannot be used with
 fn what_cannot_be_measured_is_refused_with_a_reason() {
     for line in REFUSED.lines() {
         let (arguments, reason) = line.split_once(" => ").unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"));
-        let output = command.args(arguments.split(' ')).output().unwrap();
-        let errors = String::from_utf8_lossy(&output.stderr);
+        let output = program(&[]).args(arguments.split(' ')).output().unwrap();
+        let errors = stderr(&output);
         assert!(!output.status.success(), "{arguments}");
         assert!(errors.contains(reason), "{arguments}: {errors}");
     }

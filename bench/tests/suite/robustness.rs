@@ -1,20 +1,10 @@
 //! What `cdcr-bench robustness` hands over, from one seed, and what was committed of it.
 
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 
-/// What the program prints as JSON.
-fn printed(arguments: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .args(["robustness", "--format", "json"])
-        .args(arguments)
-        .output()
-        .expect("the program runs");
-    assert!(output.status.success());
-    serde_json::from_slice(&output.stdout).expect("one object")
-}
+use crate::{printed_json, program};
 
 fn list(document: &Value, key: &str) -> Vec<Value> {
     document[key].as_array().expect(key).clone()
@@ -42,7 +32,8 @@ fn of_today(arguments: &[&str], only: &str) -> Value {
         Some(_) => &[],
         None => &["--only", only],
     };
-    printed(&[arguments, part].concat())
+    let mut command = program(&["robustness", "--format", "json"]);
+    printed_json(command.args(arguments).args(part))
 }
 
 #[test]

@@ -151,5 +151,5 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l prefix -d
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l root -d 'Root folder of iceoryx2' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l parent -d 'The process that started it' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l core -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l shares -d 'Both processes are on one core'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l shares -d 'Both processes are on one core: let the other one run'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -s h -l help -d 'Print help'
