@@ -45,7 +45,13 @@ struct PlayModel {
     motors: Slack,
     /// Of motors that have come to where the commands lead them.
     led: Slack,
+    /// What measurements of the motors moved the cables by, but was not believed: they stand within a band.
+    held: Slack,
 }
+
+/// The band as a share of the play. A motor that turns round for noise of the cables runs through all of its play, and as not all cables are taken
+/// along at once, the tip swings farther than the noise.
+const HELD: f64 = 0.1;
 
 /// Rates that were commanded for a time.
 #[derive(Debug, Clone, Copy)]
@@ -90,6 +96,7 @@ impl ActuatorModel {
             robot: robot.clone(),
             motors: middle,
             led: middle,
+            held: Slack::middle(HELD * self.actuator.play_m),
         });
         self
     }
@@ -98,13 +105,29 @@ impl ActuatorModel {
     pub(super) fn cables_led(&self, at: &Configuration) -> Configuration {
         let mut cables = *at;
         if let Some(play) = &self.play {
-            add(
-                cables.as_mut_slice(),
-                play.led.bends(&play.robot).as_slice(),
-                1.0,
-            );
+            for slack in [&play.led, &play.held] {
+                add(
+                    cables.as_mut_slice(),
+                    slack.bends(&play.robot).as_slice(),
+                    1.0,
+                );
+            }
         }
         cables
+    }
+
+    /// Measurements say that the motors are led elsewhere, by `moved`: the cables follow only beyond the band.
+    pub(super) fn hold(&mut self, moved: &Configuration) {
+        if let Some(play) = &mut self.play {
+            play.held = play.held.moved(&play.robot, moved);
+        }
+    }
+
+    /// The cables are where the measurements say.
+    pub(super) fn let_go(&mut self) {
+        if let Some(play) = &mut self.play {
+            play.held = Slack::middle(play.held.play_m());
+        }
     }
 
     /// What of the play is taken where the commands lead; `None`: there is none.
@@ -188,6 +211,10 @@ impl ActuatorModel {
             }
             add(&mut way_rad, past.rates.as_slice(), part_s);
             left_s -= part_s;
+        }
+        if let Some(play) = &self.play {
+            let held = play.held.bends(&play.robot);
+            add(&mut slack_rad, held.as_slice(), 1.0);
         }
         WayLeft { way_rad, slack_rad }
     }

@@ -159,6 +159,8 @@ impl Estimator {
     /// The tip is where the bends place it, until it is measured again.
     pub fn forget_tip_offset(&mut self) {
         self.tip_offset = self.tip_offset.forgotten();
+        self.motors.let_go();
+        self.led = self.motors.cables_led(self.motors());
     }
 
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
@@ -205,9 +207,14 @@ impl Estimator {
             _ => 1.0,
         };
         let mut before = self.measured;
+        let led = *self.motors();
         for stage in &mut self.stages {
             *stage = towards(stage, &before, gain);
             before = *stage;
+        }
+        if self.tip_offset.is_measured() {
+            // The sensor of the tip makes up for what is not believed of them.
+            self.motors.hold(&moved(&led, &before));
         }
         self.led = self.motors.cables_led(self.motors());
         if self.tip_offset.is_measured() {
@@ -224,8 +231,18 @@ impl Estimator {
         let then = way.cables(&way.back_from(self.motors()));
         let placed_m = robot.tip_position(&then);
         self.tip_offset.follow(&robot.tip_position(&self.led));
-        self.tip_offset.correct(position_m, &placed_m)
+        let has_play = self.motors.slack_led().is_some();
+        self.tip_offset.correct(position_m, &placed_m, has_play)
     }
+}
+
+/// The way from one to the other.
+fn moved(from: &Configuration, to: &Configuration) -> Configuration {
+    let mut way = *to;
+    for (way, from) in way.as_mut_slice().iter_mut().zip(from.as_slice()) {
+        *way -= from;
+    }
+    way
 }
 
 /// `from`, moved by a part `gain` of the way to `to`.

@@ -73,7 +73,7 @@ impl Slack {
 #[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
-    use crate::estimator::{Actuator, Estimator};
+    use crate::estimator::{Actuator, Estimator, Measurement};
     use crate::plant::{Flaws, MisbehavingRobot, MotorOrder};
     use crate::robot::{BendRates, RobotParameters};
 
@@ -90,6 +90,39 @@ mod tests {
     fn most(a: &Configuration, b: &Configuration) -> f64 {
         let pairs = a.as_slice().iter().zip(b.as_slice());
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    /// Encoders with noise: where the tip is measured, too, the cables stand until it is more than a tenth of the play.
+    #[test]
+    fn noise_of_the_motors_moves_no_cable_while_the_tip_is_measured() {
+        let (robot, rest) = (robot(), BendRates::zero(3));
+        let actuator = Actuator {
+            play_m: 5e-4,
+            ..Actuator::IDEAL
+        };
+        let mut estimator = Estimator::new(bent(0.2)).with_actuator(&robot, actuator);
+        let mut moved_rad = |bend_rad: f64, has_tip: bool| {
+            if has_tip {
+                estimator.predict(&rest, PERIOD_S);
+                let tip_m = robot.tip_position(&bent(0.2));
+                estimator.correct_tip(&robot, &tip_m, 0.0);
+            }
+            let before = *estimator.configuration();
+            let lengths_m = robot.cable_lengths(&bent(bend_rad));
+            estimator.correct(&robot, &Measurement::CableLengths(lengths_m), 0.0);
+            let after = estimator.configuration();
+            let [x, y] = [0, 1].map(|i| after.as_slice()[i] - before.as_slice()[i]);
+            (most(after, &before), x.hypot(y))
+        };
+        assert!((moved_rad(0.2003, false).0 - 3e-4).abs() < 1e-9);
+        // 10 µm at most, in a band of 50 µm.
+        assert!(moved_rad(0.2001, true).0 < 1e-9 && moved_rad(0.2003, true).0 < 1e-9);
+        // Of the first section's 13.7 mrad what is beyond half of the band.
+        let (_, far_rad) = moved_rad(0.21, true);
+        assert!((0.009..0.013).contains(&far_rad), "{far_rad}");
+        // It follows on, and stands when that turns round.
+        assert!(moved_rad(0.22, true).1 > 0.0141);
+        assert!(moved_rad(0.2199, true).0 < 1e-9);
     }
 
     /// Nothing is measured: where the estimate takes the robot for is where the plant is, at each release.

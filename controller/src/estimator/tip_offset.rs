@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 
-use super::tip_slope::TipSlope;
+use super::tip_slope::{STILL_M_S, TipSlope};
 
 /// How slowly the offset follows what is measured (s): of 0.3 mm of noise in each coordinate, measured at 100 Hz, 0.1 mm is left.
 const TIME_CONSTANT_S: f64 = 0.1;
@@ -13,6 +13,8 @@ const SILENT: f64 = 1.5;
 /// Part of the noise of a measured coordinate that the offset may be beside what was learnt. Without it, noise leads the tip about for ever,
 /// and a robot whose cables have more play than is known swings: by 4 mm at 0.5 mm of play (docs/robustness.md).
 const STILL: f64 = 0.25;
+/// The same at rest, where the play of the cables is known: it swallows nothing of the noise then.
+const STILL_WITH_PLAY: f64 = 0.6;
 
 /// What the measured tip is beside the one that the measured bends give: errors of lengths and radii, sag, a load. It changes as
 /// the robot bends, which is learnt, too ([`TipSlope`]), so that it is not late along a way.
@@ -24,6 +26,8 @@ pub(super) struct TipOffset {
     slope: TipSlope,
     /// Where the bends place the tip now (m); none: control began anew.
     placed_m: Option<Vector3<f64>>,
+    /// Whether it is on its way there.
+    is_moving: bool,
     /// Since that (s).
     unplaced_s: f64,
     /// The last position that was measured (m).
@@ -51,6 +55,7 @@ impl TipOffset {
             learnt_m: Vector3::zeros(),
             slope,
             placed_m: None,
+            is_moving: false,
             unplaced_s: 0.0,
             measured_m: Vector3::repeat(f64::NAN),
             unmeasured_s: 0.0,
@@ -90,9 +95,13 @@ impl TipOffset {
     /// The bends place the tip at `placed_m` (m) now. The offset goes along, unless the sensor is silent.
     pub(super) fn follow(&mut self, placed_m: &Vector3<f64>) {
         let elapsed_s = core::mem::take(&mut self.unplaced_s);
-        if let Some(before_m) = self.placed_m.replace(*placed_m)
-            && self.unmeasured_s < SILENT * self.interval_s
-        {
+        let Some(before_m) = self.placed_m.replace(*placed_m) else {
+            return;
+        };
+        if elapsed_s > 0.0 {
+            self.is_moving = (placed_m - before_m).norm() > STILL_M_S * elapsed_s;
+        }
+        if self.unmeasured_s < SILENT * self.interval_s {
             let change_m = self.slope.change_in_m(&(placed_m - before_m), elapsed_s);
             self.learnt_m += change_m;
             self.offset_m = (self.offset_m + change_m).cap_magnitude(OFFSET_MAX_M);
@@ -102,7 +111,13 @@ impl TipOffset {
     /// The tip was measured at `measured_m`, and the bends placed it at `placed_m` then. Whether that was believed: not what is farther
     /// beside than the largest offset, nor what is the last position in every bit. A sensor that stands still while the robot
     /// moves would lead it away from its reference, and away from where the sensor says it is.
-    pub(super) fn correct(&mut self, measured_m: &Vector3<f64>, placed_m: &Vector3<f64>) -> bool {
+    /// `has_play`: cables with a play that is known.
+    pub(super) fn correct(
+        &mut self,
+        measured_m: &Vector3<f64>,
+        placed_m: &Vector3<f64>,
+        has_play: bool,
+    ) -> bool {
         let beside_m = measured_m - placed_m;
         let is_news = core::mem::replace(&mut self.measured_m, *measured_m) != *measured_m;
         let is_near = beside_m.norm() <= OFFSET_MAX_M;
@@ -120,7 +135,12 @@ impl TipOffset {
         self.learnt_m += gain * (beside_m - self.learnt_m);
         let missing_m = self.learnt_m - self.offset_m;
         let far_m = missing_m.norm();
-        let still_m = STILL * self.slope.noise_m();
+        let still = if has_play && !self.is_moving {
+            STILL_WITH_PLAY
+        } else {
+            STILL
+        };
+        let still_m = still * self.slope.noise_m();
         if far_m > still_m {
             let moved_m = self.offset_m + missing_m * (1.0 - still_m / far_m);
             self.offset_m = moved_m.cap_magnitude(OFFSET_MAX_M);

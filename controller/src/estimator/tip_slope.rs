@@ -13,7 +13,7 @@ const UNKNOWN_M: f64 = 0.05;
 /// What is farther off than so many standard deviations comes from elsewhere: a load that was put on, or cables in their play.
 const SURPRISE: f64 = 3.0;
 /// Below about this speed of the tip (m/s) the slope changes nothing: a way that is commanded within the play of cables is none.
-const STILL_M_S: f64 = 5e-3;
+pub(super) const STILL_M_S: f64 = 5e-3;
 
 /// How the offset of the tip changes along its way: sections 5 % longer than configured place it 5 % farther. A Kalman filter of
 /// the offset and its derivative with respect to the place, which has one covariance, as each coordinate is measured with the same noise.
