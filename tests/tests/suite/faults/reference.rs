@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::os::unix::process::ExitStatusExt as _;
 
-use cdcr_client::{Connection, Lease, ReferenceFeed, events, monotonic_ns};
+use cdcr_client::{Connection, Lease, ReferenceFeed, RequestError, events, monotonic_ns};
 use cdcr_controller::reference::ReferenceWindow;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, LeaseState, Mode, Outcome, Reason, RequestKind,
@@ -52,7 +52,12 @@ fn points(begin_ns: u64, count: u64, step_ms: u64) -> Vec<ReferencePoint> {
 
 /// Sends `count` points, `step_ms` apart, and has them tracked.
 pub(crate) fn track(connection: &Connection, count: u64, step_ms: u64) -> Feeding<'_> {
-    let lease = connection.acquire_lease().unwrap();
+    let lease = until_undisturbed("the daemon answers in time", || {
+        match connection.acquire_lease() {
+            Err(RequestError::Timeout { .. }) => None,
+            answered => Some(answered.unwrap()),
+        }
+    });
     let feed = connection.reference_feed().unwrap();
     let end_ns = until_undisturbed("the reference comes in time", || {
         let points = points(monotonic_ns() + LEAD_NS, count, step_ms);
