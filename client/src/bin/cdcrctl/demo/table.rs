@@ -28,11 +28,12 @@ pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error
     )?;
     writeln!(
         out,
-        "{:<24}{:>12.2e}{:>12.2e}{:>16.0e}   (tip to exact curve: the controller's share)\n",
+        "{:<24}{:>12.2e}{:>12.2e}{:>16.0e}   (tip to exact curve: {})\n",
         "  ideal simulated robot",
         report.mean_error_mm,
         report.max_error_mm,
-        report.paper_mean_error_mm
+        report.paper_mean_error_mm,
+        whose_error(report.skipped_periods)
     )?;
     writeln!(
         out,
@@ -53,6 +54,15 @@ pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error
         )?;
     }
     Ok(out)
+}
+
+/// Where releases got no command, the robot went on with the rates it had, and the error is not the controller's alone.
+fn whose_error(skipped_periods: u64) -> String {
+    match skipped_periods {
+        0 => "the controller's share".to_owned(),
+        1 => "1 release got no command, which is the machine's share".to_owned(),
+        many => format!("{many} releases got no command, which is the machine's share"),
+    }
 }
 
 fn row(out: &mut String, name: &str, spread: &Spread) -> Result<(), Error> {
@@ -179,6 +189,17 @@ mod tests {
     use super::super::report::tests::report;
     use super::*;
     use cdcr_shared_types::codes::realtime;
+
+    #[test]
+    fn an_error_beside_lost_releases_is_not_called_the_controllers() {
+        let (mut cycles, _) = synthetic(994);
+        let status = Status::default();
+        let shown = |cycles: &[_]| text(&report(cycles, &status), &status).expect("formatted");
+        assert!(shown(&cycles).contains("the controller's share"));
+        cycles[500].skipped_periods = 3;
+        let lost = shown(&cycles);
+        assert!(lost.contains("3 releases got no command") && !lost.contains("controller's share"));
+    }
 
     #[test]
     fn it_names_what_is_missing_and_the_remedy() {
