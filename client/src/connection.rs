@@ -194,7 +194,15 @@ impl Connection {
     /// # Errors
     /// When another client holds it.
     pub fn acquire_lease(&self) -> Result<Lease<'_>, RequestError> {
-        Lease::acquire(self)
+        self.acquire_lease_within(REQUEST_TIMEOUT)
+    }
+
+    /// As [`acquire_lease`](Self::acquire_lease), waiting at most `timeout` for the daemon's answer.
+    ///
+    /// # Errors
+    /// As [`acquire_lease`](Self::acquire_lease).
+    pub fn acquire_lease_within(&self, timeout: Duration) -> Result<Lease<'_>, RequestError> {
+        Lease::acquire(self, timeout)
     }
 
     /// Prepares to stream `trajectory` to the daemon ahead of time; see [`Feeder::run`].

@@ -42,9 +42,12 @@ impl Grant {
 }
 
 impl<'c> Lease<'c> {
-    pub(crate) fn acquire(connection: &'c Connection) -> Result<Self, RequestError> {
+    pub(crate) fn acquire(
+        connection: &'c Connection,
+        timeout: Duration,
+    ) -> Result<Self, RequestError> {
         let asked_ns = monotonic_ns();
-        let response = connection.request(RequestKind::AcquireLease)?;
+        let response = connection.request_within(RequestKind::AcquireLease, timeout)?;
         Ok(Self {
             connection,
             number: connection.number_lease(),

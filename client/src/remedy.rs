@@ -6,7 +6,8 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Accepted => "Nothing to do.",
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
-            "The sender fell behind: let it start later (--lead) or send further ahead."
+            "The sender fell behind: let a reference start later (--lead) or send further ahead; \
+             send a measurement within link.measurement_timeout_ms of its stamp."
         }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length."

@@ -76,8 +76,8 @@ cdcr_controller::parameters! {
         tip_sensor: TipSensor = TipSensor::Driver;
         /// Bend vectors (u, v) at the start in rad, one pair for each section; empty: straight.
         initial_bend_rad: Vec<[f64; 2]> = Vec::new();
-        /// A driver's measurement older than this is lost, and the robot faults, {range}. A tip sensor that is silent for so long
-        /// may be replaced by another one.
+        /// A driver's measurement older than this is lost, and the robot faults, {range}. A tip sensor that is silent for so long,
+        /// and for at least a second, may be replaced by another one.
         measurement_timeout_ms: f64 = 50.0, in 1.0..=10_000.0;
         /// How long after its release a robot follows a command without a newer one before it holds, {range}; 0: three
         /// periods.

@@ -68,7 +68,9 @@ fn rest(interface: Interface, mode: Mode) {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
-        connection.request(RequestKind::Home).unwrap();
+        connection
+            .request_within(RequestKind::Home, TIMEOUT)
+            .unwrap();
         let homing = wait_mode(&mut telemetry, Mode::Homing);
         wait_record(&mut telemetry, |record| record.cycle > homing.cycle + 40);
         bring_to(mode, &connection, &robot);

@@ -95,7 +95,9 @@ impl Commanded {
         let commands = connection.commands().unwrap();
         let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
         robot.until_held(&mut trail);
-        connection.request(RequestKind::Home).unwrap();
+        connection
+            .request_within(RequestKind::Home, TIMEOUT)
+            .unwrap();
         trail.until_while("moving", || robot.turn(), |record| !rests(record));
         Self {
             daemon,

@@ -49,7 +49,9 @@ fn until_used(trail: &mut Trail, robot: &mut Robot) -> (Telemetry, Telemetry) {
 
 /// Has the robot go home, and waits until its rate has been steady for a while.
 fn go_home(connection: &Connection, trail: &mut Trail, mut turn: impl FnMut()) -> Option<()> {
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     let mut homing = 0;
     let (_, record) = trail.until_while("homing", &mut turn, |record| {
         homing += u64::from(record.mode == Mode::Homing.code());
@@ -155,7 +157,9 @@ fn a_lost_measurement_is_a_fault_after_the_timeout() {
         );
         // Back again: the reset is granted.
         until_used(&mut trail, &mut robot);
-        connection.request(RequestKind::Reset).unwrap();
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         Some(())
     });
 }
@@ -186,7 +190,9 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
         robot.until_held(&mut trail);
         trail.catch_up();
-        connection.request(RequestKind::Home).unwrap();
+        connection
+            .request_within(RequestKind::Home, TIMEOUT)
+            .unwrap();
         // One sensor says the same for ever, with new stamps. The others live.
         let mut measured = robot.sensed_rad();
         let frozen_rad = measured[0];
@@ -232,7 +238,9 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         });
         // At rest nobody sees that the sensor is still frozen: the reset is granted.
         robot.measure(measured);
-        connection.request(RequestKind::Reset).unwrap();
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         Some(())
     });
 }
@@ -295,7 +303,9 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
         // The next measurement is believed.
         until_used(&mut trail, &mut robot);
-        connection.request(RequestKind::Reset).unwrap();
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
         Some(())
     });
@@ -405,7 +415,9 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
                 (r.measurement.bend_rad[0] - bend_rad).abs() < 1e-9
             });
         }
-        connection.request(RequestKind::Reset).unwrap();
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         trail.until("holding", is(Mode::Holding));
         Some(())
     });
@@ -426,7 +438,9 @@ fn a_killed_driver_is_a_lost_measurement() {
         // Another driver takes its place.
         let _driver = DriverProcess::start_at(daemon.place(), 1.0);
         trail.until("measured", |record| state(record) == MeasurementState::Used);
-        connection.request(RequestKind::Reset).unwrap();
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         trail.until("holding", is(Mode::Holding));
         Some(())
     });

@@ -7,7 +7,7 @@ use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
-use cdcr_tests::{BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, ball, wait_status};
+use cdcr_tests::{BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, wait_status};
 
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, say};
@@ -39,7 +39,9 @@ fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Tele
 
 /// A robot that goes slowly home, sideways, and what it would touch next.
 fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     let mut tips = Vec::new();
     trail.until("homing", |record| {
         if record.mode == Mode::Homing.code() {
@@ -119,7 +121,9 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     }
     sender.clear().unwrap();
     trail.until("gone", |record| record.obstacle_count == 0);
-    connection.request(RequestKind::Reset).unwrap();
+    connection
+        .request_within(RequestKind::Reset, TIMEOUT)
+        .unwrap();
     trail.until("holding", is(Mode::Holding));
 }
 
@@ -292,7 +296,9 @@ fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     let sender = connection.obstacle_sender().unwrap();
     robot.until_held(&mut trail);
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     trail.until_while("homing", || robot.turn(), is(Mode::Homing));
     let seen = Obstacle {
         lifetime_ns: 300_000_000,

@@ -68,7 +68,9 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
     let connection = daemon.connect();
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     robot.until_held(&mut trail);
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     trail.until_while("moving", || robot.turn(), |record| !rests(record));
     daemon.kill();
     let killed_ns = monotonic_ns();

@@ -3,14 +3,14 @@
 use std::ops::RangeInclusive;
 use std::os::unix::process::ExitStatusExt as _;
 
-use cdcr_client::{Connection, Lease, ReferenceFeed, RequestError, events, monotonic_ns};
+use cdcr_client::{Connection, Lease, ReferenceFeed, events, monotonic_ns};
 use cdcr_controller::reference::ReferenceWindow;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, LeaseState, Mode, Outcome, Reason, RequestKind,
 };
 use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{Header, ReferencePoint, Telemetry};
-use cdcr_tests::{Daemon, PATIENT, Program, text, until_undisturbed, wait_status};
+use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, text, until_undisturbed, wait_status};
 use rustix::process::Signal;
 
 use crate::faults::history::History;
@@ -52,12 +52,7 @@ fn points(begin_ns: u64, count: u64, step_ms: u64) -> Vec<ReferencePoint> {
 
 /// Sends `count` points, `step_ms` apart, and has them tracked.
 pub(crate) fn track(connection: &Connection, count: u64, step_ms: u64) -> Feeding<'_> {
-    let lease = until_undisturbed("the daemon answers in time", || {
-        match connection.acquire_lease() {
-            Err(RequestError::Timeout { .. }) => None,
-            answered => Some(answered.unwrap()),
-        }
-    });
+    let lease = connection.acquire_lease_within(TIMEOUT).unwrap();
     let feed = connection.reference_feed().unwrap();
     let end_ns = until_undisturbed("the reference comes in time", || {
         let points = points(monotonic_ns() + LEAD_NS, count, step_ms);
@@ -298,7 +293,7 @@ fn a_killed_client_loses_the_lease_to_whoever_comes() {
         client.output().status.signal()?;
         expires(&mut trail, &mut renewal, "client killed")
     });
-    connection.acquire_lease().unwrap();
+    connection.acquire_lease_within(TIMEOUT).unwrap();
 }
 
 #[test]

@@ -110,7 +110,9 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     robot.until_held(&mut trail);
     let mut statuses = connection.statuses().unwrap();
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     trail.until_while("moving", || robot.turn(), |record| !rests(record));
 
     let Some(hung) = Hung::new(daemon.id(), thread) else {
@@ -170,7 +172,9 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     let connection = daemon.connect();
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     robot.until_held(&mut trail);
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     trail.until_while("moving", || robot.turn(), |record| !rests(record));
 
     let Some(hung) = Hung::new(daemon.id(), "cdcr-reporter") else {
@@ -182,7 +186,9 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     while let Some(record) = trail.next_waiting() {
         last_sent_ns = record.header.sent_ns;
     }
-    connection.request(RequestKind::Stop).unwrap();
+    connection
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
     wait_until("the commands stop the robot", || {
         robot.turn();
         let last = robot.last_command().unwrap();
@@ -190,7 +196,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     });
     // Another one may still come, and be answered.
     let other = daemon.connect();
-    other.request(RequestKind::Stop).unwrap();
+    other.request_within(RequestKind::Stop, TIMEOUT).unwrap();
     drop(other);
     // It is not taken for one that has ended.
     let silent = connection.settings().expect_err("no telemetry");
@@ -305,7 +311,9 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     assert!(matches!(error, ConnectError::Silent { .. }), "{error:?}");
     managed.place.says("cdcrctl stop", 0, &[]);
     trail.until("stopped", is(Mode::Stopped));
-    connection.request(RequestKind::Reset).unwrap();
+    connection
+        .request_within(RequestKind::Reset, TIMEOUT)
+        .unwrap();
     trail.until("holding again", is(Mode::Holding));
     managed.daemon.signal(Signal::USR1);
     trail.until("stopped by a signal", is(Mode::Stopped));

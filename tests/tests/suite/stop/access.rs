@@ -67,7 +67,9 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
         // Of the others, only who has a place can ask for anything.
         let place = daemon.place();
         place.says("cdcrctl reset", 1, &["close one of them"]);
-        crowd.connections[0].request(RequestKind::Reset).unwrap();
+        crowd.connections[0]
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
     }
 }

@@ -76,8 +76,16 @@ impl Row {
         let connection = stage.connection;
         let feeding = (mode == Mode::Tracking).then(|| track(connection, 100, 40));
         match mode {
-            Mode::Homing => drop(connection.request(RequestKind::Home).unwrap()),
-            Mode::Stopped => drop(connection.request(RequestKind::Stop).unwrap()),
+            Mode::Homing => drop(
+                connection
+                    .request_within(RequestKind::Home, TIMEOUT)
+                    .unwrap(),
+            ),
+            Mode::Stopped => drop(
+                connection
+                    .request_within(RequestKind::Stop, TIMEOUT)
+                    .unwrap(),
+            ),
             _ => {}
         }
         stage.trail.until("the mode", is(mode));

@@ -65,7 +65,9 @@ fn assert_none_starts_beside(daemon: &mut Daemon) {
 fn follow_to_rest(location: &Location, moves: &Sender<()>) {
     let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
     let mut trail = Trail::new(&connection);
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     trail.until("moving", |record| !rests(record));
     moves.send(()).unwrap();
     let (before, stopped) = trail.until("stopped", is(Mode::Stopped));

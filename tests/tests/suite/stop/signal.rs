@@ -23,7 +23,9 @@ fn a_signal_stops_a_moving_robot_and_latches() {
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     robot.until_held(&mut trail);
     for _ in 0..3 {
-        connection.request(RequestKind::Home).unwrap();
+        connection
+            .request_within(RequestKind::Home, TIMEOUT)
+            .unwrap();
         trail.until_while("moving", || robot.turn(), |record| !rests(record));
         daemon.signal(Signal::USR1);
         let (before, stopped) = trail.until_while("stopped", || robot.turn(), is(Mode::Stopped));
@@ -37,9 +39,14 @@ fn a_signal_stops_a_moving_robot_and_latches() {
         let (_, later) = trail.until_while("later", || robot.turn(), |_| true);
         assert_eq!(later.mode, Mode::Stopped.code());
         // The second signal has been taken, too, or it would stop the robot again.
-        let seen = connection.request(RequestKind::Stop).unwrap().cycle;
+        let seen = connection
+            .request_within(RequestKind::Stop, TIMEOUT)
+            .unwrap()
+            .cycle;
         trail.until_while("a cycle later", || robot.turn(), |now| now.cycle > seen);
-        connection.request(RequestKind::Reset).unwrap();
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
     }
 }

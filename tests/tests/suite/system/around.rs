@@ -10,7 +10,9 @@ use cdcr_interchange::cdr;
 use cdcr_interchange::mcap::{Item, Reader};
 use cdcr_interchange::standard::{Log, MarkerArray};
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, Program, assert_says, text, track, wait_mode, wait_until};
+use cdcr_tests::{
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, text, track, wait_mode, wait_until,
+};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -118,7 +120,9 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
     std::thread::sleep(std::time::Duration::from_secs(2));
     assert!(!file.exists());
     let mut telemetry = connection.telemetry().unwrap();
-    connection.request(RequestKind::Stop).unwrap();
+    connection
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
     wait_mode(&mut telemetry, Mode::Stopped);
     assert_says(&recorder.output(), 0, &["mode.mcap"]);
     let found = info(&daemon, "mode.mcap");
@@ -152,7 +156,9 @@ fn the_scope_waits_draws_and_records() {
         ],
     );
     std::thread::sleep(std::time::Duration::from_secs(1));
-    connection.request(RequestKind::Stop).unwrap();
+    connection
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
     let said = assert_says(
         &scope.output(),
         0,

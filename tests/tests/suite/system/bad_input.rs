@@ -21,7 +21,7 @@ struct Client<'c> {
 
 impl Client<'_> {
     fn verdict(&mut self, mode: ChunkMode, points: &[ReferencePoint]) -> Outcome {
-        let lease = self.connection.acquire_lease().unwrap();
+        let lease = self.connection.acquire_lease_within(TIMEOUT).unwrap();
         let header = self.feed.send(mode, Interpolation::Cubic, points).unwrap();
         let verdict = self
             .telemetry

@@ -9,8 +9,8 @@ use cdcr_client::Connection;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, assert_says, binary, text, until_undisturbed, wait_mode,
-    wait_until,
+    Daemon, PATIENT, Place, Program, TIMEOUT, assert_says, binary, text, until_undisturbed,
+    wait_mode, wait_until,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::Value;
@@ -215,7 +215,7 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
     place.says("cdcrctl obstacle remove 1", 0, &[]);
     place.says("cdcrctl goto 0.1008,0,0.2761 --speed 0.2", 0, &[]);
     refused(&format!("{EXCITE} --bend-max 0.3"), "section 1 bends by 0.");
-    let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
+    let status = daemon.connect().status(TIMEOUT).unwrap();
     assert_eq!(
         (status.mode, status.lease_holder),
         (Mode::Holding.code(), 0)
@@ -274,7 +274,10 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     daemon.place().says("cdcrctl home --wait", 0, &[]);
 
     let program = excited(&daemon, "held.csv");
-    daemon.connect().request(RequestKind::Hold).unwrap();
+    daemon
+        .connect()
+        .request_within(RequestKind::Hold, TIMEOUT)
+        .unwrap();
     ends(
         program,
         1,

@@ -132,12 +132,16 @@ fn no_command_comes_before_the_first_measurement() {
         "nobody knows where the robot is"
     );
     // A stop before that is taken, and is no fault; a reset has to wait.
-    connection.request(RequestKind::Stop).unwrap();
+    connection
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
     assert!(connection.request(RequestKind::Reset).is_err());
     assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
     let mut robot = Robot::new(&connection);
     robot.run_until(|| commands.try_next().unwrap().is_some());
-    connection.request(RequestKind::Reset).unwrap();
+    connection
+        .request_within(RequestKind::Reset, TIMEOUT)
+        .unwrap();
 }
 
 #[test]

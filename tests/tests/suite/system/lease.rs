@@ -24,7 +24,7 @@ fn two_clients_one_lease() {
     let daemon = Daemon::start(PATIENT);
     let (first, second) = (daemon.connect(), daemon.connect());
     let asked = Instant::now();
-    let lease = first.acquire_lease().unwrap();
+    let lease = first.acquire_lease_within(TIMEOUT).unwrap();
     let most = Duration::from_secs(60);
     let left = lease.left();
     assert!(left <= most && left + asked.elapsed() >= most, "{left:?}");
@@ -63,7 +63,7 @@ fn two_clients_one_lease() {
     assert_eq!(verdict, Outcome::Accepted);
 
     lease.release().unwrap();
-    let lease = second.acquire_lease().unwrap();
+    let lease = second.acquire_lease_within(TIMEOUT).unwrap();
     let status = wait_status(&first, |status| status.lease_holder == second.sender_id());
     assert_eq!(
         status.reference_points, 0,

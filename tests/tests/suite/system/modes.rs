@@ -62,7 +62,9 @@ fn feed_track_hold_stop_reset() {
         r.mode == Mode::Holding.code() && is_at_rest(r)
     });
 
-    connection.request(RequestKind::Stop).unwrap();
+    connection
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
     assert_eq!(
         wait_mode(&mut telemetry, Mode::Stopped).reason,
         Reason::Request.code()
@@ -70,7 +72,9 @@ fn feed_track_hold_stop_reset() {
     for kind in [RequestKind::Track, RequestKind::Hold, RequestKind::Home] {
         assert_eq!(refused(&connection, kind), Outcome::WrongMode);
     }
-    connection.request(RequestKind::Reset).unwrap();
+    connection
+        .request_within(RequestKind::Reset, TIMEOUT)
+        .unwrap();
     let after = wait_record(&mut telemetry, |r| {
         r.cycle > record.cycle && r.mode == Mode::Holding.code()
     });
@@ -115,7 +119,9 @@ fn a_stop_ramps_within_the_limits_and_wins() {
         if let FeedEvent::Record(record) = event
             && largest_rate(record) > 0.05
         {
-            connection.request(RequestKind::Stop).unwrap();
+            connection
+                .request_within(RequestKind::Stop, TIMEOUT)
+                .unwrap();
         }
         ControlFlow::Continue(())
     });
@@ -152,7 +158,9 @@ fn home_moves_to_the_straight_robot() {
     ] {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
-        connection.request(RequestKind::Home).unwrap();
+        connection
+            .request_within(RequestKind::Home, TIMEOUT)
+            .unwrap();
         let record = wait_record(&mut telemetry, |r| r.reason == Reason::HomeReached.code());
         let bends = record.present_rad;
         assert!(largest(&bends) < straight_rad, "{bends:?}");

@@ -333,7 +333,9 @@ fn the_way_home_is_guarded_too() {
     let between = ball(1, [0.15, 0.0, 0.7]);
     assert_eq!(client.upsert(&[between]).0, Outcome::Accepted);
     client.wait_ids(&[1]);
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     let mut watch = Watch::default();
     wait_record(&mut client.telemetry, |record| {
         watch.look(record);

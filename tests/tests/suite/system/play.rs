@@ -124,6 +124,9 @@ fn what_cannot_be_fed_again_is_refused_before_anything_moves() {
         2,
         &["--verify"],
     );
-    daemon.connect().request(RequestKind::Stop).unwrap();
+    daemon
+        .connect()
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
     place.says("cdcrctl replay run.mcap", 1, &["cdcrctl reset"]);
 }

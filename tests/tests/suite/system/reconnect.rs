@@ -291,7 +291,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
     let place = place(PATIENT);
     let daemon = Life::begin(&place);
     let connection = connect(&place);
-    let first = connection.acquire_lease().unwrap();
+    let first = connection.acquire_lease_within(TIMEOUT).unwrap();
     first.renew().unwrap();
     drop(daemon);
     let _daemon = Life::begin(&place);
@@ -303,7 +303,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
     let error = first.renew().expect_err("another daemon");
     assert!(matches!(error, RequestError::Restarted { .. }), "{error:?}");
 
-    let second = connection.acquire_lease().unwrap();
+    let second = connection.acquire_lease_within(TIMEOUT).unwrap();
     drop(first);
     second.renew().unwrap();
     let other = connect(&place);
@@ -314,7 +314,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
         "{refused:?}"
     );
     drop(second);
-    other.acquire_lease().unwrap();
+    other.acquire_lease_within(TIMEOUT).unwrap();
 }
 
 #[test]

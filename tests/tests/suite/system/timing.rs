@@ -112,7 +112,9 @@ fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
         let bad: u64 = window.causes.iter().sum();
         assert!(bad >= window.deadline_misses.max(window.late_starts));
     }
-    connection.request(RequestKind::ResetStatistics).unwrap();
+    connection
+        .request_within(RequestKind::ResetStatistics, TIMEOUT)
+        .unwrap();
     let after = wait_status(&connection, |status| {
         status.statistics_since_ns > before.statistics_since_ns
     });

@@ -88,7 +88,9 @@ fn shown(daemon: &Daemon, theirs: &File, arguments: &[&str]) -> Running {
 fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
     let daemon = Daemon::start("");
     let connection = daemon.connect();
-    connection.request(RequestKind::Home).unwrap();
+    connection
+        .request_within(RequestKind::Home, TIMEOUT)
+        .unwrap();
     for signal in [None, Some(Signal::TERM), Some(Signal::HUP)] {
         let (mut terminal, theirs) = Terminal::new(100, 30);
         let before = tcgetattr(&theirs).unwrap().local_modes;
@@ -159,7 +161,9 @@ fn the_scope_draws_while_it_waits_and_gives_the_terminal_back() {
         terminal.wait_for("waiting for mode");
         terminal.wait_for("clearance [mm]");
         if fires {
-            connection.request(RequestKind::Home).unwrap();
+            connection
+                .request_within(RequestKind::Home, TIMEOUT)
+                .unwrap();
         } else {
             terminal.press("q");
         }

@@ -72,7 +72,7 @@ fn every_command_of_another_user_is_refused_and_changes_nothing() {
     let path = place.write("path.csv", "t_s,x_m,y_m,z_m\n0,0,0,0.9\n1,0.01,0,0.9\n");
     fs::set_permissions(&path, Permissions::from_mode(0o644)).unwrap();
     let connection = Connection::open(location, ROBOT).unwrap();
-    let _lease = connection.acquire_lease().unwrap();
+    let _lease = connection.acquire_lease_within(TIMEOUT).unwrap();
     let before = wait_status(&connection, |status| {
         status.lease_holder == connection.sender_id()
     });
