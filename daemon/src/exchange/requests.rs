@@ -162,7 +162,9 @@ impl Exchange {
             };
             let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);
             let Request { header, kind, .. } = *asked.payload();
-            self.note_request(&header, kind, outcome, record.gather, now_ns);
+            // Of records that wait together, only the hand-over tells which cycle decided.
+            let decided_ns = record.handed_over_ns;
+            self.note_request(&header, kind, outcome, record.gather, decided_ns);
             let response = Response {
                 cycle: record.release.cycle,
                 mode: convert::mode(record.mode).code(),
@@ -191,7 +193,7 @@ impl Exchange {
         kind: u32,
         outcome: Outcome,
         gather: u64,
-        now_ns: u64,
+        judged_ns: u64,
     ) {
         let result = match outcome {
             Outcome::Accepted => Ok(kind),
@@ -201,6 +203,6 @@ impl Exchange {
             }),
         };
         self.events
-            .note(gather, EventKind::Request, header, now_ns, result);
+            .note(gather, EventKind::Request, header, judged_ns, result);
     }
 }

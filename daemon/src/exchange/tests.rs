@@ -2,6 +2,7 @@
 
 mod obstacles;
 mod references;
+mod requests;
 
 use std::cell::Cell;
 
@@ -124,7 +125,7 @@ impl Rig {
         }
     }
 
-    /// Runs `cycle` with the inputs that are there; its mode.
+    /// Runs `cycle` with the inputs that are there, and what a client or else the test asks; its mode.
     fn run(
         &mut self,
         cycle: u64,
@@ -139,7 +140,8 @@ impl Rig {
             start_ns: release_ns,
             skipped: 0,
         };
-        let mut request = request.map(|request| CycleRequest { ticket: 0, request });
+        let untold = request.map(|request| CycleRequest { ticket: 0, request });
+        let mut request = self.ends.requests.pop().ok().or(untold);
         let (inputs, clock) = (self.ends.inputs.read(), &self.clock);
         let record = self.cycle.run(release, inputs, || request.take(), clock);
         let mode = record.mode;

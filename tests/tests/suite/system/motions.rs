@@ -139,11 +139,14 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
             distance_m(tip_m(&daemon), before_m) < 5e-4
         });
         let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
-        let line = format!("goto 0.05,0.02,0.87 {fast}");
-        let words: Vec<_> = line.split(' ').collect();
+        let mut points = ["0.05,0.02,0.87", "0.02,0.05,0.87"].iter().cycle();
         until_undisturbed("the tip goes to a point", || {
+            let line = format!("goto {} {fast}", points.next().unwrap());
+            let words: Vec<_> = line.split(' ').collect();
             let output = daemon.place().cdcrctl(&words);
-            if text(&output).contains(Reason::InputsStale.text()) {
+            // A stall at the end of the way leaves the robot where its motors had brought it.
+            let by_stalls = [Reason::InputsStale.text(), "more than --max-error"];
+            if by_stalls.iter().any(|words| text(&output).contains(words)) {
                 return None;
             }
             assert_says(&output, 0, &[]);

@@ -153,7 +153,15 @@ fn track_follows_what_another_program_feeds_until_sigint_holds() {
     let connection = daemon.connect();
     let mut feeding = Program::start(&mut command(place, LONG_LINE));
     // Refused until the first chunk is in.
-    wait_until("tracking", || place.cdcrctl(&["track"]).status.success());
+    wait_until("tracking", || {
+        let output = place.cdcrctl(&["track"]);
+        assert!(
+            feeding.runs(),
+            "{}",
+            text(&output) + &text(&feeding.output())
+        );
+        output.status.success()
+    });
     wait_status(&connection, |status| status.mode == Mode::Tracking.code());
     feeding.signal(Signal::INT);
     let output = feeding.output();

@@ -5,14 +5,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use cdcr_client::{Connection, Spiral};
+use cdcr_client::channels::Topic;
+use cdcr_client::{Connection, ObstacleSender, Spiral};
 use cdcr_interchange::mcap::{Channel, Item, Reader, Stamp, Writer};
 use cdcr_interchange::{decode, encode};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_shared_types::message::Struct;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, text, track, wait_mode, wait_until,
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, text, track, until_undisturbed,
+    wait_mode, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -68,6 +70,16 @@ impl Recorded {
     }
 }
 
+/// How many messages of a topic a recorder says that it lost.
+fn lost(said: &str, topic: Topic) -> u64 {
+    let counts = said.lines().filter_map(|line| {
+        let (count, of) = line.strip_prefix("lost: ")?.split_once(' ')?;
+        of.starts_with(topic.plural())
+            .then(|| count.parse::<u64>().unwrap())
+    });
+    counts.sum()
+}
+
 fn curve() -> Spiral {
     Spiral {
         duration_s: 1.0,
@@ -75,29 +87,43 @@ fn curve() -> Spiral {
     }
 }
 
-fn know_an_obstacle(connection: &Connection) {
+/// The sender stays: one that leaves takes along what a recorder has not read yet.
+fn know_an_obstacle(connection: &Connection) -> ObstacleSender {
     let mut telemetry = connection.telemetry().unwrap();
     let sender = connection.obstacle_sender().unwrap();
     let header = sender.upsert(&[ball(1, [0.3, 0.0, 0.5])]).unwrap();
     let outcome = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
     assert_eq!(outcome.unwrap().code(), 0);
+    sender
 }
 
 #[test]
 fn a_recording_has_every_cycle_and_what_clients_sent() {
-    let mut run = Recorded::start(PATIENT);
-    let connection = run.daemon.connect();
-    know_an_obstacle(&connection);
-    let records = track(&connection, &curve());
-    let said = run.end();
+    let (run, records, said) = until_undisturbed("a recorder reads in time", || {
+        let mut run = Recorded::start(PATIENT);
+        let connection = run.daemon.connect();
+        let _sender = know_an_obstacle(&connection);
+        let records = track(&connection, &curve());
+        let said = run.end();
+        let is_whole = [Topic::Telemetry, Topic::Reference, Topic::Obstacles]
+            .iter()
+            .all(|topic| lost(&said, *topic) == 0);
+        is_whole.then_some((run, records, said))
+    });
     assert!(said.contains("1 obstacle updates"), "{said}");
     let info = run.info();
     let telemetry = &info["channels"]["telemetry"];
     assert!(telemetry["messages"].as_u64().unwrap() >= records.len() as u64);
-    for name in ["telemetry", "reference", "obstacles", "status"] {
+    for (name, topic) in [
+        ("telemetry", Topic::Telemetry),
+        ("reference", Topic::Reference),
+        ("obstacles", Topic::Obstacles),
+        ("status", Topic::Status),
+    ] {
         let channel = &info["channels"][name];
         assert!(channel["messages"].as_u64().unwrap() > 0, "{name}: {info}");
-        assert_eq!(channel["missing"], 0, "{info}");
+        // Of snapshots only two wait for a reader: where it is late by 0.2 s, older ones are lost, and counted.
+        assert_eq!(channel["missing"], lost(&said, topic), "{info}");
     }
     run.cdcrctl(&["convert", "run.mcap", "--csv", "tables"]);
     let table = |name: &str| {
@@ -153,7 +179,7 @@ fn every_cycle_of_a_recording_is_computed_again() {
         "[cycle]\nmiss_limit = 1000000\nbudget_ms = 0.02\n[reference]\nlease_ms = 60000.0\n";
     let mut run = Recorded::start(budget);
     let connection = run.daemon.connect();
-    know_an_obstacle(&connection);
+    let _sender = know_an_obstacle(&connection);
     track(&connection, &curve());
     // Refused: nobody feeds.
     assert!(connection.request(RequestKind::Track).is_err());
@@ -261,17 +287,20 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
         return;
     }
     let mut run = Recorded::into(daemon, disk.join("run.mcap"));
-    assert_says(
-        &run.recorder.output(),
-        3,
-        &["run.mcap", "the recording ended there"],
-    );
+    let output = run.recorder.output();
+    assert_says(&output, 3, &["run.mcap", "the recording ended there"]);
     let file = Path::new("disk/run.mcap").display().to_string();
     let info: Value =
         serde_json::from_str(&run.cdcrctl(&["info", &file, "--format", "json"])).unwrap();
     assert_eq!(info["cut"], false);
     assert!(info["channels"]["telemetry"]["messages"].as_u64().unwrap() > 10);
-    assert_eq!(info["channels"]["telemetry"]["missing"], 0);
+    // A machine that held the recorder up for more than a second made it lose records: it says so.
+    let said = String::from_utf8_lossy(&output.stdout);
+    let missing = info["channels"]["telemetry"]["missing"].as_u64().unwrap();
+    assert!(
+        missing <= lost(&said, Topic::Telemetry),
+        "{missing}: {said}"
+    );
     // The loop never noticed.
     let status = run
         .daemon

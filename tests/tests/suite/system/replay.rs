@@ -60,6 +60,8 @@ impl Recording {
                 ControlFlow::Continue(())
             });
             match fed {
+                // The machine held this reader up for longer than records or chunks wait for it.
+                Ok(report) if report.lost_records + sent.lost() > 0 => None,
                 // The machine held the exchange up: its inputs were stale.
                 Err(FeedError::LeftTracking { reason, .. })
                     if reason == Reason::InputsStale.text() =>
