@@ -98,7 +98,6 @@ impl Input {
 pub struct Comparison {
     pub before: Environment,
     pub after: Environment,
-    /// Why the two cannot be compared as they are.
     pub warnings: Vec<String>,
     /// Every number that both runs have: changed ones first, the worst of them before the others.
     pub metrics: Vec<Change>,
@@ -184,7 +183,6 @@ impl Comparison {
     }
 }
 
-/// Why two runs are no measure of each other.
 fn warnings(before: &Input, after: &Input) -> Vec<String> {
     let differing = before.environment.differing(&after.environment).into_iter();
     let mut warnings: Vec<String> = differing
@@ -221,7 +219,6 @@ pub struct Change {
     pub verdict: ChangeClass,
     /// When the rounds of the two runs are apart: how probable that is if nothing changed.
     chance: Option<f64>,
-    /// Rounds of the two runs.
     #[serde(skip)]
     counts: [usize; 2],
 }

@@ -89,7 +89,6 @@ impl Environment {
         self.value(property).as_str().unwrap_or_default().to_owned()
     }
 
-    /// Name and value of everything that is known of the machine.
     fn properties(&self) -> BTreeMap<String, Value> {
         let values = flat(&json!(self)).into_iter();
         let named = values.map(|(key, value)| (key.replace('_', " "), value));

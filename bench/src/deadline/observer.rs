@@ -74,7 +74,6 @@ pub(super) fn observe(
     Watch::open(location)?.run(signals)
 }
 
-/// The ports of the observer, and what came through them.
 struct Watch {
     origin_ns: u64,
     period_ns: u64,

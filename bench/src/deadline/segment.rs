@@ -75,7 +75,6 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Whether the system grants all that real time needs.
     pub(super) fn may_be_realtime(&self) -> bool {
         may_be_realtime() && {
             let required = Daemon::start(&self.launch(Setup::Realtime), &self.cores);

@@ -48,7 +48,6 @@ pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
     Ok(start(launch, cores, |_| Ok(true))?.0)
 }
 
-/// A client that waits for the first record of a daemon.
 #[derive(Default)]
 struct Client {
     connection: Option<Connection>,
@@ -57,7 +56,6 @@ struct Client {
 }
 
 impl Client {
-    /// Whether it has seen a record.
     fn looks(&mut self, daemon: &Daemon) -> Result<bool> {
         if self.record_ns > 0 {
             return Ok(true);

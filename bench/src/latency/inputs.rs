@@ -14,7 +14,7 @@ use cdcr_shared_types::{Command, Measurement, Obstacle, Telemetry};
 
 use super::asker::Asker;
 use super::hands::{Errand, Grid, Hands, Seen};
-use super::leg::{Leg, Way};
+use super::leg::Leg;
 use super::round::{Passage, Round};
 use super::scene;
 
@@ -60,13 +60,13 @@ pub(super) enum Source {
 }
 
 impl Source {
-    fn way(&self) -> Way {
+    fn way(&self) -> Leg {
         match self {
-            Self::Reference { .. } => Way::REFERENCE,
-            Self::Obstacle { .. } => Way::OBSTACLE,
-            Self::Measurement { .. } => Way::MEASUREMENT,
-            Self::Request(RequestKind::Track) => Way::TRACK,
-            Self::Request(_) => Way::LEASE,
+            Self::Reference { .. } => Leg::ReferenceCommand,
+            Self::Obstacle { .. } => Leg::ObstacleCommand,
+            Self::Measurement { .. } => Leg::MeasurementCommand,
+            Self::Request(RequestKind::Track) => Leg::TrackAnswer,
+            Self::Request(_) => Leg::LeaseAnswer,
         }
     }
 

@@ -9,13 +9,13 @@ use std::mem;
 
 use anyhow::{Context, Result, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
-use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{Command, Telemetry};
 
 use super::asker::{Answer, Asker};
 use super::hands::{Errand, Hands, Seen};
 use super::inputs::Phases;
-use super::leg::{Leg, Way};
+use super::leg::Leg;
 use super::round::{Passage, Round};
 use super::scene;
 
@@ -40,17 +40,22 @@ enum Step {
     Rest,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A record, and when its command was in the client's hands.
+#[derive(Debug, Clone)]
 struct Kept {
-    sequence: u64,
-    mode: u32,
-    gather_ns: u64,
-    handed_over_ns: u64,
+    record: Telemetry,
     received_ns: Option<u64>,
-    period_ns: u64,
-    deceleration_rad_s2: f64,
-    previous_speed_rad_s: f64,
-    speed_rad_s: f64,
+}
+
+impl Kept {
+    fn is_in(&self, mode: Mode) -> bool {
+        self.record.mode == mode.code()
+    }
+
+    /// Of the fastest component of its command.
+    fn speed_rad_s(&self) -> f64 {
+        largest(&self.record.command.bend_rate_rad_s)
+    }
 }
 
 pub(super) struct Stops<'a> {
@@ -128,9 +133,9 @@ impl<'a> Stops<'a> {
 
     /// The robot is on its way: stop it at a time within the next period.
     fn speed_up(&mut self, newest: &Kept, releases: u32, round: &mut Round) {
-        if newest.mode == Mode::Tracking.code() && newest.speed_rad_s > self.fast_rad_s {
+        if newest.is_in(Mode::Tracking) && newest.speed_rad_s() > self.fast_rad_s {
             self.step = Step::Stop;
-            self.due_ns = monotonic_ns() + self.phases.next_ns(newest.period_ns);
+            self.due_ns = monotonic_ns() + self.phases.next_ns(newest.record.period_ns);
         } else if releases >= SPEED_UP_MAX {
             self.spoil(round);
             self.begin();
@@ -192,24 +197,27 @@ impl Errand for Stops<'_> {
     }
 
     fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()> {
-        let kept = Kept::of(cycle);
+        let kept = Kept {
+            record: *cycle.record,
+            received_ns: cycle.received_ns,
+        };
         ensure!(
-            kept.mode != Mode::Faulted.code(),
+            !kept.is_in(Mode::Faulted),
             "the robot is faulted: {}",
-            cdcr_shared_types::codes::Reason::text_of(cycle.record.reason)
+            Reason::text_of(cycle.record.reason)
         );
         match self.step {
             Step::Reset | Step::Track => {}
             Step::SpeedUp(releases) => {
+                self.speed_up(&kept, releases, round);
                 // Records come later than answers: the first ones may be of the stop before.
-                if kept.mode == Mode::Tracking.code() {
+                if kept.is_in(Mode::Tracking) && self.step != Step::Reset {
                     self.records.push(kept);
                 }
-                self.speed_up(&kept, releases, round);
             }
             Step::Stop | Step::Rest => {
+                let rests = kept.is_in(Mode::Stopped) && kept.speed_rad_s() == 0.0;
                 self.records.push(kept);
-                let rests = kept.mode == Mode::Stopped.code() && kept.speed_rad_s == 0.0;
                 if rests && self.asker.waits_since_ns().is_none() {
                     self.end(round);
                 }
@@ -234,23 +242,6 @@ impl Errand for Stops<'_> {
     }
 }
 
-impl Kept {
-    fn of(cycle: &Seen<'_>) -> Self {
-        let record: &Telemetry = cycle.record;
-        Self {
-            sequence: record.header.sequence,
-            mode: record.mode,
-            gather_ns: record.gather_ns,
-            handed_over_ns: record.handed_over_ns,
-            received_ns: cycle.received_ns,
-            period_ns: record.period_ns,
-            deceleration_rad_s2: record.deceleration_rad_s2,
-            previous_speed_rad_s: largest(&record.previous_rate_rad_s),
-            speed_rad_s: largest(&record.command.bend_rate_rad_s),
-        }
-    }
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stopped {
     first: Passage,
@@ -262,7 +253,7 @@ struct Stopped {
 
 impl Stopped {
     fn record(&self, round: &mut Round) {
-        round.record_way(Way::STOP, &self.first);
+        round.record_way(Leg::StopCommand, &self.first);
         round.record(Leg::StopZeroHandover, self.zero_handover_ns);
         round.record(Leg::StopZeroCommand, self.zero_command_ns);
     }
@@ -271,31 +262,36 @@ impl Stopped {
 /// From the records of one stop, the last of which is at rest. None when one is missing, a command never
 /// came, or the robot was hardly moving any more.
 fn evaluate(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
-    let is_stopped = |record: &Kept| record.mode == Mode::Stopped.code();
-    let at = records.iter().position(is_stopped)?;
-    let first = records[at];
-    let before = records.get(at.checked_sub(1)?)?;
-    let is_whole = records[at - 1..]
-        .windows(2)
-        .all(|pair| pair[0].sequence + 1 == pair[1].sequence);
-    let step_rad_s = first.deceleration_rad_s2 * first.period_ns as f64 * 1e-9;
-    let steps = first.previous_speed_rad_s / step_rad_s;
-    if !is_whole || before.mode != Mode::Tracking.code() || steps < 2.0 {
+    let at = records.iter().position(|kept| kept.is_in(Mode::Stopped))?;
+    let (first, before) = (&records[at], records.get(at.checked_sub(1)?)?);
+    let is_next = |pair: &[Kept]| {
+        let [one, next] = [0, 1].map(|index| pair[index].record.header.sequence);
+        one + 1 == next
+    };
+    let is_whole = records[at - 1..].windows(2).all(is_next);
+    let Telemetry {
+        period_ns,
+        deceleration_rad_s2,
+        previous_rate_rad_s,
+        ..
+    } = &first.record;
+    let step_rad_s = deceleration_rad_s2 * *period_ns as f64 * 1e-9;
+    let steps = largest(previous_rate_rad_s) / step_rad_s;
+    if !is_whole || !before.is_in(Mode::Tracking) || steps < 2.0 {
         return None;
     }
-    let rest = records[at..]
-        .iter()
-        .find(|record| record.speed_rad_s == 0.0)?;
+    let mut stopped = records[at..].iter();
+    let rest = stopped.find(|kept| kept.speed_rad_s() == 0.0)?;
     // Rounding must not make a step more of a speed that is a whole number of them.
-    let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * first.period_ns;
+    let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * period_ns;
     let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
     Some(Stopped {
         first: Passage {
             sent_ns,
-            gather_ns: first.gather_ns,
+            gather_ns: first.record.gather_ns,
             received_ns: first.received_ns?,
         },
-        zero_handover_ns: without_ramp(rest.handed_over_ns),
+        zero_handover_ns: without_ramp(rest.record.handed_over_ns),
         zero_command_ns: without_ramp(rest.received_ns?),
     })
 }
@@ -311,82 +307,69 @@ fn largest(rates_rad_s: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    type Change = fn(&mut Vec<Kept>);
-
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
     fn stop() -> Vec<Kept> {
-        let speeds = [
+        let speeds_rad_s = [
             0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25, 0.15, 0.05, 0.0,
         ];
-        let record = |index: usize| {
+        let kept = |index: usize| {
             let release_ns = 5_000_000 * (index as u64 + 1);
-            Kept {
-                sequence: 7 + index as u64,
-                mode: if index == 0 {
-                    Mode::Tracking
-                } else {
-                    Mode::Stopped
-                }
-                .code(),
+            let mode = if index == 0 {
+                Mode::Tracking
+            } else {
+                Mode::Stopped
+            };
+            let mut record = Telemetry {
+                mode: mode.code(),
                 gather_ns: release_ns - 200_000,
                 handed_over_ns: release_ns + 50_000,
-                received_ns: Some(release_ns + 60_000),
                 period_ns: 5_000_000,
                 deceleration_rad_s2: 20.0,
-                previous_speed_rad_s: speeds[index.saturating_sub(1)],
-                speed_rad_s: speeds[index],
+                ..Telemetry::default()
+            };
+            record.header.sequence = 7 + index as u64;
+            record.previous_rate_rad_s[0] = speeds_rad_s[index.saturating_sub(1)];
+            record.command.bend_rate_rad_s[0] = speeds_rad_s[index];
+            Kept {
+                record,
+                received_ns: Some(release_ns + 60_000),
             }
         };
-        (0..speeds.len()).map(record).collect()
+        (0..speeds_rad_s.len()).map(kept).collect()
     }
 
     #[test]
-    fn a_stop_is_counted_without_its_ramp() {
-        let sent_ns = 5_300_000;
-        let stopped = evaluate(&stop(), sent_ns).expect("all records are there");
+    fn a_stop_is_counted_without_its_ramp_and_with_a_period_that_was_lost_on_the_way() {
+        let (sent_ns, mut records) = (5_300_000, stop());
+        let stopped = evaluate(&records, sent_ns).expect("all records are there");
         assert_eq!(stopped.first.gather_ns, 9_800_000);
         assert_eq!(stopped.first.received_ns, 10_060_000);
         // Ten steps: zero in the tenth stopped command, nine periods after the first.
         assert_eq!(stopped.zero_handover_ns, 10_050_000 - sent_ns);
         assert_eq!(stopped.zero_command_ns, 10_060_000 - sent_ns);
-    }
-
-    #[test]
-    fn a_period_that_the_daemon_lost_on_the_way_counts() {
-        let mut records = stop();
-        for record in &mut records[5..] {
-            record.handed_over_ns += 5_000_000;
-            record.received_ns = record.received_ns.map(|at_ns| at_ns + 5_000_000);
+        for kept in &mut records[5..] {
+            kept.record.handed_over_ns += 5_000_000;
         }
-        let stopped = evaluate(&records, 5_300_000).expect("all records are there");
+        let stopped = evaluate(&records, sent_ns).expect("all records are there");
         assert_eq!(stopped.zero_handover_ns, 4_750_000 + 5_000_000);
     }
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
-        let changed = |change: fn(&mut Vec<Kept>)| {
-            let mut records = stop();
-            change(&mut records);
-            evaluate(&records, 5_300_000)
-        };
-        let missing: [(Change, &str); 5] = [
-            (|records| _ = records.remove(4), "a record is missing"),
+        let missing: [(fn(&mut Vec<Kept>), &str); 5] = [
+            (|all| _ = all.remove(4), "a record is missing"),
+            (|all| all[10].received_ns = None, "a command never came"),
             (
-                |records| records[10].received_ns = None,
-                "a command never came",
-            ),
-            (
-                |records| records[1].previous_speed_rad_s = 0.15,
+                |all| all[1].record.previous_rate_rad_s[0] = 0.15,
                 "it hardly moved",
             ),
-            (
-                |records| _ = records.remove(0),
-                "nothing says what it did before",
-            ),
-            (|records| _ = records.pop(), "it does not rest"),
+            (|all| _ = all.remove(0), "nothing says what it did before"),
+            (|all| _ = all.pop(), "it does not rest"),
         ];
         for (change, why) in missing {
-            assert_eq!(changed(change), None, "{why}");
+            let mut records = stop();
+            change(&mut records);
+            assert_eq!(evaluate(&records, 5_300_000), None, "{why}");
         }
     }
 }

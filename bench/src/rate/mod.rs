@@ -1,12 +1,6 @@
 //! How fast the loop can go: the shortest period that holds.
 //!
-//! A period *holds* when, of a daemon that really tracks, at most 0.1 % of the releases were lost (no cycle, or
-//! a command handed over after the end of the period), and no cycle was late by the daemon's own doing (cause
-//! compute or page fault). A solve ends with its time, so a period may hold with solves that were cut short: their
-//! share, and the distance from the reference, stand beside it.
-//!
-//! An own miss decides at once. A trial that only lost releases is repeated once; twice where the machine lost
-//! them ([`TrialOutcome::Machine`]). Every trial stays in the report.
+//! What *holds* is, and how often a trial is repeated: `bench/README.md`. Every trial stays in the report.
 
 mod case;
 mod report;
@@ -17,7 +11,7 @@ use anyhow::Result;
 pub use case::Case;
 pub use trial::{Length, Observed, Trial, TrialMetrics, TrialOutcome};
 
-use crate::benchmark::{Benchmark, defaults};
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -72,35 +66,22 @@ fn spin_us(text: &str) -> Result<f64, String> {
 }
 
 impl Benchmark for RateOptions {
-    /// Quick: the default and its solvers in short trials, about half a minute.
-    fn of_report(quick: bool) -> Self {
-        let mut options: Self = defaults();
-        if quick {
-            options.rounds = 1;
-            options.length = Length {
-                least_s: 0.5,
-                least_periods: 400,
-            };
-            options
-                .cases
-                .retain(|case| (case.sections, case.horizon_steps) == (3, 2));
-        }
-        options
+    fn quicken(&mut self) {
+        self.rounds = 1;
+        self.length = Length {
+            least_s: 0.5,
+            least_periods: 400,
+        };
+        let is_default = |case: &Case| (case.sections, case.horizon_steps) == (3, 2);
+        self.cases.retain(is_default);
+    }
+
+    fn is_quick(&self) -> bool {
+        self.quick
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
         &mut self.rounds
-    }
-
-    fn resolved(self) -> Result<Self> {
-        Ok(if self.quick {
-            Self {
-                spin_us: self.spin_us,
-                ..Self::of_report(true)
-            }
-        } else {
-            self
-        })
     }
 
     fn expected_s(&self) -> f64 {
@@ -129,7 +110,6 @@ pub struct Measured {
     pub shortest: Vec<Shortest>,
 }
 
-/// What the search for one case found.
 #[derive(Debug, Clone)]
 pub struct Shortest {
     pub case: Case,

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::case::Case;
 use super::trial::Trial;
 use super::{Measured, Shortest};
-use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, percent, plain, power, together,
     word,
@@ -115,7 +115,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         "The default ({}) with shorter and shorter periods, medians over rounds{how}",
         Case::DEFAULT.name()
     );
-    dataset.plots.push(plot(&default)?);
+    dataset.plots.push(drawn(&default)?);
     dataset.sheets = vec![
         Sheet::of(
             &format!("Shortest period that holds{how}"),
@@ -162,7 +162,7 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
     spin + refused
 }
 
-fn plot(rows: &[Value]) -> Result<Plot> {
+fn drawn(rows: &[Value]) -> Result<Plot> {
     let line = |label: &str, key: &str, colour| Curve::of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
     let times = vec![
@@ -184,12 +184,13 @@ fn plot(rows: &[Value]) -> Result<Plot> {
         ),
         panel("What it costs", "share", Scale::Linear, shares),
     ];
-    Ok(Plot {
-        name: "rate",
-        caption: "The default with shorter and shorter periods. The response is that of the cycles that ran: \
-                  releases without a cycle are not in it.",
-        svg: sheet(&panels, 2, 620)?,
-    })
+    plot(
+        "rate",
+        "The default with shorter and shorter periods. The response is that of the cycles that ran: \
+         releases without a cycle are not in it.",
+        (2, 620),
+        &panels,
+    )
 }
 
 fn shortest_row(shortest: &Shortest) -> Value {

@@ -38,7 +38,6 @@ const WORTH_A_REMARK: f64 = 0.01;
 /// A period holds when at most this share of its releases got no cycle in time.
 const LOST_MAX: f64 = 1e-3;
 
-/// How long a trial measures: the longer of both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Length {
     pub least_s: f64,
@@ -46,7 +45,6 @@ pub struct Length {
 }
 
 impl Length {
-    /// How long it measures with this period \[s\].
     pub fn measured_s(&self, period_ms: f64) -> f64 {
         let periods_s = f64::from(self.least_periods) * period_ms * 1e-3;
         self.least_s.max(periods_s)
@@ -69,7 +67,6 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// Starts a daemon, lets it track, and measures.
     pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
         let measured = Duration::from_secs_f64(length.measured_s(period_ms));
         let observe = || {
@@ -161,11 +158,9 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
         || words.any(|words| words.starts_with(DOES_NOT_FOLLOW))
 }
 
-/// What the daemon did in one trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialMetrics {
     pub duration_s: f64,
-    /// What the daemon counted.
     pub counted: Statistics,
     /// Share of their core that cycle and exchange used, by the kernel's count.
     pub core_shares: [f64; 2],
@@ -295,7 +290,6 @@ impl TrialMetrics {
     }
 }
 
-/// One trial of a daemon that tracked.
 #[derive(Debug, Clone)]
 pub struct Observed {
     pub metrics: TrialMetrics,

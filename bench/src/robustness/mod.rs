@@ -21,8 +21,8 @@ pub use parts::parts;
 pub use tuning::knob;
 
 use crate::benchmark::Benchmark;
-use crate::chart::{Curve, Panel, Scale, sheet};
-use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
+use crate::chart::{Curve, Panel, Scale, plot};
+use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
 use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Figure, Scenario, Way};
@@ -92,35 +92,35 @@ pub struct RobustnessOptions {
 }
 
 impl Benchmark for RobustnessOptions {
-    fn of_report(quick: bool) -> Self {
-        let seeds = if quick { 1 } else { 20 };
-        Self {
-            seeds,
-            only: None,
-            sweep: false,
-        }
+    fn for_report(&mut self) {
+        self.seeds = 20;
+    }
+
+    fn quicken(&mut self) {
+        self.seeds = 1;
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
         &mut self.seeds
     }
 
-    fn resolved(self) -> Result<Self> {
+    fn check(&self) -> Result<()> {
         let only = self.only.as_deref();
+        let words = only.unwrap_or_default();
         if self.sweep {
+            let is_any = tuning::is_any(only);
             ensure!(
-                tuning::is_any(only),
-                "no knob has {:?} in its key; their keys are in docs/tuning.md",
-                only.unwrap_or_default()
+                is_any,
+                "no knob has {words:?} in its key; their keys are in docs/tuning.md"
             );
         } else {
+            let is_any = Scenario::all().iter().any(|scenario| self.names(scenario));
             ensure!(
-                Scenario::all().iter().any(|scenario| self.names(scenario)),
-                "no robot has {:?} in its name; their names are in docs/robustness.md",
-                only.unwrap_or_default()
+                is_any,
+                "no robot has {words:?} in its name; their names are in docs/robustness.md"
             );
         }
-        Ok(self)
+        Ok(())
     }
 
     fn expected_s(&self) -> f64 {
@@ -160,11 +160,9 @@ impl Benchmark for RobustnessOptions {
             let ideal = rows.first().and_then(|row| row["rate_change_rms"].as_f64());
             rows.push(row(scenario, *control, interface, &runs, ideal));
         }
-        dataset.plots.push(Plot {
-            name: "robustness-error",
-            caption: "Error of the tip in truth, position interface, the first seed.",
-            svg: sheet(&panels, 2, 420)?,
-        });
+        let caption = "Error of the tip in truth, position interface, the first seed.";
+        let errors = plot("robustness-error", caption, (2, 420), &panels)?;
+        dataset.plots.push(errors);
         dataset.sheets.push(comparison(&rows));
         dataset.sheets.push(parts(&rows));
         let title = "Robots that are not their model, on a figure eight";
@@ -176,7 +174,6 @@ impl Benchmark for RobustnessOptions {
     }
 }
 
-/// A robot with a controller behind an interface.
 struct Case {
     scenario: Scenario,
     control: Control,
@@ -303,7 +300,6 @@ pub fn comparison(rows: &[Value]) -> Sheet {
     Sheet::of(title, &COMPARISON, robots)
 }
 
-/// What a robot did with a controller, seed by seed.
 #[derive(Default)]
 struct Runs {
     rounds: Vec<FigureEightRun>,

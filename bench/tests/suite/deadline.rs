@@ -1,9 +1,16 @@
 //! What `cdcr-bench deadline` hands over, from a few seconds of real processes.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::Duration;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
+use hdrhistogram::Histogram;
+use hdrhistogram::serialization::Deserializer;
+use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
 use serde_json::Value;
 
 use crate::{printed_json, program};
@@ -42,6 +49,7 @@ fn assert_case(case: &Value, cycles_least: u64) {
     }
     assert!(case["steal_ms"].is_number() && case["realtime"].is_boolean());
     assert_quantiles(case, "wake_us");
+    assert_rounds(case);
     match case["subject"].as_str().expect("a subject") {
         "daemon" => {
             for key in ["compute_us", "response_us", "command_us"] {
@@ -57,6 +65,47 @@ fn assert_case(case: &Value, cycles_least: u64) {
             assert!(case["response_us"].is_null(), "{case}");
         }
     }
+}
+
+/// All rounds together: counts are added up, the median is that of the rounds, nothing is left of a single one.
+fn assert_rounds(case: &Value) {
+    let rounds = case["rounds"].as_array().expect("a list");
+    assert_eq!(rounds.len(), 2);
+    for key in [
+        "cycles",
+        "late_starts",
+        "deadline_misses",
+        "own_misses",
+        "skipped_periods",
+        "lost_commands",
+    ] {
+        let counts = rounds.iter().filter_map(|round| round[key].as_u64());
+        assert_eq!(
+            counts.reduce(|one, other| one + other),
+            case[key].as_u64(),
+            "{key} of {case}"
+        );
+    }
+    let of_rounds =
+        |key: &str| [0, 1].map(|round| rounds[round]["wake_us"][key].as_f64().expect(key));
+    let median_us = case["median_of_rounds"]["wake_us"]["p50"]
+        .as_f64()
+        .expect("a median");
+    let [one, other] = of_rounds("p50");
+    assert!(
+        (median_us - f64::midpoint(one, other)).abs() < 1e-9,
+        "{case}"
+    );
+    let [one, other] = of_rounds("max");
+    assert_eq!(
+        case["wake_us"]["max"].as_f64(),
+        Some(one.max(other)),
+        "{case}"
+    );
+    assert!(
+        case["round"].is_null() && case["start_s"].is_null(),
+        "{case}"
+    );
 }
 
 #[test]
@@ -79,9 +128,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
     for case in cases {
         // 2 s of 5 ms; processes that start late on a machine that stalls get a little less.
         assert_case(case, 300);
-        let rounds = case["rounds"].as_array().expect("a list");
-        assert_eq!(rounds.len(), 2);
-        for round in rounds {
+        for round in case["rounds"].as_array().expect("a list") {
             let updates = round["load_did"]["updates"].as_u64().expect("a count");
             assert_eq!(updates > 0, case["load"] == "flood", "{case}");
         }
@@ -114,6 +161,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
     );
     assert!(document["environment"].is_object());
     assert_files(folder.path());
+    assert_log(&folder.path().join("histograms/deadline.hlog"), cases);
 }
 
 fn assert_files(folder: &Path) {
@@ -126,6 +174,35 @@ fn assert_files(folder: &Path) {
         let text = std::fs::read_to_string(folder.join(name)).expect(name);
         assert!(text.contains("flood"), "{name}");
     }
-    let log = std::fs::read_to_string(folder.join("histograms/deadline.hlog")).expect("a log");
-    assert!(log.contains("flood") && log.contains("HIST"), "{log}");
+}
+
+/// Anybody can read every latency again: of each case as many wake-ups as cycles ran, and the longest of them.
+fn assert_log(file: &Path, cases: &[Value]) {
+    let text = std::fs::read_to_string(file).expect("a log");
+    let (mut found, mut begin) = (BTreeMap::<String, (u64, u64)>::new(), Duration::ZERO);
+    for entry in IntervalLogIterator::new(text.as_bytes()) {
+        if let LogEntry::Interval(interval) = entry.expect("an entry") {
+            assert!(begin <= interval.start_timestamp(), "in the order of time");
+            begin = interval.start_timestamp();
+            let bytes = STANDARD
+                .decode(interval.encoded_histogram())
+                .expect("base64");
+            let times: Histogram<u64> = Deserializer::new()
+                .deserialize(&mut &*bytes)
+                .expect("a histogram");
+            let tag = interval.tag().expect("a tag").as_str().to_owned();
+            let (count, longest_ns) = found.entry(tag).or_default();
+            (*count, *longest_ns) = (*count + times.len(), times.max().max(*longest_ns));
+        }
+    }
+    for case in cases {
+        let words = ["load", "set_up", "subject"].map(|key| case[key].as_str().expect(key));
+        let (count, longest_ns) = found[&format!("{}.wake", words.join("."))];
+        assert_eq!(case["cycles"], count, "{case}");
+        let longest_us = case["wake_us"]["max"].as_f64().expect("a time");
+        assert!(
+            (longest_us - longest_ns as f64 * 1e-3).abs() < 1e-6,
+            "{case}"
+        );
+    }
 }

@@ -4,6 +4,7 @@ use std::process::{Output, Stdio};
 
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
+use cdcr_testbed::subject::place::in_public_memory;
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 
@@ -17,14 +18,6 @@ fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {
         .spawn()
         .unwrap();
     (child.id(), child.wait_with_output().unwrap())
-}
-
-/// Files of a process of ours in shared memory.
-fn left_by(process: u32) -> Vec<String> {
-    let mark = format!("cdcrbed_{process}_");
-    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    names.filter(|name| name.contains(&mark)).collect()
 }
 
 #[test]
@@ -72,7 +65,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     assert_eq!(document["programs"].as_array().unwrap().len(), 3);
 
     assert_eq!(folder.path().read_dir().unwrap().count(), 0);
-    assert_eq!(left_by(process), [""; 0]);
+    assert!(in_public_memory(&format!("cdcrbed_{process}_")).is_empty());
 
     if counts::threads(std::process::id()).is_empty() {
         skip(
