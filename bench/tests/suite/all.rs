@@ -13,17 +13,16 @@ use cdcr_testbed::subject::place::in_public_memory;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::{program, stderr};
+use crate::{list, number, program, stderr};
 
-fn command(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = program(&["all", "--quick", "--out"]);
-    command.arg(folder).args(arguments).stdin(Stdio::null());
+fn command(folder: &Path, line: &str) -> Command {
+    let mut command = program(&format!("all --quick {line} --out"));
+    command.arg(folder).stdin(Stdio::null());
     command
 }
 
-fn all(folder: &Path, arguments: &[&str]) -> Output {
-    let output = command(folder, arguments).output();
-    output.expect("the program runs")
+fn all(folder: &Path, line: &str) -> Output {
+    command(folder, line).output().expect("the program runs")
 }
 
 fn json_in(file: &Path) -> Value {
@@ -53,26 +52,17 @@ fn is_compared_with_itself(file: &Path) {
 fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let place = Scratch::temporary().expect("a folder");
     let folder = place.path().join("report");
-    let found = all(&folder, &["--only", "solver,budget", "--rounds", "2"]);
+    let found = all(&folder, "--only solver,budget --rounds 2");
     let errors = stderr(&found);
     assert!(found.status.success(), "{errors}");
     assert!(errors.contains("written into"), "{errors}");
     let summary = String::from_utf8(found.stdout).expect("a text");
     assert!(summary.starts_with("The machine"), "{summary}");
 
-    let expected = [
-        "budget-overrun.svg",
-        "budget.csv",
-        "report.html",
-        "report.json",
-        "report.txt",
-        "solver-growth.csv",
-        "solver-guard.csv",
-        "solver-estimate.csv",
-        "solver-sections.svg",
-        "solver.csv",
-    ];
-    assert_eq!(names(&folder), expected.map(str::to_owned).into());
+    let expected = "budget-overrun.svg budget.csv report.html report.json report.txt solver-estimate.csv \
+                    solver-growth.csv solver-guard.csv solver-sections.svg solver.csv";
+    let expected: BTreeSet<_> = expected.split(' ').map(str::to_owned).collect();
+    assert_eq!(names(&folder), expected);
 
     let report = json_in(&folder.join("report.json"));
     assert!(
@@ -83,7 +73,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let options = json_of_options("solver,budget", "2");
     assert_eq!(report["options"], options);
     assert_eq!(report["failed"], Value::Array(Vec::new()));
-    let metrics = report["metrics"].as_array().expect("a list");
+    let metrics = list(&report, "metrics");
     let names: BTreeSet<_> = metrics
         .iter()
         .map(|metric| metric["name"].as_str())
@@ -93,8 +83,8 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         metrics.len(),
         "a size that several series share counts once"
     );
-    for row in report["solver"]["estimate"].as_array().expect("a list") {
-        let us = |key: &str| row[key].as_f64().expect("a time");
+    for row in list(&report["solver"], "estimate") {
+        let us = |key: &str| number(row, key);
         let (estimate_us, both_us) = (us("estimate_p50_us"), us("both_p50_us"));
         assert!(
             0.0 < estimate_us && estimate_us <= us("estimate_p99_us"),
@@ -106,13 +96,8 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         assert!(report[name]["cases"].is_array(), "{name}");
         assert!(report["took_s"][name].as_f64() > Some(0.0), "{name}");
         let own = metrics.iter().filter(|metric| {
-            let begins = metric["name"]
-                .as_str()
-                .is_some_and(|all| all.starts_with(name));
-            begins
-                && metric["rounds"]
-                    .as_array()
-                    .is_some_and(|rounds| rounds.len() == 2)
+            let full = metric["name"].as_str().expect("a name");
+            full.starts_with(name) && list(metric, "rounds").len() == 2
         });
         assert!(own.count() > 3, "{name}");
     }
@@ -125,7 +110,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     older["failing"] = json!({ "error": "no luck" });
     let older = older.to_string();
     fs::write(folder.join("report.json"), &older).expect("written");
-    let found = all(&folder, &["--only", "budget"]);
+    let found = all(&folder, "--only budget");
     let errors = stderr(&found);
     assert!(found.status.success(), "{errors}");
     assert!(
@@ -166,7 +151,7 @@ fn page_is_whole(page: &str) {
 #[test]
 fn ctrl_c_leaves_nothing_in_the_folder() {
     let place = Scratch::temporary().expect("a folder");
-    let mut child = command(place.path(), &["--only", "solver", "--rounds", "100"])
+    let mut child = command(place.path(), "--only solver --rounds 100")
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
@@ -205,14 +190,7 @@ fn is_daemon(process: u32, places: &str) -> bool {
 #[test]
 fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
     let place = Scratch::temporary().expect("a folder");
-    let arguments = [
-        "deadline",
-        "--duration=6s",
-        "--rounds=2",
-        "--load=none",
-        "--setup=ordinary",
-    ];
-    let mut child = program(&arguments)
+    let mut child = program("deadline --duration=6s --rounds=2 --load=none --setup=ordinary")
         .env("TMPDIR", place.path())
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -253,7 +231,7 @@ fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
     let folder = Scratch::temporary().expect("a folder");
     let file = folder.path().join("file");
     fs::write(&file, "").expect("written");
-    let found = all(&file.join("inside"), &["--only", "budget"]);
+    let found = all(&file.join("inside"), "--only budget");
     let errors = stderr(&found);
     assert!(
         errors.contains("cannot make the folder") && errors.contains("inside"),
@@ -261,7 +239,7 @@ fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
     );
 
     let place = Scratch::temporary().expect("a folder");
-    let found = all(place.path(), &["--config", "nowhere.toml"]);
+    let found = all(place.path(), "--config nowhere.toml");
     let errors = stderr(&found);
     assert_eq!(found.status.code(), Some(1));
     assert!(errors.contains("no file nowhere.toml"), "{errors}");
@@ -272,10 +250,13 @@ fn a_benchmark_that_fails_does_not_lose_the_others() {
     let place = Scratch::temporary().expect("a folder");
     let config = place.path().join("bad.toml");
     fs::write(&config, "[cycle]\nno_such_key = 1\n").expect("written");
-    let config = config.to_string_lossy().into_owned();
     let folder = place.path().join("report");
-    let arguments = ["--only", "deadline,budget", "--config", &config];
-    let found = all(&folder, &arguments);
+    let mut command = command(&folder, "--only deadline,budget");
+    let found = command
+        .arg("--config")
+        .arg(config)
+        .output()
+        .expect("the program runs");
     let errors = stderr(&found);
     assert_eq!(found.status.code(), Some(1), "{errors}");
     assert!(

@@ -6,11 +6,11 @@ use std::process::Output;
 use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
-use crate::{program, stderr};
+use crate::{list, number, program, stderr};
 
-fn compare(arguments: &[&str], files: [&Path; 2]) -> Output {
-    let mut command = program(&["compare"]);
-    command.args(files).args(arguments).output().unwrap()
+fn compare(line: &str, files: [&Path; 2]) -> Output {
+    let mut command = program(&format!("compare {line}"));
+    command.args(files).output().unwrap()
 }
 
 /// A name, a unit, and the value of each round.
@@ -44,14 +44,14 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     };
     let before = many("a.json", &[10.0, 11.0, 12.0]);
     let after = many("b.json", &[20.0, 21.0, 22.0]);
-    let found = compare(&[], [&before, &after]);
+    let found = compare("", [&before, &after]);
     let text = String::from_utf8(found.stdout).expect("a text");
     assert!(found.status.success(), "{text}");
     let counts = "5 worse, 0 better, 1 one-value-worse, 0 one-value-better, 0 within-noise";
     assert!(text.contains("a/4") && text.contains(counts), "{text}");
 
-    let failing = ["--fail-on-worse", "--format", "json"];
-    let found = compare(&failing, [&before, &after]);
+    let failing = "--fail-on-worse --format json";
+    let found = compare(failing, [&before, &after]);
     assert_eq!(found.status.code(), Some(1));
     let document: Value = serde_json::from_slice(&found.stdout).expect("one object");
     let metrics = &document["metrics"];
@@ -62,7 +62,7 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     );
     assert_eq!(metrics[5]["verdict"], "one-value-worse");
     // The other way round it became better.
-    assert!(compare(&failing, [&after, &before]).status.success());
+    assert!(compare(failing, [&after, &before]).status.success());
 
     // Of 31 numbers chance moves 10 %: half of 3.1, rounded up, and two more may be chance.
     let names: Vec<String> = (0..31).map(|i| format!("a/{i}")).collect();
@@ -82,7 +82,7 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
         let after: Vec<_> = named().enumerate().map(number).collect();
         let before = write(folder.path(), "a.json", &[], &before);
         let after = write(folder.path(), "b.json", &[], &after);
-        let found = compare(&["--fail-on-worse"], [&before, &after]);
+        let found = compare("--fail-on-worse", [&before, &after]);
         let text = String::from_utf8_lossy(&found.stdout);
         assert!(text.contains(&format!("{worse} worse")), "{text}");
         assert_eq!(found.status.success(), !fails, "{text}");
@@ -130,17 +130,17 @@ fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
         (&[silent], &["the run after does not say"]),
     ] {
         let after = write(folder.path(), "b.json", keys, &numbers);
-        let found = compare(&["--format", "json"], [&before, &after]);
+        let found = compare("--format json", [&before, &after]);
         let document: Value = serde_json::from_slice(&found.stdout).expect("one object");
-        let metrics = document["metrics"].as_array().expect("a list");
+        let metrics = list(&document, "metrics");
         let names: Vec<&Value> = metrics.iter().map(|change| &change["name"]).collect();
         assert_eq!(names, ["worse", "same"], "changed ones first");
         assert_eq!(document["only_before"], json!(["gone", "unit"]));
         assert_eq!(document["only_after"], json!(["empty", "new", "unit"]));
         // 2 of the 20 ways to deal six rounds leave three and three apart.
-        let by_chance = document["changed_by_chance"].as_f64().expect("a number");
+        let by_chance = number(&document, "changed_by_chance");
         assert!((by_chance - 0.2).abs() < 1e-12, "{document}");
-        let warnings = document["warnings"].as_array().expect("a list");
+        let warnings = list(&document, "warnings");
         assert_eq!(warnings.len(), warned.len(), "{warnings:?}");
         let text = document["warnings"].to_string().replace("\\\"", "\"");
         assert!(warned.iter().all(|words| text.contains(words)), "{text}");
@@ -159,13 +159,13 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
         "{\"environment\": {}, \"metrics\": [{}]}",
     ] {
         std::fs::write(&bad, text).expect("written");
-        let found = compare(&[], [&good, &bad]);
+        let found = compare("", [&good, &bad]);
         let errors = stderr(&found);
         assert_eq!(found.status.code(), Some(1), "{text}");
         let words = ["bad.json is no result of cdcr-bench", "\"metrics\""];
         assert!(words.iter().all(|words| errors.contains(words)), "{errors}");
     }
-    let found = compare(&[], [&folder.path().join("missing.json"), &good]);
+    let found = compare("", [&folder.path().join("missing.json"), &good]);
     let errors = stderr(&found);
     assert!(
         errors.contains("cannot read") && errors.contains("missing.json"),

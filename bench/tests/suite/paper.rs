@@ -14,6 +14,8 @@ use cdcr_controller::nmpc::Coordinates;
 use cdcr_scratch::Scratch;
 use serde_json::Value;
 
+use crate::number;
+
 const QUICK: Effort = Effort {
     seeds: 1,
     cycles_max: 12,
@@ -62,13 +64,11 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
         assert!(row["mean_error_outside_mm"].is_null() && row["peak_error_mm"].is_null());
         assert_eq!(row["samples"], 12);
         for key in ["mean", "p50", "p99", "max"] {
-            assert!(row["solve_us"][key].as_f64() > Some(0.0), "{row}");
+            assert!(number(&row["solve_us"], key) > 0.0, "{row}");
         }
         assert!(row["paper"]["mean_solve_ms"].as_f64() > Some(1.0));
-        assert_eq!(
-            row["paper"]["mean_error_mm"].is_f64(),
-            row["name"] != "circle"
-        );
+        let has_error = row["paper"]["mean_error_mm"].is_f64();
+        assert_eq!(has_error, row["name"] != "circle");
     }
 }
 
@@ -131,11 +131,7 @@ fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
     let row = run(experiment, effort, || ())
         .expect("the simulation runs")
         .row;
-    move |key| {
-        row[key]
-            .as_f64()
-            .unwrap_or_else(|| panic!("{key} of {row}"))
-    }
+    move |key| number(&row, key)
 }
 
 #[test]
