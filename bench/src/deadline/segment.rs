@@ -182,30 +182,36 @@ impl<'a> Runner<'a> {
     /// What the hypervisor has taken since the start of the machine from the real-time core, in as far as it is counted
     /// \[ms\]; without real time from all, because the threads are where the system puts them.
     fn stolen_ms(&self, setup: Setup) -> f64 {
+        let is_watched = |core: &&usize| setup == Setup::Ordinary || **core == self.cores.realtime;
         let others = self
             .cores
             .others
             .iter()
             .filter(|core| **core != self.cores.realtime);
-        let others = others.filter(|_| setup == Setup::Ordinary);
-        let watched = others.chain([&self.cores.realtime]);
+        let watched = others.chain([&self.cores.realtime]).filter(is_watched);
         watched.filter_map(|core| steal_ms(*core)).sum()
+    }
+
+    /// The tally of something that warms up first, with what was stolen from then on.
+    fn after_warm_up(&self, setup: Setup, wait: impl FnOnce() -> Result<Tally>) -> Result<Tally> {
+        interrupt::sleep(WARM_UP)?;
+        let before_ms = self.stolen_ms(setup);
+        let mut tally = wait()?;
+        tally.counts.steal_ms = self.stolen_ms(setup) - before_ms;
+        Ok(tally)
     }
 
     fn bare(&self, setup: Setup) -> Result<Tally> {
         let duration = WARM_UP + self.options.segment();
         let bare = Baseline::start(&self.launch(setup), &self.cores, duration)?;
-        interrupt::sleep(WARM_UP)?;
-        let before_ms = self.stolen_ms(setup);
-        let cycles = bare.wait()?;
-        let steal_ms = self.stolen_ms(setup) - before_ms;
-        let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
-        let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
-        // As the observer sees the daemon: a stall over the end of the warm-up counts, with all that it skipped.
-        let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
-        let mut tally = Tally::of(&cycles[warm..], false)?;
-        tally.counts.steal_ms = steal_ms;
-        Ok(tally)
+        self.after_warm_up(setup, || {
+            let cycles = bare.wait()?;
+            let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
+            let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
+            // As the observer sees the daemon: a stall over the end of the warm-up counts, with all that it skipped.
+            let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
+            Tally::of(&cycles[warm..], false)
+        })
     }
 
     fn cyclictest(&self) -> Result<Tally> {
@@ -214,13 +220,10 @@ impl<'a> Runner<'a> {
         let (warm, counted) = (cycles(WARM_UP), cycles(self.options.segment()));
         let (core, priority) = (self.cores.realtime, Some(CYCLE_PRIORITY));
         let running = cyclictest.start(self.period, priority, core, warm + counted)?;
-        interrupt::sleep(WARM_UP)?;
-        let before_ms = self.stolen_ms(Setup::Realtime);
-        let latencies = running.wait()?.without_first(warm)?;
-        let steal_ms = self.stolen_ms(Setup::Realtime) - before_ms;
-        let mut tally = Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)?;
-        tally.counts.steal_ms = steal_ms;
-        Ok(tally)
+        self.after_warm_up(Setup::Realtime, || {
+            let latencies = running.wait()?.without_first(warm)?;
+            Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)
+        })
     }
 }
 

@@ -7,7 +7,6 @@ mod parts;
 mod scenario;
 mod tuning;
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result, ensure};
@@ -189,48 +188,43 @@ impl RobustnessOptions {
     /// Each scenario with the controllers that differ on it, behind both interfaces.
     fn cases(&self) -> Vec<Case> {
         let is_wanted = |scenario: &Scenario| scenario.is_ideal() || self.names(scenario);
-        let scenarios = Scenario::all().into_iter().filter(is_wanted);
-        let controlled = scenarios.flat_map(|scenario| {
-            let controls: Vec<Control> = scenario.controls().collect();
-            controls
-                .into_iter()
-                .map(move |control| (scenario.clone(), control))
-        });
-        let both = controlled.flat_map(|(scenario, control)| {
-            [true, false].map(|obeys_positions| Case {
-                scenario: scenario.clone(),
-                control,
-                obeys_positions,
-            })
-        });
-        both.collect()
+        let mut cases = Vec::new();
+        for scenario in Scenario::all().into_iter().filter(is_wanted) {
+            for control in scenario.controls() {
+                cases.extend([true, false].map(|obeys_positions| Case {
+                    scenario: scenario.clone(),
+                    control,
+                    obeys_positions,
+                }));
+            }
+        }
+        cases
     }
 
-    /// Runs all cases, each core one after the other; none depends on another.
+    /// Runs all cases, on each core every so many-th of them; none depends on another.
     fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
-        let eight = FigureEight::new()?;
-        let (next, progress) = (AtomicUsize::new(0), Mutex::new(progress));
-        let work = || {
-            let mut done = Vec::new();
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                let Some(case) = cases.get(index) else {
-                    return anyhow::Ok(done);
-                };
+        let (eight, progress) = (&FigureEight::new()?, &Mutex::new(progress));
+        let work = |first: usize| {
+            let own = cases.iter().enumerate().skip(first).step_by(cores());
+            let runs = own.map(|(index, case)| {
                 let what = format!("{}, {}", case.scenario.name, case.control.name());
-                lock(&progress).begin(&what);
-                done.push((index, case.runs(&eight, self.seeds, &progress)?));
-            }
-        };
-        let done = std::thread::scope(|scope| {
-            let threads: Vec<_> = (0..cores()).map(|_| scope.spawn(work)).collect();
-            let ends = threads.into_iter().map(|thread| match thread.join() {
-                Ok(done) => done,
-                Err(panic) => std::panic::resume_unwind(panic),
+                lock(progress).begin(&what);
+                Ok((index, case.runs(eight, self.seeds, progress)?))
             });
-            ends.collect::<Result<Vec<_>>>()
+            runs.collect::<Result<Vec<_>>>()
+        };
+        let mut done = Vec::new();
+        std::thread::scope(|scope| {
+            let work = &work;
+            let threads: Vec<_> = (0..cores())
+                .map(|first| scope.spawn(move || work(first)))
+                .collect();
+            for thread in threads {
+                let ended = thread.join();
+                done.extend(ended.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
+            }
+            anyhow::Ok(())
         })?;
-        let mut done: Vec<_> = done.into_iter().flatten().collect();
         done.sort_by_key(|(index, _)| *index);
         Ok(done.into_iter().map(|(_, runs)| runs).collect())
     }
