@@ -35,13 +35,11 @@ use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::system::cores::Cores;
 use crate::system::thread::{WATCHER_PRIORITY, may_be_realtime, pin, set_fifo};
-use asker::Asker;
 use hands::Hands;
 use hands::Looks;
-use inputs::{Inputs, Source};
+use inputs::Source;
 pub use leg::Leg;
 pub use round::{Round, Sampled, Unmeasured};
-use stops::Stops;
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
@@ -197,18 +195,14 @@ impl Bench<'_> {
                 sender: hands.connection.obstacle_sender()?,
                 length_m,
             };
-            let mut inputs = Inputs::new(&hands, vec![reference, obstacle], None, samples);
-            hands.run(&mut inputs, round)?;
-            drop(inputs);
+            inputs::measure(&mut hands, vec![reference, obstacle], samples, round)?;
 
-            let mut asker = Asker::open(location, hands.connection.sender_id())?;
+            hands.open_asker(location)?;
             let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
-            let mut requests = Inputs::new(&hands, requests.into(), Some(&mut asker), samples);
-            hands.run(&mut requests, round)?;
+            inputs::measure(&mut hands, requests.into(), samples, round)?;
 
             let feed = hands.connection.reference_feed()?;
-            let mut stops = Stops::new(&hands, feed, &mut asker, self.options.stops())?;
-            hands.run(&mut stops, round)?;
+            stops::measure(&mut hands, &feed, self.options.stops(), round)?;
             daemon.add(&hands);
             Ok(())
         })
@@ -224,8 +218,7 @@ impl Bench<'_> {
             };
             scene::awaken(&hands, &measurement)?;
             let _feed = scene::follow(&hands)?;
-            let mut inputs = Inputs::new(&hands, vec![measurement], None, samples);
-            hands.run(&mut inputs, round)?;
+            inputs::measure(&mut hands, vec![measurement], samples, round)?;
             daemon.add(&hands);
             Ok(())
         })

@@ -5,15 +5,12 @@
 //! deceleration · T in each cycle: a speed of n steps is zero in the n-th command. The ramp, which is the
 //! robot's and not the daemon's, is n - 1 periods.
 
-use std::mem;
-
 use anyhow::{Context, Result, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
+use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
-use cdcr_shared_types::{Command, Telemetry};
 
-use super::asker::{Answer, Asker};
-use super::hands::{Errand, Hands, Seen};
+use super::hands::{Hands, Seen, Turn};
 use super::inputs::Phases;
 use super::leg::Leg;
 use super::round::{Passage, Round};
@@ -29,25 +26,7 @@ const TURNS_OF_A_STOP: u64 = 200;
 /// A robot that is not at speed after so many releases is sent elsewhere.
 const SPEED_UP_MAX: u32 = 100;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Step {
-    /// A new reference, and out of the stop before.
-    Reset,
-    Track,
-    /// Wait until it is fast; so many releases were waited for.
-    SpeedUp(u32),
-    Stop,
-    Rest,
-}
-
-/// A record, and when its command was in the client's hands.
-#[derive(Debug, Clone)]
-struct Kept {
-    record: Telemetry,
-    received_ns: Option<u64>,
-}
-
-impl Kept {
+impl Seen {
     fn is_in(&self, mode: Mode) -> bool {
         self.record.mode == mode.code()
     }
@@ -58,188 +37,115 @@ impl Kept {
     }
 }
 
-pub(super) struct Stops<'a> {
-    asker: &'a mut Asker,
-    feed: ReferenceFeed,
-    length_m: f64,
-    fast_rad_s: f64,
+/// Stops the robot until `samples` stops count. A stop is spoilt when records are missing, or the robot was hardly moving.
+pub(super) fn measure(
+    hands: &mut Hands,
+    feed: &ReferenceFeed,
     samples: usize,
-    recorded: usize,
-    /// Stops that do not count: records are missing, or the robot was hardly moving.
-    spoilt: usize,
-    turn: u32,
-    phases: Phases,
-    step: Step,
-    due_ns: u64,
-    sent_ns: u64,
-    records: Vec<Kept>,
-}
-
-impl<'a> Stops<'a> {
-    pub(super) fn new(
-        hands: &Hands,
-        feed: ReferenceFeed,
-        asker: &'a mut Asker,
-        samples: usize,
-    ) -> Result<Self> {
-        let robot = &hands.status.robot;
-        let sections = &robot.section[..robot.sections as usize];
-        let rates = sections.iter().map(|section| section.rate_max_rad_s);
-        let slowest_rad_s = rates
-            .reduce(f64::min)
-            .context("the robot has no sections")?;
-        Ok(Self {
-            asker,
-            feed,
-            length_m: hands.length_m(),
-            fast_rad_s: AT_SPEED * slowest_rad_s,
-            samples,
-            recorded: 0,
-            spoilt: 0,
-            turn: 0,
-            phases: Phases::default(),
-            step: Step::Reset,
-            due_ns: 0,
-            sent_ns: 0,
-            records: Vec::new(),
-        })
-    }
-
-    fn begin(&mut self) {
-        self.turn += 1;
-        self.step = Step::Reset;
-        self.due_ns = 0;
-        self.records.clear();
-    }
-
-    fn answered(&mut self, answer: &Answer) -> Result<()> {
-        let outcome = Outcome::try_from(answer.outcome);
-        match (self.step, answer.kind, outcome) {
-            // Refused to a robot that follows already: it goes on to the new reference.
-            (Step::Reset, RequestKind::Reset, Ok(Outcome::Accepted | Outcome::WrongMode)) => {
-                self.step = Step::Track;
-                self.due_ns = 0;
-            }
-            (Step::Track, RequestKind::Track, Ok(Outcome::Accepted)) => {
-                self.step = Step::SpeedUp(0);
-            }
-            // It came so late that the chunk was not there, or no longer ahead.
-            (Step::Track, RequestKind::Track, Ok(Outcome::NoReference)) => self.begin(),
-            (_, RequestKind::Stop, Ok(Outcome::Accepted)) => {}
-            _ => answer.accepted()?,
+    round: &mut Round,
+) -> Result<()> {
+    let (mut recorded, mut spoilt, most) = (0, 0, samples + WARM_UP);
+    let mut phases = Phases::default();
+    hands.begin(TURNS_OF_A_STOP * most as u64)?;
+    for number in 0.. {
+        scene::send(feed, scene::aside(number, hands.length_m()))?;
+        // Refused to a robot that follows already: it goes on to the new reference.
+        ask(hands, RequestKind::Reset, Outcome::WrongMode)?;
+        // It came so late that the chunk was not there, or no longer ahead.
+        if ask(hands, RequestKind::Track, Outcome::NoReference)? != Outcome::Accepted {
+            continue;
         }
-        Ok(())
-    }
-
-    /// The robot is on its way: stop it at a time within the next period.
-    fn speed_up(&mut self, newest: &Kept, releases: u32, round: &mut Round) {
-        if newest.is_in(Mode::Tracking) && newest.speed_rad_s() > self.fast_rad_s {
-            self.step = Step::Stop;
-            self.due_ns = monotonic_ns() + self.phases.next_ns(newest.record.period_ns);
-        } else if releases >= SPEED_UP_MAX {
-            self.spoil(round);
-            self.begin();
-        } else {
-            self.step = Step::SpeedUp(releases + 1);
-        }
-    }
-
-    fn spoil(&mut self, round: &mut Round) {
-        self.spoilt += 1;
-        round.unmeasured.spoilt_stops += 1;
-    }
-
-    fn end(&mut self, round: &mut Round) {
-        let records = mem::take(&mut self.records);
-        match evaluate(&records, self.sent_ns) {
-            Some(stop) if self.turn as usize >= WARM_UP => {
-                self.recorded += 1;
-                stop.record(round);
+        match stop(hands, &mut phases)? {
+            Some(stopped) if number as usize >= WARM_UP => {
+                recorded += 1;
+                stopped.record(round);
             }
             Some(_) => {}
-            None => self.spoil(round),
+            None => {
+                spoilt += 1;
+                round.unmeasured.spoilt_stops += 1;
+            }
         }
-        self.begin();
+        ensure!(
+            spoilt <= most,
+            "{spoilt} of {number} stops could not be judged: records are missing, or the robot hardly moves"
+        );
+        if recorded >= samples {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Asks for something, and waits for the answer: accepted, or refused for the reason that is expected.
+fn ask(hands: &mut Hands, kind: RequestKind, expected: Outcome) -> Result<Outcome> {
+    let mut due_ns = 0;
+    loop {
+        let turn = turn(hands, &mut due_ns, kind)?.0;
+        if let Some(answer) = turn.answers.first() {
+            match Outcome::try_from(answer.outcome) {
+                Ok(outcome) if outcome == expected => return Ok(expected),
+                _ => answer.accepted()?,
+            }
+            return Ok(Outcome::Accepted);
+        }
     }
 }
 
-impl Errand for Stops<'_> {
-    fn due_ns(&self) -> u64 {
-        let acts = matches!(self.step, Step::Reset | Step::Track | Step::Stop);
-        if acts && self.asker.waits_since_ns().is_none() {
-            self.due_ns
-        } else {
-            u64::MAX
+/// One turn, in which this is asked once when it is due. With the stamp of the request, if it was sent.
+fn turn(hands: &mut Hands, due_ns: &mut u64, kind: RequestKind) -> Result<(Turn, Option<u64>)> {
+    let (before_ns, mut sent_ns) = (hands.grid.early_ns(), None);
+    let turn = hands.turn(before_ns, due_ns, &mut |_, asker| {
+        let asker = asker.context("nobody asks")?;
+        sent_ns = Some(asker.ask(kind)?.1);
+        Ok(u64::MAX)
+    })?;
+    for seen in &turn.seen {
+        let why = Reason::text_of(seen.record.reason);
+        ensure!(!seen.is_in(Mode::Faulted), "the robot is faulted: {why}");
+    }
+    Ok((turn, sent_ns))
+}
+
+/// Waits until the robot is at speed, stops it at a time within the next period, and waits until it rests.
+fn stop(hands: &mut Hands, phases: &mut Phases) -> Result<Option<Stopped>> {
+    let robot = &hands.status.robot;
+    let sections = robot.section[..robot.sections as usize].iter();
+    let slowest_rad_s = sections
+        .map(|section| section.rate_max_rad_s)
+        .fold(f64::INFINITY, f64::min);
+    let (mut records, mut due_ns, mut sent_ns) = (Vec::new(), u64::MAX, None);
+    for releases in 0.. {
+        let (turn, sent) = turn(hands, &mut due_ns, RequestKind::Stop)?;
+        sent_ns = sent_ns.or(sent);
+        for answer in &turn.answers {
+            answer.accepted()?;
+        }
+        let is_going = due_ns == u64::MAX && sent_ns.is_none();
+        if is_going {
+            // Records come later than answers: the first ones may be of the stop before.
+            records.extend(
+                turn.seen
+                    .into_iter()
+                    .filter(|seen| seen.is_in(Mode::Tracking)),
+            );
+            let is_fast = |seen: &&Seen| seen.speed_rad_s() > AT_SPEED * slowest_rad_s;
+            if records.last().filter(is_fast).is_some() {
+                due_ns = monotonic_ns() + phases.next_ns(hands.grid.period_ns);
+            } else if releases >= SPEED_UP_MAX {
+                return Ok(None);
+            }
+            continue;
+        }
+        records.extend(turn.seen);
+        let rests = |seen: &Seen| seen.is_in(Mode::Stopped) && seen.speed_rad_s() == 0.0;
+        if let Some(sent_ns) = sent_ns.filter(|_| hands.waits_since_ns().is_none())
+            && records.last().is_some_and(rests)
+        {
+            return Ok(evaluate(&records, sent_ns));
         }
     }
-
-    fn act(&mut self, _newest: Option<&Command>) -> Result<()> {
-        match self.step {
-            Step::Reset => {
-                scene::send(&self.feed, scene::aside(self.turn, self.length_m))?;
-                self.asker.ask(RequestKind::Reset)?;
-            }
-            Step::Track => _ = self.asker.ask(RequestKind::Track)?,
-            Step::Stop => {
-                (_, self.sent_ns) = self.asker.ask(RequestKind::Stop)?;
-                self.step = Step::Rest;
-            }
-            Step::SpeedUp(_) | Step::Rest => {}
-        }
-        Ok(())
-    }
-
-    fn look(&mut self, _release_ns: u64) -> Result<bool> {
-        if let Some(answer) = self.asker.look()? {
-            self.answered(&answer)?;
-        }
-        Ok(true)
-    }
-
-    fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()> {
-        let kept = Kept {
-            record: *cycle.record,
-            received_ns: cycle.received_ns,
-        };
-        ensure!(
-            !kept.is_in(Mode::Faulted),
-            "the robot is faulted: {}",
-            Reason::text_of(cycle.record.reason)
-        );
-        match self.step {
-            Step::Reset | Step::Track => {}
-            Step::SpeedUp(releases) => {
-                self.speed_up(&kept, releases, round);
-                // Records come later than answers: the first ones may be of the stop before.
-                if kept.is_in(Mode::Tracking) && self.step != Step::Reset {
-                    self.records.push(kept);
-                }
-            }
-            Step::Stop | Step::Rest => {
-                let rests = kept.is_in(Mode::Stopped) && kept.speed_rad_s() == 0.0;
-                self.records.push(kept);
-                if rests && self.asker.waits_since_ns().is_none() {
-                    self.end(round);
-                }
-            }
-        }
-        let most = self.samples + WARM_UP;
-        ensure!(
-            self.spoilt <= most,
-            "{} of {} stops could not be judged: records are missing, or the robot hardly moves",
-            self.spoilt,
-            self.turn
-        );
-        Ok(())
-    }
-
-    fn is_done(&self) -> bool {
-        self.recorded >= self.samples
-    }
-
-    fn turns(&self) -> u64 {
-        TURNS_OF_A_STOP * (self.samples + WARM_UP) as u64 + 1000
-    }
+    Ok(None)
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -261,10 +167,10 @@ impl Stopped {
 
 /// From the records of one stop, the last of which is at rest. None when one is missing, a command never
 /// came, or the robot was hardly moving any more.
-fn evaluate(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
+fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     let at = records.iter().position(|kept| kept.is_in(Mode::Stopped))?;
     let (first, before) = (&records[at], records.get(at.checked_sub(1)?)?);
-    let is_next = |pair: &[Kept]| {
+    let is_next = |pair: &[Seen]| {
         let [one, next] = [0, 1].map(|index| pair[index].record.header.sequence);
         one + 1 == next
     };
@@ -274,7 +180,7 @@ fn evaluate(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
         deceleration_rad_s2,
         previous_rate_rad_s,
         ..
-    } = &first.record;
+    } = &*first.record;
     let step_rad_s = deceleration_rad_s2 * *period_ns as f64 * 1e-9;
     let steps = largest(previous_rate_rad_s) / step_rad_s;
     if !is_whole || !before.is_in(Mode::Tracking) || steps < 2.0 {
@@ -308,7 +214,7 @@ mod tests {
     use super::*;
 
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
-    fn stop() -> Vec<Kept> {
+    fn stop() -> Vec<Seen> {
         let speeds_rad_s = [
             0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25, 0.15, 0.05, 0.0,
         ];
@@ -330,8 +236,8 @@ mod tests {
             record.header.sequence = 7 + index as u64;
             record.previous_rate_rad_s[0] = speeds_rad_s[index.saturating_sub(1)];
             record.command.bend_rate_rad_s[0] = speeds_rad_s[index];
-            Kept {
-                record,
+            Seen {
+                record: Box::new(record),
                 received_ns: Some(release_ns + 60_000),
             }
         };
@@ -356,7 +262,7 @@ mod tests {
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
-        let missing: [(fn(&mut Vec<Kept>), &str); 5] = [
+        let missing: [(fn(&mut Vec<Seen>), &str); 5] = [
             (|all| _ = all.remove(4), "a record is missing"),
             (|all| all[10].received_ns = None, "a command never came"),
             (
