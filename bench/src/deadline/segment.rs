@@ -4,9 +4,10 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 
-use super::observer::{Ending, Signals, observe};
+use super::observer::{Counted, observe};
 use super::tally::Tally;
 use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::benchmark::with_period;
@@ -107,16 +108,14 @@ impl<'a> Runner<'a> {
         let daemon = Daemon::start(&self.launch(setup), &self.cores)?;
         let (location, core) = (daemon.location(), self.cores.client());
         let tracking = Tracking::start(location, core)?;
-        let (signals, realtime) = (Signals::new(), setup == Setup::Realtime);
+        let (counted, realtime) = (Counted::new(), setup == Setup::Realtime);
         let (tally, measured) = thread::scope(|scope| {
-            let observer = scope.spawn(|| observe(location, core, realtime, &signals));
-            // A measurement that fails or panics ends the observer, too.
-            let ending = Ending(&signals);
-            let measured = self.measure(load, setup, location, &signals, || observer.is_finished());
-            drop(ending);
-            let observed = observer
-                .join()
-                .map_err(|_| anyhow!("the observer panicked"));
+            let observer = scope.spawn(|| observe(location, core, realtime, &counted));
+            let measured = self.measure(load, setup, location, &counted, || observer.is_finished());
+            // A measurement that fails ends the observer, too.
+            counted.get_or_init(|| 0..0);
+            let observed = observer.join();
+            let observed = observed.map_err(|_| anyhow!("the observer panicked"));
             (observed.flatten().context("the observer"), measured)
         });
         tracking.stop().with_context(|| daemon.stderr_tail())?;
@@ -133,14 +132,15 @@ impl<'a> Runner<'a> {
         load: Load,
         setup: Setup,
         location: &Location,
-        signals: &Signals,
+        counted: &Counted,
         has_ended: impl Fn() -> bool,
     ) -> Result<(f64, Done)> {
         let running = Running::start(load, &self.cores, Some(location))?;
         interrupt::sleep(WARM_UP)?;
-        signals.begin();
+        let (begin_ns, segment) = (monotonic_ns(), self.options.segment());
+        counted.get_or_init(|| begin_ns..begin_ns + segment.as_nanos() as u64);
         let before_ms = self.stolen_ms(setup);
-        let mut left = self.options.segment();
+        let mut left = segment;
         // An observer that ended by itself is asked for its reason when it is ended.
         while !left.is_zero() && !has_ended() {
             if let Some(failure) = running.failure() {
@@ -151,7 +151,6 @@ impl<'a> Runner<'a> {
             left -= step;
         }
         // Nothing counts of the time in which the load ends.
-        signals.end();
         let steal_ms = self.stolen_ms(setup) - before_ms;
         Ok((steal_ms, running.stop()?))
     }
