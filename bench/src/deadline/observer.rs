@@ -128,7 +128,11 @@ impl Watch {
             }
             let idle_ns = monotonic_ns() - opened_ns;
             let has_begun = begin_ns != u64::MAX || idle_ns < BEGIN_NS;
-            ensure!(has_begun, "nothing began to be counted");
+            ensure!(
+                has_begun,
+                "the load did not start within {} s",
+                BEGIN_NS / 1_000_000_000
+            );
             let silent_ns = monotonic_ns().saturating_sub(self.last_record_ns);
             ensure!(
                 silent_ns < SILENCE_NS,

@@ -284,7 +284,7 @@ impl Near {
         };
         let pending = self.control.send_copy(request);
         let pending = pending.context("cannot ask the peer")?;
-        let (_, received_ns) = self.wait_for(|| {
+        let ((), received_ns) = self.wait_for(|| {
             let response = pending.receive().context("no answer of the peer")?;
             Ok(response.map(|_| ()))
         })?;

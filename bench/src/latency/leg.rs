@@ -62,7 +62,9 @@ impl Leg {
     /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
     /// that two runs cannot differ in it.
     pub fn is_grid(self) -> bool {
-        self.name().ends_with(".grid")
+        self.name()
+            .split_once('.')
+            .is_some_and(|(_, part)| part == "grid")
     }
 
     /// This whole, and what follows it in the list: its part that waits for the grid, and the machinery.

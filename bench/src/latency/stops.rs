@@ -129,8 +129,8 @@ fn stop(hands: &mut Hands, phases: &mut Phases) -> Result<Option<Stopped>> {
                     .into_iter()
                     .filter(|seen| seen.is_in(Mode::Tracking)),
             );
-            let is_fast = |seen: &&Seen| seen.speed_rad_s() > AT_SPEED * slowest_rad_s;
-            if records.last().filter(is_fast).is_some() {
+            let is_fast = |seen: &Seen| seen.speed_rad_s() > AT_SPEED * slowest_rad_s;
+            if records.last().is_some_and(is_fast) {
                 due_ns = monotonic_ns() + phases.next_ns(hands.grid.period_ns);
             } else if releases >= SPEED_UP_MAX {
                 return Ok(None);
@@ -262,7 +262,8 @@ mod tests {
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
-        let missing: [(fn(&mut Vec<Seen>), &str); 5] = [
+        type Change = fn(&mut Vec<Seen>);
+        let missing: [(Change, &str); 5] = [
             (|all| _ = all.remove(4), "a record is missing"),
             (|all| all[10].received_ns = None, "a command never came"),
             (

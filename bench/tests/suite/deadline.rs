@@ -75,6 +75,17 @@ fn assert_rounds(case: &Value) {
             "{key} of {case}"
         );
     }
+    let sum = |of: &dyn Fn(&Value) -> Option<f64>| rounds.iter().filter_map(of).sum::<f64>();
+    for cause in ["platform", "load", "compute", "fault", "other"] {
+        let counted = case["causes"][cause].as_f64().unwrap_or_default();
+        let of_rounds = sum(&|round| round["causes"][cause].as_f64());
+        assert!((of_rounds - counted).abs() < 1e-9, "{cause} of {case}");
+    }
+    for key in ["steal_ms", "run_delay_ms"] {
+        let counted = case[key].as_f64().unwrap_or_default();
+        let of_rounds = sum(&|round| round[key].as_f64());
+        assert!((of_rounds - counted).abs() < 1e-6, "{key} of {case}");
+    }
     let of_rounds = |key: &str| [0, 1].map(|round| number(&rounds[round]["wake_us"], key));
     let median_us = number(&case["median_of_rounds"]["wake_us"], "p50");
     let [one, other] = of_rounds("p50");

@@ -19,6 +19,7 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 /// Two rounds: each leg has its samples, and its parts make the whole.
 #[test]
 fn every_way_is_measured_in_every_round() {
+    use Leg::{LeaseAnswer, MeasurementMachinery, ObstacleGrid, ReferenceCommand};
     let options = LatencyOptions {
         rounds: 2,
         samples: 10,
@@ -34,7 +35,6 @@ fn every_way_is_measured_in_every_round() {
     for leg in Leg::ALL {
         assert!(samples(leg) > 0, "{}", leg.name());
     }
-    use Leg::{LeaseAnswer, MeasurementMachinery, ObstacleGrid, ReferenceCommand};
     for leg in [
         ReferenceCommand,
         ObstacleGrid,

@@ -32,10 +32,8 @@ fn same(found: f64, expected: f64, what: &Value) {
 
 /// The result of today's code, of the part named `only`, and of everything with `CDCR_WHOLE`.
 fn of_today(line: &str, only: &str) -> Value {
-    let part = match is_whole() {
-        true => String::new(),
-        false => format!("--only {only}"),
-    };
+    let part = format!("--only {only}");
+    let part = if is_whole() { "" } else { &part };
     printed_json(&mut program(&format!(
         "robustness --format json {line} {part}"
     )))
