@@ -10,22 +10,48 @@ use crate::subject::daemon::Launch;
 
 /// The options of a benchmark, which are those of its command line.
 pub trait Benchmark: clap::Args + Send + 'static {
-    /// What `all` asks for; `quick`: a look that proves little.
-    fn of_report(quick: bool) -> Self;
+    /// Becomes what `all` asks for, from the options of an empty command line.
+    fn for_report(&mut self) {}
+
+    /// Becomes a look that proves little.
+    fn quicken(&mut self);
+
+    /// Whether the command line asks for that.
+    fn is_quick(&self) -> bool {
+        false
+    }
+
+    /// What `all` asks for.
+    fn of_report(quick: bool) -> Self {
+        let mut options: Self = defaults();
+        if quick {
+            options.quicken();
+        } else {
+            options.for_report();
+        }
+        options
+    }
+
+    /// Refuses what makes no sense.
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
+
+    /// What a command line asks for.
+    fn resolved(mut self) -> Result<Self> {
+        self.check()?;
+        if self.is_quick() {
+            self.quicken();
+        }
+        Ok(self)
+    }
 
     fn rounds_mut(&mut self) -> &mut u32;
 
-    /// The configuration of the daemon, where it can be chosen.
     fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
         None
     }
 
-    /// What a command line asks for, or why that makes no sense.
-    fn resolved(self) -> Result<Self> {
-        Ok(self)
-    }
-
-    /// About how long a run takes \[s\].
     fn expected_s(&self) -> f64;
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset>;

@@ -14,10 +14,10 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, plot};
 use crate::closed_loop::{self, ClosedLoop, PlanEvaluator};
 use crate::dataset::{
-    Column, Dataset, Plot, Sheet, fixed, joined, number, percent, plain, together, word,
+    Column, Dataset, Sheet, fixed, joined, number, percent, plain, together, word,
 };
 use crate::experiment::{Solver, Task};
 use crate::interrupt;
@@ -67,9 +67,12 @@ pub struct BudgetOptions {
 }
 
 impl Benchmark for BudgetOptions {
-    fn of_report(quick: bool) -> Self {
-        let (rounds, solves) = if quick { (1, 50) } else { (3, 700) };
-        Self { rounds, solves }
+    fn for_report(&mut self) {
+        (self.rounds, self.solves) = (3, 700);
+    }
+
+    fn quicken(&mut self) {
+        self.solves = 50;
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -131,11 +134,12 @@ fn dataset(all: &[(&str, u64, Vec<Value>)], rounds: u32) -> Result<Dataset> {
         rows.push(joined([case, all, share]));
     }
     dataset.fact("rounds", rounds);
-    dataset.plots.push(Plot {
-        name: "budget-overrun",
-        caption: "How much later than its budget a solve ends, beside a loop that only waits.",
-        svg: sheet(&panels(&rows), 2, 520)?,
-    });
+    dataset.plots.push(plot(
+        "budget-overrun",
+        "How much later than its budget a solve ends, beside a loop that only waits.",
+        (2, 520),
+        &panels(&rows),
+    )?);
     let title = "How much later than its budget a solve ends, beside a loop without work";
     dataset
         .sheets
@@ -161,7 +165,6 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
     of_case.map(panel).collect()
 }
 
-/// A robot on its way along a curve, and what solves there.
 struct Case {
     name: &'static str,
     scene: Scene,
@@ -237,7 +240,6 @@ impl Case {
     }
 }
 
-/// The solver, the evaluator of its plans, and what was counted.
 struct Runner {
     budget: Duration,
     nmpc: Nmpc,

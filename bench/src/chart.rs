@@ -5,13 +5,15 @@
 use std::ops::Range;
 
 use anyhow::Result;
+use hdrhistogram::Histogram;
+use hdrhistogram::iterators::IterationValue;
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::RGBColor;
 use serde_json::Value;
 
-use crate::dataset::number;
+use crate::dataset::{Plot, number};
 
 // A palette that colour-blind people can tell apart (Okabe and Ito).
 pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
@@ -39,10 +41,11 @@ const MARGIN_LEFT: u32 = 22;
 /// Room for half of the last tick label.
 const MARGIN_RIGHT: u32 = 45;
 const SWATCH: u32 = 45;
+/// Shorter times are drawn here \[µs\].
+const SHORTEST_US: f64 = 0.1;
 
 pub(crate) type Point = (f64, f64);
 
-/// One curve: pieces of a line.
 pub(crate) struct Curve {
     label: String,
     pieces: Vec<Vec<Point>>,
@@ -119,13 +122,12 @@ pub(crate) enum Scale {
 pub(crate) struct Panel {
     title: String,
     x: &'static str,
-    pub(crate) y: &'static str,
+    y: &'static str,
     scale: Scale,
     pub(crate) curves: Vec<Curve>,
 }
 
 impl Panel {
-    /// With the labels of its axes.
     pub(crate) fn new(
         title: impl Into<String>,
         [x, y]: [&'static str; 2],
@@ -151,25 +153,21 @@ impl Panel {
     }
 }
 
-/// Draws panels in rows of `columns`, each `height` high.
-pub(crate) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
-    draw_all(panels, columns, height, None)
-}
-
-/// The same with one x axis for all, which can be compared then.
-pub(crate) fn sheet_of_one_axis(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
+/// Draws panels in rows of `columns`, each `height` high. Those that show shares of one thing have one x axis, which can be compared then.
+pub(crate) fn plot(
+    name: &'static str,
+    caption: &'static str,
+    (columns, height): (usize, u32),
+    panels: &[Panel],
+) -> Result<Plot> {
+    let is_compared =
+        |panel: &Panel| panel.is_log() && panel.is_log_across() && panel.x == panels[0].x;
     let size = (WIDTH / columns as u32, height);
     let all = panels.iter().map(|panel| ranges(panel, size).0);
-    let across = all.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
-    draw_all(panels, columns, height, across.as_ref())
-}
-
-fn draw_all(
-    panels: &[Panel],
-    columns: usize,
-    height: u32,
-    across: Option<&Range<f64>>,
-) -> Result<String> {
+    let widest = |a: Range<f64>, b: Range<f64>| a.start.min(b.start)..a.end.max(b.end);
+    let across = all
+        .reduce(widest)
+        .filter(|_| panels.iter().all(is_compared));
     let rows = panels.len().div_ceil(columns);
     let mut svg = String::new();
     {
@@ -177,11 +175,24 @@ fn draw_all(
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
         for (area, panel) in root.split_evenly((rows, columns)).iter().zip(panels) {
-            draw(area, panel, across)?;
+            draw(area, panel, across.as_ref())?;
         }
         root.present()?;
     }
-    Ok(svg)
+    Ok(Plot { name, caption, svg })
+}
+
+/// For each time \[µs\] the share of all that were longer: a step for each bucket of the histogram.
+pub(crate) fn longer(times_ns: &Histogram<u64>) -> Vec<Point> {
+    let total = times_ns.len();
+    let mut left = total;
+    let point = |value: IterationValue<u64>| {
+        let us = (value.value_iterated_to() as f64 * 1e-3).max(SHORTEST_US);
+        let share = left as f64 / total as f64;
+        left -= value.count_since_last_iteration();
+        (us, share)
+    };
+    times_ns.iter_recorded().map(point).collect()
 }
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -212,14 +223,13 @@ fn draw(area: &Area<'_>, panel: &Panel, common: Option<&Range<f64>>) -> Result<(
     let (own, up) = ranges(panel, (width, height - head));
     let across = common.cloned().unwrap_or(own);
     match panel.scale {
-        Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
-        Scale::LogLog { floor } => plot(&chart, panel, across.log_scale(), up.log_scale(), floor),
-        Scale::LogAcross => plot(&chart, panel, across.log_scale(), up, f64::NEG_INFINITY),
-        Scale::Linear | Scale::Equal => plot(&chart, panel, across, up, f64::NEG_INFINITY),
+        Scale::Log { floor } => fill(&chart, panel, across, up.log_scale(), floor),
+        Scale::LogLog { floor } => fill(&chart, panel, across.log_scale(), up.log_scale(), floor),
+        Scale::LogAcross => fill(&chart, panel, across.log_scale(), up, f64::NEG_INFINITY),
+        Scale::Linear | Scale::Equal => fill(&chart, panel, across, up, f64::NEG_INFINITY),
     }
 }
 
-/// One entry of a legend, and where it stands.
 struct Entry<'a> {
     curve: &'a Curve,
     line: u32,
@@ -247,7 +257,7 @@ fn legend(panel: &Panel, room: u32) -> Vec<Entry<'_>> {
         .collect()
 }
 
-fn plot<X, Y>(area: &Area<'_>, panel: &Panel, across: X, up: Y, floor: f64) -> Result<()>
+fn fill<X, Y>(area: &Area<'_>, panel: &Panel, across: X, up: Y, floor: f64) -> Result<()>
 where
     X: AsRangedCoord<Value = f64>,
     X::CoordDescType: ValueFormatter<f64>,
@@ -380,8 +390,18 @@ mod tests {
                 scale,
                 vec![Curve::line("", Vec::new(), BLUE)],
             );
-            let svg = sheet(&[panel], 1, 500).expect("drawn");
-            assert!(svg.contains("nothing"));
+            let drawn = plot("", "", (1, 500), &[panel]).expect("drawn");
+            assert!(drawn.svg.contains("nothing"));
         }
+    }
+
+    #[test]
+    fn all_are_at_least_as_long_as_the_shortest_and_none_longer_than_the_longest() {
+        let mut times = crate::quantiles::histogram().expect("bounds");
+        for us in [10, 20, 20, 40] {
+            times.record(us * 1000).expect("within the bounds");
+        }
+        let shares: Vec<f64> = longer(&times).iter().map(|point| point.1).collect();
+        assert_eq!(shares, [1.0, 0.75, 0.25]);
     }
 }

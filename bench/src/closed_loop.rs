@@ -38,7 +38,6 @@ impl Sample {
         1e3 * (self.tip.position_m - self.reference_m)
     }
 
-    /// Distance of the tip from the reference \[mm\].
     pub fn error_mm(&self) -> f64 {
         self.offset_mm().norm()
     }
@@ -66,7 +65,6 @@ impl<'a> ClosedLoop<'a> {
         self.inner.cycle() >= self.scene.cycles
     }
 
-    /// What a solve of this cycle starts from.
     pub fn input(&self) -> SolveInput<'_> {
         self.inner.input()
     }
@@ -125,7 +123,6 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
 pub struct PlanEvaluator(Nmpc);
 
 impl PlanEvaluator {
-    /// Evaluates plans that were made with these settings.
     pub fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
         let settings = NmpcSettings {
             solver: SolverKind::GaussNewton,

@@ -18,6 +18,10 @@ use crate::environment::Environment;
 use crate::metric::{Better, Metric, range};
 use crate::named::named;
 use crate::run_options::RunOptions;
+use ChangeClass::{
+    Better as Improved, OneValueAlike, OneValueBetter, OneValueWorse, TooFewRounds, WithinNoise,
+    Worse,
+};
 
 /// Rounds that each run needs: with fewer, two ranges are apart too often by chance.
 const ROUNDS_MIN: usize = 3;
@@ -94,7 +98,6 @@ impl Input {
 pub struct Comparison {
     pub before: Environment,
     pub after: Environment,
-    /// Why the two cannot be compared as they are.
     pub warnings: Vec<String>,
     /// Every number that both runs have: changed ones first, the worst of them before the others.
     pub metrics: Vec<Change>,
@@ -113,18 +116,19 @@ impl Comparison {
         let mut metrics: Vec<Change> = both.collect();
         metrics.sort_by(|one, other| {
             let by_verdict = one.verdict.cmp(&other.verdict);
-            by_verdict
-                .then(other.size.total_cmp(&one.size))
-                .then(one.name.cmp(&other.name))
+            let by_size = other.size().total_cmp(&one.size());
+            by_verdict.then(by_size).then(one.name.cmp(&other.name))
         });
-        let names =
-            |keys: Vec<&(&str, &str)>| keys.iter().map(|(name, _)| (*name).to_owned()).collect();
+        let only = |these: &BTreeMap<(&str, &str), _>, others: &BTreeMap<(&str, &str), _>| {
+            let missing = these.keys().filter(|key| !others.contains_key(*key));
+            missing.map(|(name, _)| (*name).to_owned()).collect()
+        };
         Self {
             warnings: warnings(before, after),
-            changed_by_chance: metrics.iter().map(|change| change.false_alarm).sum(),
+            changed_by_chance: metrics.iter().map(Change::false_alarm).sum(),
             metrics,
-            only_before: names(old.keys().filter(|key| !new.contains_key(*key)).collect()),
-            only_after: names(new.keys().filter(|key| !old.contains_key(*key)).collect()),
+            only_before: only(&old, &new),
+            only_after: only(&new, &old),
             before: before.environment.clone(),
             after: after.environment.clone(),
         }
@@ -138,10 +142,8 @@ impl Comparison {
     }
 
     pub fn count(&self, verdict: ChangeClass) -> usize {
-        self.metrics
-            .iter()
-            .filter(|change| change.verdict == verdict)
-            .count()
+        let verdicts = self.metrics.iter().map(|change| change.verdict);
+        verdicts.filter(|found| *found == verdict).count()
     }
 
     /// Numbers that changed in a table, all others as counts.
@@ -151,10 +153,8 @@ impl Comparison {
         for warning in &self.warnings {
             writeln!(text, "warning: {warning}")?;
         }
-        let changed = self
-            .metrics
-            .iter()
-            .filter(|change| change.verdict < ChangeClass::WithinNoise);
+        let is_changed = |change: &&Change| change.verdict < WithinNoise;
+        let changed = self.metrics.iter().filter(is_changed);
         let rows: Vec<Value> = changed.map(|change| json!(change)).collect();
         if rows.iter().all(|change| change["chance"].is_null()) {
             text.push_str("\nNothing changed beyond noise.\n");
@@ -183,7 +183,6 @@ impl Comparison {
     }
 }
 
-/// Why two runs are no measure of each other.
 fn warnings(before: &Input, after: &Input) -> Vec<String> {
     let differing = before.environment.differing(&after.environment).into_iter();
     let mut warnings: Vec<String> = differing
@@ -199,11 +198,8 @@ fn warnings(before: &Input, after: &Input) -> Vec<String> {
         }));
         warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
     } else if before.options.is_some() || after.options.is_some() {
-        let when = if before.options.is_none() {
-            "before"
-        } else {
-            "after"
-        };
+        let is_before = before.options.is_none();
+        let when = if is_before { "before" } else { "after" };
         let words = "does not say what it was asked for: it may have measured something else";
         warnings.push(format!("the run {when} {words}"));
     }
@@ -223,65 +219,64 @@ pub struct Change {
     pub verdict: ChangeClass,
     /// When the rounds of the two runs are apart: how probable that is if nothing changed.
     chance: Option<f64>,
-    /// How probable it is that this number is called changed though nothing changed.
     #[serde(skip)]
-    false_alarm: f64,
-    /// By which the larger changes come first; from zero, every change is large.
-    #[serde(skip)]
-    size: f64,
+    counts: [usize; 2],
 }
 
 impl Change {
     /// Of a number that both runs measured at least once.
     fn of(old: &Metric, new: &Metric) -> Option<Self> {
-        let [before, after] = [old, new]
-            .map(|metric| Some((metric.median()?, range(metric.rounds.iter().copied())?)));
-        let ((before, old_range), (after, new_range)) = (before?, after?);
-        let (old_count, new_count) = (old.rounds.len(), new.rounds.len());
+        let (before, after) = (old.median()?, new.median()?);
+        let [old_range, new_range] = [old, new].map(|metric| range(metric.rounds.iter().copied()));
+        let (old_range, new_range) = (old_range?, new_range?);
+        let counts = [old.rounds.len(), new.rounds.len()];
         let percent = (before != 0.0).then(|| 100.0 * (after - before) / before.abs());
         let is_small = percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
         let is_apart = old_range.1 < new_range.0 || new_range.1 < old_range.0;
         let is_better = (new.better == Better::Lower) == (after < before);
-        let is_one_value = (old_count, new_count) == (1, 1);
-        let [same, better, worse] = match old_count.min(new_count) {
-            _ if is_one_value => [
-                ChangeClass::OneValueAlike,
-                ChangeClass::OneValueBetter,
-                ChangeClass::OneValueWorse,
-            ],
-            ..ROUNDS_MIN => [ChangeClass::TooFewRounds; 3],
-            _ => [
-                ChangeClass::WithinNoise,
-                ChangeClass::Better,
-                ChangeClass::Worse,
-            ],
+        let [same, better, worse] = match counts {
+            [1, 1] => [OneValueAlike, OneValueBetter, OneValueWorse],
+            [..ROUNDS_MIN, _] | [_, ..ROUNDS_MIN] => [TooFewRounds; 3],
+            _ => [WithinNoise, Improved, Worse],
         };
         let verdict = match is_apart && !is_small {
             false => same,
             true if is_better => better,
             true => worse,
         };
-        let chance = chance_apart(old_count, new_count);
-        let may_change = !is_one_value && verdict != ChangeClass::TooFewRounds;
         let spread = |median: f64, range, rounds: usize| json!({ "median": median, "range": range, "rounds": rounds });
         Some(Self {
             name: new.name.clone(),
             unit: new.unit.clone(),
             better: new.better,
-            before: spread(before, old_range, old_count),
-            after: spread(after, new_range, new_count),
+            before: spread(before, old_range, counts[0]),
+            after: spread(after, new_range, counts[1]),
             percent,
             verdict,
-            chance: (is_apart && !is_one_value).then_some(chance),
-            false_alarm: if may_change { chance } else { 0.0 },
-            size: percent.map_or(f64::INFINITY, f64::abs),
+            chance: (is_apart && counts != [1, 1]).then_some(chance_apart(counts)),
+            counts,
         })
+    }
+
+    /// How probable it is that this number is called changed though nothing changed.
+    fn false_alarm(&self) -> f64 {
+        let may_change = [Worse, Improved, WithinNoise].contains(&self.verdict);
+        if may_change {
+            chance_apart(self.counts)
+        } else {
+            0.0
+        }
+    }
+
+    /// By which the larger changes come first; from zero, every change is large.
+    fn size(&self) -> f64 {
+        self.percent.map_or(f64::INFINITY, f64::abs)
     }
 }
 
-/// Probability that `before` and `after` values of one source lie apart: 2 · n! · m! / (n + m)!, the two-sided
+/// Probability that so many values of one source before and after lie apart: 2 · n! · m! / (n + m)!, the two-sided
 /// rank test at its extreme.
-fn chance_apart(before: usize, after: usize) -> f64 {
+fn chance_apart([before, after]: [usize; 2]) -> f64 {
     let ways = (1..=after).fold(1.0, |ways, i| ways * (before + i) as f64 / i as f64);
     // With none on one side, and for one value each, they are always apart.
     (2.0 / ways).min(1.0)
@@ -291,15 +286,10 @@ fn chance_apart(before: usize, after: usize) -> f64 {
 mod tests {
     use super::*;
 
-    fn lower(name: &str, unit: &str, rounds: &[f64]) -> Metric {
-        Metric::new(name, unit, Better::Lower, rounds.iter().copied())
-    }
-
     #[test]
     #[rustfmt::skip]
     fn what_became_of_a_number_is_told_from_its_rounds() {
-        use Better::{Higher, Lower};
-        use ChangeClass::{Better as Improved, OneValueAlike, OneValueBetter, OneValueWorse, TooFewRounds, WithinNoise, Worse};
+        use crate::metric::Better::{Higher, Lower};
         let (low, high): (&[f64], &[f64]) = (&[1.0, 2.0, 3.0], &[3.1, 4.0, 5.0]);
         for (better, before, after, verdict) in [
             (Lower, low, high, Worse),
@@ -324,112 +314,24 @@ mod tests {
             let found = Change::of(&before, &after).expect("both have values");
             assert_eq!(found.verdict, verdict, "{found:?}");
             let is_change = [Worse, Improved, WithinNoise].contains(&verdict);
-            assert_eq!(found.false_alarm > 0.0, is_change, "{found:?}");
+            assert_eq!(found.false_alarm() > 0.0, is_change, "{found:?}");
         }
     }
 
     #[test]
     fn the_chance_is_that_of_the_rank_test() {
-        for (before, after, expected) in [
-            (3, 3, 0.1),
-            (1, 1, 1.0),
-            (5, 5, 2.0 / 252.0),
-            (3, 6, 2.0 / 84.0),
+        for ([before, after], expected) in [
+            ([3, 3], 0.1),
+            ([1, 1], 1.0),
+            ([5, 5], 2.0 / 252.0),
+            ([3, 6], 2.0 / 84.0),
         ] {
-            for found in [chance_apart(before, after), chance_apart(after, before)] {
+            for found in [chance_apart([before, after]), chance_apart([after, before])] {
                 assert!(
                     (found - expected).abs() < 1e-12,
                     "{before}, {after}: {found}"
                 );
             }
         }
-    }
-
-    fn input(metrics: &[(&str, &str, &[f64])]) -> Input {
-        Input {
-            environment: Environment::default(),
-            options: None,
-            metrics: metrics
-                .iter()
-                .map(|(name, unit, rounds)| lower(name, unit, rounds))
-                .collect(),
-        }
-    }
-
-    #[test]
-    fn every_number_is_in_one_list() {
-        let one: &[f64] = &[1.0, 1.1, 1.2];
-        let before = [
-            ("same", "µs", one),
-            ("worse", "µs", one),
-            ("gone", "µs", one),
-            ("other unit", "µs", one),
-            ("empty", "µs", &[]),
-        ];
-        let worse: &[f64] = &[2.0, 2.1, 2.2];
-        let after = [
-            ("same", "µs", one),
-            ("worse", "µs", worse),
-            ("new", "µs", one),
-            ("other unit", "ms", one),
-            ("empty", "µs", one),
-        ];
-        let found = Comparison::of(&input(&before), &input(&after));
-        let names: Vec<&str> = found.metrics.iter().map(|change| &*change.name).collect();
-        assert_eq!(names, ["worse", "same"], "changed ones first");
-        assert_eq!(found.only_before, ["gone", "other unit"]);
-        assert_eq!(found.only_after, ["empty", "new", "other unit"]);
-        assert!(found.warnings.is_empty());
-        // 2 of the 20 ways to deal six rounds leave three and three apart.
-        assert!((found.changed_by_chance - 0.2).abs() < 1e-12, "{found:?}");
-    }
-
-    #[test]
-    fn another_machine_and_other_options_are_told() {
-        let run = |release: &str, rounds: Option<&str>| Input {
-            environment: serde_json::from_value(json!({ "kernel": { "release": release } }))
-                .expect("a machine"),
-            options: rounds
-                .map(|n| serde_json::from_value(json!({ "rounds": n })).expect("options")),
-            ..input(&[])
-        };
-        let few = run("6.1", Some("3"));
-        for (other, words) in [
-            (run("6.1", Some("3")), &[][..]),
-            (
-                run("7.0", Some("3")),
-                &["another kernel release: \"6.1\" before", "bare loop"],
-            ),
-            (
-                run("6.1", Some("6")),
-                &[
-                    "another value of rounds: 3 before, 6 after",
-                    "for this reason",
-                ],
-            ),
-            (run("6.1", None), &["the run after does not say"]),
-        ] {
-            let warnings = Comparison::of(&few, &other).warnings;
-            assert_eq!(warnings.len(), words.len(), "{warnings:?}");
-            let mut pairs = warnings.iter().zip(words);
-            assert!(
-                pairs.all(|(warning, words)| warning.contains(words)),
-                "{warnings:?}"
-            );
-        }
-    }
-
-    #[test]
-    fn some_may_get_worse_by_chance() {
-        let names: Vec<String> = (0..31).map(|i| format!("a/{i}")).collect();
-        let metrics: Vec<_> = names
-            .iter()
-            .map(|name| (&**name, "µs", &[10.0, 11.0, 12.0][..]))
-            .collect();
-        // 31 numbers, 10 % of which chance moves: half of 3.1, rounded up, and two.
-        assert_eq!(
-            Comparison::of(&input(&metrics), &input(&metrics)).worse_by_chance(),
-            4
-        );
     }
 }

@@ -1,6 +1,6 @@
 //! What every benchmark hands over: rows under columns, plots, single numbers, raw latencies.
 //!
-//! A row is whatever serde makes an object of. Text, Markdown, HTML, CSV and JSON of it are made here and nowhere
+//! A row is whatever serde makes an object of. Text, Markdown, CSV and JSON of it are made here and nowhere
 //! else; a column names the value that it shows by the keys that lead to it, joined by `_`, as CSV does.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,9 +11,6 @@ use hdrhistogram::Histogram;
 use serde_json::{Map, Value};
 
 use crate::metric::{Better, Metric, median};
-
-/// Cells with more letters than this may be broken into several lines.
-const SENTENCE: usize = 32;
 
 /// The result of one benchmark: for people, for programs, and for the next run to be compared with.
 #[derive(Default)]
@@ -32,7 +29,6 @@ pub struct Dataset {
     /// The most important first.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
-    /// What another run is compared by.
     pub metrics: Vec<Metric>,
     /// All latencies that were measured, so that others can compute other percentiles.
     pub recordings: Vec<Recording>,
@@ -40,7 +36,6 @@ pub struct Dataset {
 
 /// What a benchmark measures in each of its rounds, as a table.
 pub struct RoundTable {
-    /// Key of the JSON.
     pub key: &'static str,
     pub file: &'static str,
     pub title: &'static str,
@@ -148,7 +143,6 @@ impl Dataset {
         texts.join("\n")
     }
 
-    /// Each sheet that has a file, with its name.
     pub fn csv(&self) -> impl Iterator<Item = (&'static str, Result<String>)> {
         let sheets = self.sheets.iter();
         sheets.filter_map(|sheet| Some((sheet.file?, sheet.csv())))
@@ -234,46 +228,17 @@ impl Sheet {
         title + &line(heads.collect()) + &line(marks.collect()) + &body
     }
 
-    pub fn html(&self) -> String {
-        let tag = |tag: &str, column: &Column, cell: &str| {
-            let class = match column.show {
-                Show::Word if cell.chars().count() > SENTENCE => "word text",
-                Show::Word => "word",
-                _ => "number",
-            };
-            format!("<{tag} class=\"{class}\">{}</{tag}>", escape(cell))
-        };
-        let heads = self.columns.iter().map(|c| tag("th", c, c.head));
-        let heads: String = heads.collect();
-        let title = escape(&self.title);
-        let mut html = format!(
-            "<table>\n<caption>{title}</caption>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n"
-        );
-        for cells in self.cells() {
-            let cells = self.columns.iter().zip(&cells);
-            let cells: String = cells
-                .map(|(column, cell)| tag("td", column, cell))
-                .collect();
-            let _ = writeln!(html, "<tr>{cells}</tr>");
-        }
-        html + "</tbody>\n</table>\n"
-    }
-
     /// Every value of the rows: those that the table shows first, in its order.
     fn csv(&self) -> Result<String> {
         let rows: Vec<_> = self.rows.iter().map(flat).collect();
         let keys: BTreeSet<&String> = rows.iter().flat_map(BTreeMap::keys).collect();
         // What is missing in all rows has a column, but an object that is missing in one has those that others give it.
         let is_object = |key: &str| {
-            let is_field = |other: &String| {
-                other
-                    .strip_prefix(key)
-                    .is_some_and(|rest| rest.starts_with('_'))
-            };
-            let is_said = rows
-                .iter()
-                .any(|row| row.get(key).is_some_and(|value| !value.is_null()));
-            !is_said && keys.iter().any(|other| is_field(other))
+            let fields = format!("{key}_");
+            keys.iter().any(|other| other.starts_with(&fields))
+                && rows
+                    .iter()
+                    .all(|row| row.get(key).is_none_or(Value::is_null))
         };
         let known: Vec<&str> = keys
             .iter()
@@ -282,11 +247,8 @@ impl Sheet {
             .collect();
         let shown = self.columns.iter().map(|column| column.key);
         let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
-        for key in known {
-            if !heads.contains(&key) {
-                heads.push(key);
-            }
-        }
+        let others = known.iter().filter(|key| !heads.contains(key));
+        heads.extend(others.copied().collect::<Vec<_>>());
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(&heads)?;
         for row in &rows {
@@ -477,12 +439,6 @@ pub(crate) fn short(value: f64) -> String {
     }
 }
 
-/// A text between tags, or an attribute within quotes.
-pub(crate) fn escape(text: &str) -> String {
-    let text = text.replace('&', "&amp;").replace('"', "&quot;");
-    text.replace('<', "&lt;").replace('>', "&gt;")
-}
-
 #[cfg(test)]
 mod tests {
     use serde_json::json;
@@ -545,6 +501,5 @@ mod tests {
         let text = "Two\nname  mean s  more %        from\na     5.0e-9       -  1.0 to 2.5\nb, c       -    50.0           -\n";
         assert_eq!(sheet().text(), text);
         assert!(sheet().markdown().ends_with("| b, c | - | 50.0 | - |\n"));
-        assert!(sheet().html().contains("<td class=\"number\">50.0</td>"));
     }
 }

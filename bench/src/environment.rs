@@ -2,6 +2,7 @@
 //!
 //! Invariant: nothing here names the machine, its user or a folder of it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
@@ -81,20 +82,22 @@ impl Environment {
     }
 
     fn value(&self, property: &str) -> Value {
-        let found = self.properties().find(|(name, _)| name == property);
-        found.map_or(Value::Null, |(_, value)| value)
+        self.properties().remove(property).unwrap_or_default()
     }
 
-    /// Name and value of everything that is known of the machine.
-    fn properties(&self) -> impl Iterator<Item = (String, Value)> {
+    fn text(&self, property: &str) -> String {
+        self.value(property).as_str().unwrap_or_default().to_owned()
+    }
+
+    fn properties(&self) -> BTreeMap<String, Value> {
         let values = flat(&json!(self)).into_iter();
-        values.map(|(key, value)| (key.replace('_', " "), value))
+        let named = values.map(|(key, value)| (key.replace('_', " "), value));
+        named.collect()
     }
 
     pub fn table(&self) -> Sheet {
-        let rows = self
-            .properties()
-            .map(|(property, value)| json!({ "property": property, "value": value }));
+        let rows = self.properties().into_iter();
+        let rows = rows.map(|(property, value)| json!({ "property": property, "value": value }));
         let columns = [word("property", "property"), word("value", "value")];
         Sheet::of("The machine", &columns, rows.collect())
     }
@@ -102,15 +105,14 @@ impl Environment {
     /// What differs between two machines and moves absolute times. An older file may lack a property.
     pub(crate) fn differing(&self, other: &Self) -> Vec<(&'static str, Value, Value)> {
         let empty = [json!(null), json!(""), json!(false), json!(0), json!([])];
-        let both = MOVING.map(|name| (name, self.value(name), other.value(name)));
-        let is_differing = |(_, old, new): &(_, Value, Value)| {
-            old != new && !(empty.contains(old) && empty.contains(new))
-        };
-        both.into_iter().filter(is_differing).collect()
+        let mut both = Vec::from(MOVING.map(|name| (name, self.value(name), other.value(name))));
+        both.retain(|(_, old, new)| old != new && !(empty.contains(old) && empty.contains(new)));
+        both
     }
 
-    fn texts<const N: usize>(&self, properties: [&str; N]) -> [String; N] {
-        properties.map(|name| self.value(name).as_str().unwrap_or_default().to_owned())
+    fn model_and_kernel(&self) -> String {
+        let [model, release] = ["processor model", "kernel release"].map(|name| self.text(name));
+        format!("{model}, kernel {release}")
     }
 
     /// What a figure needs beside it at least: processor, kernel, right to real time.
@@ -120,16 +122,20 @@ impl Environment {
         } else {
             "refused"
         };
-        let [model, release] = self.texts(["processor model", "kernel release"]);
-        format!("Measured on {model}, kernel {release}, real time {realtime}.")
+        let machine = self.model_and_kernel();
+        format!("Measured on {machine}, real time {realtime}.")
     }
 
     pub(crate) fn run(&self) -> String {
-        let [version, commit, started] = self.texts(["cdcr version", "commit", "started utc"]);
-        let [model, release] = self.texts(["processor model", "kernel release"]);
-        let commit = Some(format!(" ({commit})")).filter(|_| !commit.is_empty());
-        let commit = commit.unwrap_or_default();
-        format!("cdcr {version}{commit}, {started}, {model}, kernel {release}")
+        let [version, started] = ["cdcr version", "started utc"].map(|name| self.text(name));
+        let commit = match &*self.text("commit") {
+            "" => String::new(),
+            commit => format!(" ({commit})"),
+        };
+        format!(
+            "cdcr {version}{commit}, {started}, {}",
+            self.model_and_kernel()
+        )
     }
 }
 
@@ -154,13 +160,6 @@ impl Root {
         Some(value.trim().to_owned()).filter(|value| !value.is_empty())
     }
 
-    /// The word in brackets of a file that lists what could be chosen.
-    fn chosen(&self, file: &str, brackets: [char; 2]) -> Option<String> {
-        let text = self.read(file)?;
-        let (_, rest) = text.split_once(brackets[0])?;
-        Some(rest.split_once(brackets[1])?.0.to_owned())
-    }
-
     /// The kernel and what it was told that matters to a punctual loop.
     fn kernel(&self) -> Value {
         let own = |name: &str| self.read(&format!("proc/sys/kernel/{name}"));
@@ -178,7 +177,7 @@ impl Root {
             "isolation": command_line.split_ascii_whitespace().filter(isolates).collect::<Vec<_>>(),
             "clock_source": self.read("sys/devices/system/clocksource/clocksource0/current_clocksource"),
             // Transparent huge pages: `always`, `madvise` or `never`.
-            "huge_pages": self.chosen("sys/kernel/mm/transparent_hugepage/enabled", ['[', ']']),
+            "huge_pages": chosen(self.read("sys/kernel/mm/transparent_hugepage/enabled"), ['[', ']']),
             // Time that real-time threads may have of each period; -1: all of it.
             "rt_runtime_us": number("sched_rt_runtime_us"),
             "rt_period_us": number("sched_rt_period_us"),
@@ -192,7 +191,7 @@ impl Root {
         let mut words = version.split_ascii_whitespace();
         let word = words.find(|word| word.starts_with("PREEMPT"))?;
         // Only root may look.
-        let mode = self.chosen("sys/kernel/debug/sched/preempt", ['(', ')']);
+        let mode = chosen(self.read("sys/kernel/debug/sched/preempt"), ['(', ')']);
         Some(mode.map_or(word.to_owned(), |mode| format!("{word} ({mode})")))
     }
 
@@ -213,21 +212,11 @@ impl Root {
         json!({
             "model": model.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
             "vendor": field("vendor_id").or_else(|| field("CPU implementer")),
-            "cores": self.online(),
+            "cores": self.read("proc/cpuinfo").map(|all| all.matches("processor\t:").count()),
             "caches": (0..8).map_while(cache).collect::<Vec<_>>(),
             "frequency_mhz": khz.map(|khz| khz * 1e-3).or_else(|| field("cpu MHz")?.parse().ok()),
             "governor": self.read(&format!("{folder}/cpufreq/scaling_governor")),
         })
-    }
-
-    fn online(&self) -> usize {
-        let list = self.read("sys/devices/system/cpu/online");
-        let count = |part: &str| {
-            let (first, last) = part.split_once('-').unwrap_or((part, part));
-            Some(last.parse::<usize>().ok()? + 1 - first.parse::<usize>().ok()?)
-        };
-        let counted = list.and_then(|list| list.split(',').map(count).sum());
-        counted.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
     }
 
     /// Whether the processor says that a hypervisor runs it; none where processors have no such flag.
@@ -242,17 +231,15 @@ impl Root {
 
     /// Name of the hypervisor; none on a machine that is not virtual, or does not tell: there it would be its maker.
     fn hypervisor(&self) -> Option<String> {
-        if self.is_virtual() == Some(false) {
-            return None;
-        }
-        let firmware = |name| self.read(&format!("sys/class/dmi/id/{name}"));
-        self.read("sys/hypervisor/type").or_else(|| {
+        let firmware = || {
             self.is_virtual()?;
-            let names = ["sys_vendor", "product_name"]
-                .into_iter()
-                .filter_map(firmware);
+            let names = ["sys_vendor", "product_name"].into_iter();
+            let names = names.filter_map(|name| self.read(&format!("sys/class/dmi/id/{name}")));
             Some(names.collect::<Vec<_>>().join(" ")).filter(|names| !names.is_empty())
-        })
+        };
+        let is_real = self.is_virtual() == Some(false);
+        let name = self.read("sys/hypervisor/type").or_else(firmware);
+        name.filter(|_| !is_real)
     }
 
     /// As the capability and the limit of the process say.
@@ -265,27 +252,30 @@ impl Root {
     }
 }
 
+/// The word in brackets of a text that lists what could be chosen.
+fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
+    let text = text?;
+    let (_, rest) = text.split_once(brackets[0])?;
+    Some(rest.split_once(brackets[1])?.0.to_owned())
+}
+
 /// The commit, with a `+` when files were changed since; none where there is no git or no working copy of
 /// this project.
 fn commit() -> Option<String> {
-    let git = |arguments: &[&str]| {
+    let git = |arguments: &str| {
+        let arguments = arguments.split(' ');
         // It only looks.
-        let output = Command::new("git")
-            .arg("--no-optional-locks")
-            .args(arguments)
-            .output()
-            .ok()?;
-        let text = String::from_utf8(output.stdout).ok()?;
-        output.status.success().then(|| text.trim().to_owned())
+        let mut command = Command::new("git");
+        let output = command.arg("--no-optional-locks").args(arguments).output();
+        let output = output.ok().filter(|output| output.status.success())?;
+        Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
     };
-    let root = git(&["rev-parse", "--show-toplevel"])?;
+    let root = git("rev-parse --show-toplevel")?;
     let manifest = std::fs::read_to_string(Path::new(&root).join("bench/Cargo.toml")).ok()?;
-    if !manifest.contains("name = \"cdcr-bench\"") {
-        return None;
-    }
-    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
-    let changed = git(&["status", "--porcelain", "--untracked-files=no"])?;
-    Some(commit + if changed.is_empty() { "" } else { "+" })
+    let commit = git("rev-parse --short=12 HEAD")?;
+    let changed = git("status --porcelain --untracked-files=no")?;
+    let is_ours = manifest.contains("name = \"cdcr-bench\"");
+    is_ours.then(|| commit + if changed.is_empty() { "" } else { "+" })
 }
 
 #[cfg(test)]
@@ -309,30 +299,20 @@ mod tests {
         Environment::of(&Root(folder.path().to_owned()), &cores, false)
     }
 
-    fn says(machine: &Environment, properties: &[(&str, Value)]) {
-        for (property, value) in properties {
-            assert_eq!(machine.value(property), *value, "{property}");
-        }
-    }
-
-    #[test]
-    fn a_machine_that_tells_nothing_is_described_all_the_same() {
-        let nothing = machine(&[]);
-        says(
-            &nothing,
-            &[("memory mb", json!(null)), ("virtual machine", json!(null))],
-        );
-        assert!(nothing.line().ends_with("real time refused."));
-        let text = nothing.table().text();
-        assert!(
-            text.contains("privileges realtime") && text.contains("cores others"),
-            "{text}"
-        );
-    }
-
     #[test]
     #[rustfmt::skip]
-    fn a_machine_that_tells_is_understood() {
+    fn a_machine_that_tells_is_understood_and_one_that_tells_nothing_is_described_all_the_same() {
+        let says = |machine: &Environment, properties: &[(&str, Value)]| {
+            for (property, value) in properties {
+                assert_eq!(machine.value(property), *value, "{property}");
+            }
+        };
+        let nothing = machine(&[]);
+        says(&nothing, &[("memory mb", json!(null)), ("virtual machine", json!(null))]);
+        assert!(nothing.line().ends_with("real time refused."));
+        let text = nothing.table().text();
+        assert!(text.contains("privileges realtime") && text.contains("cores others"), "{text}");
+
         let cloud = machine(&[
             ("proc/meminfo", "MemTotal:        8000000 kB\nMemFree: 1 kB\n"),
             ("proc/loadavg", "0.50 0.61 1.10 1/100 4711\n"),
@@ -343,8 +323,7 @@ mod tests {
             ("proc/cmdline", "root=/dev/sda1 isolcpus=1 quiet rcu_nocbs=1\n"),
             ("sys/kernel/debug/sched/preempt", "none voluntary (full)\n"),
             ("sys/kernel/mm/transparent_hugepage/enabled", "always [madvise] never\n"),
-            ("proc/cpuinfo", "vendor_id\t: Maker\nmodel name\t: Quick 9\ncpu MHz\t: 2500.5\nflags\t: fpu hypervisor\n"),
-            ("sys/devices/system/cpu/online", "0-3,5\n"),
+            ("proc/cpuinfo", "processor\t: 0\nvendor_id\t: Maker\nmodel name\t: Quick 9\ncpu MHz\t: 2500.5\nflags\t: fpu hypervisor\n\nprocessor\t: 5\n"),
             ("sys/devices/system/cpu/cpu2/cache/index0/level", "1\n"),
             ("sys/devices/system/cpu/cpu2/cache/index0/type", "Data\n"),
             ("sys/devices/system/cpu/cpu2/cache/index0/size", "32K\n"),
@@ -362,7 +341,7 @@ mod tests {
             ("kernel rt runtime us", json!(950_000)),
             ("kernel huge pages", json!("madvise")),
             ("processor model", json!("Quick 9")),
-            ("processor cores", json!(5)),
+            ("processor cores", json!(2)),
             ("processor caches", json!(["L1 Data 32K"])),
             ("processor frequency mhz", json!(2500.5)),
             ("virtual machine", json!(true)),
@@ -388,29 +367,24 @@ mod tests {
     fn what_was_written_is_read_again_and_names_neither_the_machine_nor_a_folder() {
         let here = Environment::find().expect("a machine");
         let json = serde_json::to_string(&here).expect("JSON");
-        let again: Environment = serde_json::from_str(&json).expect("the same");
-        assert_eq!(again, here);
-        assert!(here.differing(&again).is_empty());
-        let names: Vec<String> = here.properties().map(|(name, _)| name).collect();
-        assert!(
-            MOVING
-                .iter()
-                .all(|name| names.iter().any(|known| known == name)),
-            "{names:?}"
-        );
-        let older: Environment = serde_json::from_str("{\"kernel\":{}}").expect("few keys");
+        let read = |json: &str| serde_json::from_str::<Environment>(json).expect("few keys");
+        assert_eq!(read(&json), here);
+        assert!(here.differing(&read(&json)).is_empty());
+        let known = here.properties();
+        assert!(MOVING.iter().all(|name| known.contains_key(*name)));
+        let older = read("{\"kernel\":{}}");
         assert!(older.differing(&Environment::default()).is_empty());
         assert!(!older.run().contains('('), "{}", older.run());
-        let known: Environment = serde_json::from_str("{\"commit\":\"0c4\"}").expect("a key");
-        assert!(known.run().contains(" (0c4), "), "{}", known.run());
+        let run = read("{\"commit\":\"0c4\"}").run();
+        assert!(run.contains(" (0c4), "), "{run}");
 
         let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        let folder = std::env::current_dir().expect("a folder");
         // A host that is called like a word of the description cannot be told from it.
         assert!(
             host.trim().len() <= 4 || !json.contains(host.trim()),
             "{json}"
         );
-        let folder = std::env::current_dir().expect("a folder");
         assert!(!json.contains(&*folder.to_string_lossy()), "{json}");
     }
 }

@@ -8,8 +8,7 @@ use cdcr_controller::robot::{Configuration, ZyxAngles};
 use plotters::style::RGBColor;
 
 use crate::chart::{
-    BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, sheet,
-    sheet_of_one_axis,
+    BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, plot,
 };
 use crate::closed_loop::Sample;
 use crate::dataset::Plot;
@@ -33,7 +32,6 @@ const ANGLE_RATE_MAX_RAD_S: f64 = 10.0;
 const CLEARANCE_MAX_MM: f64 = 2.0;
 /// The least share of the cycles that is drawn.
 const SHARES: f64 = 1e-3;
-const SHARE: &str = "share of the cycles";
 
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
@@ -52,26 +50,17 @@ pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     };
     let spirals = (1..=3).map(spiral).collect::<Result<Vec<_>>>()?;
     let lines = LINE_RATES_RAD_S
-        .map(line)
         .into_iter()
+        .map(line)
         .collect::<Result<Vec<_>>>()?;
     let circles = CIRCLE_DISTANCES_M
-        .map(circle)
         .into_iter()
+        .map(circle)
         .collect::<Result<Vec<_>>>()?;
-    let drawn = |(name, caption, (columns, height), panels): Figure| {
-        // Shares are compared from panel to panel.
-        let is_compared = panels.iter().all(|panel| panel.y == SHARE);
-        let draw = if is_compared {
-            sheet_of_one_axis
-        } else {
-            sheet
-        };
-        let svg = draw(&panels, columns, height)?;
-        Ok(Plot { name, caption, svg })
-    };
     let all = [of_spirals(&spirals), of_lines(&lines), of_circles(&circles)];
-    all.into_iter().flatten().map(drawn).collect()
+    let all = all.into_iter().flatten();
+    all.map(|(name, caption, size, panels)| plot(name, caption, size, &panels))
+        .collect()
 }
 
 /// Name, caption, how many panels beside each other and how high, the panels.
@@ -80,18 +69,18 @@ type Figure = (&'static str, &'static str, (usize, u32), Vec<Panel>);
 #[rustfmt::skip]
 fn of_spirals(tasks: &[Drawn<'_>]) -> Vec<Figure> {
     vec![
-        ("spiral-path", "Path of the tip over the reference (the paper's Fig. 3, left), and the shapes of the robots \
+        ("paper-spiral-path", "Path of the tip over the reference (the paper's Fig. 3, left), and the shapes of the robots \
           with one, two and three sections at the end.", (2, 900), spiral_paths(tasks)),
-        ("spiral-errors", "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
+        ("paper-spiral-errors", "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
          (1, 560), tasks.iter().map(Drawn::errors).collect()),
-        ("spiral-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
+        ("paper-spiral-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
          (1, 560), tasks.iter().map(Drawn::distances).collect()),
-        ("spiral-controls", "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
+        ("paper-spiral-controls", "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
           commanded, right the same in the paper's angles, where a section is bent by more than 1e-3 rad, and up to 10 rad/s.",
          (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
-        ("spiral-cables", "Lengths of the cables with kpso-refined less those at the straight robot; Lji is cable i of \
+        ("paper-spiral-cables", "Lengths of the cables with kpso-refined less those at the straight robot; Lji is cable i of \
           section j.", (1, 600), tasks.iter().map(Drawn::cables).collect()),
-        ("spiral-times", "How many cycles take longer to compute than so much (Fig. 5).",
+        ("paper-spiral-times", "How many cycles take longer to compute than so much (Fig. 5).",
          (1, 560), tasks.iter().map(Drawn::times).collect()),
     ]
 }
@@ -99,21 +88,21 @@ fn of_spirals(tasks: &[Drawn<'_>]) -> Vec<Figure> {
 #[rustfmt::skip]
 fn of_lines(tasks: &[Drawn<'_>]) -> Vec<Figure> {
     vec![
-        ("line-shapes", "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
+        ("paper-line-shapes", "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
          (2, 1050), tasks.iter().flat_map(Drawn::shapes).collect()),
-        ("line-angles", "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
+        ("paper-line-angles", "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
           against them make an S. Any vertical plane will do for it.",
          (2, 600), tasks.iter().flat_map(Drawn::angles).collect()),
-        ("line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
+        ("paper-line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
          (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
-        ("line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
+        ("paper-line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
           its axis, so the first samples are late.",
          (1, 560), tasks.iter().map(Drawn::errors).chain(tasks.iter().map(Drawn::tilt)).collect()),
-        ("line-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
+        ("paper-line-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
          (1, 560), tasks.iter().map(Drawn::distances).collect()),
-        ("line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
+        ("paper-line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
          (1, 600), tasks.iter().map(Drawn::cables).collect()),
-        ("line-times", "How many cycles take longer to compute than so much (Fig. 11).",
+        ("paper-line-times", "How many cycles take longer to compute than so much (Fig. 11).",
          (1, 560), tasks.iter().map(Drawn::times).collect()),
     ]
 }
@@ -121,18 +110,18 @@ fn of_lines(tasks: &[Drawn<'_>]) -> Vec<Figure> {
 #[rustfmt::skip]
 fn of_circles(tasks: &[Drawn<'_>]) -> Vec<Figure> {
     vec![
-        ("circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
+        ("paper-circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
           the robot where it is nearest to the obstacle.", (2, 900),
          vec![circle_path(View::ABOVE, "Circle from above", tasks), circle_path(View::SIDE, "From the side", tasks)]),
-        ("circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
+        ("paper-circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
           detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
          (1, 640), vec![circle_errors(tasks)]),
-        ("circle-clearance", "Clearance between the whole body and the obstacle less the safe distance D, up to 2 mm: below 0 the body \
+        ("paper-circle-clearance", "Clearance between the whole body and the obstacle less the safe distance D, up to 2 mm: below 0 the body \
           is too near.",
          (1, 640), vec![circle_clearance(tasks)]),
-        ("circle-cables", "Lengths of the cables less those at the straight robot (Fig. 13).",
+        ("paper-circle-cables", "Lengths of the cables less those at the straight robot (Fig. 13).",
          (1, 520), tasks.iter().map(Drawn::cables).collect()),
-        ("circle-times", "How many cycles take longer to compute than so much (Fig. 14).",
+        ("paper-circle-times", "How many cycles take longer to compute than so much (Fig. 14).",
          (1, 560), tasks.iter().map(Drawn::times).collect()),
     ]
 }
@@ -229,7 +218,7 @@ impl<'a> Drawn<'a> {
     fn shares(&self, x: &'static str, curves: Vec<Curve>) -> Panel {
         Panel::new(
             self.title.clone(),
-            [x, SHARE],
+            [x, "share of the cycles"],
             Scale::LogLog { floor: SHARES },
             curves,
         )

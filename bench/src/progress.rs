@@ -84,10 +84,8 @@ impl Progress {
     }
 
     fn write_line(&mut self, what: &str) {
-        if self
-            .last_line
-            .is_some_and(|last_line| last_line.elapsed() < LINE_EVERY)
-        {
+        let is_early = |last: Instant| last.elapsed() < LINE_EVERY;
+        if self.last_line.is_some_and(is_early) {
             return;
         }
         self.last_line = Some(Instant::now());

@@ -111,10 +111,10 @@ impl Bundle {
     fn add_data(&mut self, started: SystemTime, dataset: &Dataset) -> Result<()> {
         let name = dataset.name;
         for (file, csv) in dataset.csv() {
-            self.add(file_name(name, file) + ".csv", csv?)?;
+            self.add(format!("{file}.csv"), csv?)?;
         }
         for plot in &dataset.plots {
-            self.add(file_name(name, plot.name) + ".svg", plot.svg.clone())?;
+            self.add(format!("{}.svg", plot.name), plot.svg.clone())?;
         }
         if let Some(log) = hlog::log(started, &dataset.recordings)? {
             self.add(format!("histograms/{name}.hlog"), log)?;
@@ -145,16 +145,6 @@ impl Bundle {
             fs::rename(fresh.path().join(name), &place).with_context(|| cannot(&place))?;
         }
         Ok(())
-    }
-}
-
-/// A name that begins with that of its benchmark, so that no two benchmarks write the same file.
-fn file_name(benchmark: &str, name: &str) -> String {
-    let rest = name.strip_prefix(benchmark);
-    if rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-')) {
-        name.to_owned()
-    } else {
-        format!("{benchmark}-{name}")
     }
 }
 
@@ -229,7 +219,6 @@ pub struct Part {
     pub name: &'static str,
     started: SystemTime,
     took_s: f64,
-    /// Its result, or why there is none.
     pub result: Result<Dataset, String>,
 }
 
@@ -237,7 +226,6 @@ pub struct BenchReport {
     pub start: Start,
     pub extent: Extent,
     pub default_config: bool,
-    /// One for each benchmark that was asked for, in their order.
     pub parts: Vec<Part>,
 }
 
@@ -247,7 +235,6 @@ impl BenchReport {
         parts.filter_map(|part| part.result.as_ref().ok())
     }
 
-    /// Name of each benchmark that failed, and why.
     pub fn failures(&self) -> impl Iterator<Item = (&'static str, &str)> {
         let parts = self.parts.iter();
         parts.filter_map(|part| Some((part.name, part.result.as_ref().err()?.as_str())))
@@ -310,7 +297,6 @@ impl BenchReport {
         front
     }
 
-    /// The machine, the targets, and what failed, as text.
     pub fn summary(&self) -> String {
         let texts: Vec<String> = self.front().iter().map(Dataset::text).collect();
         texts.join("\n")
@@ -369,18 +355,6 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn every_name_begins_with_its_benchmark() {
-        for (name, file) in [
-            ("rate", "rate"),
-            ("rate-sections", "rate-sections"),
-            ("rates", "rate-rates"),
-            ("sections", "rate-sections"),
-        ] {
-            assert_eq!(file_name("rate", name), file);
-        }
-    }
-
     fn bundle(text: &str) -> Bundle {
         let mut bundle = Bundle::new("a", text.to_owned());
         bundle
@@ -408,27 +382,6 @@ mod tests {
         }
         let entries = fs::read_dir(&folder).expect("a folder").count();
         assert_eq!(entries, 2, "no file for the time between is left");
-    }
-
-    #[test]
-    fn an_older_result_is_lost_whatever_its_benchmark_is_called_today() {
-        let start = Start::now(RunOptions::default()).expect("a machine");
-        let report = BenchReport {
-            start,
-            extent: Extent {
-                quick: false,
-                rounds: None,
-            },
-            default_config: true,
-            parts: Vec::new(),
-        };
-        let mut older: Map<String, Value> =
-            serde_json::from_str(&report.json().expect("JSON")).expect("an object");
-        assert_eq!(report.would_lose(&json!(older).to_string()), [""; 0]);
-        older.insert("renamed".to_owned(), json!({ "cases": [] }));
-        older.insert("failing".to_owned(), json!({ "error": "no luck" }));
-        assert_eq!(report.would_lose(&json!(older).to_string()), ["renamed"]);
-        assert_eq!(report.would_lose("no report"), [""; 0]);
     }
 
     #[test]

@@ -70,8 +70,6 @@ fn hash(file: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use cdcr_scratch::Scratch;
 
     use super::*;
@@ -79,39 +77,34 @@ mod tests {
     #[test]
     fn the_options_of_a_run_are_what_it_was_asked_for() {
         let argument = |name: &'static str| clap::Arg::new(name).long(name);
-        let rounds = argument("rounds").default_value("6");
-        let load = argument("load")
-            .value_delimiter(',')
-            .action(clap::ArgAction::Append);
-        let quick = argument("quick").action(clap::ArgAction::SetTrue);
+        let load = argument("load").value_delimiter(',');
         let all = clap::Command::new("deadline").args([
-            rounds,
-            load,
-            quick,
+            argument("rounds").default_value("6"),
+            load.action(clap::ArgAction::Append),
+            argument("quick").action(clap::ArgAction::SetTrue),
             argument("out"),
             argument("config"),
         ]);
         let command = clap::Command::new("bench").subcommand(all);
         let of = |words: &str| {
-            let words = ["bench", "deadline"]
-                .into_iter()
-                .chain(words.split_ascii_whitespace());
-            RunOptions::of(&command, &command.clone().get_matches_from(words))
+            let words = format!("bench deadline {words}");
+            let matches = command
+                .clone()
+                .get_matches_from(words.split_ascii_whitespace());
+            RunOptions::of(&command, &matches)
         };
         let one = of("--load=none --load cpu --rounds 3 --quick --out a");
         assert_eq!(one, of("--quick --rounds=3 --load none,cpu"));
         let json = r#"{"command":"deadline","load":"none,cpu","quick":"true","rounds":"3"}"#;
         assert_eq!(serde_json::to_string(&one).expect("JSON"), json);
-        assert_eq!(
-            one.differing(&of("--load none,cpu --quick")),
-            [("rounds", "3", "none")]
-        );
+        let other = of("--load none,cpu --quick");
+        assert_eq!(one.differing(&other), [("rounds", "3", "none")]);
 
         // A configuration is known by its text and not by its place.
         let folder = Scratch::temporary().expect("a folder");
         let with = |name: &str, text: &str| {
             let file = folder.path().join(name);
-            fs::write(&file, text).expect("written");
+            std::fs::write(&file, text).expect("written");
             of(&format!("--config {}", file.display()))
         };
         let one = with("a.toml", "x = 1");

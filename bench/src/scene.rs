@@ -95,7 +95,6 @@ impl Scene {
         Self { obstacles, ..self }
     }
 
-    /// The same with at most this many cycles.
     #[must_use]
     pub fn at_most(self, cycles: u64) -> Self {
         Self {
@@ -108,7 +107,6 @@ impl Scene {
         cycle as f64 * self.period_s
     }
 
-    /// Where the tip shall be at a release \[m\].
     pub fn point_m(&self, cycle: u64) -> Vector3<f64> {
         Vector3::from(self.curve.position_m(self.time_s(cycle)))
     }

@@ -20,9 +20,9 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, plot};
 use crate::closed_loop::ClosedLoop;
-use crate::dataset::{Column, Dataset, Plot, RoundTable, fixed, plain, word};
+use crate::dataset::{Column, Dataset, RoundTable, fixed, plain, word};
 use crate::experiment::{Experiment, Solver, Task};
 use crate::interrupt;
 use crate::progress::Progress;
@@ -50,7 +50,6 @@ const SIZE_S: f64 = 1.0;
 /// What is measured in each round after all sizes.
 struct Part {
     table: &'static RoundTable,
-    /// Time of it, about.
     whole_s: f64,
     /// Takes one of so many cycles or moments: 1 is all of them.
     measure: fn(u64) -> Result<Vec<Value>>,
@@ -125,15 +124,14 @@ impl SolverOptions {
 }
 
 impl Benchmark for SolverOptions {
-    fn of_report(quick: bool) -> Self {
-        let mut sizes = sizes();
-        sizes.retain(|size| !quick || size.task == Task::Spiral { sections: 1 });
-        let (rounds, shortened) = if quick { (1, 20) } else { (3, 1) };
-        Self {
-            rounds,
-            sizes,
-            shortened,
-        }
+    fn for_report(&mut self) {
+        self.rounds = 3;
+    }
+
+    fn quicken(&mut self) {
+        let is_smallest = |size: &Size| size.task == Task::Spiral { sections: 1 };
+        self.sizes.retain(is_smallest);
+        self.shortened = 20;
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -201,12 +199,13 @@ fn dataset(rounds: &[Vec<Value>]) -> Result<Dataset> {
     metrics.dedup_by(|one, other| one.name == other.name);
     dataset.fact("rounds", rounds.len());
     dataset.sheets.insert(0, growth::sheet(&cases));
-    dataset.plots.push(Plot {
-        name: "solver-sections",
-        caption: "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
-                  6 particles, 30 iterations.",
-        svg: sheet(&[panel(&cases)], 1, 700)?,
-    });
+    dataset.plots.push(plot(
+        "solver-sections",
+        "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
+         6 particles, 30 iterations.",
+        (1, 700),
+        &[panel(&cases)],
+    )?);
     Ok(dataset)
 }
 
@@ -228,7 +227,6 @@ fn panel(cases: &[Value]) -> Panel {
     )
 }
 
-/// A size at which every path is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
     /// The curve, its robot and the settings that belong to it.
@@ -342,7 +340,6 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
 
 type Runner = (Simd, Nmpc, Histogram<u64>);
 
-/// A row for each path of the processor.
 pub fn measure(size: &Size) -> Result<Vec<Value>> {
     let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();
@@ -432,25 +429,5 @@ mod tests {
                 assert!(error_mm < 0.1, "{sections} sections: {error_mm} mm");
             }
         }
-    }
-
-    #[test]
-    fn rows_are_medians_and_every_round_is_kept() {
-        let case = |sections: usize, us: f64| {
-            json!({
-                "solver": "kpso", "curve": "spiral", "path": "scalar", "sections": sections, "horizon": 2,
-                "swarm": 6, "iterations": 30, "obstacles": 0, "p50_us": us, "p99_us": 2.0 * us,
-            })
-        };
-        let rounds = [9.0, 1.0, 2.0].map(|us| vec![case(1, us), case(2, 10.0 * us), case(1, us)]);
-        let found = dataset(&rounds).expect("rounds");
-        let cases = &found.json()["cases"];
-        assert_eq!(
-            (&cases[0]["p50_us"], &cases[1]["p99_us"]),
-            (&2.0.into(), &40.0.into())
-        );
-        // Two sizes, two quantiles; the size that is measured twice counts once.
-        assert_eq!(found.metrics.len(), 4);
-        assert_eq!(found.metrics[0].rounds, [9.0, 1.0, 2.0]);
     }
 }

@@ -19,7 +19,7 @@ use serde_json::json;
 pub use report::misses_p_value;
 pub use segment::Subject;
 
-use crate::benchmark::{Benchmark, defaults};
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::load::Load;
@@ -123,18 +123,8 @@ impl DeadlineOptions {
 }
 
 impl Benchmark for DeadlineOptions {
-    /// Quick: a look that takes a minute and proves little.
-    fn of_report(quick: bool) -> Self {
-        let all: Self = defaults();
-        if !quick {
-            return all;
-        }
-        Self {
-            duration: Duration::from_secs(4),
-            rounds: 2,
-            quick,
-            ..all
-        }
+    fn quicken(&mut self) {
+        (self.duration, self.rounds, self.quick) = (Duration::from_secs(4), 2, true);
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -145,7 +135,7 @@ impl Benchmark for DeadlineOptions {
         Some(&mut self.config)
     }
 
-    fn resolved(self) -> Result<Self> {
+    fn check(&self) -> Result<()> {
         ensure!(
             self.setup != Setups::Realtime || may_be_realtime(),
             "this user may not have real-time threads: see docs/realtime.md, or measure with --setup ordinary"
@@ -156,7 +146,7 @@ impl Benchmark for DeadlineOptions {
             self.duration,
             self.rounds
         );
-        Ok(self)
+        Ok(())
     }
 
     fn expected_s(&self) -> f64 {

@@ -5,7 +5,8 @@
 //! what is measured is the daemon and not how the load shares a core with its client.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::ops::Range;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
@@ -25,56 +26,27 @@ const EARLY_NS: u64 = 100_000;
 const INCIDENTS_WAIT: Duration = Duration::from_millis(300);
 /// How long a daemon may be silent before the observation is given up \[ns\].
 const SILENCE_NS: u64 = 2_000_000_000;
+/// How long it may take until it is known which releases count \[ns\]: a load has to start.
+const BEGIN_NS: u64 = 120_000_000_000;
 
-/// When an observation begins to count, and that it ends.
-pub(super) struct Signals {
-    /// From when on cycles count \[ns\]; `u64::MAX`: not yet.
-    begin_ns: AtomicU64,
-    ending: AtomicBool,
-}
+/// The releases that count \[ns\], once it is known when they begin.
+pub(super) type Counted = OnceLock<Range<u64>>;
 
-impl Signals {
-    pub(super) fn new() -> Self {
-        Self {
-            begin_ns: AtomicU64::new(u64::MAX),
-            ending: AtomicBool::new(false),
-        }
-    }
-
-    pub(super) fn begin(&self) {
-        self.begin_ns.store(monotonic_ns(), Ordering::Relaxed);
-    }
-
-    pub(super) fn end(&self) {
-        self.ending.store(true, Ordering::Relaxed);
-    }
-}
-
-/// Ends an observation when it is dropped.
-pub(super) struct Ending<'a>(pub(super) &'a Signals);
-
-impl Drop for Ending<'_> {
-    fn drop(&mut self) {
-        self.0.end();
-    }
-}
-
-/// Watches the daemon at `location` from `core` until that is ended; with `realtime` before all ordinary tasks. To be
+/// Watches the daemon at `location` from `core` until the end of those that count; with `realtime` before all ordinary tasks. To be
 /// called on a thread of its own.
 pub(super) fn observe(
     location: &Location,
     core: usize,
     realtime: bool,
-    signals: &Signals,
+    counted: &Counted,
 ) -> Result<Tally> {
     if realtime {
         set_fifo(WATCHER_PRIORITY);
     }
     pin(core);
-    Watch::open(location)?.run(signals)
+    Watch::open(location)?.run(counted)
 }
 
-/// The ports of the observer, and what came through them.
 struct Watch {
     origin_ns: u64,
     period_ns: u64,
@@ -137,12 +109,15 @@ impl Watch {
         })
     }
 
-    fn run(mut self, signals: &Signals) -> Result<Tally> {
+    fn run(mut self, counted: &Counted) -> Result<Tally> {
         let early_ns = EARLY_NS.min(self.period_ns / 4);
-        let mut lost_before = None;
-        while !signals.ending.load(Ordering::Relaxed) {
+        let (mut lost_before, opened_ns) = (None, monotonic_ns());
+        while counted
+            .get()
+            .is_none_or(|counted| monotonic_ns() < counted.end)
+        {
             interrupt::check()?;
-            let begin_ns = signals.begin_ns.load(Ordering::Relaxed);
+            let begin_ns = counted.get().map_or(u64::MAX, |counted| counted.start);
             let wanted = (monotonic_ns() + early_ns - self.origin_ns) / self.period_ns + 1;
             let release_ns = self.origin_ns + wanted * self.period_ns;
             sleep_until(release_ns - early_ns);
@@ -151,6 +126,13 @@ impl Watch {
             if lost_before.is_none() && begin_ns != u64::MAX {
                 lost_before = Some(self.telemetry.lost());
             }
+            let idle_ns = monotonic_ns() - opened_ns;
+            let has_begun = begin_ns != u64::MAX || idle_ns < BEGIN_NS;
+            ensure!(
+                has_begun,
+                "the load did not start within {} s",
+                BEGIN_NS / 1_000_000_000
+            );
             let silent_ns = monotonic_ns().saturating_sub(self.last_record_ns);
             ensure!(
                 silent_ns < SILENCE_NS,

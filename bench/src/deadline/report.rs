@@ -3,16 +3,13 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use hdrhistogram::Histogram;
 use serde_json::{Map, Value, json};
 use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::segment::Subject;
 use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, times_json};
 use super::{DeadlineOptions, Setup};
-use crate::chart::{
-    BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Point, Scale, sheet_of_one_axis,
-};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, number, percent, plain, signed,
     together, word,
@@ -23,8 +20,6 @@ use crate::quantiles::Quantiles;
 
 /// The least share of the cycles that is drawn.
 const SHARES: f64 = 1e-5;
-/// The wake-ups of a plot begin here \[µs\].
-const SHORTEST_US: f64 = 0.1;
 
 /// Two counts of misses differ when chance alone would make such a difference less often than this.
 const SIGNIFICANCE: f64 = 0.05;
@@ -113,7 +108,6 @@ const QUANTILES: [(&str, &str, &str); 6] = [
     ("command_p99", "µs", "command_us_p99"),
 ];
 
-/// What is measured in a stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
     pub(super) setup: Setup,
@@ -216,7 +210,6 @@ impl Case {
     }
 }
 
-/// Misses in a million cycles that were due.
 fn per_million((misses, due): (u64, u64)) -> f64 {
     1e6 * misses as f64 / due.max(1) as f64
 }
@@ -243,7 +236,6 @@ fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
     pairs.filter_map(ratio).collect()
 }
 
-/// One load: the daemon over the bare loop, round by round.
 fn ratio(
     dataset: &mut Dataset,
     key: Key,
@@ -374,10 +366,7 @@ fn plots(cases: &Cases, period_us: f64) -> Result<Vec<Plot>> {
     ];
     let drawn = all.into_iter().filter_map(|(setup, name, caption)| {
         let panels = panels(cases, setup, period_us);
-        (!panels.is_empty()).then(|| {
-            let svg = sheet_of_one_axis(&panels, 2, 520)?;
-            Ok(Plot { name, caption, svg })
-        })
+        (!panels.is_empty()).then(|| plot(name, caption, (2, 520), &panels))
     });
     drawn.collect()
 }
@@ -405,7 +394,7 @@ fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
             } else {
                 &times[WAKE]
             };
-            Some(Curve::line(label, survival(times), colour))
+            Some(Curve::line(label, longer(times), colour))
         };
         let curves = [
             (Subject::Daemon, "command at the client", GREY),
@@ -427,89 +416,9 @@ fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
     loads.into_iter().map(panel).collect()
 }
 
-/// For each latency the share of the cycles that were later: a step for each bucket of the histogram.
-fn survival(times_ns: &Histogram<u64>) -> Vec<Point> {
-    let total = times_ns.len();
-    let mut later = total;
-    let mut points = Vec::new();
-    for value in times_ns.iter_recorded() {
-        let us = (value.value_iterated_to() as f64 * 1e-3).max(SHORTEST_US);
-        points.push((us, later as f64 / total as f64));
-        later -= value.count_since_last_iteration();
-    }
-    points
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::quantiles::histogram;
-    use crate::subject::Cycle;
-    use cdcr_shared_types::codes::LateCause;
-
-    #[test]
-    fn all_are_later_than_the_first_and_none_than_the_last() {
-        let mut times = histogram().expect("bounds");
-        for us in [10, 20, 20, 40] {
-            times.record(us * 1000).expect("within the bounds");
-        }
-        let shares: Vec<f64> = survival(&times).iter().map(|point| point.1).collect();
-        assert_eq!(shares, [1.0, 0.75, 0.25]);
-    }
-
-    #[test]
-    fn a_case_adds_its_rounds_up_and_takes_their_medians() {
-        let key = Key {
-            setup: Setup::Ordinary,
-            load: Load::None,
-            subject: Subject::Bare,
-        };
-        let cycle = |wake_us: u64, cause: LateCause| Cycle {
-            due_ns: 0,
-            wake_ns: 1000 * wake_us,
-            response_ns: 1000 * wake_us,
-            late_start: false,
-            deadline_miss: cause != LateCause::None,
-            skipped_periods: 0,
-            cause,
-            run_delay_ns: 500_000,
-        };
-        let rounds = [
-            [cycle(10, LateCause::None); 4].to_vec(),
-            vec![cycle(20, LateCause::Compute)],
-            vec![cycle(30, LateCause::Platform)],
-        ];
-        let mut case = Case::default();
-        for (round, cycles) in rounds.iter().enumerate() {
-            let of_round = json!({ "round": round, "start_s": 2 * round });
-            let tally = Tally::of(cycles, true).expect("bounds");
-            case.push(key, of_round, tally).expect("a round");
-        }
-        let row = case.row(key);
-        for (name, expected) in [
-            ("cycles", 6),
-            ("deadline_misses", 2),
-            ("own_misses", 1),
-            ("causes_compute", 1),
-            ("causes_platform", 1),
-            ("causes_load", 0),
-        ] {
-            assert_eq!(number(&row, name), Some(f64::from(expected)), "{name}");
-        }
-        for (name, expected) in [
-            ("run_delay_ms", 3.0),
-            // Of all cycles.
-            ("wake_us_p50", 10.0),
-            ("wake_us_max", 30.0),
-            // Of the three medians.
-            ("median_of_rounds_wake_us_p50", 20.0),
-        ] {
-            let found = number(&row, name).expect(name);
-            assert!((found - expected).abs() < 0.05, "{name}: {found}");
-        }
-        assert_eq!(row["rounds"].as_array().map(Vec::len), Some(3));
-        assert!(row["round"].is_null() && row["start_s"].is_null(), "{row}");
-    }
 
     #[test]
     fn as_many_misses_as_the_bare_loop_are_no_difference() {

@@ -4,9 +4,10 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
+use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 
-use super::observer::{Ending, Signals, observe};
+use super::observer::{Counted, observe};
 use super::tally::Tally;
 use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::benchmark::with_period;
@@ -75,7 +76,6 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Whether the system grants all that real time needs.
     pub(super) fn may_be_realtime(&self) -> bool {
         may_be_realtime() && {
             let required = Daemon::start(&self.launch(Setup::Realtime), &self.cores);
@@ -108,16 +108,14 @@ impl<'a> Runner<'a> {
         let daemon = Daemon::start(&self.launch(setup), &self.cores)?;
         let (location, core) = (daemon.location(), self.cores.client());
         let tracking = Tracking::start(location, core)?;
-        let (signals, realtime) = (Signals::new(), setup == Setup::Realtime);
+        let (counted, realtime) = (Counted::new(), setup == Setup::Realtime);
         let (tally, measured) = thread::scope(|scope| {
-            let observer = scope.spawn(|| observe(location, core, realtime, &signals));
-            // A measurement that fails or panics ends the observer, too.
-            let ending = Ending(&signals);
-            let measured = self.measure(load, setup, location, &signals, || observer.is_finished());
-            drop(ending);
-            let observed = observer
-                .join()
-                .map_err(|_| anyhow!("the observer panicked"));
+            let observer = scope.spawn(|| observe(location, core, realtime, &counted));
+            let measured = self.measure(load, setup, location, &counted, || observer.is_finished());
+            // A measurement that fails ends the observer, too.
+            counted.get_or_init(|| 0..0);
+            let observed = observer.join();
+            let observed = observed.map_err(|_| anyhow!("the observer panicked"));
             (observed.flatten().context("the observer"), measured)
         });
         tracking.stop().with_context(|| daemon.stderr_tail())?;
@@ -134,14 +132,15 @@ impl<'a> Runner<'a> {
         load: Load,
         setup: Setup,
         location: &Location,
-        signals: &Signals,
+        counted: &Counted,
         has_ended: impl Fn() -> bool,
     ) -> Result<(f64, Done)> {
         let running = Running::start(load, &self.cores, Some(location))?;
         interrupt::sleep(WARM_UP)?;
-        signals.begin();
+        let (begin_ns, segment) = (monotonic_ns(), self.options.segment());
+        counted.get_or_init(|| begin_ns..begin_ns + segment.as_nanos() as u64);
         let before_ms = self.stolen_ms(setup);
-        let mut left = self.options.segment();
+        let mut left = segment;
         // An observer that ended by itself is asked for its reason when it is ended.
         while !left.is_zero() && !has_ended() {
             if let Some(failure) = running.failure() {
@@ -152,7 +151,6 @@ impl<'a> Runner<'a> {
             left -= step;
         }
         // Nothing counts of the time in which the load ends.
-        signals.end();
         let steal_ms = self.stolen_ms(setup) - before_ms;
         Ok((steal_ms, running.stop()?))
     }
@@ -183,30 +181,36 @@ impl<'a> Runner<'a> {
     /// What the hypervisor has taken since the start of the machine from the real-time core, in as far as it is counted
     /// \[ms\]; without real time from all, because the threads are where the system puts them.
     fn stolen_ms(&self, setup: Setup) -> f64 {
+        let is_watched = |core: &&usize| setup == Setup::Ordinary || **core == self.cores.realtime;
         let others = self
             .cores
             .others
             .iter()
             .filter(|core| **core != self.cores.realtime);
-        let others = others.filter(|_| setup == Setup::Ordinary);
-        let watched = others.chain([&self.cores.realtime]);
+        let watched = others.chain([&self.cores.realtime]).filter(is_watched);
         watched.filter_map(|core| steal_ms(*core)).sum()
+    }
+
+    /// The tally of something that warms up first, with what was stolen from then on.
+    fn after_warm_up(&self, setup: Setup, wait: impl FnOnce() -> Result<Tally>) -> Result<Tally> {
+        interrupt::sleep(WARM_UP)?;
+        let before_ms = self.stolen_ms(setup);
+        let mut tally = wait()?;
+        tally.counts.steal_ms = self.stolen_ms(setup) - before_ms;
+        Ok(tally)
     }
 
     fn bare(&self, setup: Setup) -> Result<Tally> {
         let duration = WARM_UP + self.options.segment();
         let bare = Baseline::start(&self.launch(setup), &self.cores, duration)?;
-        interrupt::sleep(WARM_UP)?;
-        let before_ms = self.stolen_ms(setup);
-        let cycles = bare.wait()?;
-        let steal_ms = self.stolen_ms(setup) - before_ms;
-        let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
-        let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
-        // As the observer sees the daemon: a stall over the end of the warm-up counts, with all that it skipped.
-        let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
-        let mut tally = Tally::of(&cycles[warm..], false)?;
-        tally.counts.steal_ms = steal_ms;
-        Ok(tally)
+        self.after_warm_up(setup, || {
+            let cycles = bare.wait()?;
+            let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
+            let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
+            // As the observer sees the daemon: a stall over the end of the warm-up counts, with all that it skipped.
+            let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
+            Tally::of(&cycles[warm..], false)
+        })
     }
 
     fn cyclictest(&self) -> Result<Tally> {
@@ -215,13 +219,10 @@ impl<'a> Runner<'a> {
         let (warm, counted) = (cycles(WARM_UP), cycles(self.options.segment()));
         let (core, priority) = (self.cores.realtime, Some(CYCLE_PRIORITY));
         let running = cyclictest.start(self.period, priority, core, warm + counted)?;
-        interrupt::sleep(WARM_UP)?;
-        let before_ms = self.stolen_ms(Setup::Realtime);
-        let latencies = running.wait()?.without_first(warm)?;
-        let steal_ms = self.stolen_ms(Setup::Realtime) - before_ms;
-        let mut tally = Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)?;
-        tally.counts.steal_ms = steal_ms;
-        Ok(tally)
+        self.after_warm_up(Setup::Realtime, || {
+            let latencies = running.wait()?.without_first(warm)?;
+            Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)
+        })
     }
 }
 

@@ -46,7 +46,6 @@ pub(super) struct Counts {
     pub(super) lost_records: Option<u64>,
     /// Commands that never reached the observer, or came after it had stopped looking.
     pub(super) lost_commands: Option<u64>,
-    /// Solves that the budget ended.
     pub(super) budget_hits: Option<u64>,
     /// Share of the cycles in which the robot followed its reference.
     pub(super) tracking_share: Option<f64>,

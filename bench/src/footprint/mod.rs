@@ -14,8 +14,8 @@ use anyhow::{Result, ensure};
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREY, Panel, Scale, sheet};
-use crate::dataset::{Column, Dataset, Plot, Sheet, each, fixed, number, shorted, together, word};
+use crate::chart::{BLUE, Curve, GREY, Panel, Scale, plot};
+use crate::dataset::{Column, Dataset, Sheet, each, fixed, number, shorted, together, word};
 use crate::metric::{median, range};
 use crate::progress::Progress;
 use crate::subject::daemon::{Launch, program};
@@ -111,27 +111,22 @@ impl FootprintOptions {
 }
 
 impl Benchmark for FootprintOptions {
-    fn of_report(quick: bool) -> Self {
-        let (rounds, seconds) = if quick { (2, 2) } else { (5, 10) };
-        Self {
-            rounds,
-            duration: Duration::from_secs(seconds),
-            quick,
-        }
+    fn quicken(&mut self) {
+        (self.rounds, self.duration) = (2, Duration::from_secs(2));
+    }
+
+    fn is_quick(&self) -> bool {
+        self.quick
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
         &mut self.rounds
     }
 
-    fn resolved(self) -> Result<Self> {
+    fn check(&self) -> Result<()> {
         let is_sound = (LEAST..=MOST).contains(&self.duration);
         ensure!(is_sound, "--duration must be 100ms to 1h");
-        Ok(if self.quick {
-            Self::of_report(true)
-        } else {
-            self
-        })
+        Ok(())
     }
 
     fn expected_s(&self) -> f64 {
@@ -168,12 +163,12 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
         name: "footprint",
         heading: "What a daemon takes",
         explanation: EXPLANATION,
-        plots: vec![Plot {
-            name: "footprint",
-            caption: "Share of one core that each thread of the daemon uses at 200 Hz, tracking (blue) and idle \
-                      (grey).",
-            svg: sheet(&[bars(&threads)], 1, 60 * threads.len() as u32 + 260)?,
-        }],
+        plots: vec![plot(
+            "footprint",
+            "Share of one core that each thread of the daemon uses at 200 Hz, tracking (blue) and idle (grey).",
+            (1, 60 * threads.len() as u32 + 260),
+            &[bars(&threads)],
+        )?],
         ..Dataset::default()
     };
     dataset.fact("realtime", realtime);
@@ -240,7 +235,6 @@ fn figures(rounds: &[Value]) -> Vec<Value> {
     QUANTITIES.into_iter().filter_map(row).collect()
 }
 
-/// Medians over the rounds, the busiest thread first.
 fn threads(rounds: &[Value]) -> Vec<Value> {
     let all = together(rounds, &[]);
     let mut threads: Vec<(f64, Value)> = Vec::new();

@@ -110,7 +110,6 @@ fn watch(daemon: &Daemon, length: Duration) -> Result<BTreeMap<String, f64>> {
     Ok(all.collect())
 }
 
-/// Memory of a process at one moment, as the kernel counts it.
 struct Memory {
     /// `/proc/PID/status`. `VmLck` is counted by address range: more than what is resident.
     status: String,

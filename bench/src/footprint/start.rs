@@ -2,11 +2,11 @@
 
 use std::cell::Cell;
 use std::os::unix::net::UnixDatagram;
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
-use cdcr_client::{Connection, TelemetryStream, monotonic_ns};
+use cdcr_client::{Connection, monotonic_ns};
 use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
@@ -22,15 +22,15 @@ const LOOK_EVERY: Duration = Duration::from_millis(1);
 /// Starts a daemon that a client looks for from the beginning, measures how long that takes from the start of the
 /// process, and ends it.
 pub(super) fn times(launch: &Launch, cores: &Cores) -> Result<Value> {
-    let mut client = Client::default();
-    let (daemon, begin_ns, ready_ns) = start(launch, cores, |daemon| client.looks(daemon))?;
-    let Client {
-        connection,
-        telemetry,
-        record_ns,
-    } = client;
-    let status = connection.context("the client is gone")?.status(TIMEOUT)?;
-    drop(telemetry);
+    let started = Started::new(launch, cores)?;
+    let location = started.daemon.location();
+    let connection = started.until(|| Ok(Connection::open(location, ROBOT).ok()))?;
+    let mut telemetry = connection.telemetry()?;
+    started.until(|| Ok(telemetry.try_next()?))?;
+    let (record_ns, begin_ns) = (monotonic_ns(), started.begin_ns);
+    let (daemon, ready_ns) = started.ready()?;
+    let status = connection.status(TIMEOUT)?;
+    drop((telemetry, connection));
     daemon.stop()?;
     let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
     Ok(json!({
@@ -45,71 +45,66 @@ pub(super) fn times(launch: &Launch, cores: &Cores) -> Result<Value> {
 
 /// Starts a daemon and waits for its `READY=1`: no client has connected yet.
 pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
-    Ok(start(launch, cores, |_| Ok(true))?.0)
+    Ok(Started::new(launch, cores)?.ready()?.0)
 }
 
-/// A client that waits for the first record of a daemon.
-#[derive(Default)]
-struct Client {
-    connection: Option<Connection>,
-    telemetry: Option<TelemetryStream>,
-    record_ns: u64,
+/// A daemon under a service manager.
+struct Started {
+    daemon: Daemon,
+    /// When its start began \[ns\].
+    begin_ns: u64,
+    deadline: Instant,
+    /// In a thread of its own: a look of a client may last longer than what is measured.
+    manager: JoinHandle<Result<Option<u64>>>,
+    _folder: Scratch,
 }
 
-impl Client {
-    /// Whether it has seen a record.
-    fn looks(&mut self, daemon: &Daemon) -> Result<bool> {
-        if self.record_ns > 0 {
-            return Ok(true);
+impl Started {
+    fn new(launch: &Launch, cores: &Cores) -> Result<Self> {
+        let folder = Scratch::temporary();
+        let folder = folder.context("a folder for temporary files")?;
+        let path = folder.path().join("notify");
+        let manager = UnixDatagram::bind(&path).context("a socket for READY=1")?;
+        manager.set_read_timeout(Some(Duration::from_millis(100)))?;
+        let begin_ns = Cell::new(0);
+        let daemon = Daemon::start_with(launch, cores, |command| {
+            command.env("NOTIFY_SOCKET", path);
+            begin_ns.set(monotonic_ns());
+        })?;
+        Ok(Self {
+            daemon,
+            begin_ns: begin_ns.get(),
+            deadline: Instant::now() + TIMEOUT,
+            manager: thread::spawn(move || hear_ready(&manager)),
+            _folder: folder,
+        })
+    }
+
+    /// Looks for what a client waits for.
+    fn until<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
+        loop {
+            if let Some(found) = look()? {
+                return Ok(found);
+            }
+            interrupt::check()?;
+            let in_time = Instant::now() < self.deadline;
+            ensure!(in_time, late(&self.daemon, "record"));
+            thread::sleep(LOOK_EVERY);
         }
-        if self.connection.is_none() {
-            self.connection = Connection::open(daemon.location(), ROBOT).ok();
-        }
-        if let (Some(connection), None) = (&self.connection, &self.telemetry) {
-            self.telemetry = Some(connection.telemetry()?);
-        }
-        if let Some(telemetry) = &mut self.telemetry
-            && telemetry.try_next()?.is_some()
-        {
-            self.record_ns = monotonic_ns();
-        }
-        Ok(self.record_ns > 0)
+    }
+
+    /// The daemon, and when it said `READY=1` \[ns\].
+    fn ready(self) -> Result<(Daemon, u64)> {
+        let heard = self.manager.join();
+        let ready_ns = heard.map_err(|_| anyhow!("the service manager panicked"))??;
+        let ready_ns = ready_ns.with_context(|| late(&self.daemon, "READY=1"))?;
+        Ok((self.daemon, ready_ns))
     }
 }
 
-/// A daemon under a service manager, that has said `READY=1` and done for a client what that waits for; when its start
-/// began, and when it was ready \[ns\].
-fn start(
-    launch: &Launch,
-    cores: &Cores,
-    mut has_served: impl FnMut(&Daemon) -> Result<bool>,
-) -> Result<(Daemon, u64, u64)> {
-    let folder = Scratch::temporary();
-    let folder = folder.context("a folder for temporary files")?;
-    let path = folder.path().join("notify");
-    let manager = UnixDatagram::bind(&path).context("a socket for READY=1")?;
-    manager.set_read_timeout(Some(Duration::from_millis(100)))?;
-    let begin_ns = Cell::new(0);
-    let daemon = Daemon::start_with(launch, cores, |command| {
-        command.env("NOTIFY_SOCKET", path);
-        begin_ns.set(monotonic_ns());
-    })?;
-    // In a thread of its own: a look of the client may last longer than what is measured.
-    let heard = thread::spawn(move || hear_ready(&manager));
-    let late = |missing: &str| {
-        let words = daemon.stderr_tail();
-        format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
-    };
-    let deadline = Instant::now() + TIMEOUT;
-    while !has_served(&daemon)? {
-        interrupt::check()?;
-        ensure!(Instant::now() < deadline, late("record"));
-        thread::sleep(LOOK_EVERY);
-    }
-    let heard = heard.join();
-    let ready_ns = heard.map_err(|_| anyhow!("the service manager panicked"))??;
-    let ready_ns = ready_ns.with_context(|| late("READY=1"))?;
-    Ok((daemon, begin_ns.get(), ready_ns))
+fn late(daemon: &Daemon, missing: &str) -> String {
+    let words = daemon.stderr_tail();
+    format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 
 /// When `READY=1` came \[ns\]; none within the time that a daemon may take.

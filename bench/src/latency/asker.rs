@@ -13,7 +13,6 @@ use crate::subject::place::ROBOT;
 
 const ANSWER_TIMEOUT_NS: u64 = 2_000_000_000;
 
-/// The asking end of a daemon's control service.
 pub(super) struct Asker {
     waiting: Option<Asked>,
     client: Client<ipc::Service, Request, (), Response, ()>,
@@ -25,8 +24,7 @@ pub(super) struct Asker {
 struct Asked {
     pending: PendingResponse<ipc::Service, Request, (), Response, ()>,
     kind: RequestKind,
-    sequence: u64,
-    sent_ns: u64,
+    header: Header,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -75,7 +73,7 @@ impl Asker {
 
     /// When the request was sent that has no answer yet.
     pub(super) fn waits_since_ns(&self) -> Option<u64> {
-        self.waiting.as_ref().map(|asked| asked.sent_ns)
+        self.waiting.as_ref().map(|asked| asked.header.sent_ns)
     }
 
     /// Sends a request; one at a time. Its sequence and stamp.
@@ -85,13 +83,13 @@ impl Asker {
             "a request was sent before the one before was answered"
         );
         self.sequence += 1;
-        let sent_ns = monotonic_ns();
+        let header = Header {
+            sender_id: self.sender_id,
+            sequence: self.sequence,
+            sent_ns: monotonic_ns(),
+        };
         let request = Request {
-            header: Header {
-                sender_id: self.sender_id,
-                sequence: self.sequence,
-                sent_ns,
-            },
+            header,
             kind: kind.code(),
             ..Request::default()
         };
@@ -99,10 +97,9 @@ impl Asker {
         self.waiting = Some(Asked {
             pending: pending.with_context(|| format!("cannot {kind}"))?,
             kind,
-            sequence: self.sequence,
-            sent_ns,
+            header,
         });
-        Ok((self.sequence, sent_ns))
+        Ok((header.sequence, header.sent_ns))
     }
 
     pub(super) fn look(&mut self) -> Result<Option<Answer>> {
@@ -113,19 +110,18 @@ impl Asker {
         let received = received.with_context(|| format!("cannot {}", asked.kind))?;
         let received_ns = monotonic_ns();
         let Some(response) = received.map(|response| *response.payload()) else {
-            let waited_ns = received_ns.saturating_sub(asked.sent_ns);
+            let waited_ns = received_ns.saturating_sub(asked.header.sent_ns);
+            let (kind, most_s) = (asked.kind, ANSWER_TIMEOUT_NS / 1_000_000_000);
             ensure!(
                 waited_ns < ANSWER_TIMEOUT_NS,
-                "cannot {}: the daemon did not answer within {} s",
-                asked.kind,
-                ANSWER_TIMEOUT_NS / 1_000_000_000
+                "cannot {kind}: the daemon did not answer within {most_s} s"
             );
             return Ok(None);
         };
         let asked = self.waiting.take().context("a request was waiting")?;
         Ok(Some(Answer {
             kind: asked.kind,
-            sequence: asked.sequence,
+            sequence: asked.header.sequence,
             received_ns,
             outcome: response.outcome,
         }))

@@ -53,8 +53,8 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
             pin(cores.client());
             let near = Near::open(place.location(), shares).context("a port of the bench")?;
             near.wait()?;
-            near.play(samples, round)?;
-            near.ask(samples, round)
+            near.repeat(samples, round, |sequence| near.play(sequence))?;
+            near.repeat(samples, round, |sequence| near.ask(sequence))
         });
         measuring
             .join()
@@ -213,19 +213,14 @@ impl Near {
     }
 
     fn send(&self, sequence: u64) -> Result<u64> {
-        let sent_ns = monotonic_ns();
-        let header = Header {
-            sender_id: 1,
-            sequence,
-            sent_ns,
-        };
+        let header = header(sequence);
         let message = Command {
             header,
             ..Command::default()
         };
         let sent = self.there.send_copy(message);
         sent.context("cannot send to the peer")?;
-        Ok(sent_ns)
+        Ok(header.sent_ns)
     }
 
     fn receive(&self) -> Result<Option<Command>> {
@@ -253,56 +248,55 @@ impl Near {
         interrupt::check()
     }
 
-    /// Waits without a sleep, as a thread does that is awake when a message comes.
-    fn wait_until(&self, time_ns: u64) -> Result<()> {
-        while monotonic_ns() < time_ns {
-            self.pause()?;
+    /// Carries `once` out again and again, with a pause in between; what counts of it is recorded.
+    fn repeat<const N: usize>(
+        &self,
+        samples: usize,
+        round: &mut Round,
+        once: impl Fn(u64) -> Result<(u64, [(Leg, u64); N])>,
+    ) -> Result<()> {
+        for index in 0..WARM_UP + samples {
+            let (received_ns, times) = once(index as u64 + 1)?;
+            for (leg, since_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
+                round.record(leg, received_ns - since_ns);
+            }
+            // Without a sleep, as a thread does that is awake when a message comes.
+            while monotonic_ns() < received_ns + GAP_NS {
+                self.pause()?;
+            }
         }
         Ok(())
     }
 
-    fn play(&self, samples: usize, round: &mut Round) -> Result<()> {
-        for index in 0..WARM_UP + samples {
-            let sequence = index as u64 + 1;
-            let sent_ns = self.send(sequence)?;
-            let (back, received_ns) = self.wait_for(|| {
-                Ok(self
-                    .receive()?
-                    .filter(|back| back.header.sequence == sequence))
-            })?;
-            if index >= WARM_UP {
-                round.record(Leg::BareRoundTrip, received_ns - sent_ns);
-                round.record(Leg::BareOneWay, received_ns - back.header.sent_ns);
-            }
-            self.wait_until(received_ns + GAP_NS)?;
-        }
-        Ok(())
+    fn play(&self, sequence: u64) -> Result<(u64, [(Leg, u64); 2])> {
+        let sent_ns = self.send(sequence)?;
+        let is_it = |back: &Command| back.header.sequence == sequence;
+        let (back, received_ns) = self.wait_for(|| Ok(self.receive()?.filter(is_it)))?;
+        let one_way = (Leg::BareOneWay, back.header.sent_ns);
+        Ok((received_ns, [(Leg::BareRoundTrip, sent_ns), one_way]))
     }
 
-    fn ask(&self, samples: usize, round: &mut Round) -> Result<()> {
-        for index in 0..WARM_UP + samples {
-            let header = Header {
-                sender_id: 1,
-                sequence: index as u64 + 1,
-                sent_ns: monotonic_ns(),
-            };
-            let request = Request {
-                header,
-                ..Request::default()
-            };
-            let pending = self.control.send_copy(request);
-            let pending = pending.context("cannot ask the peer")?;
-            let ((), received_ns) = self.wait_for(|| {
-                let response = pending.receive();
-                let response = response.context("no answer of the peer")?;
-                Ok(response.map(|_| ()))
-            })?;
-            if index >= WARM_UP {
-                round.record(Leg::BareRequest, received_ns - header.sent_ns);
-            }
-            self.wait_until(received_ns + GAP_NS)?;
-        }
-        Ok(())
+    fn ask(&self, sequence: u64) -> Result<(u64, [(Leg, u64); 1])> {
+        let header = header(sequence);
+        let request = Request {
+            header,
+            ..Request::default()
+        };
+        let pending = self.control.send_copy(request);
+        let pending = pending.context("cannot ask the peer")?;
+        let ((), received_ns) = self.wait_for(|| {
+            let response = pending.receive().context("no answer of the peer")?;
+            Ok(response.map(|_| ()))
+        })?;
+        Ok((received_ns, [(Leg::BareRequest, header.sent_ns)]))
+    }
+}
+
+fn header(sequence: u64) -> Header {
+    Header {
+        sender_id: 1,
+        sequence,
+        sent_ns: monotonic_ns(),
     }
 }
 

@@ -1,9 +1,9 @@
 //! A client that has every command in its hands as soon as it is there.
 //!
 //! It wakes up a little before each release, looks for the command until it is there, and sleeps again: it
-//! is awake when the command comes, and does not hold its core all the time. Whatever else it does (its
-//! errand: sending, asking) happens on the same thread at a time that was fixed before, so that no second
-//! thread is in the way.
+//! is awake when the command comes, and does not hold its core all the time. Whatever else it does, to send
+//! and to ask, happens on the same thread at a time that was fixed before, so that no second thread is in
+//! the way.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use cdcr_client::{CommandStream, Connection, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::timing;
 use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
-use super::round::Round;
+use super::asker::{Answer, Asker};
 use crate::interrupt;
 use crate::metric::median;
 use crate::subject::place::ROBOT;
@@ -54,35 +54,22 @@ impl Grid {
     }
 }
 
-pub(super) trait Errand {
-    /// How long before each release it has to be awake \[ns\].
-    fn awake_before_ns(&self, grid: &Grid) -> u64 {
-        grid.early_ns()
-    }
-
-    fn due_ns(&self) -> u64;
-
-    /// Acts: its time has come. `newest` is the newest command.
-    fn act(&mut self, newest: Option<&Command>) -> Result<()>;
-
-    /// Looks for what it waits for. Whether nothing is missing that the gather before the release at
-    /// `release_ns` can have taken.
-    fn look(&mut self, release_ns: u64) -> Result<bool>;
-
-    fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()>;
-
-    fn is_done(&self) -> bool;
-
-    /// Releases after which it must be done: more than it needs, and what a stall may take.
-    fn turns(&self) -> u64;
-}
-
 /// A cycle, and when its command was in the client's hands; none when it never was.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Seen<'a> {
-    pub(super) record: &'a Telemetry,
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    pub(super) record: Box<Telemetry>,
     pub(super) received_ns: Option<u64>,
 }
+
+/// What came while the client was awake for one release.
+#[derive(Debug, Default)]
+pub(super) struct Turn {
+    pub(super) answers: Vec<Answer>,
+    pub(super) seen: Vec<Seen>,
+}
+
+/// What is sent with the newest command in hand, or asked. When to act again \[ns\].
+pub(super) type Act<'a> = dyn FnMut(Option<&Command>, Option<&mut Asker>) -> Result<u64> + 'a;
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
 pub(super) struct Looks {
@@ -96,6 +83,9 @@ pub(super) struct Hands {
     pub(super) status: Status,
     pub(super) grid: Grid,
     pub(super) looks: Looks,
+    /// Who asks, once somebody has to.
+    asker: Option<Asker>,
+    turns_left: u64,
     commands: CommandStream,
     telemetry: TelemetryStream,
     next: u64,
@@ -123,6 +113,8 @@ impl Hands {
             status,
             grid,
             looks: Looks::default(),
+            asker: None,
+            turns_left: 0,
             newest: None,
             received: VecDeque::with_capacity(REMEMBERED),
         })
@@ -134,25 +126,20 @@ impl Hands {
             .sum()
     }
 
-    pub(super) fn run(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
-        self.forget()?;
-        let turns = errand.turns();
-        for _ in 0..turns {
-            if errand.is_done() {
-                return Ok(());
-            }
-            self.turn(errand, round)?;
-        }
-        ensure!(
-            errand.is_done(),
-            "the daemon did not answer as it should within {turns} periods: the machine stalls, or the \
-             configuration keeps the robot from following its reference"
-        );
+    pub(super) fn open_asker(&mut self, location: &Location) -> Result<()> {
+        self.asker = Some(Asker::open(location, self.connection.sender_id())?);
         Ok(())
     }
 
-    /// What came while nobody watched is no measurement.
-    fn forget(&mut self) -> Result<()> {
+    /// When the request was sent that has no answer yet.
+    pub(super) fn waits_since_ns(&self) -> Option<u64> {
+        self.asker.as_ref()?.waits_since_ns()
+    }
+
+    /// Begins something that is done after so many releases, and what a stall may take. What came while nobody watched
+    /// is no measurement.
+    pub(super) fn begin(&mut self, turns: u64) -> Result<()> {
+        self.turns_left = turns + 1000;
         while self.telemetry.try_next()?.is_some() {}
         self.receive()?;
         self.received.clear();
@@ -160,37 +147,60 @@ impl Hands {
         Ok(())
     }
 
-    fn turn(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
+    /// Sleeps until the next release, `before_ns` before it at the latest, and looks until its command is there, and the answer
+    /// that the gather before it can have given. Acts at `due_ns`, as soon as nothing waits for an answer.
+    pub(super) fn turn(
+        &mut self,
+        before_ns: u64,
+        due_ns: &mut u64,
+        act: &mut Act<'_>,
+    ) -> Result<Turn> {
         interrupt::check()?;
+        ensure!(
+            self.turns_left > 0,
+            "the daemon did not answer as it should: the machine stalls, or the configuration keeps the robot \
+             from following its reference"
+        );
+        self.turns_left -= 1;
         let release_ns = self.grid.release_ns(self.next);
-        let wake_ns = release_ns.saturating_sub(errand.awake_before_ns(&self.grid));
-        let due_ns = errand.due_ns();
-        if due_ns < wake_ns {
-            sleep_until(due_ns);
-            errand.act(self.newest.as_ref())?;
+        let wake_ns = release_ns.saturating_sub(before_ns);
+        if *due_ns < wake_ns && self.waits_since_ns().is_none() {
+            sleep_until(*due_ns);
+            *due_ns = act(self.newest.as_ref(), self.asker.as_mut())?;
         }
         sleep_until(wake_ns);
-        self.watch(release_ns, errand)?;
-        self.read_records(errand, round)?;
+        let answers = self.watch(release_ns, due_ns, act)?;
+        let seen = self.read_records()?;
         self.next = (self.next + 1).max(self.grid.cycle_at(monotonic_ns()) + 1);
-        Ok(())
+        Ok(Turn { answers, seen })
     }
 
-    /// Looks until the command of this release is there, and what the errand waits for.
-    fn watch(&mut self, release_ns: u64, errand: &mut impl Errand) -> Result<()> {
+    fn watch(
+        &mut self,
+        release_ns: u64,
+        due_ns: &mut u64,
+        act: &mut Act<'_>,
+    ) -> Result<Vec<Answer>> {
         let give_up_ns = release_ns + self.grid.period_ns / 2;
         let was_there = self.receive()?;
         self.looks.all += 1;
         self.looks.late += u64::from(was_there);
+        let mut answers = Vec::new();
         loop {
             let is_there = self.receive()?;
             let now_ns = monotonic_ns();
-            if errand.due_ns() <= now_ns {
-                errand.act(self.newest.as_ref())?;
+            if *due_ns <= now_ns && self.waits_since_ns().is_none() {
+                *due_ns = act(self.newest.as_ref(), self.asker.as_mut())?;
             }
-            let has_all = errand.look(release_ns)?;
+            if let Some(asker) = &mut self.asker {
+                answers.extend(asker.look()?);
+            }
+            // The gather may come late, and take what was sent until shortly before the release.
+            let has_all = self
+                .waits_since_ns()
+                .is_none_or(|sent_ns| sent_ns >= release_ns);
             if (is_there && has_all) || now_ns > give_up_ns {
-                return Ok(());
+                return Ok(answers);
             }
             if now_ns > release_ns + RESTLESS_NS {
                 sleep_until(now_ns + REST_NS);
@@ -212,26 +222,24 @@ impl Hands {
         Ok(newest.is_some_and(|newest| newest.cycle >= self.next))
     }
 
-    fn read_records(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
+    fn read_records(&mut self) -> Result<Vec<Seen>> {
+        let mut seen = Vec::new();
         while let Some(record) = self.telemetry.try_next()? {
-            while self
-                .received
-                .front()
-                .is_some_and(|(cycle, _)| *cycle < record.cycle)
-            {
+            let is_older = |(cycle, _): &(u64, u64)| *cycle < record.cycle;
+            while self.received.front().is_some_and(is_older) {
                 self.received.pop_front();
             }
             let received = self
                 .received
                 .front()
                 .filter(|(cycle, _)| *cycle == record.cycle);
-            let seen = Seen {
-                received_ns: received.map(|(_, received_ns)| *received_ns),
-                record: &record,
-            };
-            errand.seen(&seen, round)?;
+            let received_ns = received.map(|(_, received_ns)| *received_ns);
+            seen.push(Seen {
+                record: Box::new(record),
+                received_ns,
+            });
         }
-        Ok(())
+        Ok(seen)
     }
 }
 

@@ -13,8 +13,8 @@ use cdcr_shared_types::codes::{
 use cdcr_shared_types::{Command, Measurement, Obstacle, Telemetry};
 
 use super::asker::Asker;
-use super::hands::{Errand, Grid, Hands, Seen};
-use super::leg::{Leg, Way};
+use super::hands::{Hands, Seen};
+use super::leg::Leg;
 use super::round::{Passage, Round};
 use super::scene;
 
@@ -60,13 +60,13 @@ pub(super) enum Source {
 }
 
 impl Source {
-    fn way(&self) -> Way {
+    fn way(&self) -> Leg {
         match self {
-            Self::Reference { .. } => Way::REFERENCE,
-            Self::Obstacle { .. } => Way::OBSTACLE,
-            Self::Measurement { .. } => Way::MEASUREMENT,
-            Self::Request(RequestKind::Track) => Way::TRACK,
-            Self::Request(_) => Way::LEASE,
+            Self::Reference { .. } => Leg::ReferenceCommand,
+            Self::Obstacle { .. } => Leg::ObstacleCommand,
+            Self::Measurement { .. } => Leg::MeasurementCommand,
+            Self::Request(RequestKind::Track) => Leg::TrackAnswer,
+            Self::Request(_) => Leg::LeaseAnswer,
         }
     }
 
@@ -192,161 +192,103 @@ impl Line {
     }
 }
 
-/// Sends from each source in turn, at phases spread over the period.
-pub(super) struct Inputs<'a> {
-    lines: Vec<Line>,
-    /// Of requests, one at a time.
-    asker: Option<&'a mut Asker>,
-    /// Periods from one message to the next.
-    gap: u64,
-    grid: Grid,
-    sender_id: u64,
+/// Sends from each source in turn, at phases spread over the period, until `samples` of each count; requests one at a time.
+pub(super) fn measure(
+    hands: &mut Hands,
+    sources: Vec<Source>,
     samples: usize,
-    phases: Phases,
-    turn: usize,
-    due_ns: u64,
-}
-
-impl<'a> Inputs<'a> {
-    /// `samples` of each source that count.
-    pub(super) fn new(
-        hands: &Hands,
-        sources: Vec<Source>,
-        asker: Option<&'a mut Asker>,
-        samples: usize,
-    ) -> Self {
-        let line = |source| Line {
-            source,
-            sent: VecDeque::new(),
-            count: 0,
-            recorded: 0,
-        };
-        let mut inputs = Self {
-            // Of every source a message each second period.
-            gap: if asker.is_some() || sources.len() == 1 {
-                2
-            } else {
-                1
-            },
-            lines: sources.into_iter().map(line).collect(),
-            asker,
-            grid: hands.grid,
-            sender_id: hands.connection.sender_id(),
-            samples,
-            phases: Phases::default(),
-            turn: 0,
-            due_ns: 0,
-        };
-        inputs.plan();
-        inputs
-    }
-
-    fn plan(&mut self) {
-        let planned = self.grid.cycle_at(self.due_ns) + self.gap;
-        let cycle = planned.max(self.grid.cycle_at(monotonic_ns()) + 1);
-        self.due_ns = self.grid.release_ns(cycle) + self.phases.next_ns(self.grid.period_ns);
-    }
-
-    fn waits_since_ns(&self) -> Option<u64> {
-        self.asker.as_ref()?.waits_since_ns()
-    }
-}
-
-impl Errand for Inputs<'_> {
-    fn awake_before_ns(&self, grid: &Grid) -> u64 {
-        // An answer may come as soon as the inputs are gathered.
-        grid.early_ns() + self.asker.as_ref().map_or(0, |_| grid.lead_ns)
-    }
-
-    fn due_ns(&self) -> u64 {
-        // A daemon that was late answers first.
-        self.waits_since_ns().map_or(self.due_ns, |_| u64::MAX)
-    }
-
-    fn act(&mut self, newest: Option<&Command>) -> Result<()> {
-        let line = self.turn % self.lines.len();
-        self.lines[line].send(newest, self.asker.as_deref_mut())?;
-        self.turn += 1;
-        self.plan();
-        Ok(())
-    }
-
-    fn look(&mut self, release_ns: u64) -> Result<bool> {
-        let Some(answer) = self
-            .asker
-            .as_mut()
-            .map(|asker| asker.look())
-            .transpose()?
-            .flatten()
-        else {
-            // The gather may come late, and take what was sent until shortly before the release.
-            return Ok(self
-                .waits_since_ns()
-                .is_none_or(|sent_ns| sent_ns >= release_ns));
-        };
-        answer.accepted()?;
-        let mut all = self.lines.iter_mut().flat_map(|line| &mut line.sent);
-        if let Some(sent) = all.find(|sent| sent.sequence == answer.sequence) {
-            sent.received_ns = Some(answer.received_ns);
-        }
-        Ok(true)
-    }
-
-    fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()> {
-        let record = cycle.record;
-        let follows = record.mode == Mode::Tracking.code();
-        let mut is_simulated = true;
-        for line in &mut self.lines {
-            let is_asked = matches!(line.source, Source::Request(_));
-            is_simulated &= line.source.event().is_some() && !is_asked && line.count > WARM_UP;
-            let taken = line.taken(self.sender_id, record)?;
-            for (sent, gather_ns) in taken.into_iter().filter(|(sent, _)| sent.counts) {
-                ensure!(
-                    follows,
-                    "the robot no longer follows its reference: {}",
-                    Reason::text_of(record.reason)
-                );
-                let received_ns = if is_asked {
-                    sent.received_ns
-                } else {
-                    cycle.received_ns
-                };
-                // A command that never came, because the client was away too long, is no latency.
-                let Some(received_ns) = received_ns else {
-                    round.unmeasured.without_command += u64::from(!is_asked);
-                    continue;
-                };
-                line.recorded += 1;
-                let passage = Passage {
-                    sent_ns: sent.stamp_ns,
-                    gather_ns,
-                    received_ns,
-                };
-                round.record_way(line.source.way(), &passage);
+    round: &mut Round,
+) -> Result<()> {
+    let asks = matches!(sources[..], [Source::Request(_), ..]);
+    let line = |source| Line {
+        source,
+        sent: VecDeque::new(),
+        count: 0,
+        recorded: 0,
+    };
+    let mut lines: Vec<Line> = sources.into_iter().map(line).collect();
+    // Periods from one message to the next: of every source one in each second period.
+    let gap = if asks || lines.len() == 1 { 2 } else { 1 };
+    let (grid, sender_id) = (hands.grid, hands.connection.sender_id());
+    // An answer may come as soon as the inputs are gathered.
+    let before_ns = grid.early_ns() + if asks { grid.lead_ns } else { 0 };
+    let mut phases = Phases::default();
+    let mut plan = |due_ns: u64| {
+        let planned = grid.cycle_at(due_ns) + gap;
+        let cycle = planned.max(grid.cycle_at(monotonic_ns()) + 1);
+        grid.release_ns(cycle) + phases.next_ns(grid.period_ns)
+    };
+    hands.begin(2 * gap * (lines.len() * (samples + WARM_UP)) as u64)?;
+    let (mut planned_ns, mut number, count) = (plan(0), 0, lines.len());
+    let mut due_ns = planned_ns;
+    while hands.waits_since_ns().is_some() || lines.iter().any(|line| line.recorded < samples) {
+        let turn = hands.turn(before_ns, &mut due_ns, &mut |newest, asker| {
+            lines[number % count].send(newest, asker)?;
+            number += 1;
+            planned_ns = plan(planned_ns);
+            Ok(planned_ns)
+        })?;
+        for answer in turn.answers {
+            answer.accepted()?;
+            let mut all = lines.iter_mut().flat_map(|line| &mut line.sent);
+            if let Some(sent) = all.find(|sent| sent.sequence == answer.sequence) {
+                sent.received_ns = Some(answer.received_ns);
             }
         }
-        if is_simulated && follows {
-            record_command(cycle, round);
+        for seen in &turn.seen {
+            take(seen, &mut lines, sender_id, round)?;
         }
-        Ok(())
     }
-
-    fn is_done(&self) -> bool {
-        let mut lines = self.lines.iter();
-        lines.all(|line| line.recorded >= self.samples) && self.waits_since_ns().is_none()
-    }
-
-    fn turns(&self) -> u64 {
-        2 * self.gap * (self.lines.len() * (self.samples + WARM_UP)) as u64 + 1000
-    }
+    Ok(())
 }
 
-fn record_command(cycle: &Seen<'_>, round: &mut Round) {
+/// What a cycle says of the messages of all lines.
+fn take(cycle: &Seen, lines: &mut [Line], sender_id: u64, round: &mut Round) -> Result<()> {
+    let record = &cycle.record;
+    let follows = record.mode == Mode::Tracking.code();
+    let mut is_simulated = true;
+    for line in lines {
+        let is_asked = matches!(line.source, Source::Request(_));
+        is_simulated &= line.source.event().is_some() && !is_asked && line.count > WARM_UP;
+        let taken = line.taken(sender_id, record)?;
+        for (sent, gather_ns) in taken.into_iter().filter(|(sent, _)| sent.counts) {
+            let why = record.reason;
+            ensure!(
+                follows,
+                "the robot no longer follows its reference: {}",
+                Reason::text_of(why)
+            );
+            let received_ns = if is_asked {
+                sent.received_ns
+            } else {
+                cycle.received_ns
+            };
+            // A command that never came, because the client was away too long, is no latency.
+            let Some(received_ns) = received_ns else {
+                round.unmeasured.without_command += u64::from(!is_asked);
+                continue;
+            };
+            line.recorded += 1;
+            let passage = Passage {
+                sent_ns: sent.stamp_ns,
+                gather_ns,
+                received_ns,
+            };
+            round.record_way(line.source.way(), &passage);
+        }
+    }
+    if is_simulated && follows {
+        record_command(cycle, round);
+    }
+    Ok(())
+}
+
+fn record_command(cycle: &Seen, round: &mut Round) {
     let Some(received_ns) = cycle.received_ns else {
         round.unmeasured.without_command += 1;
         return;
     };
-    let record = cycle.record;
+    let record = &cycle.record;
     for (leg, from_ns) in [
         (Leg::CommandRelease, record.due_ns),
         (Leg::CommandHandover, record.handed_over_ns),

@@ -62,29 +62,14 @@ impl Leg {
     /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
     /// that two runs cannot differ in it.
     pub fn is_grid(self) -> bool {
-        self.name().split('.').nth(1) == Some("grid")
+        self.name()
+            .split_once('.')
+            .is_some_and(|(_, part)| part == "grid")
     }
-}
 
-/// The three legs of something that waits for a gather: the whole, its `grid` and its `machinery`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Way(pub(super) [Leg; 3]);
-
-impl Way {
-    pub(super) const REFERENCE: Self = Self::from_whole(Leg::ReferenceCommand);
-    pub(super) const OBSTACLE: Self = Self::from_whole(Leg::ObstacleCommand);
-    pub(super) const MEASUREMENT: Self = Self::from_whole(Leg::MeasurementCommand);
-    pub(super) const LEASE: Self = Self::from_whole(Leg::LeaseAnswer);
-    pub(super) const TRACK: Self = Self::from_whole(Leg::TrackAnswer);
-    pub(super) const STOP: Self = Self::from_whole(Leg::StopCommand);
-
-    /// The parts follow the whole in the list of legs.
-    const fn from_whole(whole: Leg) -> Self {
-        Self([
-            whole,
-            Leg::ALL[whole as usize + 1],
-            Leg::ALL[whole as usize + 2],
-        ])
+    /// This whole, and what follows it in the list: its part that waits for the grid, and the machinery.
+    pub(super) fn with_parts(self) -> [Self; 3] {
+        [0, 1, 2].map(|part| Self::ALL[self as usize + part])
     }
 }
 
@@ -93,22 +78,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_leg_has_its_place_and_a_name_of_its_own_and_the_parts_follow_their_whole() {
-        let mut names = Leg::ALL.map(Leg::name);
-        assert!(
-            Leg::ALL
-                .iter()
-                .enumerate()
-                .all(|(index, leg)| *leg as usize == index)
-        );
-        names.sort_unstable();
-        assert!(names.windows(2).all(|pair| pair[0] != pair[1]), "{names:?}");
-        #[rustfmt::skip]
-        let ways = [Way::REFERENCE, Way::OBSTACLE, Way::MEASUREMENT, Way::LEASE, Way::TRACK, Way::STOP];
-        for Way(legs) in ways {
-            let [whole, grid, machinery] = legs.map(|leg| leg.name().split_once('.').unwrap());
-            assert!(whole.0 == grid.0 && grid.0 == machinery.0);
-            assert_eq!([grid.1, machinery.1], ["grid", "machinery"]);
+    fn every_whole_is_followed_by_its_parts() {
+        for (index, grid) in Leg::ALL.iter().enumerate().filter(|(_, leg)| leg.is_grid()) {
+            let names = Leg::ALL[index - 1].with_parts().map(Leg::name);
+            let [whole, _, machinery] = names.map(|name| name.split_once('.').unwrap());
+            let way = grid.name().split_once('.').unwrap().0;
+            assert_eq!((whole.0, machinery), (way, (way, "machinery")));
         }
     }
 }

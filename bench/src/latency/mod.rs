@@ -1,19 +1,11 @@
 //! How long messages take: into the daemon, through it, and back into a client's hands.
 //!
-//! | way | from | to |
-//! |---|---|---|
-//! | [`baseline`] | sent, by one of two processes that do nothing else | received by the other, and back |
-//! | [`command`](Leg::CommandRelease) | release, hand-over, stamp of a command | in the client's hands |
-//! | inputs | reference, obstacle or measurement sent | first command that uses it in the client's hands |
-//! | requests | request sent | answer in the client's hands |
-//! | stops | stop sent | zero rates, without the ramp |
+//! [`baseline`] is iceoryx2 alone, between two processes; [`inputs`] what is sent, or asked, until its effect; [`stops`] a
+//! stop until zero rates. [`Leg`] says from which stamp to which each way is timed.
 //!
 //! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,
 //! by design. Each way is therefore told whole, and in two parts: `grid`, until the gather that takes it
-//! begins, and `machinery`, from there on. Sending times are spread evenly over the period.
-//!
-//! "Request → answer" is measured with a port that looks without rest; `cdcr_client` looks for its answer each
-//! millisecond, so that a client of it may wait up to a millisecond more.
+//! begins, and `machinery`, from there on.
 
 pub mod baseline;
 
@@ -36,20 +28,18 @@ use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, RequestKind, realtime};
 use serde_json::{Value, json};
 
-use crate::benchmark::{Benchmark, defaults};
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::named::named;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::system::cores::Cores;
 use crate::system::thread::{WATCHER_PRIORITY, may_be_realtime, pin, set_fifo};
-use asker::Asker;
 use hands::Hands;
 use hands::Looks;
-use inputs::{Inputs, Source};
+use inputs::Source;
 pub use leg::Leg;
 pub use round::{Round, Sampled, Unmeasured};
-use stops::Stops;
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
@@ -115,14 +105,12 @@ impl LatencyOptions {
 }
 
 impl Benchmark for LatencyOptions {
-    fn of_report(quick: bool) -> Self {
-        let (rounds, samples) = if quick { (2, 40) } else { (5, 250) };
-        Self {
-            rounds,
-            samples,
-            quick,
-            ..defaults()
-        }
+    fn quicken(&mut self) {
+        (self.rounds, self.samples) = (2, 40);
+    }
+
+    fn is_quick(&self) -> bool {
+        self.quick
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -131,18 +119,6 @@ impl Benchmark for LatencyOptions {
 
     fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
         Some(&mut self.config)
-    }
-
-    fn resolved(self) -> Result<Self> {
-        Ok(if self.quick {
-            Self {
-                period: self.period,
-                config: self.config,
-                ..Self::of_report(true)
-            }
-        } else {
-            self
-        })
     }
 
     fn expected_s(&self) -> f64 {
@@ -219,18 +195,14 @@ impl Bench<'_> {
                 sender: hands.connection.obstacle_sender()?,
                 length_m,
             };
-            let mut inputs = Inputs::new(&hands, vec![reference, obstacle], None, samples);
-            hands.run(&mut inputs, round)?;
-            drop(inputs);
+            inputs::measure(&mut hands, vec![reference, obstacle], samples, round)?;
 
-            let mut asker = Asker::open(location, hands.connection.sender_id())?;
+            hands.open_asker(location)?;
             let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
-            let mut requests = Inputs::new(&hands, requests.into(), Some(&mut asker), samples);
-            hands.run(&mut requests, round)?;
+            inputs::measure(&mut hands, requests.into(), samples, round)?;
 
             let feed = hands.connection.reference_feed()?;
-            let mut stops = Stops::new(&hands, feed, &mut asker, self.options.stops())?;
-            hands.run(&mut stops, round)?;
+            stops::measure(&mut hands, &feed, self.options.stops(), round)?;
             daemon.add(&hands);
             Ok(())
         })
@@ -246,8 +218,7 @@ impl Bench<'_> {
             };
             scene::awaken(&hands, &measurement)?;
             let _feed = scene::follow(&hands)?;
-            let mut inputs = Inputs::new(&hands, vec![measurement], None, samples);
-            hands.run(&mut inputs, round)?;
+            inputs::measure(&mut hands, vec![measurement], samples, round)?;
             daemon.add(&hands);
             Ok(())
         })

@@ -7,21 +7,21 @@ use serde_json::{Value, json};
 use super::leg::Leg;
 use super::round::{Round, Sampled, Unmeasured};
 use crate::chart::{
-    BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, sheet,
+    BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer, plot,
 };
 use crate::dataset::{
-    Column, Dataset, Plot, Recording, Sheet, each, fixed, number, plain, together, word,
+    Column, Dataset, Recording, Sheet, each, fixed, number, plain, together, word,
 };
 use crate::metric::{median, range};
-use crate::quantiles::{Quantiles, quantile_us};
+use crate::quantiles::Quantiles;
 
 /// What may be added to a period from a stop to zero rates \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
 /// Values without which a 99th percentile is no more than the largest of them.
 const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
-/// Points of a curve at most.
-const POINTS: i32 = 200;
+/// The least share of the samples that is drawn.
+const SHARES: f64 = 1e-4;
 
 const EXPLANATION: &str = "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
          are spread evenly over the period, and has every command in its hands as soon as it is there.</p>\
@@ -125,12 +125,13 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
     dataset.fact("setting", setting);
     dataset.fact("unmeasured", json!(unmeasured));
-    dataset.plots.push(Plot {
-        name: "latency",
-        caption: "How long messages take. The time that one sample in so many exceeds: 100 is the 99th \
-                  percentile. Last: the share of stops against the time to zero rates without the ramp.",
-        svg: sheet(&panels(rounds, limit_us), 1, 700)?,
-    });
+    dataset.plots.push(plot(
+        "latency",
+        "How long messages take: the share of the samples that took longer than so much. Last: to zero rates, \
+         without the ramp.",
+        (1, 700),
+        &panels(rounds, limit_us),
+    )?);
     let shown = legs.iter().map(shown).collect();
     dataset.sheets = vec![
         Sheet::of(title, &COLUMNS, shown),
@@ -234,39 +235,18 @@ fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
         LeaseAnswer, LeaseMachinery, MeasurementCommand, MeasurementMachinery, ObstacleCommand,
         ObstacleMachinery, ReferenceCommand, ReferenceMachinery, TrackAnswer, TrackMachinery,
     };
-    // The latency that one sample in x exceeds: up to 1.1²⁰⁰, far more than anybody samples.
-    let tail = |latencies: &Histogram<u64>| {
-        let one_in = (0..POINTS).map(|step| 1.1_f64.powi(step));
-        let known = one_in.take_while(|one_in| *one_in <= latencies.len() as f64);
-        known
-            .map(|one_in| (one_in, quantile_us(latencies, 1.0 - 1.0 / one_in)))
-            .collect()
-    };
-    // The share of stops that took at most so long.
-    let share = |latencies: &Histogram<u64>| {
-        let shares = (0..=POINTS).map(|step| f64::from(step) / f64::from(POINTS));
-        shares
-            .map(|share| (quantile_us(latencies, share) * 1e-3, 100.0 * share))
-            .collect()
-    };
-    let curves = |legs: &[Leg], points: &dyn Fn(&Histogram<u64>) -> Vec<Point>| {
+    let curves = |legs: &[Leg]| {
         let colours = [BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE];
         let curve = |(leg, colour): (&Leg, _)| {
-            let points = points(&pooled(*leg, rounds)?);
-            Some(Curve::line(leg.name(), points, colour))
+            let times = pooled(*leg, rounds)?;
+            Some(Curve::line(leg.name(), longer(&times), colour))
         };
-        legs.iter()
-            .zip(colours)
-            .filter_map(curve)
-            .collect::<Vec<_>>()
+        let drawn = legs.iter().zip(colours).filter_map(curve);
+        drawn.collect::<Vec<_>>()
     };
-    let panel = |title: &str, legs: &[Leg]| {
-        Panel::new(
-            title,
-            ["one sample in so many takes longer", "µs"],
-            Scale::LogLog { floor: 0.01 },
-            curves(legs, &tail),
-        )
+    let panel = |title: &str, curves: Vec<Curve>| {
+        let axes = ["longer than, µs", "share of the samples"];
+        Panel::new(title, axes, Scale::LogLog { floor: SHARES }, curves)
     };
     let commands = [
         BareOneWay,
@@ -287,26 +267,14 @@ fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
         TrackAnswer,
     ];
     let of_inputs = "Sent → first command that uses it: whole, and without the wait for the grid";
-    let limit_ms = 1e-3 * limit_us;
-    let mut stops = curves(
-        &[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid],
-        &share,
-    );
-    stops.push(Curve::line(
-        "bound for 99 %",
-        vec![(limit_ms, 0.0), (limit_ms, 100.0)],
-        GREY,
-    ));
+    let mut stops = curves(&[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]);
+    let bound = vec![(limit_us, SHARES), (limit_us, 1.0)];
+    stops.push(Curve::line("bound for 99 %", bound, GREY));
     vec![
-        panel("Commands beside iceoryx2 alone", &commands),
-        panel(of_inputs, &inputs),
-        panel("Request → answer beside iceoryx2 alone", &requests),
-        Panel::new(
-            "Stop → zero rates, without the ramp",
-            ["ms", "stops that took no longer, %"],
-            Scale::Linear,
-            stops,
-        ),
+        panel("Commands beside iceoryx2 alone", curves(&commands)),
+        panel(of_inputs, curves(&inputs)),
+        panel("Request → answer beside iceoryx2 alone", curves(&requests)),
+        panel("Stop → zero rates, without the ramp", stops),
     ]
 }
 

@@ -6,10 +6,9 @@ use derive_more::AddAssign;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use super::leg::{Leg, Way};
+use super::leg::Leg;
 use crate::quantiles::{histogram, quantile_us};
 
-/// The latencies of one leg in one round.
 #[derive(Debug, Clone)]
 pub struct Sampled {
     pub latencies: Histogram<u64>,
@@ -32,7 +31,6 @@ pub struct Unmeasured {
     pub without_command: u64,
 }
 
-/// The latencies of all legs in one round.
 #[derive(Debug, Clone)]
 pub struct Round {
     pub unmeasured: Unmeasured,
@@ -79,14 +77,14 @@ impl Round {
     }
 
     /// Adds a whole way and its two parts. A message that came while its gather was under way did not wait.
-    pub(super) fn record_way(&mut self, way: Way, passage: &Passage) {
+    pub(super) fn record_way(&mut self, whole: Leg, passage: &Passage) {
         let whole_ns = passage.received_ns.saturating_sub(passage.sent_ns);
         let grid_ns = passage
             .gather_ns
             .saturating_sub(passage.sent_ns)
             .min(whole_ns);
         let times_ns = [whole_ns, grid_ns, whole_ns - grid_ns];
-        for (leg, time_ns) in way.0.into_iter().zip(times_ns) {
+        for (leg, time_ns) in whole.with_parts().into_iter().zip(times_ns) {
             self.record(leg, time_ns);
         }
     }
@@ -105,7 +103,7 @@ mod tests {
                 gather_ns,
                 received_ns: 1000,
             };
-            round.record_way(Way::STOP, &passage);
+            round.record_way(Leg::StopCommand, &passage);
             let newest = |leg: Leg| round.leg(leg).latencies.max();
             assert_eq!(newest(Leg::StopCommand), 900);
             assert_eq!(round.leg(Leg::StopGrid).latencies.count_at(grid), 1);

@@ -5,17 +5,14 @@
 //! deceleration · T in each cycle: a speed of n steps is zero in the n-th command. The ramp, which is the
 //! robot's and not the daemon's, is n - 1 periods.
 
-use std::mem;
-
 use anyhow::{Context, Result, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
-use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
-use cdcr_shared_types::{Command, Telemetry};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
-use super::asker::{Answer, Asker};
-use super::hands::{Errand, Hands, Seen};
+use super::hands::{Hands, Seen, Turn};
 use super::inputs::Phases;
-use super::leg::{Leg, Way};
+use super::leg::Leg;
 use super::round::{Passage, Round};
 use super::scene;
 
@@ -29,226 +26,126 @@ const TURNS_OF_A_STOP: u64 = 200;
 /// A robot that is not at speed after so many releases is sent elsewhere.
 const SPEED_UP_MAX: u32 = 100;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Step {
-    /// A new reference, and out of the stop before.
-    Reset,
-    Track,
-    /// Wait until it is fast; so many releases were waited for.
-    SpeedUp(u32),
-    Stop,
-    Rest,
+impl Seen {
+    fn is_in(&self, mode: Mode) -> bool {
+        self.record.mode == mode.code()
+    }
+
+    /// Of the fastest component of its command.
+    fn speed_rad_s(&self) -> f64 {
+        largest(&self.record.command.bend_rate_rad_s)
+    }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Kept {
-    sequence: u64,
-    mode: u32,
-    gather_ns: u64,
-    handed_over_ns: u64,
-    received_ns: Option<u64>,
-    period_ns: u64,
-    deceleration_rad_s2: f64,
-    previous_speed_rad_s: f64,
-    speed_rad_s: f64,
-}
-
-pub(super) struct Stops<'a> {
-    asker: &'a mut Asker,
-    feed: ReferenceFeed,
-    length_m: f64,
-    fast_rad_s: f64,
+/// Stops the robot until `samples` stops count. A stop is spoilt when records are missing, or the robot was hardly moving.
+pub(super) fn measure(
+    hands: &mut Hands,
+    feed: &ReferenceFeed,
     samples: usize,
-    recorded: usize,
-    /// Stops that do not count: records are missing, or the robot was hardly moving.
-    spoilt: usize,
-    turn: u32,
-    phases: Phases,
-    step: Step,
-    due_ns: u64,
-    sent_ns: u64,
-    records: Vec<Kept>,
-}
-
-impl<'a> Stops<'a> {
-    pub(super) fn new(
-        hands: &Hands,
-        feed: ReferenceFeed,
-        asker: &'a mut Asker,
-        samples: usize,
-    ) -> Result<Self> {
-        let robot = &hands.status.robot;
-        let sections = &robot.section[..robot.sections as usize];
-        let rates = sections.iter().map(|section| section.rate_max_rad_s);
-        let slowest_rad_s = rates
-            .reduce(f64::min)
-            .context("the robot has no sections")?;
-        Ok(Self {
-            asker,
-            feed,
-            length_m: hands.length_m(),
-            fast_rad_s: AT_SPEED * slowest_rad_s,
-            samples,
-            recorded: 0,
-            spoilt: 0,
-            turn: 0,
-            phases: Phases::default(),
-            step: Step::Reset,
-            due_ns: 0,
-            sent_ns: 0,
-            records: Vec::new(),
-        })
-    }
-
-    fn begin(&mut self) {
-        self.turn += 1;
-        self.step = Step::Reset;
-        self.due_ns = 0;
-        self.records.clear();
-    }
-
-    fn answered(&mut self, answer: &Answer) -> Result<()> {
-        let outcome = Outcome::try_from(answer.outcome);
-        match (self.step, answer.kind, outcome) {
-            // Refused to a robot that follows already: it goes on to the new reference.
-            (Step::Reset, RequestKind::Reset, Ok(Outcome::Accepted | Outcome::WrongMode)) => {
-                self.step = Step::Track;
-                self.due_ns = 0;
-            }
-            (Step::Track, RequestKind::Track, Ok(Outcome::Accepted)) => {
-                self.step = Step::SpeedUp(0);
-            }
-            // It came so late that the chunk was not there, or no longer ahead.
-            (Step::Track, RequestKind::Track, Ok(Outcome::NoReference)) => self.begin(),
-            (_, RequestKind::Stop, Ok(Outcome::Accepted)) => {}
-            _ => answer.accepted()?,
+    round: &mut Round,
+) -> Result<()> {
+    let (mut recorded, mut spoilt, most) = (0, 0, samples + WARM_UP);
+    let mut phases = Phases::default();
+    hands.begin(TURNS_OF_A_STOP * most as u64)?;
+    for number in 0.. {
+        scene::send(feed, scene::aside(number, hands.length_m()))?;
+        // Refused to a robot that follows already: it goes on to the new reference.
+        ask(hands, RequestKind::Reset, Outcome::WrongMode)?;
+        // It came so late that the chunk was not there, or no longer ahead.
+        if ask(hands, RequestKind::Track, Outcome::NoReference)? != Outcome::Accepted {
+            continue;
         }
-        Ok(())
-    }
-
-    /// The robot is on its way: stop it at a time within the next period.
-    fn speed_up(&mut self, newest: &Kept, releases: u32, round: &mut Round) {
-        if newest.mode == Mode::Tracking.code() && newest.speed_rad_s > self.fast_rad_s {
-            self.step = Step::Stop;
-            self.due_ns = monotonic_ns() + self.phases.next_ns(newest.period_ns);
-        } else if releases >= SPEED_UP_MAX {
-            self.spoil(round);
-            self.begin();
-        } else {
-            self.step = Step::SpeedUp(releases + 1);
-        }
-    }
-
-    fn spoil(&mut self, round: &mut Round) {
-        self.spoilt += 1;
-        round.unmeasured.spoilt_stops += 1;
-    }
-
-    fn end(&mut self, round: &mut Round) {
-        let records = mem::take(&mut self.records);
-        match evaluate(&records, self.sent_ns) {
-            Some(stop) if self.turn as usize >= WARM_UP => {
-                self.recorded += 1;
-                stop.record(round);
+        match stop(hands, &mut phases)? {
+            Some(stopped) if number as usize >= WARM_UP => {
+                recorded += 1;
+                stopped.record(round);
             }
             Some(_) => {}
-            None => self.spoil(round),
+            None => {
+                spoilt += 1;
+                round.unmeasured.spoilt_stops += 1;
+            }
         }
-        self.begin();
+        ensure!(
+            spoilt <= most,
+            "{spoilt} of {number} stops could not be judged: records are missing, or the robot hardly moves"
+        );
+        if recorded >= samples {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Asks for something, and waits for the answer: accepted, or refused for the reason that is expected.
+fn ask(hands: &mut Hands, kind: RequestKind, expected: Outcome) -> Result<Outcome> {
+    let mut due_ns = 0;
+    loop {
+        let turn = turn(hands, &mut due_ns, kind)?.0;
+        if let Some(answer) = turn.answers.first() {
+            match Outcome::try_from(answer.outcome) {
+                Ok(outcome) if outcome == expected => return Ok(expected),
+                _ => answer.accepted()?,
+            }
+            return Ok(Outcome::Accepted);
+        }
     }
 }
 
-impl Errand for Stops<'_> {
-    fn due_ns(&self) -> u64 {
-        let acts = matches!(self.step, Step::Reset | Step::Track | Step::Stop);
-        if acts && self.asker.waits_since_ns().is_none() {
-            self.due_ns
-        } else {
-            u64::MAX
-        }
+/// One turn, in which this is asked once when it is due. With the stamp of the request, if it was sent.
+fn turn(hands: &mut Hands, due_ns: &mut u64, kind: RequestKind) -> Result<(Turn, Option<u64>)> {
+    let (before_ns, mut sent_ns) = (hands.grid.early_ns(), None);
+    let turn = hands.turn(before_ns, due_ns, &mut |_, asker| {
+        let asker = asker.context("nobody asks")?;
+        sent_ns = Some(asker.ask(kind)?.1);
+        Ok(u64::MAX)
+    })?;
+    for seen in &turn.seen {
+        let why = Reason::text_of(seen.record.reason);
+        ensure!(!seen.is_in(Mode::Faulted), "the robot is faulted: {why}");
     }
-
-    fn act(&mut self, _newest: Option<&Command>) -> Result<()> {
-        match self.step {
-            Step::Reset => {
-                scene::send(&self.feed, scene::aside(self.turn, self.length_m))?;
-                self.asker.ask(RequestKind::Reset)?;
-            }
-            Step::Track => _ = self.asker.ask(RequestKind::Track)?,
-            Step::Stop => {
-                (_, self.sent_ns) = self.asker.ask(RequestKind::Stop)?;
-                self.step = Step::Rest;
-            }
-            Step::SpeedUp(_) | Step::Rest => {}
-        }
-        Ok(())
-    }
-
-    fn look(&mut self, _release_ns: u64) -> Result<bool> {
-        if let Some(answer) = self.asker.look()? {
-            self.answered(&answer)?;
-        }
-        Ok(true)
-    }
-
-    fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()> {
-        let kept = Kept::of(cycle);
-        ensure!(
-            kept.mode != Mode::Faulted.code(),
-            "the robot is faulted: {}",
-            cdcr_shared_types::codes::Reason::text_of(cycle.record.reason)
-        );
-        match self.step {
-            Step::Reset | Step::Track => {}
-            Step::SpeedUp(releases) => {
-                // Records come later than answers: the first ones may be of the stop before.
-                if kept.mode == Mode::Tracking.code() {
-                    self.records.push(kept);
-                }
-                self.speed_up(&kept, releases, round);
-            }
-            Step::Stop | Step::Rest => {
-                self.records.push(kept);
-                let rests = kept.mode == Mode::Stopped.code() && kept.speed_rad_s == 0.0;
-                if rests && self.asker.waits_since_ns().is_none() {
-                    self.end(round);
-                }
-            }
-        }
-        let most = self.samples + WARM_UP;
-        ensure!(
-            self.spoilt <= most,
-            "{} of {} stops could not be judged: records are missing, or the robot hardly moves",
-            self.spoilt,
-            self.turn
-        );
-        Ok(())
-    }
-
-    fn is_done(&self) -> bool {
-        self.recorded >= self.samples
-    }
-
-    fn turns(&self) -> u64 {
-        TURNS_OF_A_STOP * (self.samples + WARM_UP) as u64 + 1000
-    }
+    Ok((turn, sent_ns))
 }
 
-impl Kept {
-    fn of(cycle: &Seen<'_>) -> Self {
-        let record: &Telemetry = cycle.record;
-        Self {
-            sequence: record.header.sequence,
-            mode: record.mode,
-            gather_ns: record.gather_ns,
-            handed_over_ns: record.handed_over_ns,
-            received_ns: cycle.received_ns,
-            period_ns: record.period_ns,
-            deceleration_rad_s2: record.deceleration_rad_s2,
-            previous_speed_rad_s: largest(&record.previous_rate_rad_s),
-            speed_rad_s: largest(&record.command.bend_rate_rad_s),
+/// Waits until the robot is at speed, stops it at a time within the next period, and waits until it rests.
+fn stop(hands: &mut Hands, phases: &mut Phases) -> Result<Option<Stopped>> {
+    let robot = &hands.status.robot;
+    let sections = robot.section[..robot.sections as usize].iter();
+    let slowest_rad_s = sections
+        .map(|section| section.rate_max_rad_s)
+        .fold(f64::INFINITY, f64::min);
+    let (mut records, mut due_ns, mut sent_ns) = (Vec::new(), u64::MAX, None);
+    for releases in 0.. {
+        let (turn, sent) = turn(hands, &mut due_ns, RequestKind::Stop)?;
+        sent_ns = sent_ns.or(sent);
+        for answer in &turn.answers {
+            answer.accepted()?;
+        }
+        let is_going = due_ns == u64::MAX && sent_ns.is_none();
+        if is_going {
+            // Records come later than answers: the first ones may be of the stop before.
+            records.extend(
+                turn.seen
+                    .into_iter()
+                    .filter(|seen| seen.is_in(Mode::Tracking)),
+            );
+            let is_fast = |seen: &Seen| seen.speed_rad_s() > AT_SPEED * slowest_rad_s;
+            if records.last().is_some_and(is_fast) {
+                due_ns = monotonic_ns() + phases.next_ns(hands.grid.period_ns);
+            } else if releases >= SPEED_UP_MAX {
+                return Ok(None);
+            }
+            continue;
+        }
+        records.extend(turn.seen);
+        let rests = |seen: &Seen| seen.is_in(Mode::Stopped) && seen.speed_rad_s() == 0.0;
+        if let Some(sent_ns) = sent_ns.filter(|_| hands.waits_since_ns().is_none())
+            && records.last().is_some_and(rests)
+        {
+            return Ok(evaluate(&records, sent_ns));
         }
     }
+    Ok(None)
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -262,7 +159,7 @@ struct Stopped {
 
 impl Stopped {
     fn record(&self, round: &mut Round) {
-        round.record_way(Way::STOP, &self.first);
+        round.record_way(Leg::StopCommand, &self.first);
         round.record(Leg::StopZeroHandover, self.zero_handover_ns);
         round.record(Leg::StopZeroCommand, self.zero_command_ns);
     }
@@ -270,32 +167,37 @@ impl Stopped {
 
 /// From the records of one stop, the last of which is at rest. None when one is missing, a command never
 /// came, or the robot was hardly moving any more.
-fn evaluate(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
-    let is_stopped = |record: &Kept| record.mode == Mode::Stopped.code();
-    let at = records.iter().position(is_stopped)?;
-    let first = records[at];
-    let before = records.get(at.checked_sub(1)?)?;
-    let is_whole = records[at - 1..]
-        .windows(2)
-        .all(|pair| pair[0].sequence + 1 == pair[1].sequence);
-    let step_rad_s = first.deceleration_rad_s2 * first.period_ns as f64 * 1e-9;
-    let steps = first.previous_speed_rad_s / step_rad_s;
-    if !is_whole || before.mode != Mode::Tracking.code() || steps < 2.0 {
+fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
+    let at = records.iter().position(|kept| kept.is_in(Mode::Stopped))?;
+    let (first, before) = (&records[at], records.get(at.checked_sub(1)?)?);
+    let is_next = |pair: &[Seen]| {
+        let [one, next] = [0, 1].map(|index| pair[index].record.header.sequence);
+        one + 1 == next
+    };
+    let is_whole = records[at - 1..].windows(2).all(is_next);
+    let Telemetry {
+        period_ns,
+        deceleration_rad_s2,
+        previous_rate_rad_s,
+        ..
+    } = &*first.record;
+    let step_rad_s = deceleration_rad_s2 * *period_ns as f64 * 1e-9;
+    let steps = largest(previous_rate_rad_s) / step_rad_s;
+    if !is_whole || !before.is_in(Mode::Tracking) || steps < 2.0 {
         return None;
     }
-    let rest = records[at..]
-        .iter()
-        .find(|record| record.speed_rad_s == 0.0)?;
+    let mut stopped = records[at..].iter();
+    let rest = stopped.find(|kept| kept.speed_rad_s() == 0.0)?;
     // Rounding must not make a step more of a speed that is a whole number of them.
-    let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * first.period_ns;
+    let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * period_ns;
     let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
     Some(Stopped {
         first: Passage {
             sent_ns,
-            gather_ns: first.gather_ns,
+            gather_ns: first.record.gather_ns,
             received_ns: first.received_ns?,
         },
-        zero_handover_ns: without_ramp(rest.handed_over_ns),
+        zero_handover_ns: without_ramp(rest.record.handed_over_ns),
         zero_command_ns: without_ramp(rest.received_ns?),
     })
 }
@@ -311,82 +213,70 @@ fn largest(rates_rad_s: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    type Change = fn(&mut Vec<Kept>);
-
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
-    fn stop() -> Vec<Kept> {
-        let speeds = [
+    fn stop() -> Vec<Seen> {
+        let speeds_rad_s = [
             0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25, 0.15, 0.05, 0.0,
         ];
-        let record = |index: usize| {
+        let kept = |index: usize| {
             let release_ns = 5_000_000 * (index as u64 + 1);
-            Kept {
-                sequence: 7 + index as u64,
-                mode: if index == 0 {
-                    Mode::Tracking
-                } else {
-                    Mode::Stopped
-                }
-                .code(),
+            let mode = if index == 0 {
+                Mode::Tracking
+            } else {
+                Mode::Stopped
+            };
+            let mut record = Telemetry {
+                mode: mode.code(),
                 gather_ns: release_ns - 200_000,
                 handed_over_ns: release_ns + 50_000,
-                received_ns: Some(release_ns + 60_000),
                 period_ns: 5_000_000,
                 deceleration_rad_s2: 20.0,
-                previous_speed_rad_s: speeds[index.saturating_sub(1)],
-                speed_rad_s: speeds[index],
+                ..Telemetry::default()
+            };
+            record.header.sequence = 7 + index as u64;
+            record.previous_rate_rad_s[0] = speeds_rad_s[index.saturating_sub(1)];
+            record.command.bend_rate_rad_s[0] = speeds_rad_s[index];
+            Seen {
+                record: Box::new(record),
+                received_ns: Some(release_ns + 60_000),
             }
         };
-        (0..speeds.len()).map(record).collect()
+        (0..speeds_rad_s.len()).map(kept).collect()
     }
 
     #[test]
-    fn a_stop_is_counted_without_its_ramp() {
-        let sent_ns = 5_300_000;
-        let stopped = evaluate(&stop(), sent_ns).expect("all records are there");
+    fn a_stop_is_counted_without_its_ramp_and_with_a_period_that_was_lost_on_the_way() {
+        let (sent_ns, mut records) = (5_300_000, stop());
+        let stopped = evaluate(&records, sent_ns).expect("all records are there");
         assert_eq!(stopped.first.gather_ns, 9_800_000);
         assert_eq!(stopped.first.received_ns, 10_060_000);
         // Ten steps: zero in the tenth stopped command, nine periods after the first.
         assert_eq!(stopped.zero_handover_ns, 10_050_000 - sent_ns);
         assert_eq!(stopped.zero_command_ns, 10_060_000 - sent_ns);
-    }
-
-    #[test]
-    fn a_period_that_the_daemon_lost_on_the_way_counts() {
-        let mut records = stop();
-        for record in &mut records[5..] {
-            record.handed_over_ns += 5_000_000;
-            record.received_ns = record.received_ns.map(|at_ns| at_ns + 5_000_000);
+        for kept in &mut records[5..] {
+            kept.record.handed_over_ns += 5_000_000;
         }
-        let stopped = evaluate(&records, 5_300_000).expect("all records are there");
+        let stopped = evaluate(&records, sent_ns).expect("all records are there");
         assert_eq!(stopped.zero_handover_ns, 4_750_000 + 5_000_000);
     }
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
-        let changed = |change: fn(&mut Vec<Kept>)| {
-            let mut records = stop();
-            change(&mut records);
-            evaluate(&records, 5_300_000)
-        };
+        type Change = fn(&mut Vec<Seen>);
         let missing: [(Change, &str); 5] = [
-            (|records| _ = records.remove(4), "a record is missing"),
+            (|all| _ = all.remove(4), "a record is missing"),
+            (|all| all[10].received_ns = None, "a command never came"),
             (
-                |records| records[10].received_ns = None,
-                "a command never came",
-            ),
-            (
-                |records| records[1].previous_speed_rad_s = 0.15,
+                |all| all[1].record.previous_rate_rad_s[0] = 0.15,
                 "it hardly moved",
             ),
-            (
-                |records| _ = records.remove(0),
-                "nothing says what it did before",
-            ),
-            (|records| _ = records.pop(), "it does not rest"),
+            (|all| _ = all.remove(0), "nothing says what it did before"),
+            (|all| _ = all.pop(), "it does not rest"),
         ];
         for (change, why) in missing {
-            assert_eq!(changed(change), None, "{why}");
+            let mut records = stop();
+            change(&mut records);
+            assert_eq!(evaluate(&records, 5_300_000), None, "{why}");
         }
     }
 }

@@ -4,7 +4,6 @@ use nalgebra::Vector3;
 use crate::chart::{Curve, Panel, Point, Scale};
 use crate::closed_loop::Sample;
 
-/// Points along a section.
 const POINTS: u32 = 24;
 
 /// Two axes of the base frame, across and up: paths and robot shapes in projection.

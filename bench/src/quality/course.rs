@@ -80,17 +80,6 @@ impl Course {
         }
         .settings()
     }
-
-    /// What judging one plan takes, about, for the progress \[µs\].
-    pub(super) fn plan_us(self) -> f64 {
-        match self {
-            Self::Spiral | Self::Line => 0.04,
-            Self::Circle => 0.3,
-            Self::Gap => 0.7,
-            Self::Crossing => 0.6,
-            Self::Jump => 0.15,
-        }
-    }
 }
 
 /// A curve through points at given times (s, m), in their order, at rest in each of them; two points at one time are a

@@ -1,15 +1,8 @@
 //! What time buys: how well the controller tracks, how clear it keeps and what its plans cost, against the
 //! time of a solve, the swarm and the horizon; and how often a solver gets stuck.
 //!
-//! | file | question it answers |
-//! |---|---|
-//! | `course` | what is driven |
-//! | `variant`, `sizing` | with which solver, budget, swarm and horizon |
-//! | `trial` | what came of one run |
-//! | `problem`, `restarts` | who finds the best plan from a random start |
-//! | `report` | what came of it, as a dataset |
-//!
-//! A closed loop with an ideal robot, without a daemon. All is deterministic but for what the clock ends.
+//! A [`course`] is driven with each [`variant`] of solver, budget, swarm and horizon; in [`restarts`] solvers look for the
+//! best plan from a random start. All is deterministic but for what the clock ends.
 
 pub mod course;
 mod problem;
@@ -24,7 +17,7 @@ use serde_json::{Value, json};
 
 pub use problem::Field;
 
-use crate::benchmark::{Benchmark, defaults};
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -105,7 +98,6 @@ impl QualityOptions {
     }
 }
 
-/// One variant, and what came of it in each round.
 struct Case {
     scene: usize,
     variant: Variant,
@@ -113,32 +105,25 @@ struct Case {
 }
 
 impl Benchmark for QualityOptions {
-    fn of_report(quick: bool) -> Self {
-        if !quick {
-            return defaults();
-        }
-        Self {
+    fn quicken(&mut self) {
+        *self = Self {
             rounds: 1,
-            quick,
+            quick: true,
             courses: vec![Course::Spiral, Course::Gap, Course::Crossing],
             cycles_max: 200,
             budgets_us: vec![20, 200, 2000],
             swarms: vec![(6, 30), (24, 30)],
             horizons: vec![2, 8],
             restarts: 2,
-        }
+        };
+    }
+
+    fn is_quick(&self) -> bool {
+        self.quick
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
         &mut self.rounds
-    }
-
-    fn resolved(self) -> Result<Self> {
-        Ok(if self.quick {
-            Self::of_report(true)
-        } else {
-            self
-        })
     }
 
     fn expected_s(&self) -> f64 {

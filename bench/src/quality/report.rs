@@ -9,7 +9,7 @@ use super::course::Course;
 use super::problem::Field;
 use super::restarts::{Contender, Ending, STUCK_SHARE};
 use super::variant::{Axis, SOLVERS};
-use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
     word,
@@ -83,7 +83,6 @@ fn variant_row(case: &Case) -> Value {
     joined([json!(case.variant), together(&case.rounds, &[]), own])
 }
 
-/// The endings of a contender in a field.
 fn endings_of(endings: &[Ending], field: Field, contender: Contender) -> Vec<&Ending> {
     let is_it = |ending: &&Ending| ending.field == field && ending.contender == contender;
     endings.iter().filter(is_it).collect()
@@ -93,7 +92,6 @@ fn stuck_share(all: &[&Ending]) -> f64 {
     all.iter().filter(|ending| ending.is_stuck()).count() as f64 / all.len() as f64
 }
 
-/// One contender in one field, over all rounds.
 fn stuck_row(all: &[&Ending]) -> Option<Value> {
     let first = all.first()?;
     let excess = || all.iter().map(|ending| ending.excess_share());
@@ -179,7 +177,7 @@ fn plots(rows: &[Value], endings: &[Ending]) -> Result<Vec<Plot>> {
     let excess = Field::ALL
         .iter()
         .filter_map(|field| excess(*field, endings));
-    let all = [
+    let all: [(_, _, Vec<Panel>); 3] = [
         (
             "quality-error",
             "Mean error against the time of a solve, median over the rounds. A swarm has as many particles and \
@@ -200,11 +198,9 @@ fn plots(rows: &[Value], endings: &[Ending]) -> Result<Vec<Plot>> {
         ),
     ];
     let drawn = all.into_iter().filter(|(_, _, panels)| !panels.is_empty());
-    let plot = |(name, caption, panels): (_, _, Vec<Panel>)| {
-        let svg = sheet(&panels, 2, 560)?;
-        Ok(Plot { name, caption, svg })
-    };
-    drawn.map(plot).collect()
+    drawn
+        .map(|(name, caption, panels)| plot(name, caption, (2, 560), &panels))
+        .collect()
 }
 
 fn colour(solver: Solver) -> RGBColor {

@@ -15,10 +15,8 @@ use crate::scene::Scene;
 /// What the guard lets through may be nearer than the safe distance by rounding \[m\].
 const ROUNDING_M: f64 = 1e-9;
 
-/// What came of one run, or of several.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RunMetrics {
-    /// Mean distance of the tip from the reference \[mm\].
     pub mean_error_mm: f64,
     pub max_error_mm: f64,
     /// Smallest clearance of the body \[mm\]; none without obstacles.

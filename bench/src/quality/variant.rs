@@ -1,6 +1,6 @@
 //! One way to solve: which course with which solver, budget, swarm and horizon.
 
-use cdcr_controller::nmpc::{CONTROL_BLOCKS_MAX, NmpcSettings};
+use cdcr_controller::nmpc::NmpcSettings;
 use serde::Serialize;
 
 use super::course::Course;
@@ -18,6 +18,11 @@ pub(super) const BUDGET_SWARM: u32 = 64;
 const BUDGET_ITERATIONS: u32 = 1000;
 /// Gauss-Newton steps, where the budget ends a solve: as many as are allowed.
 const BUDGET_REFINEMENTS: u32 = 50;
+
+/// Beside a solve: the evaluation of its plan, the guard \[µs\].
+const AROUND_US: f64 = 15.0;
+/// Of a solve without a budget, all courses and solvers together \[µs\].
+const UNLIMITED_US: f64 = 150.0;
 
 named! {
     pub enum Axis {
@@ -138,24 +143,10 @@ impl Variant {
         format!("{axis}/{course}/{}/{value}", self.solver.name())
     }
 
-    /// What a solve takes, about, for the progress \[µs\].
+    /// What a solve takes with all that surrounds it, about, for the progress \[µs\].
     pub(super) fn solve_us(&self) -> f64 {
-        // What surrounds a solve: the evaluation of its plan, the guard.
-        const AROUND_US: f64 = 15.0;
-        let own = self.course.settings();
-        let longer = f64::from(self.horizon) / f64::from(own.horizon_steps);
-        let plan_us = longer * self.course.plan_us();
-        let blocks = if self.blocks == 0 {
-            self.horizon
-        } else {
-            self.blocks
-        };
-        let blocks = f64::from(blocks.min(CONTROL_BLOCKS_MAX as u32));
-        let step_us = 5.0 + 15.0 * plan_us * blocks;
-        let work_us = plan_us * f64::from(self.swarm * self.iterations)
-            + step_us * f64::from(self.refinements);
-        let budget_us = self.budget_us.map_or(f64::INFINITY, |us| us as f64);
-        AROUND_US + work_us.min(budget_us)
+        self.budget_us
+            .map_or(UNLIMITED_US, |us| AROUND_US + us as f64)
     }
 }
 
@@ -175,7 +166,6 @@ mod tests {
                 let all = timed.into_iter().chain(swarms).chain(horizons);
                 for variant in all {
                     assert_eq!(variant.settings(1).validate(), Ok(()), "{variant:?}");
-                    assert!(variant.solve_us().is_finite());
                     keys.push(variant.key());
                 }
             }

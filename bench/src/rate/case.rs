@@ -15,7 +15,6 @@ use crate::system::cores::Cores;
 /// Share of the period that may be spent spinning.
 const SPIN_SHARE: f64 = 0.25;
 
-/// A robot, and how its control problem is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Case {
     pub sections: usize,
@@ -57,7 +56,6 @@ impl Case {
     }
 }
 
-/// What all daemons of a run have in common.
 #[derive(Debug)]
 pub struct Stage {
     pub cores: Cores,

@@ -1,12 +1,6 @@
 //! How fast the loop can go: the shortest period that holds.
 //!
-//! A period *holds* when, of a daemon that really tracks, at most 0.1 % of the releases were lost (no cycle, or
-//! a command handed over after the end of the period), and no cycle was late by the daemon's own doing (cause
-//! compute or page fault). A solve ends with its time, so a period may hold with solves that were cut short: their
-//! share, and the distance from the reference, stand beside it.
-//!
-//! An own miss decides at once. A trial that only lost releases is repeated once; twice where the machine lost
-//! them ([`TrialOutcome::Machine`]). Every trial stays in the report.
+//! What *holds* is, and how often a trial is repeated: `bench/README.md`. Every trial stays in the report.
 
 mod case;
 mod report;
@@ -15,9 +9,9 @@ mod trial;
 use anyhow::Result;
 
 pub use case::Case;
-pub use trial::{Length, Trial, TrialMetrics, TrialOutcome};
+pub use trial::{Length, Observed, Trial, TrialMetrics, TrialOutcome};
 
-use crate::benchmark::{Benchmark, defaults};
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -72,35 +66,22 @@ fn spin_us(text: &str) -> Result<f64, String> {
 }
 
 impl Benchmark for RateOptions {
-    /// Quick: the default and its solvers in short trials, about half a minute.
-    fn of_report(quick: bool) -> Self {
-        let mut options: Self = defaults();
-        if quick {
-            options.rounds = 1;
-            options.length = Length {
-                least_s: 0.5,
-                least_periods: 400,
-            };
-            options
-                .cases
-                .retain(|case| (case.sections, case.horizon_steps) == (3, 2));
-        }
-        options
+    fn quicken(&mut self) {
+        self.rounds = 1;
+        self.length = Length {
+            least_s: 0.5,
+            least_periods: 400,
+        };
+        let is_default = |case: &Case| (case.sections, case.horizon_steps) == (3, 2);
+        self.cases.retain(is_default);
+    }
+
+    fn is_quick(&self) -> bool {
+        self.quick
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
         &mut self.rounds
-    }
-
-    fn resolved(self) -> Result<Self> {
-        Ok(if self.quick {
-            Self {
-                spin_us: self.spin_us,
-                ..Self::of_report(true)
-            }
-        } else {
-            self
-        })
     }
 
     fn expected_s(&self) -> f64 {
@@ -129,7 +110,6 @@ pub struct Measured {
     pub shortest: Vec<Shortest>,
 }
 
-/// What the search for one case found.
 #[derive(Debug, Clone)]
 pub struct Shortest {
     pub case: Case,
@@ -211,13 +191,13 @@ fn search(
         }
         trials.extend(of_period.iter().cloned());
         index = match of_period.last() {
-            Some(trial) if trial.holds => index + 1,
+            Some(trial) if trial.holds() => index + 1,
             _ => index.saturating_sub(1),
         };
     }
     let held = tried
         .iter()
-        .rposition(|trials| trials.iter().any(|trial| trial.holds));
+        .rposition(|trials| trials.iter().any(Trial::holds));
     let mut take = |index: usize| tried.get_mut(index).map(std::mem::take).unwrap_or_default();
     let found = Shortest {
         case,
@@ -243,15 +223,16 @@ mod tests {
             TrialOutcome::Slow => lossy(0, 40, [0; 5]),
         };
         assert_eq!(metrics.outcome(period_ms), outcome);
+        let observed = Observed {
+            metrics,
+            responses: histogram().unwrap(),
+            begin_ns: 1,
+        };
         Trial {
             case: Case::DEFAULT,
             period_ms,
             spin_us: None,
-            holds: outcome == TrialOutcome::Holds,
-            remarks: metrics.remarks(period_ms),
-            metrics: Some(metrics),
-            responses: histogram().unwrap(),
-            begin_ns: 1,
+            found: Ok(observed),
         }
     }
 
@@ -266,40 +247,32 @@ mod tests {
         found.unwrap().1
     }
 
+    /// The period of some trials, how many held, and how many there are.
     fn tally(trials: &[Trial]) -> Option<(f64, usize, usize)> {
-        let held = trials.iter().filter(|trial| trial.holds).count();
+        let held = trials.iter().filter(|trial| trial.holds()).count();
         Some((trials.first()?.period_ms, held, trials.len()))
     }
 
     #[test]
     fn the_border_lies_between_what_held_and_what_failed() {
         for failing in [TrialOutcome::Machine, TrialOutcome::Own, TrialOutcome::Slow] {
-            for (holding, guess) in
-                (0..=7).flat_map(|holding| (0..9).map(move |first| (holding, first)))
-            {
-                let found = find(guess, |index, _| {
+            let all = (0..=7).flat_map(|holding| (0..9).map(move |first| (holding, first)));
+            for (holding, guess) in all {
+                let holds = |index| {
                     if index < holding {
                         TrialOutcome::Holds
                     } else {
                         failing
                     }
-                });
-                let expected = |index: usize, held, trials| {
-                    PERIODS_MS
-                        .get(index)
-                        .map(|period_ms| (*period_ms, held, trials))
                 };
-                let held = holding
-                    .checked_sub(1)
-                    .and_then(|index| expected(index, 1, 1));
-                assert_eq!(tally(&found.held), held);
-                assert_eq!(tally(&found.failed), expected(holding, 0, failing.trials()));
-                assert!(
-                    found
-                        .trials
-                        .iter()
-                        .all(|trial| trial.holds || !trial.remarks.is_empty())
-                );
+                let found = find(guess, |index, _| holds(index));
+                let period_ms = |index: usize| PERIODS_MS.get(index).copied();
+                let held_ms = holding.checked_sub(1).and_then(period_ms);
+                assert_eq!(tally(&found.held), held_ms.map(|ms| (ms, 1, 1)));
+                let failed = period_ms(holding).map(|ms| (ms, 0, failing.trials()));
+                assert_eq!(tally(&found.failed), failed);
+                let mut trials = found.trials.iter();
+                assert!(trials.all(|trial| trial.holds() || !trial.remarks().is_empty()));
                 if guess + 1 == holding && holding < 7 {
                     assert_eq!(found.trials.len(), 1 + failing.trials(), "a good guess");
                 }
@@ -310,15 +283,9 @@ mod tests {
 
     #[test]
     fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
-        for spoilt in 0..TrialOutcome::Machine.trials() {
-            let machine = |count| {
-                if count > spoilt {
-                    TrialOutcome::Holds
-                } else {
-                    TrialOutcome::Machine
-                }
-            };
-            let found = find(2, |_, count| machine(count));
+        use TrialOutcome::{Holds, Machine};
+        for spoilt in 0..Machine.trials() {
+            let found = find(2, |_, count| if count > spoilt { Holds } else { Machine });
             assert_eq!(tally(&found.held), Some((0.1, 1, spoilt + 1)));
             assert!(found.failed.is_empty());
             assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));

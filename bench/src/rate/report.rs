@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::case::Case;
 use super::trial::Trial;
 use super::{Measured, Shortest};
-use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, percent, plain, power, together,
     word,
@@ -115,7 +115,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         "The default ({}) with shorter and shorter periods, medians over rounds{how}",
         Case::DEFAULT.name()
     );
-    dataset.plots.push(plot(&default)?);
+    dataset.plots.push(drawn(&default)?);
     dataset.sheets = vec![
         Sheet::of(
             &format!("Shortest period that holds{how}"),
@@ -135,11 +135,12 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
     dataset.fact("spin_us", spin_us);
     let recording = |trial: Trial| {
         let (solver, rate_hz) = (trial.case.solver.name(), 1e3 / trial.period_ms);
+        let observed = trial.found.ok()?;
         Some(Recording {
             tag: format!("{solver}.{rate_hz:.0}-hz.response"),
-            start_s: trial.begin_ns.saturating_sub(begin_ns) as f64 * 1e-9,
-            duration_s: trial.metrics?.duration_s,
-            histogram_ns: trial.responses,
+            start_s: observed.begin_ns.saturating_sub(begin_ns) as f64 * 1e-9,
+            duration_s: observed.metrics.duration_s,
+            histogram_ns: observed.responses,
         })
     };
     let trials = steps.into_iter().flatten();
@@ -161,7 +162,7 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
     spin + refused
 }
 
-fn plot(rows: &[Value]) -> Result<Plot> {
+fn drawn(rows: &[Value]) -> Result<Plot> {
     let line = |label: &str, key: &str, colour| Curve::of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
     let times = vec![
@@ -183,21 +184,25 @@ fn plot(rows: &[Value]) -> Result<Plot> {
         ),
         panel("What it costs", "share", Scale::Linear, shares),
     ];
-    Ok(Plot {
-        name: "rate",
-        caption: "The default with shorter and shorter periods. The response is that of the cycles that ran: \
-                  releases without a cycle are not in it.",
-        svg: sheet(&panels, 2, 620)?,
-    })
+    plot(
+        "rate",
+        "The default with shorter and shorter periods. The response is that of the cycles that ran: \
+         releases without a cycle are not in it.",
+        (2, 620),
+        &panels,
+    )
 }
 
 fn shortest_row(shortest: &Shortest) -> Value {
     let Shortest { held, failed, .. } = shortest;
     let period_ms = |trials: &[Trial]| trials.first().map(|trial| trial.period_ms);
-    let failed_remarks = failed.last().map(|trial| &*trial.remarks);
+    let failed_remarks = failed.last().map(Trial::remarks);
     let ended_by = match (period_ms(failed), held.is_empty()) {
         (Some(failed_ms), _) => {
-            let (held_in, remarks) = (held_in(failed), failed_remarks.unwrap_or_default());
+            let (held_in, remarks) = (
+                held_in(failed),
+                failed_remarks.as_deref().unwrap_or_default(),
+            );
             format!("{failed_ms} ms, held in {held_in} trials: {remarks}")
         }
         (None, false) => "nothing: no shorter one was tried".to_owned(),
@@ -220,7 +225,7 @@ fn shortest_row(shortest: &Shortest) -> Value {
 }
 
 fn count_held(trials: &[Trial]) -> usize {
-    trials.iter().filter(|trial| trial.holds).count()
+    trials.iter().filter(|trial| trial.holds()).count()
 }
 
 fn held_in(trials: &[Trial]) -> String {
@@ -230,7 +235,7 @@ fn held_in(trials: &[Trial]) -> String {
 /// Medians over the rounds, and sums of what was counted.
 fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Value {
     // Those of the first round that did not hold, or else of the last one.
-    let failed = trials.iter().find(|trial| !trial.holds);
+    let failed = trials.iter().find(|trial| !trial.holds());
     let shown = failed.or(trials.last());
     let all = together(rounds, &COUNTS);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
@@ -245,7 +250,7 @@ fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Value {
         "held_in": held_in(trials),
         "lost_share": sum(&["deadline_misses", "skipped_periods"]) / sum(&["cycles", "skipped_periods"]).max(1.0),
         "tracking_share_least": each(rounds, "tracking_share").reduce(f64::min).unwrap_or(0.0),
-        "remarks": shown.map_or("", |trial| &trial.remarks),
+        "remarks": shown.map_or_else(String::new, Trial::remarks),
     });
     joined([all, own])
 }
@@ -259,13 +264,12 @@ mod tests {
     #[test]
     fn what_failed_is_told_and_is_no_value_of_a_metric() {
         let tried = |period_ms, holds: &[bool]| {
-            let of_round = |holds: &bool| Trial {
-                metrics: trial(period_ms, TrialOutcome::Holds)
-                    .metrics
-                    .filter(|_| *holds),
-                holds: *holds,
-                remarks: if *holds { "" } else { "too short" }.to_owned(),
-                ..trial(period_ms, TrialOutcome::Holds)
+            let of_round = |holds: &bool| {
+                let mut tried = trial(period_ms, TrialOutcome::Holds);
+                if !holds {
+                    tried.found = Err("too short".to_owned());
+                }
+                tried
             };
             holds.iter().map(of_round).collect::<Vec<_>>()
         };

@@ -3,9 +3,9 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_client::{Connection, FeedError, LinkError, TelemetryStream, monotonic_ns};
+use cdcr_client::{FeedError, LinkError, monotonic_ns};
+use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::Mode;
-use cdcr_shared_types::{Statistics, Status, Telemetry};
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
@@ -38,7 +38,6 @@ const WORTH_A_REMARK: f64 = 0.01;
 /// A period holds when at most this share of its releases got no cycle in time.
 const LOST_MAX: f64 = 1e-3;
 
-/// How long a trial measures: the longer of both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Length {
     pub least_s: f64,
@@ -46,7 +45,6 @@ pub struct Length {
 }
 
 impl Length {
-    /// How long it measures with this period \[s\].
     pub fn measured_s(&self, period_ms: f64) -> f64 {
         let periods_s = f64::from(self.least_periods) * period_ms * 1e-3;
         self.least_s.max(periods_s)
@@ -64,103 +62,105 @@ pub struct Trial {
     pub period_ms: f64,
     /// How long before each release it was asked to spin \[µs\]; none: the daemon's default.
     pub spin_us: Option<f64>,
-    pub holds: bool,
-    pub remarks: String,
-    /// What was measured; none when the robot did not follow its reference all the time.
-    pub metrics: Option<TrialMetrics>,
-    /// Responses of the cycles whose records a client got \[ns\].
-    pub responses: Histogram<u64>,
-    /// When the measurement began, on the clock of the daemon \[ns\].
-    pub begin_ns: u64,
+    /// What was measured, or why the robot did not follow its reference all the time.
+    pub found: Result<Observed, String>,
 }
 
 impl Trial {
-    /// Starts a daemon, lets it track, and measures.
     pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
         let measured = Duration::from_secs_f64(length.measured_s(period_ms));
         let observe = || {
             let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
-            let observed = observe(&daemon, stage, measured);
+            let observed = Observed::from_daemon(&daemon, stage, measured);
             daemon.stop().and(observed)
         };
-        let mut observed = observe();
+        let mut found = observe();
         for _ in 0..HELD_UP_MAX {
             interrupt::check()?;
-            if observed.as_ref().is_err_and(was_held_up) {
-                observed = observe();
+            if found.as_ref().is_err_and(was_held_up) {
+                found = observe();
             }
         }
         interrupt::check()?;
-        let mut trial = Self {
-            case,
-            period_ms,
-            spin_us: stage.spin_within_us(period_ms),
-            holds: false,
-            remarks: String::new(),
-            metrics: None,
-            responses: histogram()?,
-            begin_ns: 0,
-        };
-        match observed {
-            Ok((metrics, records)) => {
-                trial.holds = metrics.outcome(period_ms) == TrialOutcome::Holds;
-                trial.remarks = metrics.remarks(period_ms);
-                trial.metrics = Some(metrics);
-                trial.responses = records.responses;
-                trial.begin_ns = records.begin_ns;
-            }
+        let found = match found {
             Err(error) if period_ms < EASY_MS && did_not_follow(&error) => {
                 let why = format!("{error:#}");
                 let why = why.lines().next().unwrap_or_default();
-                trial.remarks = format!("did not follow: {why}");
+                Err(format!("did not follow: {why}"))
             }
-            Err(error) => return Err(error),
+            found => Ok(found?),
+        };
+        Ok(Self {
+            case,
+            period_ms,
+            spin_us: stage.spin_within_us(period_ms),
+            found,
+        })
+    }
+
+    pub fn metrics(&self) -> Option<&TrialMetrics> {
+        self.found.as_ref().ok().map(|observed| &observed.metrics)
+    }
+
+    pub fn holds(&self) -> bool {
+        let outcome = self
+            .metrics()
+            .map(|metrics| metrics.outcome(self.period_ms));
+        outcome == Some(TrialOutcome::Holds)
+    }
+
+    /// What failed, and what is worth knowing, in words; empty when there is nothing.
+    pub fn remarks(&self) -> String {
+        match &self.found {
+            Ok(observed) => observed.metrics.remarks(self.period_ms),
+            Err(why) => why.clone(),
         }
-        Ok(trial)
     }
 
     /// Whether it says, as the `count`-th trial of its period, whether that holds. A robot that did not follow has
     /// no second trial.
     pub fn decides(&self, count: usize) -> bool {
-        let metrics = self.metrics.as_ref();
-        let trials = metrics.map_or(1, |metrics| metrics.outcome(self.period_ms).trials());
-        count >= trials
+        let outcome = self
+            .metrics()
+            .map(|metrics| metrics.outcome(self.period_ms));
+        count >= outcome.map_or(1, TrialOutcome::trials)
     }
 
     pub fn row(&self) -> Value {
         let own = json!({
             "period_ms": self.period_ms,
             "spin_us": self.spin_us,
-            "holds": self.holds,
-            "remarks": self.remarks,
+            "holds": self.holds(),
+            "remarks": self.remarks(),
         });
-        let metrics = self.metrics.as_ref().map(TrialMetrics::row);
+        let metrics = self.metrics().map(TrialMetrics::row);
         joined([json!(self.case), own, json!(metrics)])
     }
 }
 
+/// The failure of a reference, if this error comes from one.
+fn feed_error(error: &anyhow::Error) -> Option<&FeedError> {
+    error.chain().find_map(|cause| cause.downcast_ref())
+}
+
 /// Whether the machine held the whole daemon up for so long that it was taken for dead.
 fn was_held_up(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| {
-        let feed = cause.downcast_ref::<FeedError>();
-        feed.is_some_and(|feed| matches!(feed, FeedError::Link(LinkError::Silent { .. })))
-    })
+    matches!(
+        feed_error(error),
+        Some(FeedError::Link(LinkError::Silent { .. }))
+    )
 }
 
 /// Whether this error says that the robot does not follow; every other one says nothing about the period.
 fn did_not_follow(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| {
-        let feed = cause.downcast_ref::<FeedError>();
-        feed.is_some_and(|feed| matches!(feed, FeedError::LeftTracking { .. }))
-            || cause.to_string().starts_with(DOES_NOT_FOLLOW)
-    })
+    let mut words = error.chain().map(ToString::to_string);
+    matches!(feed_error(error), Some(FeedError::LeftTracking { .. }))
+        || words.any(|words| words.starts_with(DOES_NOT_FOLLOW))
 }
 
-/// What the daemon did in one trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialMetrics {
     pub duration_s: f64,
-    /// What the daemon counted.
     pub counted: Statistics,
     /// Share of their core that cycle and exchange used, by the kernel's count.
     pub core_shares: [f64; 2],
@@ -258,8 +258,7 @@ impl TrialMetrics {
         })
     }
 
-    /// What failed, and what is worth knowing, in words; empty when there is nothing.
-    pub fn remarks(&self, period_ms: f64) -> String {
+    fn remarks(&self, period_ms: f64) -> String {
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let (counted, causes) = (&self.counted, self.causes());
         let whose = match self.outcome(period_ms) {
@@ -271,7 +270,6 @@ impl TrialMetrics {
             words if words.is_empty() => words,
             words => format!(" ({words})"),
         };
-        let lost = format!("{whose}{late} late, {skipped} skipped{words}");
         let core = percent(self.core_share());
         let cut = self.share_of_cycles(counted.budget_hits);
         let stale = self.share_of_cycles(counted.stale_inputs);
@@ -279,7 +277,7 @@ impl TrialMetrics {
         #[rustfmt::skip]
         let remarks = [
             (causes.own() > 0, format!("{} own misses", causes.own())),
-            (self.lost_share() > LOST_MAX, lost),
+            (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
             (self.core_share() >= FULL, format!("core full ({core}): the system halts its threads")),
             (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
             (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
@@ -287,89 +285,73 @@ impl TrialMetrics {
             (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
         ];
         let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
-        notable
-            .map(|(_, words)| words)
-            .collect::<Vec<_>>()
-            .join("; ")
+        let notable: Vec<_> = notable.map(|(_, words)| words).collect();
+        notable.join("; ")
     }
 }
 
-fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(TrialMetrics, Records)> {
-    let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
-    let connection = daemon.connect()?;
-    let mut telemetry = connection.telemetry()?;
-    // Whoever connects makes the daemon map memory: that belongs to the warm-up.
-    interrupt::sleep(WARM_UP)?;
-    while telemetry.try_next()?.is_some() {}
-
-    let mut records = Records {
-        begin_ns: monotonic_ns(),
-        responses: histogram()?,
-        received: 0,
-        errors_m: Vec::new(),
-    };
-    connection.reset_statistics()?;
-    let (before, begin) = (threads(daemon.id()), Instant::now());
-    let status = records.watch(&mut telemetry, &connection, length)?;
-    let (after, passed) = (threads(daemon.id()), begin.elapsed());
-    tracking.stop()?;
-    let shares =
-        ["cdcr-cycle", "cdcr-exchange"].map(|name| core_share(&before, &after, name, passed));
-    Ok((records.metrics(&status, shares)?, records))
+#[derive(Debug, Clone)]
+pub struct Observed {
+    pub metrics: TrialMetrics,
+    /// Responses of the cycles whose records a client got \[ns\].
+    pub responses: Histogram<u64>,
+    /// When the measurement began, on the clock of the daemon \[ns\].
+    pub begin_ns: u64,
 }
 
-struct Records {
-    begin_ns: u64,
-    responses: Histogram<u64>,
-    received: usize,
-    errors_m: Vec<f64>,
-}
+impl Observed {
+    fn from_daemon(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<Self> {
+        let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
+        let connection = daemon.connect()?;
+        let mut telemetry = connection.telemetry()?;
+        // Whoever connects makes the daemon map memory: that belongs to the warm-up.
+        interrupt::sleep(WARM_UP)?;
+        while telemetry.try_next()?.is_some() {}
 
-impl Records {
-    /// Until the statistics, which begin anew a moment after they were asked to, count for as long as `length`.
-    fn watch(
-        &mut self,
-        telemetry: &mut TelemetryStream,
-        connection: &Connection,
-        length: Duration,
-    ) -> Result<Status> {
-        let length_ns = length.as_nanos() as u64;
-        let deadline = Instant::now() + length + STATUS_TIMEOUT;
-        while Instant::now() < deadline {
+        let (begin_ns, mut responses) = (monotonic_ns(), histogram()?);
+        let (mut received, mut errors_m) = (0_usize, Vec::new());
+        connection.reset_statistics()?;
+        let (before, begin) = (threads(daemon.id()), Instant::now());
+        // Until the statistics, which begin anew a moment after they were asked to, count for as long as `length`.
+        let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + STATUS_TIMEOUT);
+        let status = loop {
+            let in_time = Instant::now() < deadline;
+            ensure!(
+                in_time,
+                "the daemon did not reset its statistics, or sends no status"
+            );
             interrupt::check()?;
             while let Some(record) = telemetry.try_next()? {
-                self.take(&record);
+                received += 1;
+                responses.saturating_record(record.handed_over_ns.saturating_sub(record.due_ns));
+                if record.mode == Mode::Tracking.code() {
+                    errors_m.push(record.position_error_m);
+                }
             }
             let status = connection.status(STATUS_TIMEOUT)?;
             let since_ns = status.statistics_since_ns;
-            if since_ns >= self.begin_ns && status.header.sent_ns >= since_ns + length_ns {
-                return Ok(status);
+            if since_ns >= begin_ns && status.header.sent_ns >= since_ns + length_ns {
+                break status;
             }
             std::thread::sleep(READ_EVERY);
-        }
-        anyhow::bail!("the daemon did not reset its statistics, or sends no status")
-    }
-
-    fn take(&mut self, record: &Telemetry) {
-        self.received += 1;
-        let response_ns = record.handed_over_ns.saturating_sub(record.due_ns);
-        self.responses.saturating_record(response_ns);
-        if record.mode == Mode::Tracking.code() {
-            self.errors_m.push(record.position_error_m);
-        }
-    }
-
-    /// Together with what the daemon counted, and what the kernel counted of cycle and exchange.
-    fn metrics(&mut self, status: &Status, core_shares: [f64; 2]) -> Result<TrialMetrics> {
+        };
+        let (after, passed) = (threads(daemon.id()), begin.elapsed());
+        tracking.stop()?;
         let counted = status.since_reset;
         ensure!(counted.response.count > 0, "the daemon ran no cycle");
-        self.errors_m.sort_by(f64::total_cmp);
-        Ok(TrialMetrics {
+        errors_m.sort_by(f64::total_cmp);
+        let share = |name| core_share(&before, &after, name, passed);
+        let metrics = TrialMetrics {
             duration_s: (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9,
             counted,
-            core_shares,
-            tracking_share: self.errors_m.len() as f64 / self.received.max(1) as f64,
-            error_mm: [0.5, 0.99].map(|quantile| quantile_mm(&self.errors_m, quantile)),
+            core_shares: ["cdcr-cycle", "cdcr-exchange"].map(share),
+            tracking_share: errors_m.len() as f64 / received.max(1) as f64,
+            error_mm: [0.5, 0.99].map(|quantile| quantile_mm(&errors_m, quantile)),
+        };
+        Ok(Self {
+            metrics,
+            responses,
+            begin_ns,
         })
     }
 }
@@ -414,74 +396,52 @@ pub(super) mod tests {
     }
 
     /// The same with these counts of misses, skipped periods, and causes: platform, load, compute, page fault, stall.
-    pub(in crate::rate) fn lossy(
-        deadline_misses: u64,
-        skipped_periods: u64,
-        causes: [u64; 5],
-    ) -> TrialMetrics {
+    pub(in crate::rate) fn lossy(misses: u64, skipped: u64, causes: [u64; 5]) -> TrialMetrics {
+        use LateCause::{Compute, Load, PageFault, Platform, Stall};
         let mut metrics = quiet();
-        metrics.counted.deadline_misses = deadline_misses;
-        metrics.counted.skipped_periods = skipped_periods;
-        let kinds = [
-            LateCause::Platform,
-            LateCause::Load,
-            LateCause::Compute,
-            LateCause::PageFault,
-            LateCause::Stall,
-        ];
-        for (cause, count) in kinds.into_iter().zip(causes) {
+        metrics.counted.deadline_misses = misses;
+        metrics.counted.skipped_periods = skipped;
+        for (cause, count) in [Platform, Load, Compute, PageFault, Stall]
+            .into_iter()
+            .zip(causes)
+        {
             metrics.counted.causes[cause.code() as usize] = count;
         }
         metrics
     }
 
     #[test]
+    #[rustfmt::skip]
     fn a_trial_is_judged_by_what_was_lost_and_by_whose_doing() {
+        use TrialOutcome::{Holds, Machine, Own, Slow};
         let (none, stalls) = ([0; 5], [2, 0, 0, 0, 1]);
         let words = "3 late, 40 skipped (2 platform, 1 stall)";
         let excused = format!("the machine: {words}");
         let fault = "1 own misses; 0 late, 1000 skipped (10 platform, 1 page fault)";
         for (misses, skipped, causes, period_ms, outcome, remarks) in [
-            (0, 0, none, 0.5, TrialOutcome::Holds, ""),
-            (4, 0, none, 0.5, TrialOutcome::Holds, ""),
-            (2, 2, none, 0.5, TrialOutcome::Holds, ""),
+            (0, 0, none, 0.5, Holds, ""),
+            (4, 0, none, 0.5, Holds, ""),
+            (2, 2, none, 0.5, Holds, ""),
             // No evidence that it was the machine.
-            (5, 0, none, 0.5, TrialOutcome::Slow, "5 late, 0 skipped"),
-            (
-                1,
-                1000,
-                none,
-                0.5,
-                TrialOutcome::Slow,
-                "1 late, 1000 skipped",
-            ),
-            (3, 40, stalls, 0.5, TrialOutcome::Machine, &*excused),
+            (5, 0, none, 0.5, Slow, "5 late, 0 skipped"),
+            (1, 1000, none, 0.5, Slow, "1 late, 1000 skipped"),
+            (3, 40, stalls, 0.5, Machine, &*excused),
             // Wake-up 10 µs and compute 66 µs do not fit.
-            (3, 40, stalls, 0.07, TrialOutcome::Slow, words),
+            (3, 40, stalls, 0.07, Slow, words),
             // Nothing excuses an own miss.
-            (
-                0,
-                0,
-                [0, 0, 1, 0, 0],
-                0.5,
-                TrialOutcome::Own,
-                "1 own misses",
-            ),
-            (0, 1000, [10, 0, 0, 1, 0], 0.5, TrialOutcome::Own, fault),
+            (0, 0, [0, 0, 1, 0, 0], 0.5, Own, "1 own misses"),
+            (0, 1000, [10, 0, 0, 1, 0], 0.5, Own, fault),
         ] {
             let metrics = lossy(misses, skipped, causes);
             assert_eq!(metrics.outcome(period_ms), outcome, "{metrics:?}");
             assert_eq!(metrics.remarks(period_ms), remarks);
         }
-        assert!(TrialOutcome::Machine.trials() > TrialOutcome::Slow.trials());
-    }
-
-    #[test]
-    fn what_costs_quality_is_said_even_when_the_period_holds() {
+        assert!(Machine.trials() > Slow.trials());
+        // What costs quality is said even when the period holds.
         let mut cut = quiet();
         cut.counted.budget_hits = 1600;
         (cut.core_shares, cut.tracking_share) = ([0.9, 0.1], 0.5);
-        assert_eq!(cut.outcome(0.5), TrialOutcome::Holds);
+        assert_eq!(cut.outcome(0.5), Holds);
         let expected = "core full (100 %): the system halts its threads; 40 % of the solves cut short; followed in 50.0 %";
         assert_eq!(cut.remarks(0.5), expected);
     }

@@ -119,12 +119,8 @@ pub(super) fn dataset(targets: Vec<Value>) -> Dataset {
 impl Found<'_> {
     /// The metric with the largest median of those whose name fits.
     fn most(&self, pattern: &str) -> Option<Worst> {
-        let fitting = self
-            .metrics
-            .iter()
-            .filter(|metric| fits(pattern, &metric.name));
-        let values = fitting.filter_map(|metric| {
-            let of = own_part(pattern, &metric.name);
+        let values = self.metrics.iter().filter_map(|metric| {
+            let of = own_part(pattern, &metric.name)?;
             Some((metric.median()?, range_of_rounds(metric), of))
         });
         values.max_by(|one, other| one.0.total_cmp(&other.0))
@@ -197,21 +193,16 @@ fn counts((misses, due): (u64, u64)) -> String {
     format!("{misses} of {due}")
 }
 
-/// Whether a name is as the pattern says; a `*` stands for one of its words.
-fn fits(pattern: &str, name: &str) -> bool {
-    let mut pairs = pattern.split('/').zip(name.split('/'));
-    pattern.split('/').count() == name.split('/').count()
-        && pairs.all(|(pattern, word)| pattern == "*" || pattern == word)
-}
-
-/// The words of a name where the pattern has a `*`.
-fn own_part(pattern: &str, name: &str) -> String {
-    let pairs = pattern.split('/').zip(name.split('/'));
-    let own: Vec<&str> = pairs
-        .filter(|(p, _)| *p == "*")
-        .map(|(_, word)| word)
-        .collect();
-    own.join(" ")
+/// The words of a name where the pattern has a `*`; none when it is not as the pattern says.
+fn own_part(pattern: &str, name: &str) -> Option<String> {
+    let [pattern, name] = [pattern, name].map(|text| text.split('/').collect::<Vec<_>>());
+    let fits = |(pattern, word): (&&str, &&str)| *pattern == "*" || pattern == word;
+    let is_it = pattern.len() == name.len() && pattern.iter().zip(&name).all(fits);
+    let own = pattern
+        .iter()
+        .zip(name)
+        .filter(|(pattern, _)| **pattern == "*");
+    is_it.then(|| own.map(|(_, word)| word).collect::<Vec<_>>().join(" "))
 }
 
 #[cfg(test)]
@@ -221,17 +212,12 @@ mod tests {
     use super::*;
     use crate::metric::Better;
 
-    fn lower(case: &str, rounds: [f64; 3]) -> Metric {
-        let name = format!("deadline/{case}/wake_p50_to_bare");
-        Metric::new(name, "", Better::Lower, rounds)
-    }
-
-    fn object(value: &Value) -> Map<String, Value> {
-        value.as_object().expect("an object").clone()
-    }
-
     #[test]
     fn the_worst_load_counts_and_what_was_not_measured_has_no_row() {
+        let lower = |case: &str, rounds: [f64; 3]| {
+            let name = format!("deadline/{case}/wake_p50_to_bare");
+            Metric::new(name, "", Better::Lower, rounds)
+        };
         let metrics = [
             lower("none/realtime", [1.0, 1.02, 1.01]),
             lower("cpu/realtime", [1.2, 1.3, 1.1]),
@@ -239,57 +225,42 @@ mod tests {
         ];
         let found = targets(&metrics, &Map::new());
         assert_eq!(found.len(), 1, "{found:?}");
-        let (value, of, range) = (&found[0]["found"], &found[0]["of"], &found[0]["range"]);
-        assert_eq!(
-            (value, of, range),
-            (&json!(1.2), &json!("cpu"), &json!([1.1, 1.3]))
-        );
-        assert_eq!(found[0]["reached"], false);
+        says(&found[0], 1.2, "cpu", false);
+        assert_eq!(found[0]["range"], json!([1.1, 1.3]));
         let text = dataset(found).text();
         assert!(text.contains("1.1 to 1.3"), "{text}");
     }
 
     #[test]
-    fn misses_are_judged_for_all_loads_together() {
-        let case = |load: &str, subject: &str, realtime: bool, misses: u32, own: u32| {
-            json!({
-                "load": load, "subject": subject, "realtime": realtime, "cycles": 11_000, "skipped_periods": 1000,
-                "deadline_misses": misses, "own_misses": own,
-            })
-        };
-        let results = object(&json!({ "deadline": { "period_ms": 5.0, "cases": [
-            case("none", "daemon", true, 1, 0),
-            case("none", "bare", true, 2, 0),
-            case("cpu", "daemon", true, 3, 2),
-            case("cpu", "bare", true, 2, 0),
-            case("cpu", "cyclictest", true, 9000, 0),
-            case("io", "daemon", true, 0, 0),
-            case("cpu", "daemon", false, 900, 70),
-        ] } }));
-        let found = targets(&[], &results);
-        assert_eq!(found.len(), 2, "{found:?}");
+    #[rustfmt::skip]
+    fn misses_are_judged_for_all_loads_together_and_a_stop_beyond_the_period_of_its_run() {
+        let case = |load: &str, subject: &str, realtime: bool, misses: u32, own: u32| json!({
+            "load": load, "subject": subject, "realtime": realtime, "cycles": 11_000, "skipped_periods": 1000,
+            "deadline_misses": misses, "own_misses": own,
+        });
+        let target = |leg: &str, p99_us: f64| json!({ "leg": leg, "p99_us": p99_us, "limit_us": 2100.0 });
+        let results = json!({
+            "deadline": { "period_ms": 5.0, "cases": [
+                case("none", "daemon", true, 1, 0),
+                case("none", "bare", true, 2, 0),
+                case("cpu", "daemon", true, 3, 2),
+                case("cpu", "bare", true, 2, 0),
+                case("cpu", "cyclictest", true, 9000, 0),
+                case("io", "daemon", true, 0, 0),
+                case("cpu", "daemon", false, 900, 70),
+            ] },
+            "latency": { "targets": [target("stop.zero_handover", 2050.0), target("stop.zero_command", 2130.0)] },
+        });
+        let found = targets(&[], results.as_object().expect("an object"));
+        assert_eq!(found.len(), 3, "{found:?}");
         says(&found[0], 2.0, "3.0 min", false);
         assert_eq!(found[1]["of"], "4 of 24000 against 4 of 24000");
-        assert!(
-            found[1]["reached"] == true && found[1]["found"].as_f64() > Some(0.5),
-            "{found:?}"
-        );
+        assert!(found[1]["reached"] == true && found[1]["found"].as_f64() > Some(0.5), "{found:?}");
+        says(&found[2], 130.0, "stop.zero_command", false);
     }
 
     fn says(target: &Value, found: f64, of: &str, reached: bool) {
         let shown = ["found", "of", "reached"].map(|key| &target[key]);
         assert_eq!(shown, [&json!(found), &json!(of), &json!(reached)]);
-    }
-
-    #[test]
-    fn a_stop_is_judged_beyond_the_period_of_its_run() {
-        let target =
-            |leg: &str, p99_us: f64| json!({ "leg": leg, "p99_us": p99_us, "limit_us": 2100.0 });
-        let results = object(&json!({ "latency": { "targets": [
-            target("stop.zero_handover", 2050.0),
-            target("stop.zero_command", 2130.0),
-        ] } }));
-        let found = targets(&[], &results);
-        says(&found[0], 130.0, "stop.zero_command", false);
     }
 }

@@ -7,7 +7,6 @@ mod parts;
 mod scenario;
 mod tuning;
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result, ensure};
@@ -21,8 +20,8 @@ pub use parts::parts;
 pub use tuning::knob;
 
 use crate::benchmark::Benchmark;
-use crate::chart::{Curve, Panel, Scale, sheet};
-use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
+use crate::chart::{Curve, Panel, Scale, plot};
+use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
 use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Figure, Scenario, Way};
@@ -92,35 +91,35 @@ pub struct RobustnessOptions {
 }
 
 impl Benchmark for RobustnessOptions {
-    fn of_report(quick: bool) -> Self {
-        let seeds = if quick { 1 } else { 20 };
-        Self {
-            seeds,
-            only: None,
-            sweep: false,
-        }
+    fn for_report(&mut self) {
+        self.seeds = 20;
+    }
+
+    fn quicken(&mut self) {
+        self.seeds = 1;
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
         &mut self.seeds
     }
 
-    fn resolved(self) -> Result<Self> {
+    fn check(&self) -> Result<()> {
         let only = self.only.as_deref();
+        let words = only.unwrap_or_default();
         if self.sweep {
+            let is_any = tuning::is_any(only);
             ensure!(
-                tuning::is_any(only),
-                "no knob has {:?} in its key; their keys are in docs/tuning.md",
-                only.unwrap_or_default()
+                is_any,
+                "no knob has {words:?} in its key; their keys are in docs/tuning.md"
             );
         } else {
+            let is_any = Scenario::all().iter().any(|scenario| self.names(scenario));
             ensure!(
-                Scenario::all().iter().any(|scenario| self.names(scenario)),
-                "no robot has {:?} in its name; their names are in docs/robustness.md",
-                only.unwrap_or_default()
+                is_any,
+                "no robot has {words:?} in its name; their names are in docs/robustness.md"
             );
         }
-        Ok(self)
+        Ok(())
     }
 
     fn expected_s(&self) -> f64 {
@@ -160,11 +159,9 @@ impl Benchmark for RobustnessOptions {
             let ideal = rows.first().and_then(|row| row["rate_change_rms"].as_f64());
             rows.push(row(scenario, *control, interface, &runs, ideal));
         }
-        dataset.plots.push(Plot {
-            name: "robustness-error",
-            caption: "Error of the tip in truth, position interface, the first seed.",
-            svg: sheet(&panels, 2, 420)?,
-        });
+        let caption = "Error of the tip in truth, position interface, the first seed.";
+        let errors = plot("robustness-error", caption, (2, 420), &panels)?;
+        dataset.plots.push(errors);
         dataset.sheets.push(comparison(&rows));
         dataset.sheets.push(parts(&rows));
         let title = "Robots that are not their model, on a figure eight";
@@ -176,7 +173,6 @@ impl Benchmark for RobustnessOptions {
     }
 }
 
-/// A robot with a controller behind an interface.
 struct Case {
     scenario: Scenario,
     control: Control,
@@ -192,48 +188,43 @@ impl RobustnessOptions {
     /// Each scenario with the controllers that differ on it, behind both interfaces.
     fn cases(&self) -> Vec<Case> {
         let is_wanted = |scenario: &Scenario| scenario.is_ideal() || self.names(scenario);
-        let scenarios = Scenario::all().into_iter().filter(is_wanted);
-        let controlled = scenarios.flat_map(|scenario| {
-            let controls: Vec<Control> = scenario.controls().collect();
-            controls
-                .into_iter()
-                .map(move |control| (scenario.clone(), control))
-        });
-        let both = controlled.flat_map(|(scenario, control)| {
-            [true, false].map(|obeys_positions| Case {
-                scenario: scenario.clone(),
-                control,
-                obeys_positions,
-            })
-        });
-        both.collect()
+        let mut cases = Vec::new();
+        for scenario in Scenario::all().into_iter().filter(is_wanted) {
+            for control in scenario.controls() {
+                cases.extend([true, false].map(|obeys_positions| Case {
+                    scenario: scenario.clone(),
+                    control,
+                    obeys_positions,
+                }));
+            }
+        }
+        cases
     }
 
-    /// Runs all cases, each core one after the other; none depends on another.
+    /// Runs all cases, on each core every so many-th of them; none depends on another.
     fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
-        let eight = FigureEight::new()?;
-        let (next, progress) = (AtomicUsize::new(0), Mutex::new(progress));
-        let work = || {
-            let mut done = Vec::new();
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                let Some(case) = cases.get(index) else {
-                    return anyhow::Ok(done);
-                };
+        let (eight, progress) = (&FigureEight::new()?, &Mutex::new(progress));
+        let work = |first: usize| {
+            let own = cases.iter().enumerate().skip(first).step_by(cores());
+            let runs = own.map(|(index, case)| {
                 let what = format!("{}, {}", case.scenario.name, case.control.name());
-                lock(&progress).begin(&what);
-                done.push((index, case.runs(&eight, self.seeds, &progress)?));
-            }
-        };
-        let done = std::thread::scope(|scope| {
-            let threads: Vec<_> = (0..cores()).map(|_| scope.spawn(work)).collect();
-            let ends = threads.into_iter().map(|thread| match thread.join() {
-                Ok(done) => done,
-                Err(panic) => std::panic::resume_unwind(panic),
+                lock(progress).begin(&what);
+                Ok((index, case.runs(eight, self.seeds, progress)?))
             });
-            ends.collect::<Result<Vec<_>>>()
+            runs.collect::<Result<Vec<_>>>()
+        };
+        let mut done = Vec::new();
+        std::thread::scope(|scope| {
+            let work = &work;
+            let threads: Vec<_> = (0..cores())
+                .map(|first| scope.spawn(move || work(first)))
+                .collect();
+            for thread in threads {
+                let ended = thread.join();
+                done.extend(ended.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
+            }
+            anyhow::Ok(())
         })?;
-        let mut done: Vec<_> = done.into_iter().flatten().collect();
         done.sort_by_key(|(index, _)| *index);
         Ok(done.into_iter().map(|(_, runs)| runs).collect())
     }
@@ -303,7 +294,6 @@ pub fn comparison(rows: &[Value]) -> Sheet {
     Sheet::of(title, &COMPARISON, robots)
 }
 
-/// What a robot did with a controller, seed by seed.
 #[derive(Default)]
 struct Runs {
     rounds: Vec<FigureEightRun>,

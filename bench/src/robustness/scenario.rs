@@ -18,7 +18,6 @@ const OUT_OF_REACH_MM: f64 = 34.22;
 const TIME_CONSTANT_S: f64 = 0.15;
 
 named! {
-    /// What is done about it.
     pub(super) enum Control {
         /// All that a daemon does.
         Full = "full",
@@ -70,7 +69,6 @@ impl Control {
     }
 }
 
-/// What the tip follows.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Way {
     /// The common figure eight of three sections.
@@ -81,7 +79,6 @@ pub(super) enum Way {
     Spiral { lower_m: f64 },
 }
 
-/// A robot, and what is known of it.
 #[derive(Debug, Clone)]
 pub(super) struct Scenario {
     pub(super) name: &'static str,
@@ -266,7 +263,6 @@ impl Scenario {
         ]
     }
 
-    /// Whether nothing is wrong with it.
     pub(super) fn is_ideal(&self) -> bool {
         self.flaws == Flaws::default()
     }

@@ -6,8 +6,8 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::Preset;
 use serde_json::{Value, json};
 
-use crate::chart::{BLUE, Curve, ORANGE, Panel, Scale, sheet};
-use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, word};
+use crate::chart::{BLUE, Curve, ORANGE, Panel, Scale, plot};
+use crate::dataset::{Column, Dataset, Sheet, fixed, word};
 use crate::interrupt;
 use crate::progress::Progress;
 
@@ -29,7 +29,6 @@ const COLUMNS: [Column; 6] = [
     ),
 ];
 
-/// A knob: its key in a configuration, its head in pictures, and the values that it is turned to.
 struct Knob {
     key: &'static str,
     head: &'static str,
@@ -54,7 +53,6 @@ const KNOBS: [Knob; 3] = [
     },
 ];
 
-/// Where each knob stands.
 type Turned = [f64; KNOBS.len()];
 
 /// The preset `precise` of a daemon.
@@ -131,11 +129,12 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
         name: "tuning",
         heading: "What the knobs do",
         explanation: EXPLANATION,
-        plots: vec![Plot {
-            name: "tuning",
-            caption: "Error of the tip and change of the rates over each knob, the robot of the laboratory.",
-            svg: sheet(&panels, 2, 420)?,
-        }],
+        plots: vec![plot(
+            "tuning",
+            "Error of the tip and change of the rates over each knob, the robot of the laboratory.",
+            (2, 420),
+            &panels,
+        )?],
         sheets: vec![
             Sheet::of("What the knobs do", &COLUMNS, rows)
                 .key("knobs")

@@ -16,7 +16,6 @@ use crate::quantiles::{histogram, quantile_us};
 
 const SECTIONS: usize = 6;
 const OBSTACLES: usize = 64;
-/// Random moments of each kind.
 pub const MOMENTS: u64 = 1000;
 /// Each command is computed so often, and the fastest counts: the work is the same, the machine is not.
 const REPEATS: usize = 5;
@@ -52,7 +51,7 @@ const COLUMNS: [Column; 6] = [
 
 pub const TABLE: RoundTable = RoundTable {
     key: "guard",
-    file: "guard",
+    file: "solver-guard",
     title: "Time of the safety checks: six sections, 64 obstacles in reach",
     columns: &COLUMNS,
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],

@@ -39,7 +39,7 @@ const COLUMNS: [Column; 9] = [
 
 pub const TABLE: RoundTable = RoundTable {
     key: "hard",
-    file: "hard",
+    file: "solver-hard",
     title: "Long horizons by a deadline: 3 sections, 20 steps, 4.5 ms a solve, no guard",
     columns: &COLUMNS,
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],

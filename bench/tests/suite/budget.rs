@@ -3,20 +3,20 @@
 use cdcr_bench::budget::BUDGETS_US;
 use serde_json::Value;
 
-use crate::{printed, program};
+use crate::{list, number, printed, program};
 
 const CASES: [&str; 3] = ["default", "tip-axis", "obstacles"];
 
 fn run(format: &str) -> String {
-    printed(&mut program(&[
-        "budget", "--solves", "5", "--format", format,
-    ]))
+    printed(&mut program(&format!(
+        "budget --solves 5 --format {format}"
+    )))
 }
 
 #[test]
 fn every_case_has_every_budget_and_no_plan_is_worse_than_the_warm_start() {
     let document: Value = serde_json::from_str(&run("json")).expect("one object");
-    let rows = document["cases"].as_array().expect("a list");
+    let rows = list(&document, "cases");
     let all = CASES
         .iter()
         .flat_map(|case| BUDGETS_US.map(|us| (*case, us)));
@@ -27,10 +27,10 @@ fn every_case_has_every_budget_and_no_plan_is_worse_than_the_warm_start() {
         assert_eq!(row["solves"], 5);
         assert_eq!(row["worse_than_warm_start"], 0);
         for key in ["over_us", "bare_over_us"] {
-            let [p50, p99, max] = ["p50", "p99", "max"].map(|q| row[key][q].as_f64().expect(q));
+            let [p50, p99, max] = ["p50", "p99", "max"].map(|q| number(&row[key], q));
             assert!(0.0 <= p50 && p50 <= p99 && p99 <= max, "{row}");
         }
-        let share = row["ended_by_budget_share"].as_f64().expect("a share");
+        let share = number(row, "ended_by_budget_share");
         assert!((0.0..=1.0).contains(&share), "{row}");
         // Without any time there is always work left.
         assert!(budget_us > 0 || share == 1.0, "{row}");

@@ -6,26 +6,28 @@ use std::process::Output;
 use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
-use crate::{program, stderr};
+use crate::{list, number, program, stderr};
 
-fn compare(arguments: &[&str], files: [&Path; 2]) -> Output {
-    let mut command = program(&["compare"]);
-    command.args(files).args(arguments).output().unwrap()
+fn compare(line: &str, files: [&Path; 2]) -> Output {
+    let mut command = program(&format!("compare {line}"));
+    command.args(files).output().unwrap()
 }
 
-/// A result with these numbers, five times, so that more of them move than chance moves, or once.
-fn write(folder: &Path, name: &str, count: usize, rounds: [f64; 3]) -> PathBuf {
-    let moving = (0..count).map(|i| {
-        let name = format!("a/{i}");
-        json!({ "name": name, "unit": "µs", "better": "lower", "rounds": rounds })
-    });
-    let exact = json!({ "name": "b", "unit": "mm", "better": "lower", "rounds": [rounds[0]] });
-    let document = json!({
+/// A name, a unit, and the value of each round.
+type Number<'a> = (&'a str, &'a str, &'a [f64]);
+
+/// A result with these numbers, of which less is better, and these keys.
+fn write(folder: &Path, name: &str, keys: &[(&str, Value)], numbers: &[Number]) -> PathBuf {
+    let metric = |(name, unit, rounds): &Number| json!({ "name": name, "unit": unit, "better": "lower", "rounds": rounds });
+    let mut document = json!({
         "environment": { "kernel": { "release": "6.1" }, "a key of a later version": 1 },
         "options": { "command": "all" },
         "cases": [],
-        "metrics": moving.chain([exact]).collect::<Vec<_>>(),
+        "metrics": numbers.iter().map(metric).collect::<Vec<_>>(),
     });
+    for (key, value) in keys {
+        document[key] = value.clone();
+    }
     let file = folder.join(name);
     std::fs::write(&file, document.to_string()).expect("written");
     file
@@ -34,16 +36,22 @@ fn write(folder: &Path, name: &str, count: usize, rounds: [f64; 3]) -> PathBuf {
 #[test]
 fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let folder = Scratch::temporary().expect("a folder");
-    let before = write(folder.path(), "a.json", 5, [10.0, 11.0, 12.0]);
-    let after = write(folder.path(), "b.json", 5, [20.0, 21.0, 22.0]);
-    let found = compare(&[], [&before, &after]);
+    // Five numbers, so that more of them move than chance moves, and an exact one.
+    let many = |name, rounds: &[f64; 3]| {
+        let moving = ["a/0", "a/1", "a/2", "a/3", "a/4"].map(|name| (name, "µs", &rounds[..]));
+        let all = [&moving[..], &[("b", "mm", &rounds[..1])]].concat();
+        write(folder.path(), name, &[], &all)
+    };
+    let before = many("a.json", &[10.0, 11.0, 12.0]);
+    let after = many("b.json", &[20.0, 21.0, 22.0]);
+    let found = compare("", [&before, &after]);
     let text = String::from_utf8(found.stdout).expect("a text");
     assert!(found.status.success(), "{text}");
     let counts = "5 worse, 0 better, 1 one-value-worse, 0 one-value-better, 0 within-noise";
     assert!(text.contains("a/4") && text.contains(counts), "{text}");
 
-    let failing = ["--fail-on-worse", "--format", "json"];
-    let found = compare(&failing, [&before, &after]);
+    let failing = "--fail-on-worse --format json";
+    let found = compare(failing, [&before, &after]);
     assert_eq!(found.status.code(), Some(1));
     let document: Value = serde_json::from_slice(&found.stdout).expect("one object");
     let metrics = &document["metrics"];
@@ -54,20 +62,95 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     );
     assert_eq!(metrics[5]["verdict"], "one-value-worse");
     // The other way round it became better.
-    assert!(compare(&failing, [&after, &before]).status.success());
+    assert!(compare(failing, [&after, &before]).status.success());
 
-    // One number that became worse may be chance.
-    let before = write(folder.path(), "a.json", 1, [1.0, 2.0, 3.0]);
-    let after = write(folder.path(), "b.json", 1, [5.0, 6.0, 7.0]);
-    let found = compare(&["--fail-on-worse"], [&before, &after]);
-    let text = String::from_utf8_lossy(&found.stdout);
-    assert!(text.contains("1 worse") && found.status.success(), "{text}");
+    // Of 31 numbers chance moves 10 %: half of 3.1, rounded up, and two more may be chance.
+    let names: Vec<String> = (0..31).map(|i| format!("a/{i}")).collect();
+    for (worse, fails) in [(4, false), (5, true)] {
+        let number = |(i, name)| -> Number {
+            let rounds: &[f64] = if i < worse {
+                &[5.0, 6.0, 7.0]
+            } else {
+                &[1.0, 2.0, 3.0]
+            };
+            (name, "µs", rounds)
+        };
+        let named = || names.iter().map(String::as_str);
+        let before: Vec<_> = named()
+            .map(|name| (name, "µs", &[1.0, 2.0, 3.0][..]))
+            .collect();
+        let after: Vec<_> = named().enumerate().map(number).collect();
+        let before = write(folder.path(), "a.json", &[], &before);
+        let after = write(folder.path(), "b.json", &[], &after);
+        let found = compare("--fail-on-worse", [&before, &after]);
+        let text = String::from_utf8_lossy(&found.stdout);
+        assert!(text.contains(&format!("{worse} worse")), "{text}");
+        assert_eq!(found.status.success(), !fails, "{text}");
+    }
+}
+
+#[test]
+fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
+    let folder = Scratch::temporary().expect("a folder");
+    let one: &[f64] = &[1.0, 1.1, 1.2];
+    let numbers = [
+        ("same", "µs", one),
+        ("worse", "µs", one),
+        ("gone", "µs", one),
+        ("unit", "µs", one),
+        ("empty", "µs", &[]),
+    ];
+    let before = write(folder.path(), "a.json", &[], &numbers);
+    let numbers = [
+        ("same", "µs", one),
+        ("worse", "µs", &[2.0, 2.1, 2.2]),
+        ("new", "µs", one),
+        ("unit", "ms", one),
+        ("empty", "µs", one),
+    ];
+    let machine = ("environment", json!({ "kernel": { "release": "7.0" } }));
+    let options = ("options", json!({ "command": "all", "rounds": "6" }));
+    let silent = ("options", Value::Null);
+    for (keys, warned) in [
+        (&[][..], &[][..]),
+        (
+            &[machine],
+            &[
+                "another kernel release: \"6.1\" before, \"7.0\" after",
+                "bare loop",
+            ],
+        ),
+        (
+            &[options],
+            &[
+                "another value of rounds: none before, 6 after",
+                "for this reason",
+            ],
+        ),
+        (&[silent], &["the run after does not say"]),
+    ] {
+        let after = write(folder.path(), "b.json", keys, &numbers);
+        let found = compare("--format json", [&before, &after]);
+        let document: Value = serde_json::from_slice(&found.stdout).expect("one object");
+        let metrics = list(&document, "metrics");
+        let names: Vec<&Value> = metrics.iter().map(|change| &change["name"]).collect();
+        assert_eq!(names, ["worse", "same"], "changed ones first");
+        assert_eq!(document["only_before"], json!(["gone", "unit"]));
+        assert_eq!(document["only_after"], json!(["empty", "new", "unit"]));
+        // 2 of the 20 ways to deal six rounds leave three and three apart.
+        let by_chance = number(&document, "changed_by_chance");
+        assert!((by_chance - 0.2).abs() < 1e-12, "{document}");
+        let warnings = list(&document, "warnings");
+        assert_eq!(warnings.len(), warned.len(), "{warnings:?}");
+        let text = document["warnings"].to_string().replace("\\\"", "\"");
+        assert!(warned.iter().all(|words| text.contains(words)), "{text}");
+    }
 }
 
 #[test]
 fn files_that_are_no_results_are_named_with_what_is_expected() {
     let folder = Scratch::temporary().expect("a folder");
-    let good = write(folder.path(), "good.json", 1, [1.0, 2.0, 3.0]);
+    let good = write(folder.path(), "good.json", &[], &[]);
     let bad = folder.path().join("bad.json");
     for text in [
         "",
@@ -76,13 +159,13 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
         "{\"environment\": {}, \"metrics\": [{}]}",
     ] {
         std::fs::write(&bad, text).expect("written");
-        let found = compare(&[], [&good, &bad]);
+        let found = compare("", [&good, &bad]);
         let errors = stderr(&found);
         assert_eq!(found.status.code(), Some(1), "{text}");
         let words = ["bad.json is no result of cdcr-bench", "\"metrics\""];
         assert!(words.iter().all(|words| errors.contains(words)), "{errors}");
     }
-    let found = compare(&[], [&folder.path().join("missing.json"), &good]);
+    let found = compare("", [&folder.path().join("missing.json"), &good]);
     let errors = stderr(&found);
     assert!(
         errors.contains("cannot read") && errors.contains("missing.json"),

@@ -1,12 +1,19 @@
 //! What `cdcr-bench deadline` hands over, from a few seconds of real processes.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::Duration;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
+use hdrhistogram::Histogram;
+use hdrhistogram::serialization::Deserializer;
+use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
 use serde_json::Value;
 
-use crate::{printed_json, program};
+use crate::{list, number, printed_json, program};
 
 /// Whether this user may have real-time threads; if not, only a part can be measured.
 fn is_realtime() -> bool {
@@ -18,23 +25,15 @@ fn is_realtime() -> bool {
 }
 
 fn assert_quantiles(case: &Value, key: &str) {
-    let values = ["min", "p50", "p99", "p999", "max"]
-        .map(|name| case[key][name].as_f64().unwrap_or(f64::NAN));
-    assert!(values.is_sorted(), "{key} of {case}");
-    assert!(values[0] >= 0.0 && values[4] > 0.0, "{key} of {case}");
+    let values = ["min", "p50", "p99", "p999", "max"].map(|name| number(&case[key], name));
+    let is_sound = values.is_sorted() && values[0] >= 0.0 && values[4] > 0.0;
+    assert!(is_sound, "{key} of {case}");
 }
 
-fn assert_case(case: &Value, cycles_least: u64) {
-    let count = |key: &str| {
-        case[key]
-            .as_u64()
-            .unwrap_or_else(|| panic!("{key} of {case}"))
-    };
+fn assert_case(case: &Value, cycles_least: f64) {
     // What was due either ran or was skipped.
-    assert!(
-        count("cycles") + count("skipped_periods") >= cycles_least,
-        "{case}"
-    );
+    let due = number(case, "cycles") + number(case, "skipped_periods");
+    assert!(due >= cycles_least, "{case}");
     // cyclictest does not say why.
     let is_told = case["subject"] != "cyclictest";
     for cause in ["platform", "load", "compute", "fault", "other"] {
@@ -42,15 +41,13 @@ fn assert_case(case: &Value, cycles_least: u64) {
     }
     assert!(case["steal_ms"].is_number() && case["realtime"].is_boolean());
     assert_quantiles(case, "wake_us");
+    assert_rounds(case);
     match case["subject"].as_str().expect("a subject") {
         "daemon" => {
             for key in ["compute_us", "response_us", "command_us"] {
                 assert_quantiles(case, key);
             }
-            assert!(
-                case["tracking_share"].as_f64().expect("a share") > 0.0,
-                "{case}"
-            );
+            assert!(number(case, "tracking_share") > 0.0, "{case}");
         }
         subject => {
             assert!(["bare", "cyclictest"].contains(&subject));
@@ -59,29 +56,68 @@ fn assert_case(case: &Value, cycles_least: u64) {
     }
 }
 
+/// All rounds together: counts are added up, the median is that of the rounds, nothing is left of a single one.
+fn assert_rounds(case: &Value) {
+    let rounds = list(case, "rounds");
+    assert_eq!(rounds.len(), 2);
+    for key in [
+        "cycles",
+        "late_starts",
+        "deadline_misses",
+        "own_misses",
+        "skipped_periods",
+        "lost_commands",
+    ] {
+        let counts = rounds.iter().filter_map(|round| round[key].as_u64());
+        assert_eq!(
+            counts.reduce(|one, other| one + other),
+            case[key].as_u64(),
+            "{key} of {case}"
+        );
+    }
+    let sum = |of: &dyn Fn(&Value) -> Option<f64>| rounds.iter().filter_map(of).sum::<f64>();
+    for cause in ["platform", "load", "compute", "fault", "other"] {
+        let counted = case["causes"][cause].as_f64().unwrap_or_default();
+        let of_rounds = sum(&|round| round["causes"][cause].as_f64());
+        assert!((of_rounds - counted).abs() < 1e-9, "{cause} of {case}");
+    }
+    for key in ["steal_ms", "run_delay_ms"] {
+        let counted = case[key].as_f64().unwrap_or_default();
+        let of_rounds = sum(&|round| round[key].as_f64());
+        assert!((of_rounds - counted).abs() < 1e-6, "{key} of {case}");
+    }
+    let of_rounds = |key: &str| [0, 1].map(|round| number(&rounds[round]["wake_us"], key));
+    let median_us = number(&case["median_of_rounds"]["wake_us"], "p50");
+    let [one, other] = of_rounds("p50");
+    assert!(
+        (median_us - f64::midpoint(one, other)).abs() < 1e-9,
+        "{case}"
+    );
+    let [one, other] = of_rounds("max");
+    assert_eq!(
+        case["wake_us"]["max"].as_f64(),
+        Some(one.max(other)),
+        "{case}"
+    );
+    assert!(
+        case["round"].is_null() && case["start_s"].is_null(),
+        "{case}"
+    );
+}
+
 #[test]
 fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
     let setup = if is_realtime() { "both" } else { "ordinary" };
     let folder = Scratch::temporary().expect("a folder");
-    let arguments = [
-        "deadline",
-        "--duration=2s",
-        "--rounds=2",
-        "--load=flood",
-        "--format=json",
-        "--setup",
-        setup,
-        "--out",
-    ];
-    let document = printed_json(program(&arguments).arg(folder.path()));
+    let line = "deadline --duration=2s --rounds=2 --load=flood --format=json";
+    let document =
+        printed_json(program(&format!("{line} --setup {setup} --out")).arg(folder.path()));
 
-    let cases = document["cases"].as_array().expect("a list");
+    let cases = list(&document, "cases");
     for case in cases {
         // 2 s of 5 ms; processes that start late on a machine that stalls get a little less.
-        assert_case(case, 300);
-        let rounds = case["rounds"].as_array().expect("a list");
-        assert_eq!(rounds.len(), 2);
-        for round in rounds {
+        assert_case(case, 300.0);
+        for round in list(case, "rounds") {
             let updates = round["load_did"]["updates"].as_u64().expect("a count");
             assert_eq!(updates > 0, case["load"] == "flood", "{case}");
         }
@@ -100,32 +136,57 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
                 .any(|case| case["subject"] == subject)
         };
         assert!(of("bare") && of("daemon"), "{realtime}");
-        let ratios = document["ratios"].as_array().expect("a list");
+        let ratios = list(&document, "ratios");
         let ratio = ratios.iter().find(is_it).expect("a ratio");
         for key in ["wake_p50", "wake_p99", "misses_beyond_bare"] {
             assert!(ratio[key].as_f64().is_some_and(f64::is_finite), "{ratio}");
         }
     }
-    let metrics = document["metrics"].as_array().expect("a list");
+    let metrics = list(&document, "metrics");
     assert!(
         metrics
             .iter()
-            .all(|metric| metric["rounds"].as_array().is_some_and(|r| !r.is_empty()))
+            .all(|metric| !list(metric, "rounds").is_empty())
     );
     assert!(document["environment"].is_object());
     assert_files(folder.path());
+    assert_log(&folder.path().join("histograms/deadline.hlog"), cases);
 }
 
 fn assert_files(folder: &Path) {
-    for name in [
-        "deadline.txt",
-        "deadline.json",
-        "deadline.csv",
-        "deadline.html",
-    ] {
-        let text = std::fs::read_to_string(folder.join(name)).expect(name);
+    for name in ["txt", "json", "csv", "html"].map(|end| format!("deadline.{end}")) {
+        let text = std::fs::read_to_string(folder.join(&name)).expect(&name);
         assert!(text.contains("flood"), "{name}");
     }
-    let log = std::fs::read_to_string(folder.join("histograms/deadline.hlog")).expect("a log");
-    assert!(log.contains("flood") && log.contains("HIST"), "{log}");
+}
+
+/// Anybody can read every latency again: of each case as many wake-ups as cycles ran, and the longest of them.
+fn assert_log(file: &Path, cases: &[Value]) {
+    let text = std::fs::read_to_string(file).expect("a log");
+    let (mut found, mut begin) = (BTreeMap::<String, (u64, u64)>::new(), Duration::ZERO);
+    for entry in IntervalLogIterator::new(text.as_bytes()) {
+        if let LogEntry::Interval(interval) = entry.expect("an entry") {
+            assert!(begin <= interval.start_timestamp(), "in the order of time");
+            begin = interval.start_timestamp();
+            let bytes = STANDARD
+                .decode(interval.encoded_histogram())
+                .expect("base64");
+            let times: Histogram<u64> = Deserializer::new()
+                .deserialize(&mut &*bytes)
+                .expect("a histogram");
+            let tag = interval.tag().expect("a tag").as_str().to_owned();
+            let (count, longest_ns) = found.entry(tag).or_default();
+            (*count, *longest_ns) = (*count + times.len(), times.max().max(*longest_ns));
+        }
+    }
+    for case in cases {
+        let words = ["load", "set_up", "subject"].map(|key| case[key].as_str().expect(key));
+        let (count, longest_ns) = found[&format!("{}.wake", words.join("."))];
+        assert_eq!(case["cycles"], count, "{case}");
+        let longest_us = number(&case["wake_us"], "max");
+        assert!(
+            (longest_us - longest_ns as f64 * 1e-3).abs() < 1e-6,
+            "{case}"
+        );
+    }
 }

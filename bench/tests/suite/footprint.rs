@@ -1,52 +1,32 @@
 //! What `cdcr-bench footprint` hands over, from one daemon for a moment.
-use std::path::Path;
-use std::process::{Output, Stdio};
+use std::process::Stdio;
 
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
+use cdcr_testbed::subject::place::in_public_memory;
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 
-use crate::{program, stderr};
-
-fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {
-    let child = program(args)
-        .env("TMPDIR", temporary)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    (child.id(), child.wait_with_output().unwrap())
-}
-
-/// Files of a process of ours in shared memory.
-fn left_by(process: u32) -> Vec<String> {
-    let mark = format!("cdcrbed_{process}_");
-    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    names.filter(|name| name.contains(&mark)).collect()
-}
+use crate::{list, number, program, stderr};
 
 #[test]
 fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let folder = Scratch::temporary().unwrap();
-    let args = [
-        "footprint",
-        "--rounds",
-        "1",
-        "--duration",
-        "500ms",
-        "--format",
-        "json",
-    ];
-    let (process, output) = bench(folder.path(), &args);
+    let child = program("footprint --rounds 1 --duration 500ms --format json")
+        .env("TMPDIR", folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let process = child.id();
+    let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
 
-    let rounds = document["rounds"].as_array().unwrap();
+    let rounds = list(&document, "rounds");
     assert_eq!(rounds.len(), 1);
     let start = &rounds[0];
-    let ms = |key: &str| start[key].as_f64().unwrap();
+    let ms = |key: &str| number(start, key);
     // The first good cycle comes after its release, and the daemon cannot be seen before it is there.
     assert!(
         ms("first_release_ms") > 0.0 && ms("ready_ms") > ms("first_release_ms"),
@@ -55,9 +35,10 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     assert!(ms("first_record_ms") > ms("first_release_ms"), "{start}");
 
     let figure = |key: &str| {
-        let figures = document["figures"].as_array().unwrap();
-        let row = figures.iter().find(|row| row["key"] == key);
-        row.unwrap()["median"].as_f64().unwrap()
+        let row = list(&document, "figures")
+            .iter()
+            .find(|row| row["key"] == key);
+        number(row.unwrap(), "median")
     };
     let parts = figure("own_mb") + figure("shared_mb") + figure("file_mb");
     assert!((figure("resident_mb") - parts).abs() < 1e-6);
@@ -69,10 +50,10 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let is_locked = figure("locked_mb") > 0.0;
     assert!((figure("locked") - f64::from(is_locked)).abs() < 1e-9);
     assert!(figure("memory_files") > 0.0 && figure("root_files") > 0.0);
-    assert_eq!(document["programs"].as_array().unwrap().len(), 3);
+    assert_eq!(list(&document, "programs").len(), 3);
 
     assert_eq!(folder.path().read_dir().unwrap().count(), 0);
-    assert_eq!(left_by(process), [""; 0]);
+    assert!(in_public_memory(&format!("cdcrbed_{process}_")).is_empty());
 
     if counts::threads(std::process::id()).is_empty() {
         skip(
@@ -81,10 +62,10 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
         );
         return;
     }
-    let threads = document["threads"].as_array().unwrap();
+    let threads = list(&document, "threads");
     let used = |name: &str| {
         let thread = threads.iter().find(|thread| thread["name"] == name);
-        thread.unwrap()["tracking_percent"].as_f64().unwrap()
+        number(thread.unwrap(), "tracking_percent")
     };
     assert!(used("cdcr-cycle") > 0.0 && used("cdcr-exchange") > 0.0 && used("cdcrd") > 0.0);
 

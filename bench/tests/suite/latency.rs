@@ -11,7 +11,7 @@ use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
 
-use crate::{printed_json, program, stderr};
+use crate::{list, number, printed_json, program, stderr};
 
 /// How long a process may take: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(20);
@@ -19,6 +19,7 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 /// Two rounds: each leg has its samples, and its parts make the whole.
 #[test]
 fn every_way_is_measured_in_every_round() {
+    use Leg::{LeaseAnswer, MeasurementMachinery, ObstacleGrid, ReferenceCommand};
     let options = LatencyOptions {
         rounds: 2,
         samples: 10,
@@ -35,10 +36,10 @@ fn every_way_is_measured_in_every_round() {
         assert!(samples(leg) > 0, "{}", leg.name());
     }
     for leg in [
-        Leg::ReferenceCommand,
-        Leg::ObstacleGrid,
-        Leg::MeasurementMachinery,
-        Leg::LeaseAnswer,
+        ReferenceCommand,
+        ObstacleGrid,
+        MeasurementMachinery,
+        LeaseAnswer,
     ] {
         assert!(samples(leg) >= 20, "{}: {}", leg.name(), samples(leg));
     }
@@ -46,7 +47,7 @@ fn every_way_is_measured_in_every_round() {
     assert_eq!(samples(Leg::StopZeroCommand), samples(Leg::StopGrid));
     assert_eq!(samples(Leg::BareOneWay), 160);
     // Nobody can have an effect before what causes it.
-    let least = |leg: Leg| row(leg)["latency_us"]["min"].as_f64().unwrap();
+    let least = |leg: Leg| number(&row(leg)["latency_us"], "min");
     assert!(least(Leg::BareRoundTrip) >= least(Leg::BareOneWay));
     assert!(least(Leg::CommandRelease) >= least(Leg::CommandHandover));
     assert!(least(Leg::CommandHandover) >= least(Leg::CommandHop));
@@ -65,16 +66,16 @@ fn every_way_is_measured_in_every_round() {
 
 #[test]
 fn the_program_takes_another_period() {
-    let mut command = program(&["latency", "--rounds", "1", "--samples", "5"]);
-    let json = printed_json(command.args(["--period", "10ms", "--format", "json"]));
+    let line = "latency --rounds 1 --samples 5 --period 10ms --format json";
+    let json = printed_json(&mut program(line));
     assert_eq!(json["setting"]["period_us"], 10_000.0);
-    assert_eq!(json["legs"].as_array().map(Vec::len), Some(Leg::ALL.len()));
+    assert_eq!(list(&json, "legs").len(), Leg::ALL.len());
     assert_eq!(json["targets"][0]["limit_us"], 10_100.0);
 }
 
 /// A peer at `place` whose parent is, so it is told, the process `parent`.
 fn start_peer(place: &Place, parent: &str) -> Child {
-    program(&[PEER, "--core", "0", "--shares"])
+    program(&format!("{PEER} --core 0 --shares"))
         .args(["--prefix", place.location().prefix(), "--root"])
         .arg(place.location().root())
         .args(["--parent", parent])

@@ -22,9 +22,10 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-fn program(arguments: &[&str]) -> Command {
+/// The program with these words.
+fn program(line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"));
-    command.args(arguments);
+    command.args(line.split_ascii_whitespace());
     command
 }
 
@@ -37,6 +38,15 @@ fn printed(command: &mut Command) -> String {
 
 fn printed_json(command: &mut Command) -> Value {
     serde_json::from_str(&printed(command)).unwrap()
+}
+
+fn list<'a>(document: &'a Value, key: &str) -> &'a [Value] {
+    document[key].as_array().expect(key)
+}
+
+fn number(row: &Value, key: &str) -> f64 {
+    let number = row[key].as_f64();
+    number.unwrap_or_else(|| panic!("{key} of {row}"))
 }
 
 fn stderr(output: &Output) -> String {

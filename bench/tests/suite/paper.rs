@@ -14,6 +14,8 @@ use cdcr_controller::nmpc::Coordinates;
 use cdcr_scratch::Scratch;
 use serde_json::Value;
 
+use crate::number;
+
 const QUICK: Effort = Effort {
     seeds: 1,
     cycles_max: 12,
@@ -62,13 +64,11 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
         assert!(row["mean_error_outside_mm"].is_null() && row["peak_error_mm"].is_null());
         assert_eq!(row["samples"], 12);
         for key in ["mean", "p50", "p99", "max"] {
-            assert!(row["solve_us"][key].as_f64() > Some(0.0), "{row}");
+            assert!(number(&row["solve_us"], key) > 0.0, "{row}");
         }
         assert!(row["paper"]["mean_solve_ms"].as_f64() > Some(1.0));
-        assert_eq!(
-            row["paper"]["mean_error_mm"].is_f64(),
-            row["name"] != "circle"
-        );
+        let has_error = row["paper"]["mean_error_mm"].is_f64();
+        assert_eq!(has_error, row["name"] != "circle");
     }
 }
 
@@ -107,9 +107,7 @@ fn the_folder_holds_figures_a_page_and_tables() {
     let page = std::fs::read_to_string(folder.join("paper.html")).expect("the page");
     assert_eq!(page.matches("<svg").count(), figures);
     // One for each simulation, and the machine.
-    assert_eq!(page.matches("<table").count(), 3 + 1);
-    // Its contents lead to places of its own.
-    let page = page.replace("href=\"#", "");
+    assert_eq!(page.matches("<pre").count(), 3 + 1);
     for word in ["src=", "href=", "url(", "<script", "@import"] {
         assert!(
             !page.contains(word),
@@ -133,11 +131,7 @@ fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
     let row = run(experiment, effort, || ())
         .expect("the simulation runs")
         .row;
-    move |key| {
-        row[key]
-            .as_f64()
-            .unwrap_or_else(|| panic!("{key} of {row}"))
-    }
+    move |key| number(&row, key)
 }
 
 #[test]

@@ -21,29 +21,24 @@ fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
 
 /// Whatever the machine did meanwhile: the metrics belong together.
 fn assert_consistent(trial: &Trial) {
-    let metrics = trial.metrics.as_ref();
-    let metrics = metrics.unwrap_or_else(|| panic!("{}", trial.remarks));
+    let observed = trial.found.as_ref().unwrap();
+    let metrics = &observed.metrics;
     let counted = &metrics.counted;
+    let (wake, response) = (&counted.wake, &counted.response);
     assert!(
         counted.cycles > 0 && metrics.duration_s >= 0.2,
         "{metrics:?}"
     );
     let outcome = metrics.outcome(trial.period_ms);
-    assert_eq!(trial.holds, outcome == TrialOutcome::Holds);
-    assert!(!trial.holds || metrics.lost_share() <= 1e-3);
-    assert!(trial.holds || !trial.remarks.is_empty());
-    assert!(
-        counted.wake.p50_ns <= counted.response.p50_ns,
-        "{metrics:?}"
-    );
-    assert!(
-        counted.response.p999_ns <= counted.response.max_ns,
-        "{metrics:?}"
-    );
-    assert!(!trial.responses.is_empty());
+    assert_eq!(trial.holds(), outcome == TrialOutcome::Holds);
+    assert!(!trial.holds() || metrics.lost_share() <= 1e-3);
+    assert!(trial.holds() || !trial.remarks().is_empty());
+    assert!(wake.p50_ns <= response.p50_ns, "{metrics:?}");
+    assert!(response.p999_ns <= response.max_ns, "{metrics:?}");
+    assert!(!observed.responses.is_empty());
     assert!(counted.budget_hits.max(counted.stale_inputs) <= counted.cycles);
-    assert!(metrics.tracking_share <= 1.0, "{metrics:?}");
-    assert!(metrics.tracking_share > 0.0, "{metrics:?}");
+    let share = metrics.tracking_share;
+    assert!(share > 0.0 && share <= 1.0, "{metrics:?}");
 }
 
 #[test]
@@ -66,8 +61,8 @@ fn the_border_lies_between_what_held_and_what_failed() {
     assert!(!shortest.held.is_empty() || !shortest.failed.is_empty());
     // Two periods with up to three trials each; only the last one decides.
     assert!((1..=6).contains(&shortest.trials.len()));
-    assert!(shortest.held.last().is_none_or(|trial| trial.holds));
-    assert!(shortest.failed.iter().all(|trial| !trial.holds));
+    assert!(shortest.held.last().is_none_or(Trial::holds));
+    assert!(shortest.failed.iter().all(|trial| !trial.holds()));
     for trial in shortest.trials.iter().chain(step) {
         assert_consistent(trial);
     }

@@ -26,7 +26,7 @@ footprint --quick --rounds 2 => cannot be used with
 fn what_cannot_be_measured_is_refused_with_a_reason() {
     for line in REFUSED.lines() {
         let (arguments, reason) = line.split_once(" => ").unwrap();
-        let output = program(&[]).args(arguments.split(' ')).output().unwrap();
+        let output = program(arguments).output().unwrap();
         let errors = stderr(&output);
         assert!(!output.status.success(), "{arguments}");
         assert!(errors.contains(reason), "{arguments}: {errors}");

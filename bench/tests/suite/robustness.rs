@@ -4,11 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::{printed_json, program};
-
-fn list(document: &Value, key: &str) -> Vec<Value> {
-    document[key].as_array().expect(key).clone()
-}
+use crate::{list, number, printed_json, program};
 
 /// A result in the documents.
 fn committed(name: &str) -> Value {
@@ -17,38 +13,50 @@ fn committed(name: &str) -> Value {
     serde_json::from_str(&text).expect("one object")
 }
 
-fn same(found: &Value, expected: &Value, what: &Value) {
-    let [found, expected] = [found, expected].map(|number| number.as_f64().expect("a number"));
+/// Each row of today has the numbers of the committed row with the same `keys`.
+fn are_those(new: &[Value], committed: &[Value], keys: &[&str], numbers: &[&str]) {
+    for new in new {
+        let is_it = |old: &&Value| keys.iter().all(|key| old[key] == new[key]);
+        let old = committed.iter().find(is_it).expect("its row");
+        for key in numbers {
+            same(number(new, key), number(old, key), old);
+        }
+    }
+}
+
+fn same(found: f64, expected: f64, what: &Value) {
     let how = "see the command in bench/README.md";
-    assert!(
-        (found / expected - 1.0).abs() < 1e-6,
-        "{what}: {found}, committed {expected}; {how}"
-    );
+    let is_same = (found / expected - 1.0).abs() < 1e-6;
+    assert!(is_same, "{what}: {found}, committed {expected}; {how}");
 }
 
 /// The result of today's code, of the part named `only`, and of everything with `CDCR_WHOLE`.
-fn of_today(arguments: &[&str], only: &str) -> Value {
-    let part: &[&str] = match std::env::var_os("CDCR_WHOLE") {
-        Some(_) => &[],
-        None => &["--only", only],
-    };
-    let mut command = program(&["robustness", "--format", "json"]);
-    printed_json(command.args(arguments).args(part))
+fn of_today(line: &str, only: &str) -> Value {
+    let part = format!("--only {only}");
+    let part = if is_whole() { "" } else { &part };
+    printed_json(&mut program(&format!(
+        "robustness --format json {line} {part}"
+    )))
+}
+
+fn is_whole() -> bool {
+    std::env::var_os("CDCR_WHOLE").is_some()
 }
 
 #[test]
 fn what_robots_do_that_are_not_their_model_is_what_was_committed() {
-    is_what_was_committed(&of_today(&["--seeds", "1"], "laboratory"));
+    is_what_was_committed(&of_today("--seeds 1", "laboratory"));
 }
 
 #[test]
 fn every_robot_has_every_part_of_the_controller_switched_off() {
-    let rows = list(&committed("robustness.json"), "scenarios");
+    let committed = committed("robustness.json");
+    let rows = list(&committed, "scenarios");
     let mean_mm = |name: &str, controller: &str, interface: &str| {
         let row = rows.iter().find(|row| {
             row["name"] == name && row["controller"] == controller && row["interface"] == interface
         });
-        row.expect(name)["mean_error_mm"].as_f64().expect("a mean")
+        number(row.expect(name), "mean_error_mm")
     };
     for interface in ["position", "velocity"] {
         let of = |name: &str, controller: &str| mean_mm(name, controller, interface);
@@ -77,7 +85,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
         let of = |controller: &str| {
             let mut both = rows.iter().filter(|row| row["name"] == name);
             let row = both.find(|row| row["controller"] == controller);
-            row.expect(name)[key].as_f64().expect("a number")
+            number(row.expect(name), key)
         };
         let [with, without] = ["full", controller].map(of);
         assert!(
@@ -89,7 +97,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
         let row = rows
             .iter()
             .find(|row| row["name"] == name && row["controller"] == "full");
-        row.expect(name)[key].as_f64().expect("a number")
+        number(row.expect(name), key)
     };
     // Shorter or longer, on either way.
     for name in [
@@ -107,7 +115,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
         let is_reached = row["name"] != "play of 0.5 mm, taken for 0.6";
         assert_eq!(row["ok"], is_reached, "{row}");
     }
-    for row in &rows {
+    for row in rows {
         assert!(row["limit_excess"].as_f64() <= Some(1e-9), "{row}");
     }
     let margin = rows.iter().find(|row| row["controller"] == "no margin");
@@ -122,47 +130,32 @@ fn is_what_was_committed(document: &Value) {
     let metrics = list(&committed, "metrics");
     for new in list(document, "metrics") {
         let old = metrics.iter().find(|old| old["name"] == new["name"]);
-        let old = &old.expect("its metric")["rounds"][0];
-        same(&new["rounds"][0], old, &new["name"]);
+        let [new_mm, old_mm] = [new, old.expect("its metric")].map(|of| of["rounds"][0].as_f64());
+        same(new_mm.unwrap(), old_mm.unwrap(), &new["name"]);
     }
-    let is_whole = std::env::var_os("CDCR_WHOLE").is_some();
-    assert!(!is_whole || list(document, "metrics").len() == metrics.len());
-    let lags = |row: &Value| {
-        // What oscillates goes by the last bits.
-        let is_steady = row["controller"] != "first version";
-        is_steady
-            && row["name"]
-                .as_str()
-                .is_some_and(|name| name.starts_with("lag"))
-    };
     let [new, old] = [document, &committed].map(|document| list(document, "scenarios"));
-    assert!(!is_whole || new.len() == old.len());
-    let keys = ["name", "controller", "interface"];
-    for new in new.iter().filter(|new| lags(new)) {
-        let is_it = |old: &&Value| keys.iter().all(|key| old[key] == new[key]);
-        let old = old.iter().find(is_it).expect("its row");
-        for key in ["mean_error_mm", "settled_error_mm", "max_error_mm"] {
-            same(&new[key], &old[key], old);
-        }
-    }
+    assert!(!is_whole() || list(document, "metrics").len() == metrics.len());
+    assert!(!is_whole() || new.len() == old.len());
+    let is_steady = |row: &&Value| {
+        let name = row["name"].as_str().expect("a name");
+        // What oscillates goes by the last bits.
+        name.starts_with("lag") && row["controller"] != "first version"
+    };
+    let steady: Vec<Value> = new.iter().filter(is_steady).cloned().collect();
+    let numbers = ["mean_error_mm", "settled_error_mm", "max_error_mm"];
+    are_those(&steady, old, &["name", "controller", "interface"], &numbers);
 }
 
 #[test]
 fn what_the_knobs_do_is_what_was_committed() {
-    let today = of_today(&["--sweep"], "preset");
-    let [new, old] = [today, committed("tuning.json")].map(|document| list(&document, "knobs"));
-    assert!(std::env::var_os("CDCR_WHOLE").is_none() || new.len() == old.len());
-    let keys = ["knob", "turned_to", "value"];
-    for new in &new {
-        let is_it = |old: &&Value| keys.iter().all(|key| old[key] == new[key]);
-        let old = old.iter().find(is_it).expect("its row");
-        for key in [
-            "mean_error_mm",
-            "max_error_mm",
-            "rate_change_rms",
-            "cables_rate_change_rms",
-        ] {
-            same(&new[key], &old[key], old);
-        }
-    }
+    let (today, committed) = (of_today("--sweep", "preset"), committed("tuning.json"));
+    let [new, old] = [&today, &committed].map(|document| list(document, "knobs"));
+    assert!(!is_whole() || new.len() == old.len());
+    let numbers = [
+        "mean_error_mm",
+        "max_error_mm",
+        "rate_change_rms",
+        "cables_rate_change_rms",
+    ];
+    are_those(new, old, &["knob", "turned_to", "value"], &numbers);
 }
