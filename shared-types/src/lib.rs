@@ -38,6 +38,7 @@ mod access;
 pub mod codes;
 mod command;
 mod control;
+pub mod declared;
 mod header;
 mod incident;
 pub mod ipc;

@@ -1,44 +1,56 @@
 //! Every limit of the wire contract, with its reason. Nothing is unbounded.
 
-/// Bending sections of one robot. The longest published cable-driven arm has five.
-pub const SECTIONS_MAX: usize = 6;
+/// Declares the limits, and the list of them.
+macro_rules! limits {
+    ($($(#[doc = $doc:literal])+ $name:ident = $value:expr;)+) => {
+        $($(#[doc = $doc])+ pub const $name: usize = $value;)+
 
-/// Scalars of a configuration: two bend-vector components for each section.
-pub const COORDINATES_MAX: usize = 2 * SECTIONS_MAX;
+        /// Name, value and meaning of each.
+        pub const ALL: &[(&str, usize, &str)] = &[$((stringify!($name), $name, concat!($($doc),+)),)+];
+    };
+}
 
-/// Cables of one robot: three for each section.
-pub const CABLES_MAX: usize = 3 * SECTIONS_MAX;
+limits! {
+    /// Bending sections of one robot. The longest published cable-driven arm has five.
+    SECTIONS_MAX = 6;
 
-/// Points in one reference chunk: 0.64 s of a reference sampled at 5 ms, 9 kB.
-pub const CHUNK_POINTS_MAX: usize = 128;
+    /// Scalars of a configuration: two bend-vector components for each section.
+    COORDINATES_MAX = 2 * SECTIONS_MAX;
 
-/// Points that the daemon buffers ahead: 32 full chunks, 20 s of a reference sampled at 5 ms.
-pub const REFERENCE_POINTS_MAX: usize = 4096;
+    /// Cables of one robot: three for each section.
+    CABLES_MAX = 3 * SECTIONS_MAX;
 
-/// Obstacles known to the daemon at one time, and obstacles in one message.
-pub const OBSTACLES_MAX: usize = 64;
+    /// Points in one reference chunk: 0.64 s of a reference sampled at 5 ms, 9 kB.
+    CHUNK_POINTS_MAX = 128;
 
-/// Prediction steps N of the optimal control problem.
-pub const HORIZON_STEPS_MAX: usize = 50;
+    /// Points that the daemon buffers ahead: 32 full chunks, 20 s of a reference sampled at 5 ms.
+    REFERENCE_POINTS_MAX = 4096;
 
-/// Control blocks M ≤ N that the daemon optimises. With six sections this makes 240 unknowns, and
-/// bounds the size of a telemetry record; longer horizons hold each block for several steps.
-pub const CONTROL_BLOCKS_MAX: usize = 20;
+    /// Obstacles known to the daemon at one time, and obstacles in one message.
+    OBSTACLES_MAX = 64;
 
-/// Scalars of a plan: the rates of every section in every control block.
-pub const PLAN_MAX: usize = COORDINATES_MAX * CONTROL_BLOCKS_MAX;
+    /// Prediction steps N of the optimal control problem.
+    HORIZON_STEPS_MAX = 50;
 
-/// Particles of the swarm.
-pub const SWARM_MAX: usize = 512;
+    /// Control blocks M ≤ N that the daemon optimises. With six sections this makes 240 unknowns, and
+    /// bounds the size of a telemetry record; longer horizons hold each block for several steps.
+    CONTROL_BLOCKS_MAX = 20;
 
-/// Iterations of the swarm in one cycle.
-pub const ITERATIONS_MAX: usize = 1000;
+    /// Scalars of a plan: the rates of every section in every control block.
+    PLAN_MAX = COORDINATES_MAX * CONTROL_BLOCKS_MAX;
 
-/// Input events reported in one telemetry record: as many as one gather and its cycle can bring.
-pub const EVENTS_MAX: usize = 24;
+    /// Particles of the swarm.
+    SWARM_MAX = 512;
 
-/// Bad cycles that are kept whole for whoever asks: 0.9 MB.
-pub const INCIDENTS_MAX: usize = 64;
+    /// Iterations of the swarm in one cycle.
+    ITERATIONS_MAX = 1000;
 
-/// Bytes of a text in a message (robot name, build), UTF-8, padded with zeros.
-pub const TEXT_BYTES: usize = 48;
+    /// Input events reported in one telemetry record: as many as one gather and its cycle can bring.
+    EVENTS_MAX = 24;
+
+    /// Bad cycles that are kept whole for whoever asks: 0.9 MB.
+    INCIDENTS_MAX = 64;
+
+    /// Bytes of a text in a message (robot name, build), UTF-8, padded with zeros.
+    TEXT_BYTES = 48;
+}

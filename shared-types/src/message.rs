@@ -89,6 +89,19 @@ pub enum Kind {
     Struct(&'static Layout),
 }
 
+impl Kind {
+    /// Bytes.
+    pub fn size(&self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U32 => 4,
+            Self::U64 | Self::F64 => 8,
+            Self::Array(each, count) => each.size() * count,
+            Self::Struct(layout) => layout.size,
+        }
+    }
+}
+
 /// What the numbers of a field mean.
 #[derive(Debug, Clone, Copy)]
 pub enum Meaning {

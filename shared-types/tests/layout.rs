@@ -22,16 +22,6 @@ fn kind_text(kind: &Kind) -> String {
     }
 }
 
-fn size(kind: &Kind) -> usize {
-    match kind {
-        Kind::U8 => 1,
-        Kind::U32 => 4,
-        Kind::U64 | Kind::F64 => 8,
-        Kind::Array(kind, count) => size(kind) * count,
-        Kind::Struct(layout) => layout.size,
-    }
-}
-
 fn fields() -> impl Iterator<Item = (&'static Layout, &'static Field)> {
     let layouts = LAYOUTS.iter();
     layouts.flat_map(|layout| layout.fields.iter().map(|field| (*layout, field)))
@@ -80,7 +70,7 @@ fn fields_follow_each_other_without_gaps() {
         let mut end = 0;
         for field in layout.fields {
             assert_eq!(field.offset, end, "{}.{}", layout.name, field.name);
-            end += size(&field.kind);
+            end += field.kind.size();
         }
         assert_eq!(end, layout.size, "{}", layout.name);
         assert!(

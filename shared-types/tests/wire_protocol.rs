@@ -1,8 +1,8 @@
 //! The tables of `docs/wire-protocol.md` come from the declarations of services and messages; `CDCR_GENERATE=1` writes them anew.
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use cdcr_shared_types::declared::{self, words};
 use cdcr_shared_types::message::{Field, Kind, Layout, Meaning};
 use cdcr_shared_types::{
     Command, Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
@@ -68,27 +68,9 @@ fn kind(kind: &Kind) -> String {
     }
 }
 
-/// A documentation comment as Markdown without links into the code.
+/// A documentation comment as Markdown.
 fn plain(doc: &str) -> String {
-    let words: Vec<_> = doc.split_whitespace().collect();
-    let text = words.join(" ");
-    let text = without(&text, "](crate::", ")", |_| "]".to_owned());
-    let text = without(&text, "[`", "`]", |name| format!("`{name}`"));
-    let text = text.replace("\\[", "[").replace("\\]", "]");
-    text.replace('|', "\\|")
-}
-
-/// Puts something else in the place of each part between two marks.
-fn without(text: &str, begin: &str, end: &str, instead: impl Fn(&str) -> String) -> String {
-    let mut done = String::new();
-    let mut rest = text;
-    while let Some((before, after)) = rest.split_once(begin) {
-        let (part, after) = after.split_once(end).expect("a mark at the end");
-        done.push_str(before);
-        done.push_str(&instead(part));
-        rest = after;
-    }
-    done + rest
+    words(doc).replace('|', "\\|")
 }
 
 fn meaning(field: &Field) -> String {
@@ -140,21 +122,9 @@ fn tables() -> String {
 
 /// Enumerations by their names, and bits by those of their fields.
 fn codes() -> String {
-    let mut all = BTreeMap::new();
-    for field in LAYOUTS.iter().flat_map(|layout| layout.fields) {
-        match field.meaning {
-            Meaning::Code(codes) | Meaning::Per(codes, _) => {
-                all.insert(codes.name, codes.values);
-            }
-            Meaning::Bits(bits) => {
-                all.insert(field.name, bits);
-            }
-            _ => {}
-        }
-    }
     let mut text = String::new();
-    for (name, values) in all {
-        let is_bits = name.starts_with(char::is_lowercase);
+    for (name, values) in declared::codes() {
+        let is_bits = declared::is_bits(name);
         let head = if is_bits { "bit" } else { "value" };
         writeln!(text, "### {name}\n\n| {head} | meaning |\n|---:|---|").expect("a text has room");
         for (value, name, meaning) in values {

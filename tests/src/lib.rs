@@ -93,13 +93,19 @@ impl Place {
     /// A command of ours that looks at this place. The robot that a daemon simulates there is the
     /// [laboratory](Preset::Laboratory)'s.
     pub fn command(&self, name: &str) -> Command {
-        let mut command = Command::new(binary(name));
+        let mut command = self.command_of(&binary(name));
+        command.envs((name == "cdcrd").then_some((SIMULATED, Preset::Laboratory.name())));
+        command
+    }
+
+    /// A command of anybody that looks at this place.
+    pub fn command_of(&self, program: &Path) -> Command {
+        let mut command = Command::new(program);
         command
             .env_remove("CDCR_CONFIG")
             .env("CDCR_ROBOT", ROBOT)
             .env("CDCR_PREFIX", self.location().prefix())
             .env("CDCR_ROOT", self.location().root())
-            .envs((name == "cdcrd").then_some((SIMULATED, Preset::Laboratory.name())))
             .stdin(Stdio::null());
         command
     }

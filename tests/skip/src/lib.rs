@@ -67,6 +67,8 @@ needs! {
     UtilLinux = "util-linux": "install util-linux",
     /// `cyclictest`.
     Cyclictest = "cyclictest": "install cyclictest (Debian: apt install rt-tests)",
+    /// A compiler of C++, named `c++`.
+    Cpp = "c++": "install a compiler of C++ (Debian: apt install g++)",
     /// `chromium`.
     Chromium = "chromium": "install chromium",
     /// `stress-ng`.

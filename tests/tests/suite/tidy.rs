@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Sources whose folders import each other in one direction only.
-const SOURCES: [&str; 8] = [
+const SOURCES: [&str; 9] = [
     "controller/src",
     "shared-types/src",
     "daemon/src",
@@ -13,10 +13,11 @@ const SOURCES: [&str; 8] = [
     "interchange/src",
     "testbed/src",
     "bench/src",
+    "c/src",
 ];
 
 /// All crates, for the length of their files.
-const CRATES: [&str; 10] = [
+const CRATES: [&str; 11] = [
     "controller",
     "shared-types",
     "daemon",
@@ -24,6 +25,7 @@ const CRATES: [&str; 10] = [
     "interchange",
     "testbed",
     "bench",
+    "c",
     "tests",
     "packaging",
     "view",
@@ -47,6 +49,7 @@ daemon/src/cycle | tracing:: | the cycle does not log
 interchange/src | iceoryx2 | what leaves the machine knows no shared memory
 interchange/src | std::time | what leaves the machine knows no clock
 interchange/src | std::fs | what leaves the machine knows no file
+c/src | iceoryx2 | what C calls is the client library
 daemon/src/handover | iceoryx2 | what threads exchange knows no shared memory
 daemon/src/bare | iceoryx2 | the bare loop knows no shared memory
 ";

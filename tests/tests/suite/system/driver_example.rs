@@ -1,10 +1,13 @@
 //! The example of the client library, `client/examples/driver.rs`, as somebody runs it who writes a driver.
 
 use std::path::PathBuf;
+use std::process::Command;
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode};
-use cdcr_tests::{Daemon, PATIENT, Program, paper_line, text, track, wait_mode, wait_record};
+use cdcr_tests::{
+    Daemon, PATIENT, Place, Program, paper_line, text, track, wait_mode, wait_record,
+};
 use rustix::process::Signal;
 
 use super::error_max_m;
@@ -16,20 +19,21 @@ const RESTING: u32 = 100;
 
 #[test]
 fn the_example_of_a_velocity_driver_tracks_holds_and_ends() {
-    run_example("velocity");
+    run_driver("velocity", |place| place.command("examples/driver"));
 }
 
 #[test]
 fn the_example_of_a_position_driver_tracks_holds_and_ends() {
-    run_example("position");
+    run_driver("position", |place| place.command("examples/driver"));
 }
 
-fn run_example(interface: &str) {
+/// Runs a driver that a newcomer begins with.
+pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Command) {
     let mut daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
          command_valid_ms = 100.0\n"
     ));
-    let mut command = daemon.place().command("examples/driver");
+    let mut command = program(daemon.place());
     let mut example = Program::start(command.arg(interface));
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();

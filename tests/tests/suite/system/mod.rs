@@ -4,6 +4,7 @@ mod access;
 mod around;
 mod bad_input;
 mod bare;
+mod c;
 mod calibration;
 mod commands;
 mod demo;

@@ -1,0 +1,103 @@
+use core::fmt::Display;
+
+use cdcr_client::{ConnectError, LinkError, RequestError, StopError};
+use cdcr_shared_types::Response;
+use cdcr_shared_types::codes::UnknownCode;
+
+use crate::code::Code;
+
+/// What a call returns and keeps as the text of the last error.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    pub(crate) code: Code,
+    pub(crate) text: String,
+    /// Why the daemon refused a request.
+    pub(crate) refusal: Option<Response>,
+}
+
+impl Failure {
+    pub(crate) fn new(code: Code, text: impl Display) -> Self {
+        Self {
+            code,
+            text: text.to_string(),
+            refusal: None,
+        }
+    }
+
+    pub(crate) fn argument(text: impl Display) -> Self {
+        Self::new(Code::Argument, text)
+    }
+}
+
+/// A code of the wire that C gave as `name`.
+pub(crate) fn read_code<T: TryFrom<u32, Error = UnknownCode>>(
+    value: u32,
+    name: &str,
+) -> Result<T, Failure> {
+    T::try_from(value).map_err(|unknown| Failure::argument(format!("{name}: {unknown}")))
+}
+
+impl From<ConnectError> for Failure {
+    fn from(error: ConnectError) -> Self {
+        let code = match &error {
+            ConnectError::DaemonNotRunning { .. } => Code::NoDaemon,
+            ConnectError::Silent { .. } => Code::Silent,
+            ConnectError::VersionMismatch { .. } => Code::Layout,
+            ConnectError::OtherUser { .. } => Code::Access,
+            ConnectError::Full { .. } => Code::Full,
+            ConnectError::Robot(_) | ConnectError::Location(_) => Code::Argument,
+            ConnectError::Memory { .. } => Code::Link,
+            ConnectError::Port(cause) => code_of(cause),
+        };
+        Self::new(code, error)
+    }
+}
+
+impl From<LinkError> for Failure {
+    fn from(error: LinkError) -> Self {
+        Self::new(code_of(&error), error)
+    }
+}
+
+fn code_of(error: &LinkError) -> Code {
+    match error {
+        LinkError::Port { .. } | LinkError::Askers { .. } => Code::Full,
+        LinkError::Silent { .. } => Code::Silent,
+        LinkError::ChunkPoints { .. } | LinkError::Obstacles { .. } => Code::Argument,
+        LinkError::Memory { .. } | LinkError::Send { .. } | LinkError::Receive { .. } => Code::Link,
+    }
+}
+
+impl From<RequestError> for Failure {
+    fn from(error: RequestError) -> Self {
+        let refusal = match &error {
+            RequestError::Refused { outcome, mode, .. } => Some(Response {
+                outcome: outcome.code(),
+                mode: mode.code(),
+                ..Response::default()
+            }),
+            _ => None,
+        };
+        let code = match &error {
+            RequestError::Refused { .. } => Code::Refused,
+            RequestError::Timeout { .. } => Code::Silent,
+            RequestError::Restarted { .. } => Code::NoDaemon,
+            RequestError::Link { .. } => Code::Link,
+            RequestError::Answer { .. } => Code::Layout,
+        };
+        Self {
+            refusal,
+            ..Self::new(code, error)
+        }
+    }
+}
+
+impl From<StopError> for Failure {
+    fn from(error: StopError) -> Self {
+        match error {
+            StopError::Connect(error) => error.into(),
+            StopError::Request(error) => error.into(),
+            StopError::Unconfirmed { .. } => Self::new(Code::Unconfirmed, error),
+        }
+    }
+}

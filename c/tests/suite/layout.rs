@@ -1,0 +1,86 @@
+//! Where a C compiler puts the fields of structs, and the values of codes, beside where Rust has them.
+
+use std::fmt::Write as _;
+
+use cdcr_c::code::CODES;
+use cdcr_c::layout::{LAYOUT, STRUCTS};
+use cdcr_shared_types::codes::{Mode, Outcome, guard};
+use cdcr_shared_types::{LAYOUTS, limits};
+use cdcr_test_skip::{Need, skip};
+
+use super::refused;
+
+/// A source that compiles where all is as in Rust, with each offset `more` than it is.
+fn source(more: usize, assert: &str) -> String {
+    let mut text = String::from("#include \"cdcr.h\"\n");
+    let mut check = |what: String, value: i128| {
+        writeln!(text, "{assert}({what} == {value}, \"{what}\");").unwrap();
+    };
+    let mut field = |name: &str, field: &str, offset: usize, size: usize| {
+        check(
+            format!("offsetof({name}, {field})"),
+            (offset + more) as i128,
+        );
+        check(format!("sizeof((({name} *)0)->{field})"), size as i128);
+    };
+    for layout in LAYOUTS {
+        let name = format!("Cdcr{}", layout.name);
+        for part in layout.fields {
+            field(&name, part.name, part.offset, part.kind.size());
+        }
+    }
+    for (name, _, fields) in STRUCTS {
+        for (part, offset, size) in *fields {
+            field(name, part, *offset, *size);
+        }
+    }
+    for layout in LAYOUTS {
+        check(format!("sizeof(Cdcr{})", layout.name), layout.size as i128);
+    }
+    for (name, size, _) in STRUCTS {
+        check(format!("sizeof({name})"), *size as i128);
+    }
+    for (name, code) in CODES {
+        check(name.to_owned(), code as i128);
+    }
+    for (name, value, _) in limits::ALL {
+        check(format!("CDCR_{name}"), *value as i128);
+    }
+    // By hand, what the generator made of names; the values are all from one list.
+    for (name, value) in [
+        ("CDCR_MODE_FAULTED", Mode::Faulted.code()),
+        ("CDCR_OUTCOME_NO_LEASE", Outcome::NoLease.code()),
+        ("CDCR_GUARD_FLAGS_CABLE_SPEED", guard::CABLE_SPEED),
+    ] {
+        check(name.to_owned(), value.into());
+    }
+    check("CDCR_LAYOUT".to_owned(), LAYOUT.into());
+    text
+}
+
+#[test]
+fn c_lays_everything_out_as_rust_does() {
+    for language in ["c11", "c17"] {
+        let said = refused("cc", language, &source(0, "_Static_assert"));
+        assert_eq!(said.expect("a C compiler"), "", "{language}");
+    }
+    // Whoever compiles for C99 has its compiler check the sizes, too.
+    let said = refused("cc", "c99", "#include \"cdcr.h\"\n");
+    assert_eq!(said.unwrap(), "");
+}
+
+#[test]
+fn a_wrong_offset_is_found() {
+    let said = refused("cc", "c11", &source(1, "_Static_assert")).unwrap();
+    assert!(said.contains("offsetof(CdcrHeader, sent_ns)"), "{said}");
+}
+
+#[test]
+fn cpp_lays_everything_out_as_rust_does() {
+    for language in ["c++11", "c++20"] {
+        match refused("c++", language, &source(0, "static_assert")) {
+            Some(said) => assert_eq!(said, "", "{language}"),
+            None => skip(Need::Cpp, "no c++"),
+        }
+    }
+}

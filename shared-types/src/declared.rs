@@ -1,0 +1,74 @@
+//! What the declarations say, for the pages and headers that are made from them.
+
+use std::collections::BTreeMap;
+
+use crate::LAYOUTS;
+use crate::message::Meaning;
+
+/// Value, name and text of each code; of a bit its name and what to do about it.
+pub type CodeList = &'static [(u32, &'static str, &'static str)];
+
+/// Every enumeration that a field names, and the bits of each field of bits under the name of that field.
+pub fn codes() -> BTreeMap<&'static str, CodeList> {
+    let mut all = BTreeMap::new();
+    for field in LAYOUTS.iter().flat_map(|layout| layout.fields) {
+        match field.meaning {
+            Meaning::Code(codes) | Meaning::Per(codes, _) => {
+                all.insert(codes.name, codes.values);
+            }
+            Meaning::Bits(bits) => {
+                all.insert(field.name, bits);
+            }
+            _ => {}
+        }
+    }
+    all
+}
+
+/// Whether a name of [`codes`] is that of a field of bits.
+pub fn is_bits(name: &str) -> bool {
+    name.starts_with(char::is_lowercase)
+}
+
+/// A documentation comment in one line, without links into the code.
+pub fn words(doc: &str) -> String {
+    let words: Vec<_> = doc.split_whitespace().collect();
+    let text = words.join(" ");
+    let text = without(&text, "](crate::", ")", |_| "]".to_owned());
+    let text = without(&text, "[`", "`]", |name| format!("`{name}`"));
+    text.replace("\\[", "[").replace("\\]", "]")
+}
+
+/// Puts something else in the place of each part between two marks.
+fn without(text: &str, begin: &str, end: &str, instead: impl Fn(&str) -> String) -> String {
+    let mut done = String::new();
+    let mut rest = text;
+    while let Some((before, after)) = rest.split_once(begin) {
+        // A mark without an end is none.
+        let Some((part, after)) = after.split_once(end) else {
+            break;
+        };
+        done.push_str(before);
+        done.push_str(&instead(part));
+        rest = after;
+    }
+    done + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_into_the_code_become_words() {
+        let doc = " [`codes::Mode`](crate::codes::Mode)\n of at most [`A`] \\[m\\], [`open";
+        assert_eq!(words(doc), "`codes::Mode` of at most `A` [m], [`open");
+    }
+
+    #[test]
+    fn bits_and_enumerations_are_told_apart() {
+        let bits = codes().into_keys().filter(|name| is_bits(name));
+        let bits: Vec<_> = bits.collect();
+        assert_eq!(bits, ["guard_flags", "realtime_missing", "timing_flags"]);
+    }
+}

@@ -1,0 +1,164 @@
+//! Programs of C with the libraries of `c/`: its examples as somebody runs them who begins with one, and what bad inputs and
+//! bad moments come to.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{ChildStdin, Command, Stdio};
+
+use cdcr_tests::{Daemon, PATIENT, Place, Program, TIMEOUT, assert_says, text, wait_until};
+
+use super::driver_example::run_driver;
+
+/// Lines of the driver that a newcomer begins with.
+const DRIVER_LINES: usize = 60;
+
+/// Which library a program is linked with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Linked {
+    Shared,
+    Static,
+}
+
+/// The folder of the sources of C.
+fn sources() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../c")
+}
+
+/// Compiles a source of `c/` as docs/c.md says, into the place's folder.
+fn built(place: &Place, source: &str, linked: Linked) -> PathBuf {
+    let ourselves = std::env::current_exe().unwrap();
+    let libraries = ourselves.parent().unwrap();
+    let program = place.folder().join("program");
+    let mut compiler = Command::new("cc");
+    compiler
+        .args(["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-I"])
+        .arg(sources().join("include"))
+        .arg(sources().join(source));
+    match linked {
+        Linked::Shared => compiler
+            .arg("-L")
+            .arg(libraries)
+            .arg("-lcdcr_c")
+            .arg(format!("-Wl,-rpath,{}", libraries.display())),
+        Linked::Static => compiler
+            .arg(libraries.join("libcdcr_c.a"))
+            .args(["-lpthread", "-ldl"]),
+    };
+    let output = compiler.arg("-lm").arg("-o").arg(&program).output();
+    let output = output.expect("a C compiler");
+    assert!(output.status.success(), "{}", text(&output));
+    program
+}
+
+#[test]
+fn the_driver_in_c_obeys_speeds() {
+    run_driver("velocity", |place| {
+        place.command_of(&built(place, "examples/driver.c", Linked::Shared))
+    });
+}
+
+#[test]
+fn the_driver_in_c_obeys_positions() {
+    run_driver("position", |place| {
+        place.command_of(&built(place, "examples/driver.c", Linked::Static))
+    });
+}
+
+#[test]
+fn the_driver_in_c_is_short() {
+    let source = std::fs::read_to_string(sources().join("examples/driver.c")).unwrap();
+    assert!(source.lines().count() <= DRIVER_LINES);
+}
+
+#[test]
+fn the_client_in_c_feeds_and_watches() {
+    let daemon = Daemon::ideal(PATIENT);
+    let program = built(daemon.place(), "examples/feed.c", Linked::Shared);
+    let output = Program::start(&mut daemon.place().command_of(&program)).output();
+    let said = assert_says(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);
+    let tracked: u64 = said
+        .split(" cycles tracked")
+        .next()
+        .and_then(|begin| begin.lines().last()?.parse().ok())
+        .unwrap_or_else(|| panic!("{said}"));
+    assert!(tracked > 20, "{said}");
+}
+
+/// The cases of `c/tests/probe.c`.
+struct Probe {
+    program: Program,
+    says: ChildStdin,
+}
+
+impl Probe {
+    fn start(daemon: &Daemon, case: &str) -> Self {
+        let program = built(daemon.place(), "tests/probe.c", Linked::Shared);
+        let mut command = daemon.place().command_of(&program);
+        let mut program = Program::start(command.arg(case).stdin(Stdio::piped()));
+        let says = program.0.stdin.take().unwrap();
+        Self { program, says }
+    }
+
+    /// Waits until it has come so far.
+    fn wait(&mut self, lines: usize) {
+        wait_until("it comes so far", || {
+            self.program.lines() >= lines || !self.program.runs()
+        });
+    }
+
+    fn go_on(&mut self) {
+        // One that has ended says why.
+        let _ = self.says.write_all(b"\n");
+    }
+
+    fn ends_well(mut self) {
+        assert_says(&self.program.output(), 0, &[]);
+    }
+}
+
+#[test]
+fn bad_inputs_from_c_are_refused() {
+    let daemon = Daemon::start(PATIENT);
+    Probe::start(&daemon, "inputs").ends_well();
+}
+
+#[test]
+fn handles_stay_on_their_thread_and_end_with_it() {
+    let daemon = Daemon::start(PATIENT);
+    Probe::start(&daemon, "threads").ends_well();
+}
+
+#[test]
+fn a_forked_child_leaves_its_parents_handles_alone() {
+    let daemon = Daemon::start(PATIENT);
+    Probe::start(&daemon, "forks").ends_well();
+}
+
+#[test]
+fn a_lease_of_another_is_a_refusal_and_one_of_a_program_that_ended_is_free() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let lease = connection.acquire_lease_within(TIMEOUT).unwrap();
+    let mut probe = Probe::start(&daemon, "lease");
+    probe.wait(1);
+    lease.release().unwrap();
+    probe.go_on();
+    probe.ends_well();
+    // Sixty seconds before it would have run out.
+    drop(connection.acquire_lease_within(TIMEOUT).unwrap());
+}
+
+#[test]
+fn a_daemon_that_goes_away_is_silence_and_rest() {
+    let mut daemon = Daemon::start(PATIENT);
+    let mut probe = Probe::start(&daemon, "away");
+    probe.wait(1);
+    daemon.kill();
+    probe.go_on();
+    probe.wait(2);
+    daemon.restart();
+    probe.go_on();
+    probe.ends_well();
+    assert!(daemon.stop().success(), "{}", daemon.log());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+}
