@@ -3,7 +3,7 @@
 mod page;
 mod targets;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -335,7 +335,7 @@ impl BenchReport {
         Ok(bundle)
     }
 
-    /// Which benchmarks, of today or not, have a result in an older `report.json` and none in this one.
+    /// Which benchmarks, of today or not, have a result in an older `report.json` and none in this one, by name.
     pub fn would_lose(&self, older: &str) -> Vec<String> {
         let older: Map<String, Value> = serde_json::from_str(older).unwrap_or_default();
         let was_there = |name: &str, value: &Value| {
@@ -345,7 +345,11 @@ impl BenchReport {
         let lost = older
             .into_iter()
             .filter(|(name, value)| was_there(name, value) && !is_here(name));
-        lost.map(|(name, _)| name).collect()
+        // Whether a map of JSON is sorted depends on what else is built.
+        lost.map(|(name, _)| name)
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect()
     }
 }
 

@@ -728,7 +728,8 @@ typedef struct CdcrInputEvent {
     uint64_t sender_id;
     /* 8: header.sequence of the message. */
     uint64_t sequence;
-    /* 16: The daemon's clock when it judged the message [ns, CLOCK_MONOTONIC]. */
+    /* 16: The daemon's clock when it judged the message; of a request that a cycle decided, that cycle's
+     * handed_over_ns [ns, CLOCK_MONOTONIC]. */
     uint64_t judged_ns;
     /* 24: CdcrEventKind. */
     uint32_t kind;

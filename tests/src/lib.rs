@@ -265,7 +265,7 @@ impl Daemon {
     }
 
     pub fn connect(&self) -> Connection {
-        Connection::open(self.place.location(), ROBOT)
+        Connection::open_within(self.place.location(), ROBOT, TIMEOUT)
             .unwrap_or_else(|error| panic!("{error}\n{}", self.log()))
     }
 
