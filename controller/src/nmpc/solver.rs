@@ -67,6 +67,14 @@ impl Solver {
         let mut refinement = GaussNewtonOutcome::default();
         let mut iterations = 0;
         if task.problem.is_posed() && budget.left() {
+            let refines = task.settings.solver.refines();
+            let mut refined_cost = None;
+            // A long plan that breaks a constraint, as at the new end of its horizon, is mended before one that does less can take its
+            // place.
+            if refines && task.problem.is_staged() && self.incumbent.is_violated() {
+                refinement = self.refine(task, budget);
+                refined_cost = Some(self.incumbent.cost());
+            }
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
             if task.settings.solver.searches() {
                 iterations = self.search(task, budget);
@@ -74,7 +82,7 @@ impl Solver {
                 self.knowledge
                     .evaluate(task.problem, budget, &mut self.incumbent);
             }
-            if task.settings.solver.refines() {
+            if refines && refined_cost != Some(self.incumbent.cost()) {
                 refinement = self.refine(task, budget);
                 if refinement.stuck && self.leave_singular_shape(task, budget) {
                     refinement = self.refine(task, budget);

@@ -107,6 +107,11 @@ impl Incumbent {
         self.violations
     }
 
+    /// Whether it breaks a constraint.
+    pub(crate) fn is_violated(&self) -> bool {
+        self.violations.iter().any(|violation| *violation > 0.0)
+    }
+
     /// Whether anything was evaluated at all before the budget was spent.
     pub(crate) fn is_evaluated(&self) -> bool {
         self.evaluated

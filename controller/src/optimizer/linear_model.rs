@@ -235,30 +235,95 @@ impl LinearModel {
     /// before, or the budget was spent.
     pub(crate) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
         let before = self.rows();
-        if self.is_staged {
-            self.stages.sum_up(step, &mut self.sums);
-        }
-        for index in 0..self.constraints.values.len() {
-            if !budget.spend(self.stride as u32) {
-                return None;
-            }
-            let (h, place) = (
-                self.constraints.values[index],
-                self.constraints.places[index],
-            );
-            let row = &self.constraints.derivatives[index * self.stride..][..self.stride];
-            let change = if self.is_staged {
-                self.stages.change(row, place, step, &self.sums)
-            } else {
-                dot(row, step)
-            };
-            if !self.met[index] && h + change < 0.0 {
+        self.sum_up(step);
+        for index in 0..self.constraints() {
+            let change = self.change_of_constraint(index, step, budget)?;
+            if !self.met[index] && self.constraint(index) + change < 0.0 {
                 self.met[index] = true;
-                let into = self.residuals.push(h, place, self.stride);
-                into.copy_from_slice(row);
+                self.push_met(index, self.constraint(index), 1.0);
             }
         }
         (self.rows() > before).then_some(())
+    }
+
+    /// Constraints that steps see.
+    pub(super) fn constraints(&self) -> usize {
+        self.constraints.values.len()
+    }
+
+    /// The number h of a constraint h + A Δ ≥ 0.
+    pub(super) fn constraint(&self, index: usize) -> f64 {
+        self.constraints.values[index]
+    }
+
+    /// What `step` changes of each constraint. None: the budget was spent.
+    pub(super) fn change_constraints(
+        &mut self,
+        step: &[f64],
+        into: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<()> {
+        self.sum_up(step);
+        for (index, change) in into.iter_mut().enumerate().take(self.constraints()) {
+            *change = self.change_of_constraint(index, step, budget)?;
+        }
+        Some(())
+    }
+
+    /// Makes residuals, in place of those that were met, of all constraints whose (value, weight) by index and h is some: the square of
+    /// value + A Δ counts so much.
+    /// None: the budget was spent.
+    pub(super) fn weigh_constraints(
+        &mut self,
+        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        budget: &mut Budget<'_>,
+    ) -> Option<()> {
+        self.residuals.truncate(self.cost_rows, self.stride);
+        for index in 0..self.constraints() {
+            if !budget.spend(self.stride as u32) {
+                return None;
+            }
+            if let Some((value, weight)) = weighed(index, self.constraint(index)) {
+                self.push_met(index, value, weight.sqrt());
+            }
+        }
+        Some(())
+    }
+
+    /// Adds a constraint to the residuals, times `scale`.
+    fn push_met(&mut self, index: usize, value: f64, scale: f64) {
+        let (stride, constraints) = (self.stride, &self.constraints);
+        let row = &constraints.derivatives[index * stride..][..stride];
+        let place = constraints.places[index];
+        let into = self.residuals.push(scale * value, place, stride);
+        for (target, derivative) in into.iter_mut().zip(row) {
+            *target = scale * derivative;
+        }
+    }
+
+    fn sum_up(&mut self, step: &[f64]) {
+        if self.is_staged {
+            self.stages.sum_up(step, &mut self.sums);
+        }
+    }
+
+    /// What `step`, which was summed up, changes of a constraint. None: the budget was spent.
+    fn change_of_constraint(
+        &self,
+        index: usize,
+        step: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        let row = &self.constraints.derivatives[index * self.stride..][..self.stride];
+        let is_left = budget.spend(self.stride as u32);
+        is_left.then(|| {
+            if self.is_staged {
+                let place = self.constraints.places[index];
+                self.stages.change(row, place, step, &self.sums)
+            } else {
+                dot(row, step)
+            }
+        })
     }
 
     /// Half the gradient of the cost, Jᵀr, and what its norm would be if all rows pulled one way: the Frobenius

@@ -44,7 +44,7 @@ fn balls(robot: &Robot, safe_distance_m: f64) -> Vec<Obstacle> {
     (0..16).map(ball).collect()
 }
 
-/// Mean error and least clearance \[m\] over half a second. No guard corrects what is planned.
+/// Mean error and least clearance \[m\] over a second. No guard corrects what is planned.
 fn followed(solver: SolverKind) -> [f64; 2] {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let settings = NmpcSettings {
@@ -59,7 +59,7 @@ fn followed(solver: SolverKind) -> [f64; 2] {
         Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [bend, 5.0_f64.to_radians()]]);
     let mut previous_rates = BendRates::zero(3);
     let (mut sum_m, mut least_m) = (0.0, f64::INFINITY);
-    let cycles = 100;
+    let cycles = 199;
     for cycle in 0..cycles {
         let at_s = |step: u32| f64::from(cycle + step) * PERIOD_S;
         let window: Vec<_> = (1..=STEPS).map(|step| spiral(&robot, at_s(step))).collect();
@@ -86,14 +86,10 @@ fn followed(solver: SolverKind) -> [f64; 2] {
 
 #[test]
 fn a_fast_spiral_among_obstacles_is_followed_within_its_budget() {
-    // A local solver is held up by a ball on the way; it moves all the same.
-    for (solver, most_m) in [
-        (SolverKind::KpsoRefined, 1e-6),
-        (SolverKind::GaussNewton, 6e-3),
-    ] {
+    for solver in [SolverKind::KpsoRefined, SolverKind::GaussNewton] {
         let [mean_m, spare_m] = followed(solver);
         println!("{solver:?}: {mean_m:.1e} m off, {spare_m:.1e} m beyond the safe distance");
-        assert!(mean_m < most_m, "{solver:?}: {mean_m} m");
+        assert!(mean_m < 1e-7, "{solver:?}: {mean_m} m");
         assert!(spare_m > -1e-9, "{solver:?}: {spare_m} m");
     }
 }

@@ -1,8 +1,10 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
+mod interior_point;
 mod smoother;
 mod step;
 
+use interior_point::InteriorPoint;
 use smoother::Smoother;
 
 use super::{Bounds, Budget, Incumbent, LinearModel, Problem};
@@ -59,6 +61,8 @@ pub(crate) struct GaussNewton {
     gram_is_current: bool,
     /// Solves for the free unknowns of staged rows.
     smoother: Smoother,
+    /// Where such a step breaks constraints.
+    interior_point: InteriorPoint,
 }
 
 /// Halvings of a step that made the cost worse.
@@ -88,6 +92,7 @@ impl GaussNewton {
             gram: vec![0.0; dimension * dimension],
             gram_is_current: false,
             smoother: Smoother::with_capacity(all_rows),
+            interior_point: InteriorPoint::with_capacity(dimension, constraints),
         }
     }
 

@@ -16,7 +16,9 @@ pub(super) struct Smoother {
     order: Vec<u16>,
     /// Where the rows of each block begin in that order, and where the last ones end.
     begins: [u16; BLOCKS_MAX + 1],
-    is_free: [bool; WIDTH_MAX * BLOCKS_MAX],
+    /// What each unknown is before a row is seen.
+    means: [f64; WIDTH_MAX * BLOCKS_MAX],
+    variances: [f64; WIDTH_MAX * BLOCKS_MAX],
     /// In that order: gain of each row, and what is missing of it by its variance.
     gains: Vec<f64>,
     shares: Vec<f64>,
@@ -39,7 +41,8 @@ impl Smoother {
         Self {
             order: vec![0; rows],
             begins: [0; BLOCKS_MAX + 1],
-            is_free: [false; WIDTH_MAX * BLOCKS_MAX],
+            means: [0.0; WIDTH_MAX * BLOCKS_MAX],
+            variances: [0.0; WIDTH_MAX * BLOCKS_MAX],
             gains: vec![0.0; rows * 2 * WIDTH_MAX],
             shares: vec![0.0; rows],
         }
@@ -54,10 +57,41 @@ impl Smoother {
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> bool {
-        self.is_free[..step.len()].fill(false);
+        let unknowns = step.len();
+        self.means[..unknowns].copy_from_slice(step);
+        self.variances[..unknowns].fill(0.0);
         for &i in free {
-            self.is_free[i] = true;
+            (self.means[i], self.variances[i]) = pulled(model, i, damping, 0.0, 0.0);
         }
+        self.solve_from_priors(model, damping, step, budget)
+    }
+
+    /// Solves for all unknowns of which `pull` is some: to each, its weight and the force of its number in ½ weight Δ² - force Δ. The others stay. False as
+    /// above.
+    pub(super) fn solve_pulled(
+        &mut self,
+        model: &LinearModel,
+        pull: impl Fn(usize) -> Option<(f64, f64)>,
+        damping: f64,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        for (i, step) in step.iter().enumerate() {
+            (self.means[i], self.variances[i]) = match pull(i) {
+                Some((weight, force)) => pulled(model, i, damping, weight, force),
+                None => (*step, 0.0),
+            };
+        }
+        self.solve_from_priors(model, damping, step, budget)
+    }
+
+    fn solve_from_priors(
+        &mut self,
+        model: &LinearModel,
+        damping: f64,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> bool {
         self.sort(model);
         match model.stages().width() {
             2 => self.smooth::<2, 4>(model, damping, step, budget),
@@ -99,29 +133,12 @@ impl Smoother {
             && rows.all(|&row| at_end(model.place(usize::from(row))))
     }
 
-    fn prior<const W: usize>(
-        &self,
-        model: &LinearModel,
-        block: usize,
-        damping: f64,
-        step: &[f64],
-    ) -> Prior<W> {
-        let first = block * W;
-        let mut prior = Prior {
-            mean: [0.0; W],
-            variance: [0.0; W],
-        };
-        for i in 0..W {
-            if !self.is_free[first + i] {
-                prior.mean[i] = step[first + i];
-            } else if let Some((weight, z)) = model.weighed() {
-                prior.mean[i] = -weight * z[first + i] / (damping + weight);
-                prior.variance[i] = damping / (damping + weight);
-            } else {
-                prior.variance[i] = 1.0;
-            }
+    fn prior<const W: usize>(&self, block: usize) -> Prior<W> {
+        let of = |numbers: &[f64]| core::array::from_fn(|i| numbers[block * W + i]);
+        Prior {
+            mean: of(&self.means),
+            variance: of(&self.variances),
         }
-        prior
     }
 
     fn smooth<const W: usize, const D: usize>(
@@ -136,7 +153,7 @@ impl Smoother {
             covariance: [[0.0; W]; W],
         };
         for block in 0..model.stages().blocks() {
-            let prior = self.prior::<W>(model, block, damping, step);
+            let prior = self.prior::<W>(block);
             let filtered = if self.is_plain(model, block) {
                 state.add(&prior);
                 self.filter(model, block, damping, &mut state, budget)
@@ -165,7 +182,7 @@ impl Smoother {
                 pull = core::array::from_fn(|i| joint[i]);
                 core::array::from_fn(|i| joint[W + i])
             };
-            let prior = self.prior::<W>(model, block, damping, step);
+            let prior = self.prior::<W>(block);
             for i in 0..W {
                 step[block * W + i] = prior.mean[i] - prior.variance[i] * of_unknowns[i];
             }
@@ -210,6 +227,16 @@ impl Smoother {
             }
         }
     }
+}
+
+/// Mean and variance, with the rows' noise λ, of an unknown Δ with the weights of damping and model, and with ½ weight Δ² - force Δ beside them.
+fn pulled(model: &LinearModel, i: usize, damping: f64, weight: f64, force: f64) -> (f64, f64) {
+    let (own, force) = match model.weighed() {
+        Some((own, z)) => (own, force - own * z[i]),
+        None => (0.0, force),
+    };
+    let all = damping + (own + weight);
+    (force / all, damping / all)
 }
 
 /// The derivatives of a row by the sum of the blocks before and, behind them if N has room for both, by its own block.

@@ -1,6 +1,7 @@
 //! The damped step inside the box that keeps the constraints: an active set around a linear system.
 
 use super::GaussNewton;
+use super::interior_point::Quadratic;
 use crate::optimizer::linear_model::dot;
 use crate::optimizer::{Bounds, Budget, cholesky};
 
@@ -23,6 +24,9 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
     ) -> bool {
         self.model.release_constraints();
+        if self.model.is_staged() {
+            return self.find_staged_step(bounds, z, damping, budget);
+        }
         for _ in 0..CONSTRAINT_ROUNDS {
             if !self.find_step_in_box(bounds, z, damping, budget) {
                 return false;
@@ -33,6 +37,32 @@ impl GaussNewton {
             }
         }
         true
+    }
+
+    /// The same for staged rows: by an interior point where the step in the box breaks a constraint.
+    fn find_staged_step(
+        &mut self,
+        bounds: &Bounds,
+        z: &[f64],
+        damping: f64,
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        if !self.find_step_in_box(bounds, z, damping, budget) {
+            return false;
+        }
+        let step = &mut self.step[..z.len()];
+        if self.model.meet_constraints(step, budget).is_none() {
+            return true;
+        }
+        let problem = Quadratic {
+            model: &mut self.model,
+            smoother: &mut self.smoother,
+            gradient: &self.gradient,
+            bounds,
+            z,
+            damping,
+        };
+        self.interior_point.solve(problem, step, budget)
     }
 
     /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the

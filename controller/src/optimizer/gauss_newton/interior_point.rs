@@ -1,0 +1,301 @@
+//! The least-squares step inside the box that keeps the constraints, where a solution without them breaks some.
+//!
+//! A primal-dual interior point method (Nocedal & Wright, *Numerical Optimization*, ch. 16.6): every border and every constraint has a slack s
+//! and a force y with s y = µ, and µ falls to nothing. A border adds a weight to its unknown and a constraint is a row with a weight, so each
+//! iteration is one pass of the smoother. Constraints may give way, by a shortfall whose square counts like a residual's: there is
+//! always a solution, and a constraint weighs no more than a row that was met.
+
+use super::Smoother;
+use crate::optimizer::{Bounds, Budget, LinearModel};
+
+/// Iterations at most.
+const ITERATIONS: usize = 40;
+/// Part of the way to the nearest border that an iteration goes.
+const WAY: f64 = 0.995;
+/// An unknown that stands at a border begins at this part of the box.
+const INSIDE: f64 = 0.05;
+/// µ at the beginning, beside what the gradient does over the width of the box (or the mean square of what is broken, if that is more): so
+/// large that no border is met early.
+const MU_BEGIN: f64 = 10.0;
+/// µ at the end, beside the damping and the square of the box: borders then bend the step less than the damping does.
+const MU_END: f64 = 1e-3;
+/// µ at the end, beside the gradient's at the beginning: less is rounding.
+const MU_SHARE: f64 = 1e-9;
+/// Nominal time of a border in one pass over all \[ns\].
+const BORDER_NS: u32 = 10;
+/// Rows with less of the damping's weight are left away.
+const NEGLIGIBLE: f64 = 1e-4;
+
+/// What is to be minimised: |r + J Δ|² + λ |Δ|² inside bounds and constraints.
+pub(super) struct Quadratic<'a> {
+    pub model: &'a mut LinearModel,
+    pub smoother: &'a mut Smoother,
+    /// Jᵀ r.
+    pub gradient: &'a [f64],
+    pub bounds: &'a Bounds,
+    /// Where Δ is zero.
+    pub z: &'a [f64],
+    pub damping: f64,
+}
+
+/// Workspace.
+#[derive(Debug, Clone)]
+pub(super) struct InteriorPoint {
+    lower: Vec<Pair>,
+    upper: Vec<Pair>,
+    constraints: Vec<Pair>,
+    /// Where an iteration leads to.
+    target: Vec<f64>,
+    /// What that changes of each constraint.
+    changes: Vec<f64>,
+}
+
+/// A border.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pair {
+    slack: f64,
+    force: f64,
+    slack_step: f64,
+    force_step: f64,
+}
+
+impl Pair {
+    fn new(slack: f64, force: f64) -> Self {
+        Self {
+            slack,
+            force,
+            ..Self::default()
+        }
+    }
+
+    /// A constraint of this value, which may give way: s - y is the value.
+    fn giving_way(value: f64, mu: f64) -> Self {
+        let root = (value * value + 4.0 * mu).sqrt();
+        // The larger of both without cancellation.
+        let larger = 0.5 * (value.abs() + root);
+        let smaller = mu / larger;
+        if value >= 0.0 {
+            Self::new(larger, smaller)
+        } else {
+            Self::new(smaller, larger)
+        }
+    }
+
+    fn product(&self) -> f64 {
+        self.slack * self.force
+    }
+
+    /// A step by which the slack of a border of the box grows by `change`.
+    fn follow(&mut self, change: f64, mu: f64) {
+        self.slack_step = change;
+        self.force_step = (mu - self.force * change) / self.slack - self.force;
+    }
+
+    /// The same for a constraint that gives way, whose value changes by so much.
+    fn give_way(&mut self, change: f64, mu: f64) {
+        self.force_step = (mu - self.product() - self.force * change) / (self.slack + self.force);
+        self.slack_step = change + self.force_step;
+    }
+
+    /// The part of the step after which slack or force is zero.
+    fn part_max(&self) -> f64 {
+        let part = |at: f64, step: f64| {
+            if step < 0.0 {
+                -at / step
+            } else {
+                f64::INFINITY
+            }
+        };
+        part(self.slack, self.slack_step).min(part(self.force, self.force_step))
+    }
+
+    fn advance(&mut self, part: f64) {
+        self.slack += part * self.slack_step;
+        self.force += part * self.force_step;
+    }
+}
+
+impl InteriorPoint {
+    pub(super) fn with_capacity(unknowns: usize, constraints: usize) -> Self {
+        Self {
+            lower: Vec::with_capacity(unknowns),
+            upper: Vec::with_capacity(unknowns),
+            constraints: Vec::with_capacity(constraints),
+            target: Vec::with_capacity(unknowns),
+            changes: Vec::with_capacity(constraints),
+        }
+    }
+
+    /// Finds the step. False: the budget was spent, or a number is not finite.
+    pub(super) fn solve(
+        &mut self,
+        mut problem: Quadratic,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        let Some(mu_end) = self.begin(&mut problem, step, budget) else {
+            return false;
+        };
+        let mut centring = 0.1;
+        for _ in 0..ITERATIONS {
+            let mu = centring * self.mean_product();
+            let Some(part) = self.iterate(&mut problem, mu, step, budget) else {
+                return false;
+            };
+            // Only a step that is gone whole makes forces and gradient balance.
+            if part > 0.99 && self.mean_product() <= mu_end {
+                break;
+            }
+            centring = if part > 0.9 { 0.05 } else { 1.0 - 0.9 * part };
+        }
+        let borders = problem.bounds.lower().iter().zip(problem.bounds.upper());
+        for ((step, z), (lower, upper)) in step.iter_mut().zip(problem.z).zip(borders) {
+            *step = (z + *step).clamp(*lower, *upper) - z;
+        }
+        step.iter().all(|step| step.is_finite())
+    }
+
+    /// Sets out inside the box. The µ to end at; None: the budget was spent.
+    fn begin(
+        &mut self,
+        problem: &mut Quadratic,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        let bounds = problem.bounds.lower().iter().zip(problem.bounds.upper());
+        let widths = bounds.clone().map(|(lower, upper)| upper - lower);
+        let pulls = problem.gradient.iter().zip(widths.clone());
+        let pull: f64 = pulls.map(|(gradient, width)| gradient.abs() * width).sum();
+        let square: f64 = widths.map(|width| width * width).sum();
+        let count = step.len() as f64;
+        let pulled = MU_BEGIN * pull / count;
+        let broken = (0..problem.model.constraints()).map(|i| problem.model.constraint(i).min(0.0));
+        let broken: f64 = broken.map(|h| h * h).sum();
+        let mu_end = (MU_END * problem.damping * square / count).max(MU_SHARE * pulled);
+        let mu = pulled.max(broken / count).max(mu_end);
+        self.lower.clear();
+        self.upper.clear();
+        for ((step, z), (lower, upper)) in step.iter_mut().zip(problem.z).zip(bounds) {
+            let (lower, upper) = (lower - z, upper - z);
+            let inside = INSIDE * (upper - lower);
+            *step = if inside > 0.0 {
+                0.0_f64.clamp(lower + inside, upper - inside)
+            } else {
+                lower
+            };
+            let border = |slack: f64| Pair::new(slack, mu / slack);
+            self.lower.push(border(*step - lower));
+            self.upper.push(border(upper - *step));
+        }
+        let constraints = problem.model.constraints();
+        self.changes.clear();
+        self.changes.resize(constraints, 0.0);
+        let changes = &mut self.changes;
+        problem.model.change_constraints(step, changes, budget)?;
+        self.constraints.clear();
+        let values = changes.iter().enumerate();
+        let values = values.map(|(index, change)| problem.model.constraint(index) + change);
+        self.constraints
+            .extend(values.map(|value| Pair::giving_way(value, mu)));
+        Some(mu_end)
+    }
+
+    /// Whether an unknown can move at all.
+    fn is_free(&self, i: usize) -> bool {
+        self.lower[i].slack > 0.0 && self.upper[i].slack > 0.0
+    }
+
+    fn mean_product(&self) -> f64 {
+        let free = (0..self.lower.len()).filter(|&i| self.is_free(i));
+        let (mut sum, mut count) = (0.0, 0.0);
+        for i in free {
+            sum += self.lower[i].product() + self.upper[i].product();
+            count += 2.0;
+        }
+        for constraint in &self.constraints {
+            sum += constraint.product();
+            count += 1.0;
+        }
+        sum / f64::max(count, 1.0)
+    }
+
+    /// One step of Newton's method towards s y = µ; the part of it that was gone. None: the budget was spent, or a number is not finite.
+    fn iterate(
+        &mut self,
+        problem: &mut Quadratic,
+        mu: f64,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        let least = NEGLIGIBLE * problem.damping;
+        if !budget.spend(BORDER_NS / 2 * self.lower.len() as u32) {
+            return None;
+        }
+        let weighed = |index: usize, h: f64| {
+            let Pair { slack, force, .. } = self.constraints[index];
+            let weight = force / (slack + force);
+            (weight > least).then(|| (h - slack - mu / force, weight))
+        };
+        problem.model.weigh_constraints(weighed, budget)?;
+        let mut target = core::mem::take(&mut self.target);
+        target.clear();
+        target.extend_from_slice(step);
+        let pull = |i: usize| {
+            let (lower, upper) = (&self.lower[i], &self.upper[i]);
+            let weight = lower.force / lower.slack + upper.force / upper.slack;
+            let force = weight * step[i] + mu / lower.slack - mu / upper.slack;
+            self.is_free(i).then_some((weight, force))
+        };
+        let (model, damping) = (&*problem.model, problem.damping);
+        let smoother = &mut *problem.smoother;
+        let solved = smoother.solve_pulled(model, pull, damping, &mut target, budget);
+        self.target = target;
+        if !solved {
+            return None;
+        }
+        for (target, step) in self.target.iter_mut().zip(&*step) {
+            *target -= step;
+        }
+        let changes = &mut self.changes;
+        problem
+            .model
+            .change_constraints(&self.target, changes, budget)?;
+        self.advance(mu, step, budget)
+    }
+
+    /// Goes along the changes as far as slacks and forces stay positive, and returns the part. None: the budget was spent.
+    fn advance(&mut self, mu: f64, step: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
+        let mut part = 1.0 / WAY;
+        for i in 0..step.len() {
+            if !budget.spend(2 * BORDER_NS) {
+                return None;
+            }
+            if self.is_free(i) {
+                self.lower[i].follow(self.target[i], mu);
+                self.upper[i].follow(-self.target[i], mu);
+                part = part
+                    .min(self.lower[i].part_max())
+                    .min(self.upper[i].part_max());
+            }
+        }
+        for (constraint, change) in self.constraints.iter_mut().zip(&self.changes) {
+            if !budget.spend(BORDER_NS) {
+                return None;
+            }
+            constraint.give_way(*change, mu);
+            part = part.min(constraint.part_max());
+        }
+        let part = WAY * part;
+        for i in 0..step.len() {
+            if self.is_free(i) {
+                step[i] += part * self.target[i];
+                self.lower[i].advance(part);
+                self.upper[i].advance(part);
+            }
+        }
+        for constraint in &mut self.constraints {
+            constraint.advance(part);
+        }
+        Some(part)
+    }
+}
