@@ -1,6 +1,6 @@
 //! The demo: one command, everything real.
 
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use cdcr_client::Connection;
@@ -280,6 +280,11 @@ fn the_daemon_of_a_killed_demo_ends() {
     let has_ended = |stat: &str| stat.is_empty() || stat.contains(") Z ");
     wait_until("the end of its daemon", || {
         !demo.is_its_daemon(daemon) && has_ended(&stat())
+    });
+    // Of a zombie other threads may still be on their way, and hold what it locked.
+    let folder = demo.place.folder().join("tmp").join(&demo.temporary()[0]);
+    wait_until("its lock is free", || {
+        File::open(&folder).unwrap().try_lock().is_ok()
     });
     // Of its memory nothing but folders.
     for root in in_public_memory(&demo.prefix()) {
