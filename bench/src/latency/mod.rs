@@ -1,6 +1,6 @@
 //! How long messages take: into the daemon, through it, and back into a client's hands.
 //!
-//! [`baseline`] is iceoryx2 alone, between two processes; [`inputs`] what is sent, or asked, until its effect; [`stops`] a
+//! [`baseline`] is iceoryx2 alone, between two processes; `inputs` what is sent, or asked, until its effect; `stops` a
 //! stop until zero rates. [`Leg`] says from which stamp to which each way is timed.
 //!
 //! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,

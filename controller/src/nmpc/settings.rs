@@ -4,7 +4,7 @@ use serde::de::{self, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, SWARM_MAX};
-use crate::optimizer::{KpsoSettings, VelocityRule};
+use crate::optimizer::{GaussNewtonSettings, KpsoSettings, VelocityRule};
 
 /// How the optimal control problem is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -251,7 +251,7 @@ pub mod ranges {
 }
 
 /// A Gauss-Newton step below this counts as converged: at 5 ms it moves a tip by 1e-15 m.
-pub(super) const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
+const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
 /// A mean position error below this counts as none \[m\].
 const POSITION_TOLERANCE_M: f64 = 1e-15;
 
@@ -319,6 +319,14 @@ impl NmpcSettings {
             social: self.social,
             regenerate_after: self.regenerate_after,
             cost_tolerance: self.cost_tolerance(),
+        }
+    }
+
+    pub(super) fn gauss_newton(&self) -> GaussNewtonSettings {
+        GaussNewtonSettings {
+            steps: self.refinement_steps,
+            damping: self.damping,
+            step_tolerance: STEP_TOLERANCE_RAD_S,
         }
     }
 

@@ -3,11 +3,9 @@
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
 use super::problem::{Searched, TrackingProblem};
-use super::settings::STEP_TOLERANCE_RAD_S;
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
-    self, Bounds, Budget, Cost, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent,
-    Kpso, Problem, Simd,
+    self, Bounds, Budget, Cost, GaussNewton, GaussNewtonOutcome, Incumbent, Kpso, Problem, Simd,
 };
 
 /// Rows of one step: position, and three axes of the tip.
@@ -33,6 +31,8 @@ pub(super) struct Solver {
     swarm: Kpso,
     gauss_newton: GaussNewton,
     incumbent: Incumbent,
+    /// The warm start, mended.
+    mended: Incumbent,
     scratch: Vec<f64>,
 }
 
@@ -44,6 +44,7 @@ impl Solver {
             swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
             gauss_newton: GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
+            mended: Incumbent::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
         }
     }
@@ -67,15 +68,22 @@ impl Solver {
         let mut refinement = GaussNewtonOutcome::default();
         let mut iterations = 0;
         if task.problem.is_posed() && budget.left() {
+            self.knowledge.gather(task.problem, task.bounds, warm_plan);
             let refines = task.settings.solver.refines();
             let mut refined_cost = None;
-            // A long plan that breaks a constraint, as at the new end of its horizon, is mended before one that does less can take its
-            // place.
+            // A long plan that breaks a constraint, as at the new end of its horizon, is mended beside those that do less.
             if refines && task.problem.is_staged() && self.incumbent.is_violated() {
-                refinement = self.refine(task, budget);
-                refined_cost = Some(self.incumbent.cost());
+                self.mended.restart(warm_plan, evaluation.as_ref());
+                self.knowledge
+                    .evaluate(task.problem, budget, &mut self.incumbent);
+                let settings = task.settings.gauss_newton();
+                let mended = &mut self.mended;
+                refinement =
+                    self.gauss_newton
+                        .refine(task.problem, task.bounds, &settings, budget, mended);
+                self.incumbent.take_better(mended);
+                refined_cost = Some(self.mended.cost());
             }
-            self.knowledge.gather(task.problem, task.bounds, warm_plan);
             if task.settings.solver.searches() {
                 iterations = self.search(task, budget);
             } else {
@@ -148,11 +156,7 @@ impl Solver {
     }
 
     fn refine(&mut self, task: &Task, budget: &mut Budget<'_>) -> GaussNewtonOutcome {
-        let settings = GaussNewtonSettings {
-            steps: task.settings.refinement_steps,
-            damping: task.settings.damping,
-            step_tolerance: STEP_TOLERANCE_RAD_S,
-        };
+        let settings = task.settings.gauss_newton();
         self.gauss_newton.refine(
             task.problem,
             task.bounds,

@@ -86,6 +86,19 @@ impl Incumbent {
         better
     }
 
+    /// Counts the evaluations of another search from the same start, and takes its solution if that is better.
+    pub(crate) fn take_better(&mut self, other: &Self) {
+        // Both counted the start.
+        self.evaluations += other.evaluations.saturating_sub(1);
+        if other.cost < self.cost {
+            self.z.copy_from_slice(&other.z);
+            self.cost = other.cost;
+            self.violations = other.violations;
+            self.evaluated = true;
+            self.origin = other.origin;
+        }
+    }
+
     /// Counts evaluations that are known not to be better.
     #[inline(always)]
     pub(crate) fn pass_over(&mut self, evaluations: usize) {
