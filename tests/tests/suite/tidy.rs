@@ -16,7 +16,7 @@ const SOURCES: [&str; 8] = [
 ];
 
 /// All crates, for the length of their files.
-const CRATES: [&str; 10] = [
+const CRATES: [&str; 11] = [
     "controller",
     "shared-types",
     "daemon",
@@ -27,6 +27,7 @@ const CRATES: [&str; 10] = [
     "tests",
     "packaging",
     "view",
+    "python",
 ];
 
 /// No file is longer \[lines\].
