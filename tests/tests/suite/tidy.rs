@@ -29,6 +29,7 @@ const CRATES: [&str; 11] = [
     "tests",
     "packaging",
     "view",
+    "python",
 ];
 
 /// No file is longer \[lines\].

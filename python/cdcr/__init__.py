@@ -1,0 +1,74 @@
+"""Real-time control of cable-driven continuum robots, from Python.
+
+Offline: Robot (kinematics), Nmpc (the solver), simulate() (a closed loop), Trajectory.
+Online: connect() to a running daemon cdcrd, feed, watch, drive.
+Recordings: read() an MCAP file, cdcr.plot.
+
+SI units; the unit ends each name. Positions are in the base frame of the robot, its z along the straight robot. Errors are subclasses of
+Error: what was wrong is the message, what to do about it `.remedy`. It installs no logger. docs/python.md of the project is the guide.
+"""
+
+from ._cdcr import (
+    Connection,
+    Driver,
+    Feed,
+    FeedReport,
+    FeedStream,
+    Live,
+    Nmpc,
+    Obstacle,
+    Robot,
+    Simulation,
+    SolveReport,
+    Trajectory,
+    connect,
+    default_settings,
+    dtype,
+    read,
+    settings_from_toml,
+    simulate,
+)
+from ._errors import ArgumentError, ConnectError, Error, FeedError, LinkError, RecordingError, RequestError
+from ._records import message
+from ._types import Doubles, Records
+from ._wire import Interface, LateCause, MeasurementState, Mode, Outcome, Reason, RobotLink, Settings, SolverStatus
+
+__all__ = [
+    "ArgumentError",
+    "ConnectError",
+    "Connection",
+    "Doubles",
+    "Driver",
+    "Error",
+    "Feed",
+    "FeedError",
+    "FeedReport",
+    "FeedStream",
+    "Interface",
+    "LateCause",
+    "LinkError",
+    "Live",
+    "MeasurementState",
+    "Mode",
+    "Nmpc",
+    "Obstacle",
+    "Outcome",
+    "Reason",
+    "RecordingError",
+    "Records",
+    "RequestError",
+    "Robot",
+    "RobotLink",
+    "Settings",
+    "Simulation",
+    "SolveReport",
+    "SolverStatus",
+    "Trajectory",
+    "connect",
+    "default_settings",
+    "dtype",
+    "message",
+    "read",
+    "settings_from_toml",
+    "simulate",
+]

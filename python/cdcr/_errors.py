@@ -1,0 +1,36 @@
+"""Exceptions of this package. What was wrong is the message; what to do about it is `.remedy`."""
+
+
+class Error(Exception):
+    """Any error of this package."""
+
+    remedy: str
+    """What to do about it, in a sentence."""
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message)
+        self.remedy = remedy
+
+
+class ArgumentError(Error, ValueError):
+    """An argument has the wrong shape or kind, or a value outside its range."""
+
+
+class ConnectError(Error, ConnectionError):
+    """No connection to a daemon could be made."""
+
+
+class LinkError(Error, ConnectionError):
+    """An open connection carried nothing, or the daemon is silent."""
+
+
+class RequestError(Error):
+    """The daemon refused a request, or did not answer."""
+
+
+class FeedError(Error):
+    """A reference was not followed to its end."""
+
+
+class RecordingError(Error, OSError):
+    """A recording cannot be read."""

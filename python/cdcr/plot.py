@@ -1,0 +1,125 @@
+"""Figures of a simulation, of telemetry, of a recording or of a live connection, in one line each. Needs matplotlib: `pip install cdcr[plot]`.
+
+Each function takes what to show first: a Simulation, records of telemetry, what read() gives, or a Connection, which is watched for `seconds`. It draws
+into `ax`, or into a new figure, and returns the axes.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
+
+from ._cdcr import Connection, Robot, Simulation, dtype
+from ._errors import ArgumentError
+from ._types import Doubles, Records
+
+Source: TypeAlias = Simulation | Records | Mapping[str, Records] | Connection
+
+SHAPES = 4
+"""So many shapes of the robot are drawn, from the first to the last."""
+
+
+@dataclass
+class _Shown:
+    robot: Robot
+    time_s: Doubles
+    bend_rad: Doubles
+    tip_m: Doubles
+    reference_m: Doubles
+    error_m: Doubles
+    took_s: Doubles
+    took: str
+
+
+def path(source: Source, *, seconds: float = 2.0, ax: Axes3D | None = None) -> Axes3D:
+    """The way of the tip in 3-D beside its reference, with the robot's shape at some moments."""
+    shown = _shown(source, seconds)
+    if ax is None:
+        ax = plt.figure(figsize=(6, 6)).add_subplot(projection="3d")
+    moments = np.linspace(0, len(shown.time_s) - 1, SHAPES).astype(int)
+    for moment, shade in zip(moments, np.linspace(0.75, 0.2, SHAPES)):
+        body = shown.robot.backbone(shown.bend_rad[moment])
+        ax.plot(*body.T, color=str(shade), linewidth=3, solid_capstyle="round")
+    ax.plot(*shown.reference_m.T, color="tab:orange", linewidth=3, alpha=0.6, label="reference")
+    ax.plot(*shown.tip_m.T, color="tab:blue", linewidth=1, label="tip")
+    ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    ax.set_aspect("equal")
+    for axis in ("x", "y"):
+        # A robot is longer than wide: more numbers would lie over each other.
+        ax.locator_params(axis=axis, nbins=3)
+    ax.legend()
+    return ax
+
+
+def error(source: Source, *, seconds: float = 2.0, ax: Axes | None = None, label: str | None = None) -> Axes:
+    """Distance of the tip from its reference against time."""
+    shown = _shown(source, seconds)
+    ax = _axes(ax)
+    ax.semilogy(shown.time_s, 1e3 * np.maximum(shown.error_m, 1e-18), linewidth=1, label=label)
+    ax.set(xlabel="time [s]", ylabel="position error [mm]")
+    ax.grid(alpha=0.3)
+    if label is not None:
+        ax.legend()
+    return ax
+
+
+def timing(source: Source, *, seconds: float = 2.0, ax: Axes | None = None) -> Axes:
+    """How long the cycles took: of a daemon, from the release that was due to the hand-over of the command."""
+    shown = _shown(source, seconds)
+    ax = _axes(ax)
+    took_us = 1e6 * shown.took_s
+    # A single late cycle must not squeeze the rest into one bar; it stands at the end.
+    last_us = min(took_us.max(), 3 * np.percentile(took_us, 99)) or 1.0
+    ax.hist(np.minimum(took_us, last_us), bins=60, log=True)
+    median_us, p99_us = np.percentile(took_us, [50, 99])
+    ax.set(xlabel=f"{shown.took} [µs]", ylabel="cycles", title=f"median {median_us:.0f} µs, 99 % below {p99_us:.0f} µs, largest {took_us.max():.0f} µs")
+    return ax
+
+
+def _axes(ax: Axes | None) -> Axes:
+    return plt.figure(figsize=(7, 4)).add_subplot() if ax is None else ax
+
+
+def _shown(source: Source, seconds: float) -> _Shown:
+    if isinstance(source, Simulation):
+        return _Shown(
+            robot=source.robot,
+            time_s=source.time_s,
+            bend_rad=source.bend_rad,
+            tip_m=source.tip_position_m,
+            reference_m=source.reference_position_m,
+            error_m=source.position_error_m,
+            took_s=source.solve_s,
+            took="solve, safety checks and simulated robot",
+        )
+    if isinstance(source, Connection):
+        source = source.telemetry(seconds)
+    if isinstance(source, Mapping):
+        source = source.get("telemetry", np.empty(0, dtype("Telemetry")))
+    if len(source) == 0:
+        raise ArgumentError("there are no records of telemetry", "Watch for longer, or record telemetry.")
+    # Without a reference the error is not a number, and the position of none is zero.
+    has_reference = np.isfinite(source["position_error_m"])
+    sections = int(source["robot"]["sections"][0])
+    return _Shown(
+        robot=_robot(source["robot"][0]),
+        time_s=1e-9 * (source["release_ns"] - source["release_ns"][0]).astype(float),
+        bend_rad=source["present_rad"][:, : 2 * sections],
+        tip_m=source["tip_position_m"],
+        reference_m=np.where(has_reference[:, None], source["reference"]["position_m"], np.nan),
+        error_m=np.where(has_reference, source["position_error_m"], np.nan),
+        took_s=1e-9 * (source["handed_over_ns"] - source["due_ns"]).astype(float),
+        took="response time",
+    )
+
+
+def _robot(robot: np.void) -> Robot:
+    """That of a message RobotDescription."""
+    used = robot["section"][: robot["sections"]]
+    names = ("length_m", "cable_radius_m", "cable_offset_rad", "bend_max_rad", "rate_max_rad_s", "body_radius_m")
+    numbers = {name: used[name] for name in names}
+    return Robot(**numbers, cable_speed_max_m_s=float(robot["cable_speed_max_m_s"]), cable_stroke_max_m=float(robot["cable_stroke_max_m"]))

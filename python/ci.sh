@@ -1,0 +1,74 @@
+#!/usr/bin/env bash
+# The wheel as a user gets it: built, installed into an empty virtual environment, tested, typed, and its examples and notebook run against a real daemon.
+# Needs cdcrd and cdcrctl in target/release; takes 3 minutes where they are built. CDCR_PYTHON names the interpreter, Python 3.10 or later.
+set -euo pipefail
+cd "$(dirname "$0")"
+python=${CDCR_PYTHON:-python3}
+programs=$(realpath ../target/release)
+step() { printf '\n--- %s\n' "$*"; }
+
+work=$(mktemp -d)
+root=$(mktemp -d /dev/shm/cdcr-python-ci-XXXXXX)
+daemon=
+end() {
+  [ -z "$daemon" ] || { kill "$daemon" 2>/dev/null && wait "$daemon" 2>/dev/null; } || true
+  rm -rf "$work" "$root"
+}
+trap end EXIT
+
+step "virtual environment"
+"$python" -c 'import sys; assert sys.version_info >= (3, 10), sys.version'
+"$python" -m venv "$work/build"
+"$work/build/bin/pip" install -q -r requirements-build.txt
+
+step "wheel"
+rm -rf dist
+(cd .. && cargo build --release --locked -p cdcr-controller --example closed_loop_csv --example one_solve)
+"$work/build/bin/maturin" build --profile release --locked -i "$python" -o dist
+"$work/build/bin/maturin" generate-stubs --profile release --locked -i "$python" -o "$work/stubs"
+ls -l dist/*.whl
+
+step "installed"
+"$python" -m venv "$work/venv"
+"$work/venv/bin/pip" install -q "$(echo dist/*.whl)[plot]" -r requirements-test.txt
+run="$work/venv/bin/python"
+# Not the package of this folder, but the one that was installed.
+"$run" -P -c 'import cdcr; assert "site-packages" in cdcr.__file__, cdcr.__file__' 2>/dev/null || (cd "$work" && "$run" -c 'import cdcr; assert "site-packages" in cdcr.__file__, cdcr.__file__')
+
+step "what is generated is what is committed"
+PYTHONSAFEPATH=1 "$run" generate.py "$work/stubs" --check
+
+step "types"
+"$run" -m mypy --config-file pyproject.toml cdcr examples
+
+step "tests"
+cp -r tests "$work/tests"
+(cd "$work" && CDCR_PROJECT=$(realpath "$OLDPWD/..") "$run" -m pytest -q --timeout=240 -p no:cacheprovider tests)
+
+step "examples and notebook"
+export CDCR_ROOT=$root CDCR_PREFIX=cdcr_python_ci_
+export PYTHONSAFEPATH=1
+cp -r examples run_notebook.py "$work"
+cd "$work/examples"
+start() { "$programs/cdcrd" run --set realtime.mode=prefer "$@" 2>>"$work/daemon.log" & daemon=$!; }
+stop() { kill "$daemon"; wait "$daemon" || true; daemon=; }
+start
+sleep 1
+"$programs/cdcrctl" record -o run.mcap --duration 8s &
+recorder=$!
+"$run" feed_helix.py
+"$run" watch.py 1
+wait "$recorder"
+"$run" moving_obstacle.py
+stop
+start --set link.kind=driver
+"$run" driver.py 12 &
+driver=$!
+sleep 1
+# A machine that stalls makes a driver without real time late, and the daemon faults: that is no fault of the example.
+"$run" feed_helix.py || "$programs/cdcrctl" status
+wait "$driver"
+stop
+"$run" tune.py tune.png
+"$run" ../run_notebook.py continuum_robot.ipynb .
+ls -- *.png

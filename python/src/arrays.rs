@@ -1,0 +1,190 @@
+//! Arrays in and out: each argument is one array of doubles whose last axes have a length that the robot gives.
+
+use numpy::{
+    IxDyn, PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+};
+use pyo3::inspect::PyStaticExpr;
+use pyo3::prelude::*;
+use pyo3::type_hint_identifier;
+
+use crate::errors::Failure;
+
+/// An argument: contiguous doubles, without a copy where the array is that already.
+pub(crate) struct Numbers<'py> {
+    array: PyReadonlyArrayDyn<'py, f64>,
+    /// How many of its axes are the leading ones.
+    lead: usize,
+}
+
+impl<'py> Numbers<'py> {
+    /// An array whose last axes are `tail` long; `what` says what is along them. Any number of axes may come before.
+    pub(crate) fn with_tail(
+        value: &ArrayLike<'py>,
+        name: &str,
+        tail: &[usize],
+        what: &str,
+    ) -> PyResult<Self> {
+        let array = doubles(value, name)?;
+        let shape = array.shape();
+        if !shape.ends_with(tail) {
+            let tail_text = shape_text(tail, "..., ");
+            let found = shape_text(shape, "");
+            return Err(Failure::argument(
+                format!("{name} has the shape {found}; needed is {tail_text}: {what}"),
+                format!("Reshape {name}, or use the robot it belongs to."),
+            )
+            .into());
+        }
+        let lead = shape.len() - tail.len();
+        Ok(Self { array, lead })
+    }
+
+    /// An array of exactly `axes` axes, of which the last are `tail` long.
+    pub(crate) fn exact(
+        value: &ArrayLike<'py>,
+        name: &str,
+        axes: usize,
+        tail: &[usize],
+        what: &str,
+    ) -> PyResult<Self> {
+        let numbers = Self::with_tail(value, name, tail, what)?;
+        if numbers.array.shape().len() == axes {
+            return Ok(numbers);
+        }
+        let found = shape_text(numbers.array.shape(), "");
+        let lead = "N, ".repeat(axes - tail.len());
+        let needed = shape_text(tail, &lead);
+        Err(Failure::argument(
+            format!("{name} has the shape {found}; needed is {needed}: {what}"),
+            format!("Reshape {name}."),
+        )
+        .into())
+    }
+
+    /// Refuses what is no finite number.
+    pub(crate) fn finite(self, name: &str) -> PyResult<Self> {
+        match self.values().iter().position(|value| !value.is_finite()) {
+            None => Ok(self),
+            Some(at) => Err(Failure::argument(
+                format!("{name} holds {} at the flat index {at}", self.values()[at]),
+                format!("Remove NaN and infinite numbers from {name}."),
+            )
+            .into()),
+        }
+    }
+
+    /// Its axes but those of the tail.
+    pub(crate) fn lead(&self) -> &[usize] {
+        &self.array.shape()[..self.lead]
+    }
+
+    /// How many rows there are.
+    pub(crate) fn count(&self) -> usize {
+        self.lead().iter().product()
+    }
+
+    pub(crate) fn values(&self) -> &[f64] {
+        self.array.as_slice().unwrap_or_default()
+    }
+}
+
+/// What functions return: an array of doubles.
+pub(crate) struct Doubles {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+}
+
+impl Doubles {
+    /// An array of these leading axes and those of one row.
+    pub(crate) fn new(lead: &[usize], row: &[usize], values: Vec<f64>) -> Self {
+        Self {
+            shape: [lead, row].concat(),
+            values,
+        }
+    }
+}
+
+impl<'py> IntoPyObject<'py> for Doubles {
+    type Target = PyArrayDyn<f64>;
+    type Output = Bound<'py, Self::Target>;
+    type Error = PyErr;
+    const OUTPUT_TYPE: PyStaticExpr = type_hint_identifier!("builtins", "Doubles");
+
+    fn into_pyobject(self, py: Python<'py>) -> PyResult<Self::Output> {
+        PyArray1::from_vec(py, self.values).reshape(IxDyn(&self.shape))
+    }
+}
+
+/// What functions take: an array, or what numpy makes one of.
+pub(crate) struct ArrayLike<'py>(Bound<'py, PyAny>);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for ArrayLike<'py> {
+    type Error = PyErr;
+    const INPUT_TYPE: PyStaticExpr = type_hint_identifier!("builtins", "ArrayLike");
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        Ok(Self(object.to_owned()))
+    }
+}
+
+impl<'py> ArrayLike<'py> {
+    pub(crate) fn py(&self) -> Python<'py> {
+        self.0.py()
+    }
+}
+
+/// Three numbers.
+pub(crate) fn triple(value: &ArrayLike<'_>, name: &str) -> PyResult<[f64; 3]> {
+    let numbers = Numbers::exact(value, name, 1, &[3], "x, y, z")?.finite(name)?;
+    Ok([
+        numbers.values()[0],
+        numbers.values()[1],
+        numbers.values()[2],
+    ])
+}
+
+fn doubles<'py>(
+    ArrayLike(value): &ArrayLike<'py>,
+    name: &str,
+) -> PyResult<PyReadonlyArrayDyn<'py, f64>> {
+    if let Ok(array) = value.cast::<PyArrayDyn<f64>>()
+        && array.is_c_contiguous()
+        && (array.data() as usize).is_multiple_of(align_of::<f64>())
+    {
+        return Ok(array.try_readonly()?);
+    }
+    let numpy = value.py().import("numpy")?;
+    let refused = |found: String| {
+        Failure::argument(
+            format!("{name} is {found}; needed is an array of real numbers"),
+            format!("Give {name} as an array of float64, or what numpy makes one of."),
+        )
+    };
+    let any = numpy
+        .call_method1("asarray", (value,))
+        .map_err(|_| refused(format!("{} of uneven rows", value.get_type())))?;
+    let dtype = any.getattr("dtype")?;
+    let kind: String = dtype.getattr("kind")?.extract()?;
+    if !matches!(kind.as_str(), "f" | "i" | "u") {
+        return Err(refused(format!("an array of {dtype}")).into());
+    }
+    let axes = any.getattr("ndim")?.extract::<usize>()?;
+    let doubles = numpy.call_method1("require", (any, "float64", "CA"))?;
+    // What numpy makes contiguous has an axis at least.
+    let doubles = if axes == 0 {
+        doubles.call_method1("reshape", ((),))?
+    } else {
+        doubles
+    };
+    Ok(doubles.cast::<PyArrayDyn<f64>>()?.try_readonly()?)
+}
+
+fn shape_text(shape: &[usize], before: &str) -> String {
+    let lengths: Vec<_> = shape.iter().map(ToString::to_string).collect();
+    let lone = before.is_empty() && shape.len() == 1;
+    format!(
+        "({before}{}{})",
+        lengths.join(", "),
+        if lone { "," } else { "" }
+    )
+}

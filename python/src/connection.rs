@@ -1,0 +1,452 @@
+//! One connection to a daemon: what it says, and what is asked of it.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use cdcr_client::model::settings_of;
+use cdcr_client::{self, ConnectError, ObstacleSender, Requester, Stream, TelemetryStream};
+use cdcr_controller::robot::Robot as Model;
+use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
+use cdcr_shared_types::{
+    Incident, Location, Obstacle as WireObstacle, SolverSettings, Status, Telemetry,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::arrays::ArrayLike;
+use crate::driver::{DriverPort, interface_of};
+use crate::errors::{Class, Failure};
+use crate::feed::Feed;
+use crate::feed_stream::FeedStream;
+use crate::obstacle::Obstacle;
+use crate::robot::Robot;
+use crate::settings::{Settings, change, settings};
+use crate::trajectory::{Points, Source, Trajectory};
+use crate::wire::Records;
+use crate::worker::{SIGNALS_EACH, Worker, once, sleep_until};
+
+/// How long a daemon may take to say what became of a message.
+const OUTCOME: Duration = Duration::from_secs(1);
+/// How often records are fetched: well before a queue of 256 is full.
+const FETCH_EACH: Duration = Duration::from_millis(20);
+
+/// Where a daemon is.
+#[derive(Clone)]
+pub(crate) struct Address {
+    pub(crate) location: Location,
+    pub(crate) robot: String,
+    pub(crate) timeout: Duration,
+}
+
+impl Address {
+    pub(crate) fn open(&self) -> Result<cdcr_client::Connection, ConnectError> {
+        cdcr_client::Connection::open_within(&self.location, &self.robot, self.timeout)
+    }
+}
+
+/// What the thread of a connection has.
+pub(crate) struct Desk {
+    connection: cdcr_client::Connection,
+    obstacles: Option<ObstacleSender>,
+    telemetry: Option<TelemetryStream>,
+}
+
+/// A connection to a running daemon, from cdcr.connect(). Use it in a `with`, or close it. It may be used from any thread; a process that is
+/// forked from this one may not use it.
+#[pyclass(module = "cdcr")]
+pub(crate) struct Connection {
+    worker: Worker<Desk>,
+    address: Address,
+}
+
+/// Connects to the daemon that controls a robot, and waits at most timeout_s [s] for one that is starting.
+///
+/// robot: its name; by default CDCR_ROBOT of the environment, or "cdcr". prefix and root: where the daemon is, as its options; by default CDCR_PREFIX and
+/// CDCR_ROOT of the environment, or the daemon's defaults.
+/// Raises ConnectError if none runs there, or it cannot be reached.
+#[pyfunction]
+#[pyo3(signature = (robot = None, *, prefix = None, root = None, timeout_s = 1.0))]
+pub(crate) fn connect(
+    py: Python<'_>,
+    robot: Option<String>,
+    prefix: Option<&str>,
+    root: Option<PathBuf>,
+    timeout_s: f64,
+) -> PyResult<Connection> {
+    let otherwise = Location::from_environment().map_err(ConnectError::from);
+    let otherwise = otherwise.map_err(Failure::from)?;
+    let prefix = prefix.unwrap_or(otherwise.prefix());
+    let root = root.unwrap_or_else(|| otherwise.root().to_owned());
+    let location = Location::new(prefix, &root).map_err(ConnectError::from);
+    let named = || std::env::var("CDCR_ROBOT").unwrap_or_else(|_| "cdcr".to_owned());
+    let address = Address {
+        location: location.map_err(Failure::from)?,
+        robot: robot.unwrap_or_else(named),
+        timeout: seconds("timeout_s", timeout_s)?,
+    };
+    let at = address.clone();
+    let worker = Worker::start(py, "cdcr-client", move || {
+        Ok(Desk {
+            connection: at.open()?,
+            obstacles: None,
+            telemetry: None,
+        })
+    })?;
+    Ok(Connection { worker, address })
+}
+
+#[pymethods]
+impl Connection {
+    /// The newest snapshot of the daemon: a dictionary with the fields of the message Status.
+    ///
+    /// Raises LinkError if the daemon is silent.
+    #[pyo3(signature = (timeout_s = 1.0) -> "Message")]
+    fn status<'py>(&self, py: Python<'py>, timeout_s: f64) -> PyResult<Bound<'py, PyDict>> {
+        Records::of(&*self.snapshot(py, timeout_s)?).into_message(py)
+    }
+
+    /// The daemon's robot.
+    fn robot(&self, py: Python<'_>) -> PyResult<Robot> {
+        let inner = self.model(py)?;
+        Ok(Robot { inner })
+    }
+
+    /// Asks to follow the reference that is fed. Raises RequestError if the daemon refuses.
+    fn track(&self, py: Python<'_>) -> PyResult<()> {
+        self.request(py, RequestKind::Track)
+    }
+
+    /// Asks to stop following; the position is kept. Raises RequestError if the daemon refuses.
+    fn hold(&self, py: Python<'_>) -> PyResult<()> {
+        self.request(py, RequestKind::Hold)
+    }
+
+    /// Leaves the modes stopped and faulted. Raises RequestError while the cause stands.
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        self.request(py, RequestKind::Reset)
+    }
+
+    /// Asks to move to the straight robot. Raises RequestError if the daemon refuses.
+    fn home(&self, py: Python<'_>) -> PyResult<()> {
+        self.request(py, RequestKind::Home)
+    }
+
+    /// Stops the robot, by whatever way there is, also where this connection hangs: the daemon's answer, or the signal USR1.
+    ///
+    /// Raises ConnectError if no daemon runs, and RequestError if nothing confirmed the stop.
+    fn stop(&self, py: Python<'_>) -> PyResult<()> {
+        let Address {
+            location, robot, ..
+        } = self.address.clone();
+        let stopped = once(py, move || Requester::stop(&location, &robot))?;
+        stopped.map_err(Failure::from)?;
+        Ok(())
+    }
+
+    /// Begins the statistics of the status anew, for all clients.
+    fn reset_statistics(&self, py: Python<'_>) -> PyResult<()> {
+        self.request(py, RequestKind::ResetStatistics)
+    }
+
+    /// The solver's settings in force. Raises LinkError if the daemon is silent.
+    fn settings(&self, py: Python<'_>) -> PyResult<Settings> {
+        let wire = self.wire_settings(py)?;
+        let settings = settings_of(&wire);
+        Ok(Settings(settings.map_err(|code| {
+            Failure::new(
+                Class::Link,
+                code,
+                "Install daemon and package of one version.",
+            )
+        })?))
+    }
+
+    /// Changes settings of the solver, by their names; the others stay. The daemon uses them from the next cycle on.
+    ///
+    /// Raises ArgumentError for an unknown key and a value outside its range, RequestError if the daemon refuses.
+    #[pyo3(signature = (**changes: "Unpack[Settings]"))]
+    fn change_settings(&self, py: Python<'_>, changes: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let Some(changes) = changes else {
+            return Ok(());
+        };
+        let all = self.settings(py)?.into_pyobject(py)?;
+        all.update(changes.as_mapping())?;
+        // A daemon says what "auto" came to.
+        let settings = settings(Some(&all))?;
+        let mut wire = self.wire_settings(py)?;
+        change(&mut wire, &settings)?;
+        let changed = self
+            .worker
+            .ask(py, move |desk| desk.connection.change_settings(wire))?;
+        changed.map_err(Failure::from)?;
+        Ok(())
+    }
+
+    /// Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
+    ///
+    /// Raises LinkError if the daemon falls silent.
+    #[pyo3(signature = (seconds))]
+    fn telemetry(&self, py: Python<'_>, seconds: f64) -> PyResult<Records> {
+        let mut records = Records::new(Telemetry::LAYOUT);
+        let until = Instant::now() + self::seconds("seconds", seconds)?;
+        self.fetch(py, &mut Records::new(Telemetry::LAYOUT))?;
+        while Instant::now() < until {
+            sleep_until(py, until.min(Instant::now() + FETCH_EACH))?;
+            self.fetch(py, &mut records)?;
+        }
+        if records.count() == 0 && seconds > 1.0 {
+            self.snapshot(py, 1.0)?;
+        }
+        Ok(records)
+    }
+
+    /// Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
+    ///
+    /// Who takes longer than 1.28 s for a step loses records; lost_records() counts them.
+    #[pyo3(signature = (batch_s = 0.1))]
+    fn live(slf: Bound<'_, Self>, batch_s: f64) -> PyResult<Live> {
+        let batch = seconds("batch_s", batch_s)?;
+        let connection = slf.unbind();
+        Ok(Live { connection, batch })
+    }
+
+    /// Records that this connection's telemetry lost, because they were fetched too late.
+    fn lost_records(&self, py: Python<'_>) -> PyResult<u64> {
+        self.worker
+            .ask(py, |desk| desk.telemetry.as_ref().map_or(0, Stream::lost))
+    }
+
+    /// The last bad cycles, at most 64, oldest first: a structured array with the fields of the message Incident.
+    #[pyo3(signature = (timeout_s = 0.3))]
+    fn incidents(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Records> {
+        let until = Instant::now() + seconds("timeout_s", timeout_s)?;
+        let found = self.worker.ask(py, move |desk| {
+            let mut records = Records::new(Incident::LAYOUT);
+            let mut stream = desk.connection.incidents()?;
+            // The thread is held up for a moment: that is why the time is short.
+            while let Some(incident) =
+                stream.next_within(until.saturating_duration_since(Instant::now()))?
+            {
+                records.push(&incident);
+            }
+            Ok::<_, Failure>(records)
+        })?;
+        Ok(found?)
+    }
+
+    /// Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
+    ///
+    /// obstacles: by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
+    /// Raises RequestError if the daemon refuses them.
+    #[pyo3(signature = (obstacles: "Mapping[int, Obstacle]", lifetime_s = 0.0))]
+    fn set_obstacles(
+        &self,
+        py: Python<'_>,
+        obstacles: std::collections::BTreeMap<u32, Obstacle>,
+        lifetime_s: f64,
+    ) -> PyResult<()> {
+        let lifetime_ns = seconds("lifetime_s", lifetime_s)?.as_nanos() as u64;
+        let measured_ns = cdcr_client::monotonic_ns();
+        let wire = |(id, obstacle): (u32, Obstacle)| WireObstacle {
+            id,
+            measured_ns,
+            lifetime_ns,
+            ..obstacle.to_wire()
+        };
+        let obstacles: Vec<_> = obstacles.into_iter().map(wire).collect();
+        self.send_obstacles(py, move |sender| sender.upsert(&obstacles))
+    }
+
+    /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses.
+    #[pyo3(signature = (ids: "Sequence[int]"))]
+    fn remove_obstacles(&self, py: Python<'_>, ids: Vec<u32>) -> PyResult<()> {
+        self.send_obstacles(py, move |sender| sender.remove(&ids))
+    }
+
+    /// Removes all obstacles, those of other clients, too. Raises RequestError if the daemon refuses.
+    fn clear_obstacles(&self, py: Python<'_>) -> PyResult<()> {
+        self.send_obstacles(py, ObstacleSender::clear)
+    }
+
+    /// A feed of points, to be used in a `with`: it begins there, keeps the lease, and at the end gives it back, so that the robot holds.
+    ///
+    /// t: (k,) [s], xyz: (k, 3) [m], and so on as in Trajectory.from_arrays. track: ask for tracking once the daemon has the first points. lead_s: from the begin of
+    /// the `with` to the first point, 0.05 to 60 s. Raises ArgumentError; what the daemon says comes up in the `with`.
+    #[pyo3(signature = (t, xyz, *, quaternion = None, axis = None, interpolation: "Interpolation" = "cubic", track = true, lead_s = 0.3))]
+    #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
+    fn feed(
+        &self,
+        t: ArrayLike<'_>,
+        xyz: ArrayLike<'_>,
+        quaternion: Option<ArrayLike<'_>>,
+        axis: Option<ArrayLike<'_>>,
+        interpolation: &str,
+        track: bool,
+        lead_s: f64,
+    ) -> PyResult<Feed> {
+        let points = Points::from_arrays(t, xyz, quaternion, axis, interpolation)?;
+        let source = Source::Points(std::sync::Arc::new(points));
+        Feed::new(
+            self.address.clone(),
+            source,
+            track,
+            seconds("lead_s", lead_s)?,
+        )
+    }
+
+    /// As feed, of a Trajectory.
+    #[pyo3(signature = (trajectory, *, track = true, lead_s = 0.3))]
+    fn feed_trajectory(&self, trajectory: &Trajectory, track: bool, lead_s: f64) -> PyResult<Feed> {
+        let lead = seconds("lead_s", lead_s)?;
+        Feed::new(self.address.clone(), trajectory.source.clone(), track, lead)
+    }
+
+    /// A feed of points that are not yet known, to be used in a `with`: send() adds some. Otherwise as feed.
+    #[pyo3(signature = (*, interpolation: "Interpolation" = "cubic", track = true))]
+    fn stream(&self, interpolation: &str, track: bool) -> PyResult<FeedStream> {
+        FeedStream::new(self.address.clone(), interpolation, track)
+    }
+
+    /// The ports of a driver process. interface: which part of a command it obeys. Raises ConnectError, also if another driver has the place.
+    #[pyo3(signature = (interface: "Interface" = "velocity"))]
+    fn driver(&self, py: Python<'_>, interface: &str) -> PyResult<DriverPort> {
+        let model = self.model(py)?;
+        DriverPort::open(py, &self.address, interface_of(interface)?, model)
+    }
+
+    /// Closes the connection, and gives back everything that it had. Closing twice changes nothing.
+    fn close(&mut self, py: Python<'_>) {
+        self.worker.close(py);
+    }
+
+    fn __enter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    #[pyo3(signature = (_kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
+    fn __exit__(
+        &mut self,
+        py: Python<'_>,
+        _kind: Option<Py<PyAny>>,
+        _error: Option<Py<PyAny>>,
+        _trace: Option<Py<PyAny>>,
+    ) {
+        self.worker.close(py);
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Connection to {}>", self.address.robot)
+    }
+}
+
+impl Connection {
+    fn snapshot(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Box<Status>> {
+        let timeout = seconds("timeout_s", timeout_s)?;
+        let status = self.worker.ask(py, move |desk| {
+            desk.connection.status(timeout).map(Box::new)
+        })?;
+        Ok(status.map_err(Failure::from)?)
+    }
+
+    fn model(&self, py: Python<'_>) -> PyResult<Model> {
+        let status = self.snapshot(py, 1.0)?;
+        let model = cdcr_client::model::robot_of(&status.robot);
+        Ok(model.map_err(Failure::from)?)
+    }
+
+    fn request(&self, py: Python<'_>, kind: RequestKind) -> PyResult<()> {
+        let response = self
+            .worker
+            .ask(py, move |desk| desk.connection.request(kind))?;
+        response.map_err(Failure::from)?;
+        Ok(())
+    }
+
+    fn wire_settings(&self, py: Python<'_>) -> PyResult<SolverSettings> {
+        let settings = self.worker.ask(py, |desk| desk.connection.settings())?;
+        Ok(settings.map_err(Failure::from)?)
+    }
+
+    /// Adds the records that wait.
+    fn fetch(&self, py: Python<'_>, records: &mut Records) -> PyResult<()> {
+        let fetched = self.worker.ask(py, |desk| {
+            let mut fetched = Records::new(Telemetry::LAYOUT);
+            let stream = match &mut desk.telemetry {
+                Some(stream) => stream,
+                none => none.insert(desk.connection.telemetry()?),
+            };
+            while let Some(record) = stream.try_next()? {
+                fetched.push(&record);
+            }
+            Ok::<_, Failure>(fetched)
+        })?;
+        records.append(fetched?);
+        Ok(())
+    }
+
+    fn send_obstacles(
+        &self,
+        py: Python<'_>,
+        send: impl FnOnce(&ObstacleSender) -> Result<cdcr_shared_types::Header, cdcr_client::LinkError>
+        + Send
+        + 'static,
+    ) -> PyResult<()> {
+        let outcome = self.worker.ask(py, move |desk| {
+            let mut verdicts = desk.connection.telemetry()?;
+            let sender = match &mut desk.obstacles {
+                Some(sender) => sender,
+                none => none.insert(desk.connection.obstacle_sender()?),
+            };
+            let header = send(sender)?;
+            Ok::<_, Failure>(verdicts.outcome_on(EventKind::Obstacles, &header, OUTCOME)?)
+        })??;
+        if outcome == Outcome::Accepted {
+            return Ok(());
+        }
+        let message = format!("the daemon refused the obstacles: {outcome}");
+        Err(Failure::new(Class::Request, message, cdcr_client::remedy(outcome)).into())
+    }
+}
+
+/// Batches of records, from Connection.live().
+#[pyclass(module = "cdcr")]
+pub(crate) struct Live {
+    connection: Py<Connection>,
+    batch: Duration,
+}
+
+#[pymethods]
+impl Live {
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// The records since the last step. Raises LinkError if the daemon falls silent for a second.
+    fn __next__(&self, py: Python<'_>) -> PyResult<Records> {
+        let connection = self.connection.borrow(py);
+        let mut records = Records::new(Telemetry::LAYOUT);
+        connection.fetch(py, &mut records)?;
+        sleep_until(py, Instant::now() + self.batch)?;
+        let patience = Instant::now() + Duration::from_secs(1);
+        loop {
+            connection.fetch(py, &mut records)?;
+            if records.count() > 0 {
+                return Ok(records);
+            }
+            if Instant::now() > patience {
+                connection.snapshot(py, 1.0)?;
+            }
+            sleep_until(py, Instant::now() + SIGNALS_EACH)?;
+        }
+    }
+}
+
+/// A time of 0 s or more.
+pub(crate) fn seconds(name: &str, value_s: f64) -> Result<Duration, Failure> {
+    Duration::try_from_secs_f64(value_s).map_err(|_| {
+        Failure::argument(
+            format!("{name} is {value_s}"),
+            "Give a time of 0 s or more.",
+        )
+    })
+}

@@ -1,0 +1,196 @@
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Driver, monotonic_ns};
+use cdcr_controller::robot::Robot as Model;
+use cdcr_shared_types::Measurement;
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::arrays::{ArrayLike, Doubles, Numbers};
+use crate::connection::{Address, seconds};
+use crate::errors::Failure;
+use crate::robot::Robot;
+use crate::wire::Records;
+use crate::worker::{Worker, refuse_forked_process};
+
+/// How long the thread waits at a time, so that Python looks at signals.
+const SLICE: Duration = Duration::from_millis(20);
+
+/// The ports of a driver process, from Connection.driver(): it sends what the robot measures and follows what the daemon commands. Use it in
+/// a `with`, or close it. The daemon commands nothing before a first measurement. A driver refuses commands that this robot must not follow, and counts them.
+#[pyclass(module = "cdcr", name = "Driver")]
+pub(crate) struct DriverPort {
+    worker: Worker<Driver>,
+    robot: Robot,
+}
+
+impl DriverPort {
+    pub(crate) fn open(
+        py: Python<'_>,
+        address: &Address,
+        interface: Interface,
+        model: Model,
+    ) -> PyResult<Self> {
+        let Address {
+            location,
+            robot,
+            timeout,
+        } = address.clone();
+        let worker = Worker::start(py, "cdcr-driver", move || {
+            Ok(Driver::connect_within(
+                &location, &robot, interface, timeout,
+            )?)
+        })?;
+        let robot = Robot { inner: model };
+        Ok(Self { worker, robot })
+    }
+}
+
+#[pymethods]
+impl DriverPort {
+    /// Sends a measurement: one of cable_length (3 n,) [m], bend (2 n,) [rad] and tip (3,) [m].
+    ///
+    /// measured_ns: when it was measured [ns, CLOCK_MONOTONIC, as time.monotonic_ns()]; now if left out.
+    /// Raises ArgumentError for wrong shapes, NaN, and other than one measurement.
+    #[pyo3(signature = (*, cable_length = None, bend = None, tip = None, measured_ns = None))]
+    fn send(
+        &self,
+        py: Python<'_>,
+        cable_length: Option<ArrayLike<'_>>,
+        bend: Option<ArrayLike<'_>>,
+        tip: Option<ArrayLike<'_>>,
+        measured_ns: Option<u64>,
+    ) -> PyResult<()> {
+        let mut measurement = Measurement {
+            measured_ns: measured_ns.unwrap_or_else(monotonic_ns),
+            sections: self.robot.inner.section_count() as u32,
+            ..Measurement::default()
+        };
+        let kind = match (cable_length, bend, tip) {
+            (Some(lengths), None, None) => {
+                let cables = self.robot.inner.cable_count();
+                let numbers = Numbers::exact(
+                    &lengths,
+                    "cable_length",
+                    1,
+                    &[cables],
+                    "3 cables for each section",
+                )?;
+                let numbers = numbers.finite("cable_length")?;
+                measurement.cable_length_m[..cables].copy_from_slice(numbers.values());
+                MeasurementKind::CableLengths
+            }
+            (None, Some(bend), None) => {
+                let bends = self.robot.configuration(&bend, "bend")?;
+                measurement.bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
+                MeasurementKind::Configuration
+            }
+            (None, None, Some(tip)) => {
+                measurement.tip_position_m = crate::arrays::triple(&tip, "tip")?;
+                measurement.tip_orientation = [0.0, 0.0, 0.0, 1.0];
+                MeasurementKind::TipPose
+            }
+            _ => {
+                return Err(Failure::argument(
+                    "none or more than one of cable_length, bend and tip is given",
+                    "Send one at a time.",
+                )
+                .into());
+            }
+        };
+        measurement.kind = kind.code();
+        let sent = self
+            .worker
+            .ask(py, move |driver| driver.send(measurement))?;
+        sent.map_err(Failure::from)?;
+        Ok(())
+    }
+
+    /// The next command that is taken: a dictionary with the fields of the message Command, or None when none came within timeout_s [s].
+    #[pyo3(signature = (timeout_s = 1.0) -> "Message | None")]
+    fn next_command<'py>(
+        &self,
+        py: Python<'py>,
+        timeout_s: f64,
+    ) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let until = Instant::now() + seconds("timeout_s", timeout_s)?;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let slice = left.min(SLICE);
+            let command = self
+                .worker
+                .ask(py, move |driver| driver.next_command(slice))?;
+            if let Some(command) = command.map_err(Failure::from)? {
+                return Records::of(&command).into_message(py).map(Some);
+            }
+            if left.is_zero() {
+                return Ok(None);
+            }
+            py.check_signals()?;
+        }
+    }
+
+    /// How fast the cables shall run now [m/s]: (3 n,), zero before the first command and after the newest one has run out. Takes all commands that wait.
+    fn cable_speeds(&self, py: Python<'_>) -> PyResult<Doubles> {
+        let cables = self.robot.inner.cable_count();
+        let speeds = self.worker.ask(py, |driver| {
+            driver.update()?;
+            Ok::<_, Failure>(driver.rates_at(monotonic_ns()).cable_speed_m_s)
+        })??;
+        Ok(Doubles::new(&[cables], &[], speeds[..cables].to_vec()))
+    }
+
+    /// How long the cables shall be now [m]: (3 n,), or None before the first command. Takes all commands that wait.
+    fn cable_lengths(&self, py: Python<'_>) -> PyResult<Option<Doubles>> {
+        let cables = self.robot.inner.cable_count();
+        let position = self.worker.ask(py, |driver| {
+            driver.update()?;
+            Ok::<_, Failure>(driver.position_at(monotonic_ns()))
+        })??;
+        Ok(position.map(|at| Doubles::new(&[cables], &[], at.cable_length_m[..cables].to_vec())))
+    }
+
+    /// Commands that were refused since the beginning.
+    fn refusals(&self, py: Python<'_>) -> PyResult<u64> {
+        self.worker.ask(py, |driver| driver.refusals())
+    }
+
+    /// The robot of the daemon.
+    #[getter]
+    fn robot(&self) -> Robot {
+        self.robot.clone()
+    }
+
+    /// Closes the ports. Closing twice changes nothing.
+    fn close(&mut self, py: Python<'_>) {
+        self.worker.close(py);
+    }
+
+    fn __enter__(slf: Py<Self>) -> PyResult<Py<Self>> {
+        refuse_forked_process()?;
+        Ok(slf)
+    }
+
+    #[pyo3(signature = (_kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
+    fn __exit__(
+        &mut self,
+        py: Python<'_>,
+        _kind: Option<Py<PyAny>>,
+        _error: Option<Py<PyAny>>,
+        _trace: Option<Py<PyAny>>,
+    ) {
+        self.worker.close(py);
+    }
+}
+
+pub(crate) fn interface_of(name: &str) -> Result<Interface, Failure> {
+    match name {
+        "velocity" => Ok(Interface::Velocity),
+        "position" => Ok(Interface::Position),
+        other => Err(Failure::argument(
+            format!("interface is {other:?}"),
+            "Use \"velocity\" or \"position\".",
+        )),
+    }
+}

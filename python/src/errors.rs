@@ -1,0 +1,186 @@
+//! Exceptions: what was wrong, and beside it, as `.remedy`, what to do. Their classes are in `cdcr/_errors.py`.
+
+use cdcr_client::{
+    ConnectError, FeedError, LinkError, PlantError, RequestError, StopError, remedy,
+};
+use cdcr_controller::nmpc::SettingsError;
+use cdcr_controller::plant::FlawError;
+use cdcr_controller::robot::{ObstacleError, RobotError};
+use pyo3::prelude::*;
+
+/// The class of an exception.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Class {
+    Argument,
+    Connect,
+    Link,
+    Request,
+    Feed,
+    Recording,
+}
+
+impl Class {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Argument => "ArgumentError",
+            Self::Connect => "ConnectError",
+            Self::Link => "LinkError",
+            Self::Request => "RequestError",
+            Self::Feed => "FeedError",
+            Self::Recording => "RecordingError",
+        }
+    }
+}
+
+/// An exception that is not yet one of Python's.
+#[derive(Debug, Clone)]
+pub(crate) struct Failure {
+    class: Class,
+    message: String,
+    remedy: String,
+}
+
+impl Failure {
+    pub(crate) fn new(class: Class, message: impl ToString, remedy: impl ToString) -> Self {
+        Self {
+            class,
+            message: message.to_string(),
+            remedy: remedy.to_string(),
+        }
+    }
+
+    /// Of an argument that a function does not take.
+    pub(crate) fn argument(message: impl ToString, remedy: impl ToString) -> Self {
+        Self::new(Class::Argument, message, remedy)
+    }
+}
+
+impl From<Failure> for PyErr {
+    fn from(failure: Failure) -> Self {
+        Python::attach(|py| {
+            let class = py
+                .import("cdcr._errors")
+                .and_then(|module| module.getattr(failure.class.name()));
+            match class.and_then(|class| class.call1((failure.message, failure.remedy))) {
+                Ok(exception) => Self::from_value(exception),
+                Err(error) => error,
+            }
+        })
+    }
+}
+
+const RANGE: &str = "Give a value inside the range; units are SI and end the names.";
+
+impl From<RobotError> for Failure {
+    fn from(error: RobotError) -> Self {
+        Self::argument(error, RANGE)
+    }
+}
+
+impl From<ObstacleError> for Failure {
+    fn from(error: ObstacleError) -> Self {
+        Self::argument(error, RANGE)
+    }
+}
+
+impl From<FlawError> for Failure {
+    fn from(error: FlawError) -> Self {
+        Self::argument(error, RANGE)
+    }
+}
+
+impl From<SettingsError> for Failure {
+    fn from(error: SettingsError) -> Self {
+        Self::argument(&error, RANGE)
+    }
+}
+
+impl From<PlantError> for Failure {
+    fn from(error: PlantError) -> Self {
+        match error {
+            PlantError::Link(error) => error.into(),
+            other => Self::argument(other, RANGE),
+        }
+    }
+}
+
+impl From<LinkError> for Failure {
+    fn from(error: LinkError) -> Self {
+        let remedy = match &error {
+            LinkError::Port { .. } | LinkError::Askers { .. } => "Close another client.",
+            LinkError::Memory { .. } => "Make room in shared memory.",
+            LinkError::Silent { .. } => "Look with cdcrctl status whether the daemon runs.",
+            LinkError::ChunkPoints { .. } | LinkError::Obstacles { .. } => "Send fewer at a time.",
+            LinkError::Send { .. } | LinkError::Receive { .. } => "Connect again.",
+        };
+        Self::new(Class::Link, &error, remedy)
+    }
+}
+
+impl From<ConnectError> for Failure {
+    fn from(error: ConnectError) -> Self {
+        if let ConnectError::Port(error) = error {
+            return error.into();
+        }
+        let remedy = match &error {
+            ConnectError::DaemonNotRunning { .. } => {
+                "Start a daemon with cdcrd run, with the same robot, prefix and root."
+            }
+            ConnectError::Silent { .. } => {
+                "End the daemon and start it again; to stop the robot: cdcrctl stop."
+            }
+            ConnectError::VersionMismatch { .. } => "Install daemon and package of one version.",
+            ConnectError::OtherUser { .. } => {
+                "Run as the daemon's user, or start a daemon of your own with another root."
+            }
+            ConnectError::Full { .. } => "Close another client.",
+            ConnectError::Robot(_) => "Use 1 to 40 letters, digits, '-' and '_'.",
+            ConnectError::Location(_) => "Give prefix and root as the daemon has them.",
+            ConnectError::Port(_) | ConnectError::Memory { .. } => "Make room in shared memory.",
+        };
+        Self::new(Class::Connect, &error, remedy)
+    }
+}
+
+impl From<RequestError> for Failure {
+    fn from(error: RequestError) -> Self {
+        let next = match &error {
+            RequestError::Refused { outcome, .. } => remedy(*outcome),
+            RequestError::Restarted { .. } => "Feed again.",
+            RequestError::Timeout { .. } | RequestError::Link { .. } => {
+                "Look with cdcrctl status whether the daemon runs."
+            }
+            RequestError::Answer { .. } => "Install daemon and package of one version.",
+        };
+        Self::new(Class::Request, &error, next)
+    }
+}
+
+impl From<StopError> for Failure {
+    fn from(error: StopError) -> Self {
+        match error {
+            StopError::Connect(error) => error.into(),
+            StopError::Request(error) => error.into(),
+            unconfirmed @ StopError::Unconfirmed { .. } => {
+                Self::new(Class::Request, unconfirmed, "Watch the robot.")
+            }
+        }
+    }
+}
+
+impl From<FeedError> for Failure {
+    fn from(error: FeedError) -> Self {
+        let next = match error {
+            FeedError::Request(error) => return error.into(),
+            FeedError::Link(error) => return error.into(),
+            FeedError::Option { .. } | FeedError::Duration { .. } => {
+                return Self::argument(&error, RANGE);
+            }
+            FeedError::Refused { outcome, .. } => remedy(outcome),
+            FeedError::Ignored => "Look with cdcrctl status whether the daemon runs.",
+            FeedError::Restarted { .. } => "Feed again.",
+            FeedError::LeftTracking { remedy, .. } => remedy,
+        };
+        Self::new(Class::Feed, &error, next)
+    }
+}

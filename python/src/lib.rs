@@ -1,0 +1,63 @@
+//! The Python module `cdcr._cdcr`: `cdcr_controller` and `cdcr_client` as numpy arrays and context managers.
+//!
+//! What people read is the package in `python/cdcr` and `docs/python.md`; the documentation of each class is its docstring. The type
+//! stubs `cdcr/_cdcr.pyi` are generated from the signatures here.
+//!
+//! Invariant: nothing here computes control or knows a message by its fields. Every wait gives the interpreter's lock back, and
+//! returns to it each 50 ms for signals.
+
+#![forbid(unsafe_code)]
+#![allow(
+    clippy::doc_markdown,
+    reason = "these are docstrings, which Python shows as they are"
+)]
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "the interpreter hands arguments over by value"
+)]
+
+mod arrays;
+mod connection;
+mod driver;
+mod errors;
+mod feed;
+mod feed_stream;
+mod nmpc;
+mod obstacle;
+mod recording;
+mod robot;
+mod running;
+mod settings;
+mod simulation;
+mod trajectory;
+mod wire;
+mod worker;
+
+/// What the package `cdcr` exports.
+#[pyo3::pymodule]
+mod _cdcr {
+    #[pymodule_export]
+    use super::connection::{Connection, Live, connect};
+    #[pymodule_export]
+    use super::driver::DriverPort;
+    #[pymodule_export]
+    use super::feed::{Feed, FeedReport};
+    #[pymodule_export]
+    use super::feed_stream::FeedStream;
+    #[pymodule_export]
+    use super::nmpc::{Nmpc, SolveReport};
+    #[pymodule_export]
+    use super::obstacle::Obstacle;
+    #[pymodule_export]
+    use super::recording::read;
+    #[pymodule_export]
+    use super::robot::Robot;
+    #[pymodule_export]
+    use super::settings::{default_settings, settings_from_toml};
+    #[pymodule_export]
+    use super::simulation::{Simulation, simulate};
+    #[pymodule_export]
+    use super::trajectory::Trajectory;
+    #[pymodule_export]
+    use super::wire::{dtype, enumerations, fields, messages};
+}

@@ -1,0 +1,131 @@
+use cdcr_controller::robot::{self, Shape};
+use cdcr_shared_types::codes::ObstacleShape;
+use pyo3::prelude::*;
+
+use crate::arrays::{ArrayLike, Doubles, triple};
+use crate::errors::Failure;
+
+/// What the body must stay clear of: a ball, or a capsule (all points within a radius of a segment), in the base frame.
+#[pyclass(frozen, module = "cdcr", from_py_object)]
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Obstacle {
+    pub(crate) inner: robot::Obstacle,
+}
+
+#[pymethods]
+impl Obstacle {
+    /// A ball.
+    ///
+    /// centre_m: (3,) [m], base frame. radius_m: 0 to 1e6 m. velocity_m_s: (3,) [m/s], constant.
+    /// Raises ArgumentError for numbers outside their ranges.
+    #[staticmethod]
+    #[pyo3(signature = (centre_m, radius_m, velocity_m_s = None))]
+    fn sphere(
+        centre_m: ArrayLike<'_>,
+        radius_m: f64,
+        velocity_m_s: Option<ArrayLike<'_>>,
+    ) -> PyResult<Self> {
+        let centre_m = triple(&centre_m, "centre_m")?.into();
+        Self::of(Shape::Sphere { centre_m }, radius_m, velocity_m_s)
+    }
+
+    /// A cylinder with round ends.
+    ///
+    /// start_m, end_m: (3,) [m], the ends of its axis in the base frame. radius_m: 0 to 1e6 m. velocity_m_s: (3,) [m/s], constant.
+    /// Raises ArgumentError for numbers outside their ranges.
+    #[staticmethod]
+    #[pyo3(signature = (start_m, end_m, radius_m, velocity_m_s = None))]
+    fn capsule(
+        start_m: ArrayLike<'_>,
+        end_m: ArrayLike<'_>,
+        radius_m: f64,
+        velocity_m_s: Option<ArrayLike<'_>>,
+    ) -> PyResult<Self> {
+        let shape = Shape::Capsule {
+            start_m: triple(&start_m, "start_m")?.into(),
+            end_m: triple(&end_m, "end_m")?.into(),
+        };
+        Self::of(shape, radius_m, velocity_m_s)
+    }
+
+    /// Radius around the axis [m].
+    #[getter]
+    fn radius_m(&self) -> f64 {
+        self.inner.radius_m()
+    }
+
+    /// Ends of the axis [m], (2, 3), base frame; of a ball both are its centre.
+    #[getter]
+    fn axis_m(&self) -> Doubles {
+        let [start_m, end_m] = self.axis();
+        Doubles::new(&[2], &[3], [start_m, end_m].concat())
+    }
+
+    /// Velocity [m/s], (3,).
+    #[getter]
+    fn velocity_m_s(&self) -> Doubles {
+        Doubles::new(&[3], &[], self.inner.velocity_m_s().as_slice().to_vec())
+    }
+
+    /// The obstacle dt_s later [s].
+    fn moved(&self, dt_s: f64) -> Self {
+        Self {
+            inner: self.inner.moved(dt_s),
+        }
+    }
+
+    fn __repr__(&self) -> String {
+        let [start_m, end_m] = self.axis();
+        let (radius_m, velocity_m_s) = (self.inner.radius_m(), self.inner.velocity_m_s());
+        let velocity_m_s = velocity_m_s.as_slice();
+        match self.inner.shape() {
+            Shape::Sphere { .. } => {
+                format!("Obstacle.sphere({start_m:?}, {radius_m:?}, {velocity_m_s:?})")
+            }
+            Shape::Capsule { .. } => {
+                format!("Obstacle.capsule({start_m:?}, {end_m:?}, {radius_m:?}, {velocity_m_s:?})")
+            }
+        }
+    }
+}
+
+impl Obstacle {
+    fn of(shape: Shape, radius_m: f64, velocity_m_s: Option<ArrayLike<'_>>) -> PyResult<Self> {
+        let velocity_m_s = velocity_m_s
+            .map(|value| triple(&value, "velocity_m_s"))
+            .transpose()?
+            .unwrap_or_default();
+        let inner =
+            robot::Obstacle::new(shape, radius_m, velocity_m_s.into()).map_err(Failure::from)?;
+        Ok(Self { inner })
+    }
+
+    /// As a message has it: without number, time and lifetime.
+    pub(crate) fn to_wire(self) -> cdcr_shared_types::Obstacle {
+        let [start_m, end_m] = self.axis();
+        let shape = match self.inner.shape() {
+            Shape::Sphere { .. } => ObstacleShape::Sphere,
+            Shape::Capsule { .. } => ObstacleShape::Capsule,
+        };
+        cdcr_shared_types::Obstacle {
+            shape: shape.code(),
+            start_m,
+            end_m,
+            radius_m: self.inner.radius_m(),
+            velocity_m_s: self.inner.velocity_m_s().into(),
+            ..cdcr_shared_types::Obstacle::default()
+        }
+    }
+
+    fn axis(&self) -> [[f64; 3]; 2] {
+        match self.inner.shape() {
+            Shape::Sphere { centre_m } => [(*centre_m).into(); 2],
+            Shape::Capsule { start_m, end_m } => [(*start_m).into(), (*end_m).into()],
+        }
+    }
+}
+
+/// What the controller takes.
+pub(crate) fn inner(obstacles: &[Obstacle]) -> Vec<robot::Obstacle> {
+    obstacles.iter().map(|obstacle| obstacle.inner).collect()
+}

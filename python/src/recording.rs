@@ -1,0 +1,200 @@
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use cdcr_client::channels::{Topic, WIRE_TYPE};
+use cdcr_interchange::decode;
+use cdcr_interchange::mcap::{Item, Message, ReadError, Reader};
+use cdcr_shared_types::message::Struct;
+use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::{Class, Failure};
+use crate::wire::Records;
+use crate::worker::SIGNALS_EACH;
+
+/// Reads a recording of cdcrctl: a dictionary of structured arrays, "telemetry", "reference", "obstacles", "status" and "incidents", with the fields of the messages
+/// Telemetry, ReferenceChunk, ObstacleUpdate, Status and Incident; one for each that the file holds.
+///
+/// path: an MCAP file. every: keep each so many-th record of telemetry. A record of telemetry has 14 kB: an hour at 5 ms are 10 GB, so `every` is for long files.
+/// A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, is damaged, or has messages of another version or of
+/// more than one robot.
+#[pyfunction]
+#[pyo3(signature = (path, *, every = 1) -> "dict[str, Records]")]
+pub(crate) fn read(py: Python<'_>, path: PathBuf, every: usize) -> PyResult<Bound<'_, PyDict>> {
+    if every == 0 {
+        return Err(Failure::argument("every is 0", "Give 1 or more.").into());
+    }
+    let mut recording = Recording::open(&path, every)?;
+    // An hour takes a while: in between, Python looks at signals.
+    while py.detach(|| recording.read_on())? {
+        py.check_signals()?;
+    }
+    let found = PyDict::new(py);
+    for (topic, records) in Topic::ALL.into_iter().zip(recording.found) {
+        if records.count() > 0 {
+            found.set_item(word(topic), records)?;
+        }
+    }
+    if recording.is_cut {
+        let name = path.display();
+        let text = format!(
+            "{name} is cut: what is whole was read; `cdcrctl info --repair {name}` saves it"
+        );
+        py.import("warnings")?.call_method1("warn", (text,))?;
+    }
+    Ok(found)
+}
+
+struct Recording {
+    path: String,
+    reader: Reader<BufReader<File>>,
+    every: usize,
+    passed: usize,
+    /// By the number of their topic.
+    found: Vec<Records>,
+    robots: BTreeSet<String>,
+    blank: Blank,
+    is_cut: bool,
+}
+
+/// Messages to be filled.
+#[derive(Default)]
+struct Blank {
+    telemetry: Box<Telemetry>,
+    reference: Box<ReferenceChunk>,
+    obstacles: Box<ObstacleUpdate>,
+    status: Box<Status>,
+    incident: Box<Incident>,
+}
+
+impl Blank {
+    fn of(&mut self, topic: Topic) -> &mut dyn Struct {
+        match topic {
+            Topic::Telemetry => {
+                *self.telemetry = Telemetry::default();
+                &mut *self.telemetry
+            }
+            Topic::Reference => {
+                *self.reference = ReferenceChunk::default();
+                &mut *self.reference
+            }
+            Topic::Obstacles => {
+                *self.obstacles = ObstacleUpdate::default();
+                &mut *self.obstacles
+            }
+            Topic::Status => {
+                *self.status = Status::default();
+                &mut *self.status
+            }
+            Topic::Incidents => {
+                *self.incident = Incident::default();
+                &mut *self.incident
+            }
+        }
+    }
+}
+
+impl Recording {
+    fn open(path: &Path, every: usize) -> Result<Self, Failure> {
+        let name = path.display().to_string();
+        let file = File::open(path).map_err(|error| refused(&name, &error))?;
+        let reader = Reader::new(BufReader::with_capacity(1 << 17, file));
+        Ok(Self {
+            reader: reader.map_err(|error| refused(&name, &error))?,
+            path: name,
+            every,
+            passed: 0,
+            found: Topic::ALL.map(|topic| Records::new(topic.layout())).into(),
+            robots: BTreeSet::new(),
+            blank: Blank::default(),
+            is_cut: false,
+        })
+    }
+
+    /// Reads for a moment; false at the end.
+    fn read_on(&mut self) -> Result<bool, Failure> {
+        let until = Instant::now() + SIGNALS_EACH;
+        while Instant::now() < until {
+            let item = match self.reader.next_item() {
+                Err(ReadError::Cut) => {
+                    self.is_cut = true;
+                    return Ok(false);
+                }
+                item => item.map_err(|error| refused(&self.path, &error))?,
+            };
+            match item {
+                None => return Ok(false),
+                Some(Item::Message(message)) => {
+                    let Some(topic) = Topic::of_schema(&message.channel.schema) else {
+                        continue;
+                    };
+                    check(&self.path, topic, &message)?;
+                    self.robots.insert(message.channel.topic.clone());
+                    if topic == Topic::Telemetry {
+                        self.passed += 1;
+                        if !(self.passed - 1).is_multiple_of(self.every) {
+                            continue;
+                        }
+                    }
+                    let blank = self.blank.of(topic);
+                    decode(message.data, blank).map_err(|error| refused(&self.path, &error))?;
+                    self.found[topic as usize].push(blank);
+                    one_robot(&self.path, &self.robots)?;
+                }
+                Some(_) => {}
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The last part of a topic, such as "telemetry".
+fn word(topic: Topic) -> &'static str {
+    match topic {
+        Topic::Telemetry => "telemetry",
+        Topic::Reference => "reference",
+        Topic::Obstacles => "obstacles",
+        Topic::Status => "status",
+        Topic::Incidents => "incidents",
+    }
+}
+
+fn check(path: &str, topic: Topic, message: &Message<'_>) -> Result<(), Failure> {
+    let ours = topic.layout().type_name;
+    match message.channel.metadata.get(WIRE_TYPE) {
+        Some(theirs) if theirs != ours => Err(Failure::new(
+            Class::Recording,
+            format!("{path} holds {theirs}; this package reads {ours}"),
+            "Read it with the package of the version that recorded it.",
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn one_robot(path: &str, topics: &BTreeSet<String>) -> Result<(), Failure> {
+    let robots: BTreeSet<_> = topics
+        .iter()
+        .filter_map(|topic| topic.rsplit('/').nth(1))
+        .collect();
+    if robots.len() <= 1 {
+        return Ok(());
+    }
+    let names: Vec<_> = robots.into_iter().collect();
+    Err(Failure::new(
+        Class::Recording,
+        format!("{path} holds more than one robot: {}", names.join(", ")),
+        "Record each robot in a file of its own.",
+    ))
+}
+
+fn refused(path: &str, error: &dyn std::fmt::Display) -> Failure {
+    Failure::new(
+        Class::Recording,
+        format!("{path}: {error}"),
+        format!("See what it holds with: cdcrctl info {path}"),
+    )
+}

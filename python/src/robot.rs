@@ -1,0 +1,402 @@
+use std::panic::resume_unwind;
+use std::path::PathBuf;
+use std::thread;
+
+use cdcr_controller::robot::{
+    self, CABLES_MAX, Configuration, Jacobian, RobotParameters, SectionParameters, ZyxAngles,
+    quaternion_xyzw,
+};
+use pyo3::prelude::*;
+use serde::Deserialize;
+use toml::Value;
+
+use crate::arrays::{ArrayLike, Doubles, Numbers};
+use crate::errors::Failure;
+use crate::obstacle::{Obstacle, inner};
+use crate::settings::read;
+
+/// Configurations that are worth a thread of their own: a tenth of a millisecond and more.
+const ROWS_MIN: usize = 4096;
+
+/// A robot: 1 to 6 sections that bend into circular arcs, each under three cables.
+///
+/// Bends are bend vectors (u, v) = θ (cos φ, sin φ) [rad] of each section, base first: arrays whose last axis is 2 n long. Every
+/// function takes any number of axes before that and computes all configurations in one call; NaN in gives NaN out.
+/// A robot is immutable, and may be used from any thread.
+#[pyclass(frozen, module = "cdcr", from_py_object)]
+#[derive(Debug, Clone)]
+pub(crate) struct Robot {
+    pub(crate) inner: robot::Robot,
+}
+
+#[pymethods]
+impl Robot {
+    /// A robot by its numbers; what is left out is the paper's robot. A single number counts for every section; there are as many
+    /// sections as the longest list has numbers.
+    ///
+    /// length_m: backbone of a section, 0.001 to 10 m. cable_radius_m: cables from the backbone, 0.0001 to 1 m. cable_offset_rad: angle of
+    /// the first cable, -2π to 2π rad (40° more from section to section if left out). bend_max_rad: 0.01 to π rad. rate_max_rad_s: of
+    /// each bend component, 0.001 to 100 rad/s. body_radius_m: 0 to 1 m. cable_speed_max_m_s and cable_stroke_max_m: 0.0001 to 100.
+    /// Raises ArgumentError for a value outside its range and for lists of different lengths.
+    #[new]
+    #[pyo3(signature = (
+        length_m = None, *, cable_radius_m = None, cable_offset_rad = None,
+        bend_max_rad = None, rate_max_rad_s = None, body_radius_m = None,
+        cable_speed_max_m_s = 0.5, cable_stroke_max_m = 0.25,
+    ))]
+    #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
+    fn new(
+        length_m: Option<ArrayLike<'_>>,
+        cable_radius_m: Option<ArrayLike<'_>>,
+        cable_offset_rad: Option<ArrayLike<'_>>,
+        bend_max_rad: Option<ArrayLike<'_>>,
+        rate_max_rad_s: Option<ArrayLike<'_>>,
+        body_radius_m: Option<ArrayLike<'_>>,
+        cable_speed_max_m_s: f64,
+        cable_stroke_max_m: f64,
+    ) -> PyResult<Self> {
+        type Place = fn(&mut SectionParameters) -> &mut f64;
+        let is_counted = length_m.is_some();
+        let given: [(&str, Option<ArrayLike<'_>>, Place); 6] = [
+            ("length_m", length_m, |section| &mut section.length_m),
+            ("cable_radius_m", cable_radius_m, |section| {
+                &mut section.cable_radius_m
+            }),
+            ("cable_offset_rad", cable_offset_rad, |section| {
+                &mut section.cable_offset_rad
+            }),
+            ("bend_max_rad", bend_max_rad, |section| {
+                &mut section.bend_max_rad
+            }),
+            ("rate_max_rad_s", rate_max_rad_s, |section| {
+                &mut section.rate_max_rad_s
+            }),
+            ("body_radius_m", body_radius_m, |section| {
+                &mut section.body_radius_m
+            }),
+        ];
+        let mut lists = Vec::new();
+        for (name, value, place) in given {
+            if let Some(value) = value {
+                lists.push((name, list(value, name)?, place));
+            }
+        }
+        let sections = lists.iter().map(|(_, list, _)| list.len()).max();
+        // The paper's longest robot has three; a single number says nothing of how many there are.
+        let sections = sections
+            .filter(|sections| *sections > 1 || is_counted)
+            .unwrap_or(3);
+        let mut parameters = RobotParameters {
+            cable_speed_max_m_s,
+            cable_stroke_max_m,
+            ..RobotParameters::paper(sections)
+        };
+        for (name, list, place) in lists {
+            if list.len() != 1 && list.len() != sections {
+                let found = list.len();
+                return Err(Failure::argument(
+                    format!("{name} has {found} numbers, another list {sections}"),
+                    "Give one number for each section, or one for all.",
+                )
+                .into());
+            }
+            for (section, value) in parameters.sections.iter_mut().zip(list.iter().cycle()) {
+                *place(section) = *value;
+            }
+        }
+        Self::of(&parameters)
+    }
+
+    /// The paper's robot: sections of 0.3 m, cables at 12.5 mm. sections: 1 to 6.
+    #[staticmethod]
+    #[pyo3(signature = (sections = 3))]
+    fn paper(sections: usize) -> PyResult<Self> {
+        Self::of(&RobotParameters::paper(sections))
+    }
+
+    /// The robot in the table `[robot]` of a configuration of cdcrd.
+    ///
+    /// Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
+    #[staticmethod]
+    fn from_toml(path: PathBuf) -> PyResult<Self> {
+        // What the default configuration has where the file says nothing.
+        let paper = RobotParameters::paper(3);
+        let mut file = read(&path)?;
+        let Some(Value::Table(mut table)) = file.remove("robot") else {
+            return Self::of(&paper);
+        };
+        table.remove("name");
+        for (key, value) in [
+            ("cable_speed_max_m_s", paper.cable_speed_max_m_s),
+            ("cable_stroke_max_m", paper.cable_stroke_max_m),
+        ] {
+            table.entry(key).or_insert(Value::Float(value));
+        }
+        if !table.contains_key("sections") {
+            let sections = Value::try_from(&paper.sections);
+            table.insert(
+                "sections".to_owned(),
+                sections.map_err(|error| Failure::argument(error, "Report this."))?,
+            );
+        }
+        let parameters = RobotParameters::deserialize(Value::Table(table)).map_err(|error| {
+            let name = path.display();
+            Failure::argument(
+                format!("{name}: [robot]: {}", error.message()),
+                format!("Check it with: cdcrd check --config {name}"),
+            )
+        })?;
+        Self::of(&parameters)
+    }
+
+    /// Number of sections n, 1 to 6.
+    #[getter]
+    fn sections(&self) -> usize {
+        self.inner.section_count()
+    }
+
+    /// Length of each section [m], base first: (n,).
+    #[getter]
+    fn length_m(&self) -> Doubles {
+        let lengths_m = self.inner.sections().iter().map(|section| section.length_m);
+        Doubles::new(&[self.sections()], &[], lengths_m.collect())
+    }
+
+    /// Radius of the body of each section [m], base first: (n,).
+    #[getter]
+    fn body_radius_m(&self) -> Doubles {
+        let radii_m = self
+            .inner
+            .sections()
+            .iter()
+            .map(|section| section.body_radius_m);
+        Doubles::new(&[self.sections()], &[], radii_m.collect())
+    }
+
+    /// Length of the whole backbone [m].
+    #[getter]
+    fn reach_m(&self) -> f64 {
+        self.inner.reach_m()
+    }
+
+    /// Position of the tip [m], base frame.
+    ///
+    /// bend: (..., 2 n) [rad]. Returns (..., 3). Raises ArgumentError for another shape.
+    #[pyo3(signature = (bend))]
+    fn forward(&self, bend: ArrayLike<'_>) -> PyResult<Doubles> {
+        self.each(bend, &[3], |robot, shape, out| {
+            out.extend_from_slice(robot.tip_position(shape).as_slice());
+        })
+    }
+
+    /// Orientation of the tip, base frame.
+    ///
+    /// bend: (..., 2 n) [rad]. form: "quaternion" gives (..., 4), x, y, z, w with w ≥ 0; "matrix" gives (..., 3, 3), whose columns are the axes of
+    /// the tip; "zyx" gives (..., 3), the paper's Φ, Θ, Ψ [rad]. Raises ArgumentError for another shape or form.
+    #[pyo3(signature = (bend, form: "Form" = "quaternion"))]
+    fn orientation(&self, bend: ArrayLike<'_>, form: &str) -> PyResult<Doubles> {
+        let rotation = |robot: &robot::Robot, shape: &Configuration| robot.tip_pose(shape).rotation;
+        match form {
+            "quaternion" => self.each(bend, &[4], |robot, shape, out| {
+                out.extend(quaternion_xyzw(&rotation(robot, shape)));
+            }),
+            "matrix" => self.each(bend, &[3, 3], |robot, shape, out| {
+                // nalgebra stores column by column, numpy row by row.
+                out.extend(rotation(robot, shape).transpose().iter());
+            }),
+            "zyx" => self.each(bend, &[3], |robot, shape, out| {
+                let angles = ZyxAngles::from_rotation(&rotation(robot, shape));
+                out.extend([angles.phi_rad, angles.theta_rad, angles.psi_rad]);
+            }),
+            other => Err(Failure::argument(
+                format!("form is {other:?}"),
+                "Use \"quaternion\", \"matrix\" or \"zyx\".",
+            )
+            .into()),
+        }
+    }
+
+    /// Points of the backbone [m], base frame, at equal distances along it from the base to the tip.
+    ///
+    /// bend: (..., 2 n) [rad]. points: 2 or more. Returns (..., points, 3). Raises ArgumentError for another shape.
+    #[pyo3(signature = (bend, points = 50))]
+    fn backbone(&self, bend: ArrayLike<'_>, points: usize) -> PyResult<Doubles> {
+        if points < 2 {
+            return Err(Failure::argument(format!("points is {points}"), "Give 2 or more.").into());
+        }
+        let places = self.places(points);
+        self.each(bend, &[points, 3], |robot, shape, out| {
+            for (section, share) in &places {
+                let point_m = robot.body_point(shape, *section, *share);
+                out.extend_from_slice(point_m.as_slice());
+            }
+        })
+    }
+
+    /// Jacobian of the tip in the base frame: rows v [m/rad] and ω [rad/rad], one column for each bend component.
+    ///
+    /// bend: (..., 2 n) [rad]. Returns (..., 6, 2 n). Raises ArgumentError for another shape.
+    #[pyo3(signature = (bend))]
+    fn jacobian(&self, bend: ArrayLike<'_>) -> PyResult<Doubles> {
+        let columns = self.inner.coordinate_count();
+        self.each(bend, &[6, columns], |robot, shape, out| {
+            let mut jacobian = Jacobian::new();
+            robot.tip_jacobian(shape, &mut jacobian);
+            for row in 0..6 {
+                out.extend(jacobian.columns().iter().map(|column| column[row]));
+            }
+        })
+    }
+
+    /// Lengths of the cables [m], three for each section, base first.
+    ///
+    /// bend: (..., 2 n) [rad]. Returns (..., 3 n). Raises ArgumentError for another shape.
+    #[pyo3(signature = (bend))]
+    fn cables(&self, bend: ArrayLike<'_>) -> PyResult<Doubles> {
+        let cables = self.inner.cable_count();
+        self.each(bend, &[cables], |robot, shape, out| {
+            out.extend_from_slice(&robot.cable_lengths(shape)[..cables]);
+        })
+    }
+
+    /// Bends whose cables have these lengths [m], by least squares: an error common to the three cables of a section is ignored.
+    ///
+    /// length: (..., 3 n) [m]. Returns (..., 2 n) [rad]. Raises ArgumentError for another shape.
+    #[pyo3(signature = (length))]
+    fn bend_from_cables(&self, length: ArrayLike<'_>) -> PyResult<Doubles> {
+        let cables = self.inner.cable_count();
+        let what = format!("3 cables for each of {} sections", self.sections());
+        let lengths = Numbers::with_tail(&length, "length", &[cables], &what)?;
+        let coordinates = self.inner.coordinate_count();
+        let mut out = Vec::with_capacity(lengths.count() * coordinates);
+        for row in lengths.values().chunks_exact(cables) {
+            let mut lengths_m = [0.0; CABLES_MAX];
+            lengths_m[..cables].copy_from_slice(row);
+            out.extend_from_slice(self.inner.bend_from_cable_lengths(&lengths_m).as_slice());
+        }
+        Ok(Doubles::new(lengths.lead(), &[coordinates], out))
+    }
+
+    /// Least distance of the body's surface from some obstacles [m]: negative inside one, infinite without any. Exact along the whole body.
+    ///
+    /// bend: (..., 2 n) [rad]. Returns (...). Raises ArgumentError for another shape.
+    #[pyo3(signature = (bend, obstacles: "Sequence[Obstacle]"))]
+    fn clearance(&self, bend: ArrayLike<'_>, obstacles: Vec<Obstacle>) -> PyResult<Doubles> {
+        let obstacles = inner(&obstacles);
+        self.each(bend, &[], |robot, shape, out| {
+            let body = robot.body(shape);
+            out.push(body.least_clearance_m(obstacles.iter().copied()));
+        })
+    }
+
+    fn __repr__(&self) -> String {
+        let lengths_m = self.inner.sections().iter().map(|section| section.length_m);
+        format!("Robot(length_m={:?})", lengths_m.collect::<Vec<_>>())
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self.inner == other.inner
+    }
+}
+
+impl Robot {
+    fn of(parameters: &RobotParameters) -> PyResult<Self> {
+        let inner = robot::Robot::new(parameters).map_err(Failure::from)?;
+        Ok(Self { inner })
+    }
+
+    /// Bends of this robot.
+    pub(crate) fn bends<'a>(&self, bend: &ArrayLike<'a>, name: &str) -> PyResult<Numbers<'a>> {
+        let sections = self.sections();
+        let what = format!("2 numbers for each of {sections} sections");
+        Numbers::with_tail(bend, name, &[2 * sections], &what)
+    }
+
+    /// One configuration of this robot, of finite numbers.
+    pub(crate) fn configuration(
+        &self,
+        bend: &ArrayLike<'_>,
+        name: &str,
+    ) -> PyResult<Configuration> {
+        let sections = self.sections();
+        let what = format!("2 numbers for each of {sections} sections");
+        let numbers = Numbers::exact(bend, name, 1, &[2 * sections], &what)?.finite(name)?;
+        Ok(
+            Configuration::from_slice(numbers.values())
+                .unwrap_or(Configuration::straight(sections)),
+        )
+    }
+
+    /// Computes `row` numbers for each configuration, without the interpreter's lock, and many of them on all cores.
+    fn each(
+        &self,
+        bend: ArrayLike<'_>,
+        row: &[usize],
+        compute: impl Fn(&robot::Robot, &Configuration, &mut Vec<f64>) + Sync,
+    ) -> PyResult<Doubles> {
+        let py = bend.py();
+        let bends = self.bends(&bend, "bend")?;
+        let (values, robot, count) = (bends.values(), &self.inner, bends.count());
+        let width = robot.coordinate_count();
+        let rows_of = |bends: &[f64]| {
+            let rows = bends.len() / width;
+            let mut out = Vec::with_capacity(rows * row.iter().product::<usize>());
+            let mut shape = Configuration::straight(robot.section_count());
+            for bend in bends.chunks_exact(width) {
+                shape.as_mut_slice().copy_from_slice(bend);
+                compute(robot, &shape, &mut out);
+            }
+            out
+        };
+        let out = py.detach(|| {
+            let threads = thread::available_parallelism().map_or(1, usize::from);
+            let each = count.div_ceil(threads).max(ROWS_MIN) * width;
+            if values.len() <= each {
+                return rows_of(values);
+            }
+            thread::scope(|scope| {
+                let parts: Vec<_> = values
+                    .chunks(each)
+                    .map(|part| scope.spawn(|| rows_of(part)))
+                    .collect();
+                let rows = parts
+                    .into_iter()
+                    .map(|part| part.join().unwrap_or_else(|panic| resume_unwind(panic)));
+                rows.collect::<Vec<_>>().concat()
+            })
+        });
+        Ok(Doubles::new(bends.lead(), row, out))
+    }
+
+    /// Section and share of it for each of some points at equal distances.
+    fn places(&self, points: usize) -> Vec<(usize, f64)> {
+        let reach_m = self.inner.reach_m();
+        let place = |point: usize| {
+            let mut along_m = reach_m * point as f64 / (points - 1) as f64;
+            for (j, section) in self.inner.sections().iter().enumerate() {
+                if along_m <= section.length_m {
+                    return (j, along_m / section.length_m);
+                }
+                along_m -= section.length_m;
+            }
+            (self.sections() - 1, 1.0)
+        };
+        (0..points).map(place).collect()
+    }
+}
+
+/// One number, or one for each section.
+fn list(value: ArrayLike<'_>, name: &str) -> PyResult<Vec<f64>> {
+    let numbers = Numbers::with_tail(&value, name, &[], "a number for each section")?;
+    match numbers.lead() {
+        [] => Ok(numbers.values().to_vec()),
+        [count] if *count > 0 => Ok(numbers.values().to_vec()),
+        shape => Err(Failure::argument(
+            format!(
+                "{name} has the shape {shape:?}; needed is one number, or one for each section"
+            ),
+            "Give a flat list.",
+        )
+        .into()),
+    }
+}

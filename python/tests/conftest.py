@@ -1,0 +1,74 @@
+"""A daemon of its own for each test that needs one, at a place that is removed afterwards."""
+
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import cdcr
+
+PROJECT = Path(os.environ.get("CDCR_PROJECT", Path(__file__).resolve().parents[2]))
+PROGRAMS = Path(os.environ.get("CDCR_PROGRAMS", PROJECT / "target" / "release"))
+
+# Long, because a machine with other work may stall: no test waits that long for what does come.
+PATIENCE_S = 60.0
+
+
+class Daemon:
+    """cdcrd with a private root folder."""
+
+    def __init__(self, *options: str, config: Path | None = None) -> None:
+        self.root = Path(tempfile.mkdtemp(prefix="cdcr-python-", dir="/dev/shm"))
+        self.options = [*(["--config", str(config)] if config else []), *options]
+        self.environment = {**os.environ, "CDCR_ROOT": str(self.root), "CDCR_PREFIX": "cdcr_python_"}
+        for name in ("CDCR_CONFIG", "CDCR_ROBOT"):
+            self.environment.pop(name, None)
+        self.start()
+
+    def start(self) -> None:
+        self.log = (self.root.parent / (self.root.name + ".log")).open("ab")
+        command = [PROGRAMS / "cdcrd", "run", "--set", "realtime.mode=prefer", *self.options]
+        self.process = subprocess.Popen(command, env=self.environment, stderr=self.log)
+
+    def connect(self, **options: object) -> cdcr.Connection:
+        given = {"timeout_s": PATIENCE_S, **options}
+        return cdcr.connect("cdcr", root=self.root, prefix="cdcr_python_", **given)
+
+    def run(self, *command: str) -> subprocess.CompletedProcess[str]:
+        """cdcrctl, or a Python program, for this daemon."""
+        return subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=4 * PATIENCE_S)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def end(self) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        self.log.close()
+        Path(self.log.name).unlink(missing_ok=True)
+        shutil.rmtree(self.root, ignore_errors=True)
+
+
+@pytest.fixture
+def daemon() -> Iterator[Daemon]:
+    """The ideal robot of the default configuration, at rest."""
+    running = Daemon()
+    with running.connect() as connection:
+        until = time.monotonic() + PATIENCE_S
+        while connection.status()["mode"] is not cdcr.Mode.HOLDING:
+            assert time.monotonic() < until
+            time.sleep(0.02)
+    yield running
+    running.end()
+

@@ -1,0 +1,347 @@
+"""A real daemon, asked, fed and driven from Python."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cdcr
+from conftest import PATIENCE_S, Daemon
+
+
+def eventually(happened, patience_s: float = PATIENCE_S) -> None:
+    until = time.monotonic() + patience_s
+    while not happened():
+        assert time.monotonic() < until, "it did not happen"
+        time.sleep(0.02)
+
+
+def mode(connection: cdcr.Connection) -> cdcr.Mode:
+    """As the newest record has it; the status is up to 0.1 s older."""
+    return cdcr.Mode(connection.telemetry(0.05)["mode"][-1])
+
+
+def curve(robot: cdcr.Robot, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    t = np.linspace(0, seconds, int(200 * seconds) + 1)
+    bends = np.zeros((len(t), 2 * robot.sections))
+    bends[:, -2], bends[:, -1] = 0.3 * np.sin(t), 0.2 * (1 - np.cos(t))
+    return t, robot.forward(bends)
+
+
+def test_status_is_a_dictionary_and_the_robot_is_the_daemons(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        status = connection.status()
+        assert status["mode"] is cdcr.Mode.HOLDING and status["link"] is cdcr.RobotLink.SIMULATED
+        assert status["robot_name"] == "cdcr" and status["process_id"] == daemon.process.pid
+        assert status["period_ns"] == 5_000_000 and status["robot"]["sections"] == 3
+        assert len(status["robot"]["section"]) == 6 and status["robot"]["section"][0]["length_m"] == 0.3
+        assert connection.robot() == cdcr.Robot()
+
+
+def test_a_reference_is_followed_and_the_with_ends_in_hold(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        t, xyz = curve(connection.robot(), 1.5)
+        with connection.feed(t, xyz, track=True) as feed:
+            assert feed.tracking and mode(connection) is cdcr.Mode.TRACKING
+            records = connection.telemetry(0.4)
+            assert feed.wait(0.0) is None
+            report = feed.wait()
+            assert report.played and report.tracked and report.points == len(t) and report.chunks >= 3
+            assert feed.wait() is not None and abs(feed.played_s - 1.5) < 1.0
+        assert mode(connection) is cdcr.Mode.HOLDING
+        assert records.dtype.names[:3] == ("header", "cycle", "release_ns") and records.dtype == cdcr.dtype("Telemetry")
+        assert (np.diff(records["cycle"]) >= 1).all() and len(records) > 20
+        used = records[records["mode"] == cdcr.Mode.TRACKING]
+        assert (used["position_error_m"] < 1e-3).all() and (used["robot"]["sections"] == 3).all()
+        tip = cdcr.Robot().forward(used["present_rad"][:, :6])
+        assert np.abs(tip - used["tip_position_m"]).max() < 1e-12
+
+
+def test_an_exception_in_the_with_ends_the_feed_and_comes_through(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        t, xyz = curve(connection.robot(), 600.0)
+        for enter in (lambda: connection.feed(t, xyz), connection.stream):
+            with pytest.raises(ZeroDivisionError):
+                with enter() as feeding:
+                    if isinstance(feeding, cdcr.FeedStream):
+                        feeding.send(feeding.now() + 0.3 + np.arange(60), xyz[:60])
+                    eventually(lambda: mode(connection) is cdcr.Mode.TRACKING)
+                    1 / 0
+            assert mode(connection) is cdcr.Mode.HOLDING
+            # The lease is free again.
+            with connection.feed(t, xyz, track=False):
+                pass
+
+
+def test_a_second_client_does_not_get_the_lease(daemon: Daemon) -> None:
+    with daemon.connect() as one, daemon.connect() as other:
+        t, xyz = curve(one.robot(), 600.0)
+        with one.feed(t, xyz):
+            for enter in (other.feed(t, xyz), other.stream()):
+                with pytest.raises(cdcr.RequestError, match="another client feeds") as refused:
+                    enter.__enter__()
+                assert "other client" in refused.value.remedy
+            assert mode(one) is cdcr.Mode.TRACKING
+
+
+def test_requests_are_carried_out_or_refused_with_a_remedy(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        with pytest.raises(cdcr.RequestError, match="no client feeds a reference") as refused:
+            connection.track()
+        assert refused.value.remedy and isinstance(refused.value, cdcr.Error)
+        connection.home()
+        connection.stop()
+        assert mode(connection) is cdcr.Mode.STOPPED
+        with pytest.raises(cdcr.RequestError, match="the daemon is stopped"):
+            connection.home()
+        connection.reset()
+        assert mode(connection) is cdcr.Mode.HOLDING
+        connection.hold()
+        connection.reset_statistics()
+
+
+def test_settings_change_by_name_and_the_others_stay(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        before = connection.settings()
+        assert before == {**cdcr.default_settings(), "rate_weight": 0.0}
+        connection.change_settings(horizon_steps=4, solver="gauss-newton", safe_distance_m=0.02)
+        assert connection.settings() == {**before, "horizon_steps": 4, "solver": "gauss-newton", "safe_distance_m": 0.02}
+        connection.change_settings()
+        for wrong in [{"horizon_steps": 51}, {"horizn": 1}, {"solver": "best"}, {"damping": np.nan}]:
+            with pytest.raises(cdcr.ArgumentError):
+                connection.change_settings(**wrong)
+        # Less than the configuration's distance: only the daemon knows that.
+        with pytest.raises(cdcr.RequestError, match="out of range"):
+            connection.change_settings(safe_distance_m=0.001)
+        assert connection.settings()["horizon_steps"] == 4
+
+
+def test_obstacles_are_seen_until_they_are_removed(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        ball = cdcr.Obstacle.sphere([0.5, 0, 0.5], 0.05, velocity_m_s=[0, 0.01, 0])
+        pole = cdcr.Obstacle.capsule([0.6, 0, 0], [0.6, 0, 1], 0.02)
+        connection.set_obstacles({7: ball, 9: pole})
+        record = connection.telemetry(0.1)[-1]
+        known = record["obstacles"][: record["obstacle_count"]]
+        assert known["id"].tolist() == [7, 9] and (known["start_m"][1] == [0.6, 0, 0]).all()
+        assert abs(record["clearance_m"] - cdcr.Robot().clearance(np.zeros(6), [ball, pole])) < 0.01
+        connection.remove_obstacles([7])
+        assert connection.telemetry(0.1)["obstacle_count"][-1] == 1
+        connection.clear_obstacles()
+        assert connection.telemetry(0.1)["obstacle_count"][-1] == 0
+        many = {number: ball for number in range(65)}
+        with pytest.raises(cdcr.LinkError, match="at most 64"):
+            connection.set_obstacles(many)
+        connection.set_obstacles(dict(list(many.items())[:64]))
+        with pytest.raises(cdcr.RequestError, match="full"):
+            connection.set_obstacles({64: ball})
+
+
+def test_live_gives_every_record_and_incidents_what_was_bad(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        batches = [batch for _, batch in zip(range(4), connection.live(0.1))]
+        sequences = np.concatenate(batches)["header"]["sequence"]
+        assert (np.diff(sequences) == 1).all() or connection.lost_records() > 0
+        daemon.process.send_signal(signal.SIGSTOP)
+        time.sleep(0.1)
+        daemon.process.send_signal(signal.SIGCONT)
+        eventually(lambda: len(connection.incidents()) > 0)
+        assert connection.incidents().dtype == cdcr.dtype("Incident")
+
+
+def test_points_can_be_sent_as_they_come_and_what_is_refused_is_told(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        robot = connection.robot()
+        with connection.stream() as stream:
+            stream.send(stream.now() + 0.4 + np.arange(400) * 0.005, curve(robot, 1.995)[1])
+            eventually(lambda: stream.accepted_chunks == 4)
+            eventually(lambda: mode(connection) is cdcr.Mode.TRACKING)
+            assert stream.sent_chunks == 4
+        assert mode(connection) is cdcr.Mode.HOLDING
+        for points, words in [(([1e-9], [[0, 0, 0.9]]), "past"), (([10.0], [[0, 0, 5.0]]), "reachable")]:
+            with pytest.raises(cdcr.FeedError, match=words) as refused:
+                with connection.stream() as stream:
+                    time.sleep(0.05)
+                    while True:
+                        stream.send(*points)
+                        time.sleep(0.02)
+            assert refused.value.remedy
+        with connection.stream(track=False) as stream:
+            for t, xyz in [(1.0, [0, 0]), ([1.0, 2.0], [[0, 0, 1]]), ([-1.0], [[0, 0, 1]]), (np.nan, [0, 0, 1])]:
+                with pytest.raises(cdcr.ArgumentError):
+                    stream.send(t, xyz)
+        with pytest.raises(cdcr.FeedError, match="not open"):
+            stream.send(1.0, [0, 0, 1])
+
+
+def test_a_killed_daemon_is_told_of_and_the_next_one_is_found(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        t, xyz = curve(connection.robot(), 600.0)
+        with pytest.raises(cdcr.Error) as ended:
+            with connection.feed(t, xyz) as feed:
+                daemon.kill()
+                feed.wait()
+        assert isinstance(ended.value, cdcr.LinkError | cdcr.RequestError | cdcr.FeedError) and ended.value.remedy
+        with pytest.raises(cdcr.LinkError, match="ended"):
+            while True:
+                connection.status(2.0)
+        with pytest.raises(cdcr.RequestError):
+            connection.hold()
+        with pytest.raises(cdcr.ConnectError, match="no daemon is running"):
+            connection.stop()
+        with pytest.raises(cdcr.ConnectError) as missing:
+            daemon.connect(timeout_s=0.1)
+        assert "cdcrd run" in str(missing.value) and isinstance(missing.value, ConnectionError)
+        daemon.start()
+        with daemon.connect() as fresh:
+            assert fresh.status()["process_id"] == daemon.process.pid
+        eventually(lambda: connection.status()["process_id"] == daemon.process.pid)
+
+
+def test_closing_twice_is_nothing_and_what_is_closed_says_so(daemon: Daemon) -> None:
+    connection = daemon.connect()
+    connection.close()
+    connection.close()
+    with pytest.raises(cdcr.LinkError, match="closed"):
+        connection.status()
+    for wrong in [{"timeout_s": -1.0}, {"timeout_s": float("nan")}]:
+        with pytest.raises(cdcr.ArgumentError):
+            daemon.connect(**wrong)
+    with pytest.raises(cdcr.ConnectError, match="letters"):
+        cdcr.connect("a/b", root=daemon.root, prefix="cdcr_python_")
+
+
+def test_any_thread_may_ask_while_another_waits(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        found: list[int] = []
+        threads = [threading.Thread(target=lambda: found.append(connection.status()["process_id"])) for _ in range(8)]
+        waiting = threading.Thread(target=lambda: found.append(len(connection.telemetry(0.5))))
+        waiting.start()
+        for thread in threads:
+            thread.start()
+        for thread in [*threads, waiting]:
+            thread.join()
+        assert found.count(daemon.process.pid) == 8 and len(found) == 9
+
+
+@pytest.mark.parametrize(
+    "waits",
+    [
+        "c.telemetry(600)",
+        "c.feed([0, 600], [[0, 0, .9], [0, 0.1, .89]], track=False).__enter__().wait()",
+        "[len(batch) for batch in c.live(600)]",
+        "cdcr.simulate(cdcr.Robot(), cdcr.Trajectory.from_arrays([0, 80000], [[0, 0, .9]] * 2), settings={'horizon_steps': 50})",
+    ],
+)
+def test_ctrl_c_ends_every_wait(daemon: Daemon, waits: str) -> None:
+    text = f"import cdcr\nwith cdcr.connect(timeout_s={PATIENCE_S}) as c:\n    print('waits', flush=True)\n    {waits}"
+    program = subprocess.Popen([sys.executable, "-c", text], env=daemon.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert program.stdout.readline() == "waits\n"
+    time.sleep(0.5)
+    program.send_signal(signal.SIGINT)
+    _, error = program.communicate(timeout=PATIENCE_S)
+    assert "KeyboardInterrupt" in error and program.returncode != 0
+
+
+def child(root: Path, answer) -> None:
+    with cdcr.connect("cdcr", root=root, prefix="cdcr_python_", timeout_s=PATIENCE_S) as connection:
+        answer.put(connection.status()["process_id"])
+
+
+def test_a_forked_process_is_refused_and_a_spawned_one_works(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        t, xyz = curve(connection.robot(), 600.0)
+        read, write = os.pipe()
+        with connection.feed(t, xyz, track=False) as feed:
+            process = os.fork()
+            if process == 0:
+                said = []
+                for attempt in (connection.status, daemon.connect, feed.wait, connection.stop):
+                    try:
+                        attempt()
+                        said.append("nothing")
+                    except cdcr.LinkError as error:
+                        said.append(f"{error} {error.remedy}")
+                del connection, feed
+                os.write(write, "\n".join(said).encode())
+                os._exit(0)
+            os.waitpid(process, 0)
+        lines = os.read(read, 10_000).decode().splitlines()
+        assert len(lines) == 4 and all("forked" in line and "spawn" in line for line in lines), lines
+        assert connection.status()["process_id"] == daemon.process.pid
+        context = multiprocessing.get_context("spawn")
+        answer = context.Queue()
+        spawned = context.Process(target=child, args=(daemon.root, answer))
+        spawned.start()
+        assert answer.get(timeout=PATIENCE_S) == daemon.process.pid
+        spawned.join()
+
+
+def test_nothing_is_printed(daemon: Daemon) -> None:
+    text = "import cdcr\nwith cdcr.connect() as c: c.telemetry(0.1); c.set_obstacles({1: cdcr.Obstacle.sphere([1, 0, 0], 0.1)})"
+    ran = daemon.run(sys.executable, "-c", "import time; time.sleep(0.5)\n" + text.replace("connect()", f"connect(timeout_s={PATIENCE_S})"))
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("interface", ["velocity", "position"])
+def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
+    """A robot in numpy, which is exactly its model."""
+    daemon = Daemon("--set", "link.kind=driver", "--set", f"link.interface={interface}", "--set", "realtime.mode=prefer")
+    try:
+        with daemon.connect() as connection, connection.driver(interface) as driver:
+            robot = driver.robot
+            lengths = robot.cables(np.zeros(6))
+            over = threading.Event()
+
+            def loop() -> None:
+                nonlocal lengths
+                last = time.monotonic()
+                while not over.is_set():
+                    now = time.monotonic()
+                    if interface == "velocity":
+                        lengths = lengths + (now - last) * driver.cable_speeds()
+                    else:
+                        goal = driver.cable_lengths()
+                        lengths = lengths if goal is None else goal
+                    last = now
+                    driver.send(cable_length=lengths)
+                    time.sleep(0.002)
+
+            with pytest.raises(cdcr.ArgumentError):
+                driver.send(cable_length=lengths[:3])
+            with pytest.raises(cdcr.ArgumentError, match="one at a time|more than one"):
+                driver.send(cable_length=lengths, bend=np.zeros(6))
+            assert (driver.cable_speeds() == 0).all() and driver.cable_lengths() is None
+            thread = threading.Thread(target=loop)
+            thread.start()
+            try:
+                command = driver.next_command(PATIENCE_S)
+                assert command is not None and command["interface"].name.lower() == interface
+                eventually(lambda: mode(connection) is cdcr.Mode.HOLDING)
+                t, xyz = curve(robot, 2.0)
+                # A machine that stalls makes this driver late: then the feed is tried again.
+                for attempt in range(5):
+                    try:
+                        with connection.feed(t, xyz) as feed:
+                            assert feed.wait().played
+                        break
+                    except cdcr.Error:
+                        if mode(connection) is cdcr.Mode.FAULTED:
+                            connection.reset()
+                        if attempt == 4:
+                            raise
+                reached = robot.forward(robot.bend_from_cables(lengths))
+                assert np.linalg.norm(reached - xyz[-1]) < 0.02
+                assert driver.refusals() == 0
+            finally:
+                over.set()
+                thread.join()
+    finally:
+        daemon.end()

@@ -1,0 +1,102 @@
+"""Recordings as arrays, and the figures of them."""
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cdcr
+from conftest import PROGRAMS, Daemon
+
+matplotlib = pytest.importorskip("matplotlib")
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+
+from cdcr import plot  # noqa: E402
+
+
+def record(daemon: Daemon, file: Path) -> subprocess.CompletedProcess[str]:
+    return daemon.run(str(PROGRAMS / "cdcrctl"), "record", "-o", str(file), "--duration", "1.5s")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A daemon that tracks a curve."""
+    file = tmp_path_factory.mktemp("recording") / "run.mcap"
+    daemon = Daemon()
+    try:
+        with daemon.connect() as connection:
+            connection.set_obstacles({3: cdcr.Obstacle.sphere([0.6, 0, 0.5], 0.1)})
+            t = np.linspace(0, 600, 1201)
+            xyz = np.stack([0.1 * np.cos(t), 0.1 * np.sin(t), np.full_like(t, 0.8)], axis=-1)
+            with connection.feed(t, xyz):
+                done = record(daemon, file)
+                assert done.returncode == 0, done.stderr
+    finally:
+        daemon.end()
+    return file
+
+
+def test_a_recording_is_a_dictionary_of_structured_arrays(recording: Path) -> None:
+    found = cdcr.read(recording)
+    assert {"telemetry", "status"} <= set(found) <= {"telemetry", "reference", "obstacles", "status", "incidents"}
+    telemetry = found["telemetry"]
+    assert telemetry.dtype == cdcr.dtype("Telemetry") and len(telemetry) > 50
+    assert (np.diff(telemetry["cycle"].astype(int)) >= 1).all() and (telemetry["header"]["sender_id"] != 0).all()
+    assert (telemetry["mode"] == cdcr.Mode.TRACKING).all()
+    # The record says where the body was, and so do shape and obstacle in it.
+    tip = cdcr.Robot().forward(telemetry["present_rad"][:, :6])
+    assert np.abs(tip - telemetry["tip_position_m"]).max() < 1e-12
+    one = cdcr.message(telemetry[0])
+    assert one["mode"] is cdcr.Mode.TRACKING and one["robot"]["sections"] == 3
+    ball = one["obstacles"][0]
+    obstacle = cdcr.Obstacle.sphere(ball["start_m"], ball["radius_m"])
+    assert abs(cdcr.Robot().clearance(one["present_rad"][:6], [obstacle]) - one["clearance_m"]) < 1e-9
+    few = cdcr.read(str(recording), every=10)["telemetry"]
+    assert (few == telemetry[::10]).all()
+    status = cdcr.message(found["status"][0])
+    assert status["robot_name"] == "cdcr"
+
+
+def test_what_is_no_recording_is_refused_and_a_cut_one_gives_what_is_whole(recording: Path, tmp_path: Path) -> None:
+    whole = recording.read_bytes()
+    file = tmp_path / "some.mcap"
+    for content, words in [(b"", "empty"), (b"PK\x03\x04 something else", "no MCAP"), (whole[:-9000][:5000] + bytes(4000) + whole[9000:], "LZ4|damaged|cut")]:
+        file.write_bytes(content)
+        with pytest.raises(cdcr.RecordingError, match=words) as refused:
+            cdcr.read(file)
+        assert refused.value.remedy and isinstance(refused.value, OSError)
+    with pytest.raises(cdcr.RecordingError, match="No such file"):
+        cdcr.read(tmp_path / "none.mcap")
+    with pytest.raises(cdcr.ArgumentError, match="every"):
+        cdcr.read(recording, every=0)
+    file.write_bytes(whole[: len(whole) // 2])
+    with pytest.warns(UserWarning, match="repair"):
+        part = cdcr.read(file)["telemetry"]
+    telemetry = cdcr.read(recording)["telemetry"]
+    assert 0 < len(part) < len(telemetry) and part.tobytes() == telemetry[: len(part)].tobytes()
+
+
+def test_each_figure_is_drawn_of_each_source(recording: Path) -> None:
+    robot = cdcr.Robot()
+    daemon = Daemon()
+    try:
+        with daemon.connect() as connection:
+            live = connection
+            found = cdcr.read(recording)
+            sources = [found, found["telemetry"], cdcr.simulate(robot, cdcr.Trajectory.spiral(robot), duration_s=0.5), live]
+            for source in sources:
+                points = len(source) if isinstance(source, cdcr.Simulation) else len(found["telemetry"])
+                line = plot.error(source, seconds=0.3).get_lines()[0]
+                assert len(line.get_xdata()) > 10 and (source is live or len(line.get_xdata()) == points)
+                path = plot.path(source, seconds=0.3)
+                assert len(path.get_lines()) == plot.SHAPES + 2
+                histogram = plot.timing(source, seconds=0.3)
+                assert sum(bar.get_height() for bar in histogram.patches) > 10 and "µs" in histogram.get_title()
+                plt.close("all")
+    finally:
+        daemon.end()
+    with pytest.raises(cdcr.ArgumentError, match="no records"):
+        plot.error({})
