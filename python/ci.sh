@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The wheel as a user gets it: built, installed into an empty virtual environment, tested, typed, and its examples and notebook run against a real daemon.
-# Needs cdcrd and cdcrctl in target/release; takes 3 minutes where they are built. CDCR_PYTHON names the interpreter, Python 3.10 or later.
+# Needs cdcrd and cdcrctl in target/release; takes 2 to 3 minutes on two cores where they are built. CDCR_PYTHON names the interpreter, Python 3.10 or later.
 set -euo pipefail
 cd "$(dirname "$0")"
 here=$PWD
@@ -25,7 +25,8 @@ step "virtual environment"
 step "wheel"
 rm -rf dist
 (cd .. && cargo build --release --locked -p cdcr-controller --example closed_loop_csv --example one_solve)
-"$work/build/bin/maturin" build --profile release --locked -i "$python" -o dist
+"$work/build/bin/maturin" build --strip --profile release --locked -i "$python" -o dist
+# The signatures are read from the symbols, which the wheel is stripped of.
 "$work/build/bin/maturin" generate-stubs --profile release --locked -i "$python" -o "$work/stubs"
 ls -l dist/*.whl
 
