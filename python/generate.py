@@ -1,7 +1,7 @@
 """Writes what is generated of this package: `cdcr/_wire.py` from the declaration of the messages, `cdcr/_cdcr.pyi` from the signatures.
 
-    python generate.py STUBS          STUBS: the folder into which `maturin generate-stubs` wrote
-    python generate.py STUBS --check  ends with 1 where what is committed is another
+    python generate.py STUBS FOLDER          STUBS: where `maturin generate-stubs` wrote; FOLDER: this one
+    python generate.py STUBS FOLDER --check  ends with 1 where what is committed is another
 
 It needs the module that was built; see ci.sh.
 """
@@ -12,7 +12,6 @@ from pathlib import Path
 
 import cdcr._cdcr as module
 
-HERE = Path(__file__).parent
 NAMES = "ArrayLike, Any, Doubles, Form, Interface, Interpolation, Mapping, Message, Plant, Records, Sensor, Sequence, Settings, Unpack, np"
 
 
@@ -70,9 +69,10 @@ def stubs(folder: Path) -> str:
 
 
 def main() -> int:
-    folder, *options = sys.argv[1:]
+    folder, package, *options = sys.argv[1:]
+    target = Path(package) / "cdcr"
     status = 0
-    for path, text in {HERE / "cdcr" / "_wire.py": wire(), HERE / "cdcr" / "_cdcr.pyi": stubs(Path(folder))}.items():
+    for path, text in {target / "_wire.py": wire(), target / "_cdcr.pyi": stubs(Path(folder))}.items():
         if "--check" not in options:
             path.write_text(text)
         elif path.read_text() != text:

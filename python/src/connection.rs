@@ -423,7 +423,7 @@ impl Live {
 
     /// The records since the last step. Raises LinkError if the daemon falls silent for a second.
     fn __next__(&self, py: Python<'_>) -> PyResult<Records> {
-        let connection = self.connection.borrow(py);
+        let connection = self.connection.try_borrow(py)?;
         let mut records = Records::new(Telemetry::LAYOUT);
         connection.fetch(py, &mut records)?;
         sleep_until(py, Instant::now() + self.batch)?;

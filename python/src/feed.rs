@@ -119,9 +119,12 @@ impl Feed {
         }
         let (address, source, options) = (feed.address.clone(), feed.source.clone(), feed.options);
         let shared = Arc::clone(&feed.shared);
-        feed.running = Some(Running::start(py, move |begun| {
+        let running = Running::start(py, move |begun| {
             run(&address, &source, options, &shared, begun)
-        })?);
+        });
+        // Where Python was interrupted, the thread still runs.
+        feed.shared.stop.store(running.is_err(), Ordering::Relaxed);
+        feed.running = Some(running?);
         drop(feed);
         Ok(slf)
     }
