@@ -17,7 +17,7 @@ const SOURCES: [&str; 9] = [
 ];
 
 /// All crates, for the length of their files.
-const CRATES: [&str; 11] = [
+const CRATES: [&str; 12] = [
     "controller",
     "shared-types",
     "daemon",
