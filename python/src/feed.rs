@@ -199,7 +199,7 @@ fn run(
     source: &Source,
     options: FeedOptions,
     shared: &Shared,
-    begun: &Sender<()>,
+    begun: &Sender<bool>,
 ) -> Result<Report, Failure> {
     let connection = address.open()?;
     let feeder = connection.feed(source.curve(), options)?;
@@ -212,7 +212,7 @@ fn run(
                 .unwrap_or_else(PoisonError::into_inner) = Some(progress);
             if !has_begun && (progress.tracking || !options.track) {
                 has_begun = true;
-                let _ = begun.send(());
+                let _ = begun.send(true);
             }
         }
         if shared.stop.load(Ordering::Relaxed) {
@@ -222,7 +222,7 @@ fn run(
         }
     })?;
     if !has_begun {
-        let _ = begun.send(());
+        let _ = begun.send(true);
     }
     // The lease is given back: the robot holds within a few cycles.
     until_it_holds(&mut connection.telemetry()?)?;

@@ -224,13 +224,13 @@ struct Followed {
 
 impl Desk {
     /// Until nobody has orders any more.
-    fn serve(&self, connection: &Connection, begun: &Sender<()>) -> Result<(), Failure> {
+    fn serve(&self, connection: &Connection, begun: &Sender<bool>) -> Result<(), Failure> {
         let port = connection.reference_feed()?;
         let mut telemetry = connection.telemetry()?;
         let lease = connection.acquire_lease()?;
         let mut renewed = Instant::now();
         let mut followed = Followed::default();
-        let _ = begun.send(());
+        let _ = begun.send(true);
         loop {
             match self.orders.recv_timeout(TURN) {
                 Ok(points) => self.send(&port, &points)?,

@@ -24,23 +24,26 @@ pub(crate) struct Running<T> {
 }
 
 impl<T: Send + 'static> Running<T> {
-    /// Starts it, and waits until it says that it has begun.
+    /// Starts it, and waits until it says that it has begun, by a true.
     pub(crate) fn start(
         py: Python<'_>,
-        run: impl FnOnce(&Sender<()>) -> Result<T, Failure> + Send + 'static,
+        run: impl FnOnce(&Sender<bool>) -> Result<T, Failure> + Send + 'static,
     ) -> PyResult<Self> {
         refuse_forked_process()?;
         let (begun, has_begun) = channel();
+        let thread = spawn("cdcr-feed", move || {
+            let outcome = run(&begun);
+            let _ = begun.send(false);
+            outcome
+        })?;
         let running = Self {
-            thread: spawn("cdcr-feed", move || run(&begun))?,
+            thread,
             process_id: process::id(),
         };
-        match wait(py, has_begun) {
-            Ok(()) => Ok(running),
-            // It ended before it began, or Python was interrupted: then it finds that out by itself.
-            Err(error) if !running.thread.is_finished() => Err(error),
-            Err(error) => running.join(py).map_or_else(Err, |_| Err(error)),
+        if wait(py, has_begun)? {
+            return Ok(running);
         }
+        running.join(py).and_then(|_| Err(ended().into()))
     }
 
     /// Also where the thread is another process's.
