@@ -26,8 +26,9 @@ def main() -> None:
     with cdcr.connect(timeout_s=10) as connection:
         robot = connection.robot()
         connection.home()
-        while connection.telemetry(0.1)["mode"][-1] == cdcr.Mode.HOMING:
-            pass
+        for records in connection.live(batch_s=0.1):
+            if records["mode"][-1] != cdcr.Mode.HOMING:
+                break
         # The tip shall stay where it is: only the body has to give way.
         tip = np.array([0.0, 0.0, 0.97 * robot.reach_m])
         t = np.array([0.0, 1.0, SECONDS + 60.0])
