@@ -376,7 +376,7 @@ class Robot:
         """
         Points of the backbone [m], base frame, at equal distances along it from the base to the tip.
 
-        bend: (..., 2 n) [rad]. points: 2 or more. Returns (..., points, 3). Raises ArgumentError for another shape.
+        bend: (..., 2 n) [rad]. points: 2 to 100 000. Returns (..., points, 3). Raises ArgumentError for another shape.
         """
     def bend_from_cables(self, /, length: ArrayLike) -> Doubles:
         """

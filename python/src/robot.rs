@@ -17,6 +17,8 @@ use crate::settings::read;
 
 /// Configurations that are worth a thread of their own: a tenth of a millisecond and more.
 const ROWS_MIN: usize = 4096;
+/// Of one shape: 2.4 MB.
+const BACKBONE_POINTS_MAX: usize = 100_000;
 
 /// A robot: 1 to 6 sections that bend into circular arcs, each under three cables.
 ///
@@ -218,11 +220,12 @@ impl Robot {
 
     /// Points of the backbone [m], base frame, at equal distances along it from the base to the tip.
     ///
-    /// bend: (..., 2 n) [rad]. points: 2 or more. Returns (..., points, 3). Raises ArgumentError for another shape.
+    /// bend: (..., 2 n) [rad]. points: 2 to 100 000. Returns (..., points, 3). Raises ArgumentError for another shape.
     #[pyo3(signature = (bend, points = 50))]
     fn backbone(&self, bend: ArrayLike<'_>, points: usize) -> PyResult<Doubles> {
-        if points < 2 {
-            return Err(Failure::argument(format!("points is {points}"), "Give 2 or more.").into());
+        if !(2..=BACKBONE_POINTS_MAX).contains(&points) {
+            let remedy = format!("Give 2 to {BACKBONE_POINTS_MAX}.");
+            return Err(Failure::argument(format!("points is {points}"), remedy).into());
         }
         let places = self.places(points);
         self.each(bend, &[points, 3], |robot, shape, out| {
