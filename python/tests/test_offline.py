@@ -61,7 +61,7 @@ def test_backbone_begins_at_the_base_ends_at_the_tip_and_has_the_robots_length()
     robot = cdcr.Robot([0.1, 0.25, 0.4])
     bend = np.array([0.3, -0.5, 1.0, 0.2, -0.7, 0.9])
     for count in (1, 100_001, 10**12):
-        with pytest.raises(cdcr.ArgumentError, match="100000"):
+        with pytest.raises(cdcr.ArgumentError, match="points is"):
             robot.backbone(bend, count)
     points = robot.backbone(bend, 2001)
     assert (points[0] == 0).all() and np.abs(points[-1] - robot.forward(bend)).max() < 1e-15
