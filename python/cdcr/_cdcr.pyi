@@ -35,7 +35,7 @@ class Connection:
         """
     def driver(self, /, interface: Interface = "velocity") -> Driver:
         """
-        The ports of a driver process. interface: which part of a command it obeys. Raises ConnectError, also if another driver has the place.
+        The ports of a driver process. interface: which part of a command it obeys. Raises ConnectError. Of two drivers the daemon refuses the measurements of the second (docs/drivers.md).
         """
     def feed(self, /, t: ArrayLike, xyz: ArrayLike, *, quaternion: ArrayLike | None = None, axis: ArrayLike | None = None, interpolation: Interpolation = "cubic", track: bool = True, lead_s: float = 0.3) -> Feed:
         """
@@ -181,7 +181,7 @@ class Feed:
     @property
     def tracking(self, /) -> bool:
         """
-        Whether the daemon tracks it.
+        Whether the daemon has begun to track it; a hold by another client does not change this.
         """
     def wait(self, /, timeout_s: float | None = None) -> FeedReport | None:
         """

@@ -307,7 +307,7 @@ impl Connection {
         FeedStream::new(self.address.clone(), interpolation, track)
     }
 
-    /// The ports of a driver process. interface: which part of a command it obeys. Raises ConnectError, also if another driver has the place.
+    /// The ports of a driver process. interface: which part of a command it obeys. Raises ConnectError. Of two drivers the daemon refuses the measurements of the second (docs/drivers.md).
     #[pyo3(signature = (interface: "Interface" = "velocity"))]
     fn driver(&self, py: Python<'_>, interface: &str) -> PyResult<DriverPort> {
         let model = self.model(py)?;

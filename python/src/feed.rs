@@ -160,7 +160,7 @@ impl Feed {
         self.progress().map_or(0.0, |progress| progress.played_s)
     }
 
-    /// Whether the daemon tracks it.
+    /// Whether the daemon has begun to track it; a hold by another client does not change this.
     #[getter]
     fn tracking(&self) -> bool {
         self.progress().is_some_and(|progress| progress.tracking)
