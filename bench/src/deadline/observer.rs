@@ -117,12 +117,14 @@ impl Watch {
             .is_none_or(|counted| monotonic_ns() < counted.end)
         {
             interrupt::check()?;
-            let begin_ns = counted.get().map_or(u64::MAX, |counted| counted.start);
+            let (begin_ns, end_ns) = counted
+                .get()
+                .map_or((u64::MAX, u64::MAX), |counted| (counted.start, counted.end));
             let wanted = (monotonic_ns() + early_ns - self.origin_ns) / self.period_ns + 1;
             let release_ns = self.origin_ns + wanted * self.period_ns;
             sleep_until(release_ns - early_ns);
             self.catch(wanted, release_ns + self.period_ns - 2 * early_ns)?;
-            self.drain(begin_ns)?;
+            self.drain(begin_ns..end_ns)?;
             if lost_before.is_none() && begin_ns != u64::MAX {
                 lost_before = Some(self.telemetry.lost());
             }
@@ -140,9 +142,9 @@ impl Watch {
                 silent_ns / 1_000_000_000
             );
         }
-        // The last incidents may still be on their way.
+        // The last records and incidents may still be on their way: the daemon's reporter is late where the machine stalls.
         std::thread::sleep(INCIDENTS_WAIT);
-        self.take_incidents()?;
+        self.drain(counted.get().cloned().unwrap_or_default())?;
         let lost = self.telemetry.lost() - lost_before.unwrap_or_default();
         self.tally(lost)
     }
@@ -165,11 +167,11 @@ impl Watch {
         }
     }
 
-    /// Takes the records that wait, and keeps those of releases after `begin_ns`.
-    fn drain(&mut self, begin_ns: u64) -> Result<()> {
+    /// Takes the records that wait, and keeps those of the releases that count.
+    fn drain(&mut self, counted: Range<u64>) -> Result<()> {
         while let Some(telemetry) = self.telemetry.try_next()? {
             self.last_record_ns = monotonic_ns();
-            if telemetry.due_ns >= begin_ns {
+            if counted.contains(&telemetry.due_ns) {
                 self.records.push(Record::of(&telemetry));
             } else {
                 self.arrivals.remove(&telemetry.cycle);

@@ -31,8 +31,9 @@ fn assert_quantiles(case: &Value, key: &str) {
 }
 
 fn assert_case(case: &Value, cycles_least: f64) {
-    // What was due either ran or was skipped.
-    let due = number(case, "cycles") + number(case, "skipped_periods");
+    // What was due ran, was skipped, or its record was lost on the way to a watcher that the machine held up.
+    let lost = case["lost_records"].as_f64().unwrap_or_default();
+    let due = number(case, "cycles") + number(case, "skipped_periods") + lost;
     assert!(due >= cycles_least, "{case}");
     // cyclictest does not say why.
     let is_told = case["subject"] != "cyclictest";
