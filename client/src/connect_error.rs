@@ -118,7 +118,7 @@ pub enum ConnectError {
     },
     /// As many processes as the service allows are connected already.
     #[error(
-        "the {service} service of the daemon for {place} has as many clients as it allows: close one"
+        "the daemon for {place} has as many clients as it allows on the {service} service: close one"
     )]
     Full {
         /// Where it was looked for.

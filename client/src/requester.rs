@@ -103,7 +103,13 @@ impl Requester {
             (second, _) if is_answered(&second) => second,
             (Err(failed), Ok(process_id)) => Err(StopError::Unconfirmed {
                 process_id,
-                cause: failed.to_string(),
+                // What to do instead has just been done.
+                cause: failed
+                    .to_string()
+                    .lines()
+                    .next()
+                    .unwrap_or_default()
+                    .to_owned(),
             }),
             (second, _) => second,
         }

@@ -3,14 +3,16 @@ use std::io;
 use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
+use std::sync::Once;
 
 use cdcr_shared_types::shm_space::{self, NODE_FILES, PORT_BYTES, PORT_FILES};
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry, ipc,
 };
-use iceoryx2::prelude::Node;
+use iceoryx2::prelude::{LogLevel, Node, set_log_level_from_env_or};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+use iceoryx2_log::get_log_level;
 
 use crate::connect_error::{OpenTrouble, Place};
 use crate::{ConnectError, LinkError, Message};
@@ -134,9 +136,21 @@ struct Opener<'a> {
     files: u64,
 }
 
+/// Errors are told in our own words; iceoryx2's log would say them twice, in its own. A level that the program or
+/// `IOX2_LOG_LEVEL` has chosen stays.
+fn silence_iceoryx2() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        if get_log_level() == LogLevel::Info as u8 {
+            set_log_level_from_env_or(LogLevel::Fatal);
+        }
+    });
+}
+
 impl<'a> Opener<'a> {
     /// Of so many services.
     fn new(location: &Location, place: &'a Place, services: usize) -> Result<Self, ConnectError> {
+        silence_iceoryx2();
         let files = NODE_FILES + services as u64;
         ask_space(place, files)?;
         let node = location.client_node_builder()?.create::<ipc::Service>();

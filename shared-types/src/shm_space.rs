@@ -2,13 +2,15 @@
 //!
 //! The system looks for memory when a page is first touched, and kills the process that touches one when there is none
 //! left (SIGBUS). A process that asks first can report what is wrong instead. The same file system may also run out of
-//! files (inodes), which iceoryx2 reports as an internal error.
+//! files (inodes), and the process out of file descriptors, which iceoryx2 reports as internal errors.
 
 use core::fmt::{Display, Formatter};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::statvfs;
+use rustix::io::Errno;
+use rustix::process::{Resource as Limited, getrlimit};
 
 /// What a port takes beside its messages \[bytes\].
 pub const PORT_BYTES: u64 = 64 * 1024;
@@ -16,6 +18,8 @@ pub const PORT_BYTES: u64 = 64 * 1024;
 pub const PORT_FILES: u64 = 4;
 /// Files of a node without services: its folder, its description, three that show that it lives. Each service adds one.
 pub const NODE_FILES: u64 = 5;
+/// Files that are open for a moment beside those that stay, while a service is opened or a first message is taken.
+const PASSING_FILES: u64 = 7;
 
 /// There is less space than is needed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,6 +41,8 @@ pub enum Resource {
     Bytes,
     /// Files (inodes).
     Files,
+    /// Files that this process may open.
+    Descriptors,
 }
 
 impl Display for InsufficientSpace {
@@ -55,6 +61,11 @@ impl Display for InsufficientSpace {
                 "{mount} has too few inodes left: {needed} files are needed, {free} can be made; remove files that are not \
                  needed (ls -l {mount}), or allow more (sudo mount -o remount,nr_inodes=100k {mount})"
             ),
+            Resource::Descriptors => write!(
+                f,
+                "this process may open too few files: {needed} more are needed, {free} are left; allow more (ulimit -n 1024; \
+                 a service: LimitNOFILE=1024)"
+            ),
         }
     }
 }
@@ -71,7 +82,19 @@ pub fn free_files(folder: &Path) -> Option<u64> {
     (sizes.f_files > 0).then_some(sizes.f_favail)
 }
 
-/// Checks that `folder` has `needed_bytes` free and room for `needed_files`. Where the system does not tell, it has.
+/// Files that this process can still open; none when the system does not tell, or sets no limit.
+fn free_descriptors() -> Option<u64> {
+    let limit = getrlimit(Limited::Nofile).current?;
+    match std::fs::read_dir("/proc/self/fd") {
+        // One of them is the folder itself.
+        Ok(open) => Some((limit + 1).saturating_sub(open.count() as u64)),
+        Err(error) if error.raw_os_error() == Some(Errno::MFILE.raw_os_error()) => Some(0),
+        Err(_) => None,
+    }
+}
+
+/// Checks that `folder` has `needed_bytes` free and room for `needed_files`, and that this process may open these. Where the
+/// system does not tell, it has.
 ///
 /// # Errors
 /// There is less.
@@ -79,6 +102,11 @@ pub fn ask(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), In
     let asked = [
         (Resource::Bytes, needed_bytes, free_bytes(folder)),
         (Resource::Files, needed_files, free_files(folder)),
+        (
+            Resource::Descriptors,
+            needed_files.saturating_add(PASSING_FILES),
+            free_descriptors(),
+        ),
     ];
     for (resource, needed, free) in asked {
         if let Some(free) = free.filter(|free| *free < needed) {
@@ -127,7 +155,18 @@ mod tests {
     fn a_folder_without_a_limit_has_room_for_everything() {
         let folder = Path::new("/proc");
         assert_eq!(free_bytes(folder), None);
-        assert_eq!(ask(folder, u64::MAX, u64::MAX), Ok(()));
+        assert_eq!(free_files(folder), None);
+        assert_eq!(ask(folder, u64::MAX, 0), Ok(()));
+    }
+
+    #[test]
+    fn more_files_than_a_process_may_open_are_refused_with_the_command() {
+        let lack = ask(Path::new("/proc"), 0, u64::MAX).expect_err("nobody may open so many");
+        assert!(
+            lack.resource == Resource::Descriptors && lack.free > 0,
+            "{lack:?}"
+        );
+        assert!(lack.to_string().contains("ulimit -n"), "{lack}");
     }
 
     #[test]

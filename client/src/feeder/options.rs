@@ -33,7 +33,10 @@ impl Default for FeedOptions {
 
 impl FeedOptions {
     /// Refuses what cannot work, with the allowed range.
-    pub(super) fn check(&self) -> Result<(), FeedError> {
+    ///
+    /// # Errors
+    /// [`FeedError::Option`] names the first time that is out of its range.
+    pub fn check(&self) -> Result<(), FeedError> {
         let ranges = [
             ("step", self.step, 0.000_1, 1.0),
             ("lead", self.lead, 0.05, 60.0),

@@ -52,7 +52,7 @@ pub enum ServiceError {
     Taken { service: String },
     /// Shared memory has less room than is needed.
     #[error(
-        "shared memory has no room for {what}: {lack}\n\
+        "there is no room for {what}: {lack}\n\
          cdcrd doctor shows how much memory it should have"
     )]
     Full {

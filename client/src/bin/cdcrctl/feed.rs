@@ -37,6 +37,8 @@ pub(crate) const MISSED_M: f64 = 1e-3;
 const FAR: f64 = 10.0;
 /// A curve or a file that is gone through again and again lasts no longer \[s\], and has no more rows.
 const LONGEST_S: f64 = 86_400.0;
+/// A reference of more than one point lasts no less \[s\].
+const SHORTEST_S: f64 = 0.01;
 const ROWS_MAX: usize = 10_000_000;
 
 /// How a reference is fed, what it is, and to whom.
@@ -46,6 +48,8 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
     check_unit(&*trajectory, lengths_m(&connection, None)?.iter().sum())?;
     let feed = feed_options(arguments);
+    feed.check()?;
+    check_duration(&*trajectory)?;
     let allowed_m = arguments.max_error.unwrap_or(MISSED_M);
     if arguments.dry_run {
         let demands = dry_run::compute(&connection, &*trajectory, &feed)?;
@@ -205,6 +209,17 @@ pub(crate) fn follow(
     }
     let done = finish(connection, trajectory.name(), &report)?;
     Ok((done, error))
+}
+
+/// Refuses a reference that is so fast that nothing is left of it between two cycles.
+fn check_duration(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
+    let is_point = trajectory.knots_s().is_some_and(|knots| knots.len() < 2);
+    let duration_s = trajectory.duration_s();
+    ensure!(
+        is_point || duration_s >= SHORTEST_S,
+        "the reference takes {duration_s:.1e} s, less than {SHORTEST_S} s: choose a lower speed"
+    );
+    Ok(())
 }
 
 /// Refuses a reference in millimetres. The daemon would refuse it, too, without a guess at the reason.

@@ -31,10 +31,15 @@ pub(crate) fn direction(text: &str) -> Result<Vector, String> {
     Ok(v.map(|x| x / norm))
 }
 
+/// Nothing that is typed, in whatever unit, is larger, or nearer to zero and not zero.
+const LARGEST: f64 = 1e9;
+const SMALLEST: f64 = 1e-9;
+
 /// A finite number.
 pub(crate) fn number(text: &str) -> Result<f64, String> {
     match text.trim().parse::<f64>() {
-        Ok(value) if value.is_finite() => Ok(value),
+        Ok(value) if value.abs() <= LARGEST => Ok(value),
+        Ok(value) if value.is_finite() => Err(format!("{value:e} is beyond {LARGEST:e}")),
         _ => Err(format!("{text:?} is not a finite number")),
     }
 }
@@ -42,7 +47,8 @@ pub(crate) fn number(text: &str) -> Result<f64, String> {
 /// A finite number above zero.
 pub(crate) fn positive(text: &str) -> Result<f64, String> {
     match number(text)? {
-        value if value > 0.0 => Ok(value),
+        value if value >= SMALLEST => Ok(value),
+        value if value > 0.0 => Err(format!("{value:e} is below {SMALLEST:e}")),
         value => Err(format!("{value} is not above zero")),
     }
 }
@@ -131,7 +137,13 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     let seconds = text.trim().strip_suffix('s').map(str::trim_end);
     if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
         // humantime knows no decimals.
-        return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
+        return Duration::try_from_secs_f64(seconds).map_err(|_| {
+            if seconds < 0.0 {
+                "is below zero".to_owned()
+            } else {
+                format!("{seconds:e} s is no time that can be waited for")
+            }
+        });
     }
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
 }
@@ -177,6 +189,17 @@ mod tests {
         assert!(parse_duration("-1s").is_err());
         assert!(parse_duration("5").is_err());
         assert!(parse_duration("nans").is_err());
+    }
+
+    #[test]
+    fn numbers_beyond_all_use_are_refused_in_few_digits() {
+        for text in ["1e308", "-1e10", "1e-300"] {
+            let refused = positive(text).expect_err(text);
+            assert!(refused.len() < 30, "{refused}");
+        }
+        let refused = parse_duration("1e30s").expect_err("too long");
+        assert_eq!(refused, "1e30 s is no time that can be waited for");
+        assert_eq!(parse_duration("-2s"), Err("is below zero".to_owned()));
     }
 
     #[test]

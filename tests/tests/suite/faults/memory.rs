@@ -1,12 +1,13 @@
 //! Shared memory that is full: a private mount of /dev/shm that is as small as it takes.
 
 use std::os::unix::process::ExitStatusExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::process::Output;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, Place, TIMEOUT, text, wait_status};
+use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, assert_says, binary, text, wait_status};
 
 use crate::own_mounts::{Filled, has_own_mounts, mount_memory, name_of};
 
@@ -145,6 +146,38 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
         status.mode == Mode::Stopped.code()
     });
     assert!(daemon.stop().success(), "{}", daemon.log());
+}
+
+#[test]
+fn too_few_files_that_a_process_may_open_are_told_and_a_stop_gets_through() {
+    let mut daemon = Daemon::start(PATIENT);
+    for files in [12, 20, 30] {
+        let started = limited(&Place::new(), files, "cdcrd", "run");
+        assert_says(&started, 71, &["ulimit -n"]);
+    }
+    // Where each client gets stuck somewhere else on its way in.
+    for files in [7, 9, 11, 13, 15, 17, 20, 24, 28, 64] {
+        for request in ["status", "reset", "stop"] {
+            let output = limited(daemon.place(), files, "cdcrctl", request);
+            let printed = text(&output);
+            println!("{files} files, cdcrctl {request}: {printed}");
+            let got_in = output.status.success();
+            assert!(got_in || printed.contains("ulimit -n"), "{printed}");
+            let is_stop = request == "stop" && !got_in;
+            assert!(!is_stop || printed.contains("SIGUSR1"), "{printed}");
+            assert!(got_in || files < 64, "{printed}");
+        }
+        assert!(daemon.runs());
+    }
+    assert!(daemon.stop().success(), "{}", daemon.log());
+}
+
+/// Runs a program that may open so many files.
+fn limited(place: &Place, files: u32, program: &str, argument: &str) -> Output {
+    let script = format!("ulimit -n {files}; exec \"$0\" {argument}");
+    let mut shell = place.command_of(Path::new("sh"));
+    shell.args(["-c", &script]).arg(binary(program));
+    shell.output().expect("a shell")
 }
 
 #[test]

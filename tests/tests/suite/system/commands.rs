@@ -32,6 +32,11 @@ obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s => obstacles.source
 ref line --start 0,0,900 => are these millimetres?
 ref circle --radius 170 => are these millimetres?
 ref line --duration 100ms --max-error 1mm => no cycle tracked the reference
+ref spiral --step 0s --dry-run => step is 0 s; it must be 0.0001 to 1 s
+ref circle --step 1ns --dry-run => it must be 0.0001 to 1 s
+ref rose --step 2s => it must be 0.0001 to 1 s
+ref spiral --speed 1e9 --dry-run => choose a lower speed
+ref polygon --speed 1e9 --track => choose a lower speed
 ";
 
 #[test]
