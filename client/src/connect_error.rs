@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -62,9 +62,10 @@ impl core::fmt::Display for Place {
 pub enum ConnectError {
     /// Nobody answers there.
     #[error(
-        "no daemon is running for {place}: {found}\n{}\
+        "no daemon is running for {place}: {found}\n{}{}\
          start one with: cdcrd run --robot {robot} --prefix {prefix} --root {root}",
         running_text(running),
+        if *as_service { SERVICE_TEXT } else { "" },
         robot = place.robot, prefix = place.prefix, root = place.root.display()
     )]
     DaemonNotRunning {
@@ -74,6 +75,8 @@ pub enum ConnectError {
         found: &'static str,
         /// Robots whose daemons run at that place.
         running: Vec<String>,
+        /// Whether one for that robot and prefix runs as the service.
+        as_service: bool,
     },
     /// A daemon runs, and shows no sign of life.
     #[error(
@@ -153,6 +156,9 @@ impl ConnectError {
             place: place.clone(),
             found,
             running: location.map_or_else(|_| Vec::new(), |location| location.robots()),
+            as_service: place.root != Path::new(Location::SERVICE_ROOT)
+                && Location::new(&place.prefix, Path::new(Location::SERVICE_ROOT))
+                    .is_ok_and(|service| service.presence(&place.robot).is_some()),
         }
     }
 
@@ -215,6 +221,9 @@ pub(crate) fn not_reached(
     }
 }
 
+/// A line about the service, whose root folder is not the default one.
+const SERVICE_TEXT: &str = "one runs as the service cdcrd: name its root folder, --root /run/cdcr or CDCR_ROOT=/run/cdcr\n";
+
 /// A line about the robots that could have been meant.
 fn running_text(running: &[String]) -> String {
     match running {
@@ -269,5 +278,29 @@ impl From<RequestResponseOpenError> for OpenTrouble {
             E::ExceedsMaxNumberOfNodes => Self::Full,
             other => Self::Other(ipc::words(&other)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_names_no_root_folder_is_told_of_the_service() {
+        let location = Location::new("cdcr_unit_", Path::new("/dev/shm/none")).expect("legal");
+        let place = Place::new(&location, "trunk");
+        let text = |as_service| {
+            ConnectError::DaemonNotRunning {
+                place: place.clone(),
+                found: "nothing",
+                running: Vec::new(),
+                as_service,
+            }
+            .to_string()
+        };
+        assert!(text(true).contains("--root /run/cdcr or CDCR_ROOT=/run/cdcr\nstart one"));
+        assert!(!text(false).contains("/run/cdcr"));
+        let unasked = ConnectError::not_running(&place, "nothing").to_string();
+        assert_eq!(unasked, text(false), "no service has that prefix");
     }
 }

@@ -79,6 +79,7 @@ fn claim_and_run(
     let validated = &with_core(given);
     // Before anybody can find this process by its lock: these signals would end it.
     let signals = Signals::catch()?;
+    start::raise_open_files()?;
     let (location, robot) = (&validated.location, &validated.config.robot.name);
     let instance = Instance::claim(location, robot, validated.group_id)?;
     let Signals { stop, reload } = signals;

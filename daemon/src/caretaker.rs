@@ -16,6 +16,9 @@ use crate::instance::{Found, PlaceWatch};
 use crate::reload::Reload;
 
 const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often it looks whether the configuration shall be read again. Before it sends that signal, systemd gives the root folder the mode
+/// of `RuntimeDirectoryMode`, which shuts out the group until the next look.
+const ASKED_EVERY: Duration = Duration::from_millis(20);
 /// Dead processes that it clears away each time. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;
 /// iceoryx2 lists its nodes with large arrays on the stack.
@@ -98,8 +101,37 @@ fn look_after(
         reload.look();
         place.let_go();
         place.location().clear_dead_nodes(DEAD_NODES);
-        if ended.recv_timeout(LOOK_EVERY) != Err(RecvTimeoutError::Timeout) {
+        if !goes_on(ended, || reload.is_wanted()) {
             return;
         }
+    }
+}
+
+/// Waits until the next look, which comes at once when it is wanted. False at the end.
+fn goes_on(ended: &Receiver<()>, is_wanted: impl Fn() -> bool) -> bool {
+    let begin = Instant::now();
+    while begin.elapsed() < LOOK_EVERY && !is_wanted() {
+        if ended.recv_timeout(ASKED_EVERY) != Err(RecvTimeoutError::Timeout) {
+            return false;
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    #[test]
+    fn the_next_look_comes_when_it_is_wanted_and_none_at_the_end() {
+        let (end, ended) = channel();
+        let asked = Cell::new(0);
+        assert!(goes_on(&ended, || asked.replace(asked.get() + 1) == 2));
+        // Never once more; less often where the whole wait went by in a stall.
+        assert!(asked.get() <= 3, "asked {} times", asked.get());
+        drop(end);
+        assert!(!goes_on(&ended, || false));
     }
 }

@@ -64,14 +64,18 @@ impl Reload {
         }
     }
 
-    /// Has the configuration read if somebody has asked for it since the last call. While it is being read, who asks waits.
-    pub(crate) fn look(&mut self) {
+    /// Whether somebody has asked since [`look`](Self::look) was called last. While the configuration is being read, who asks waits.
+    pub(crate) fn is_wanted(&self) -> bool {
         let is_being_read = |thread: &JoinHandle<()>| !thread.is_finished();
-        if self.reading.as_ref().is_some_and(is_being_read)
-            || !self.asked.swap(false, Ordering::Relaxed)
-        {
+        self.asked.load(Ordering::Relaxed) && !self.reading.as_ref().is_some_and(is_being_read)
+    }
+
+    /// Has the configuration read if that [is wanted](Self::is_wanted).
+    pub(crate) fn look(&mut self) {
+        if !self.is_wanted() {
             return;
         }
+        self.asked.store(false, Ordering::Relaxed);
         let reader = Arc::clone(&self.reader);
         let thread = Builder::new()
             .name("cdcr-reload".to_owned())

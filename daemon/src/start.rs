@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use cdcr_shared_types::codes::realtime;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::config::{Config, RealtimeConfig, RealtimeMode, ns};
@@ -29,6 +30,37 @@ const START_DELAY_NS: u64 = 10_000_000;
 /// How long the threads of a start that failed may take to end.
 const GIVE_UP: Duration = Duration::from_secs(2);
 const STACK_BYTES: usize = 1024 * 1024;
+
+/// Files that a daemon opens before its first client: 53 were counted.
+const OPEN_FILES_MIN: u64 = 64;
+/// Files that a daemon and all clients that may come open: 30 that watch the status took 60.
+const OPEN_FILES: u64 = 1024;
+
+/// Has the system let this process open as many files as clients may need, as far as it may.
+///
+/// # Errors
+/// When they are too few for a daemon, which would fail somewhere in the middle, with another reason.
+pub(crate) fn raise_open_files() -> Result<()> {
+    let limit = getrlimit(Resource::Nofile);
+    let mut granted = limit.current.unwrap_or(u64::MAX);
+    let wanted = limit
+        .maximum
+        .map_or(OPEN_FILES, |most| most.min(OPEN_FILES));
+    let current = Some(wanted);
+    if granted < wanted && setrlimit(Resource::Nofile, Rlimit { current, ..limit }).is_ok() {
+        granted = wanted;
+    }
+    if granted < OPEN_FILES_MIN {
+        bail!(Ended {
+            cause: ExitCause::SharedMemory,
+            message: format!(
+                "this process may open {granted} files, and a daemon needs {OPEN_FILES_MIN}, with clients up to {OPEN_FILES}: \
+                 raise the limit with ulimit -n {OPEN_FILES} (LimitNOFILE of a unit, --ulimit nofile={OPEN_FILES} of a container)"
+            ),
+        });
+    }
+    Ok(())
+}
 
 /// A flag that is set by the signals that ask the process to end.
 pub(crate) fn end_signals() -> Result<Arc<AtomicBool>> {

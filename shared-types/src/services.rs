@@ -261,6 +261,9 @@ impl Location {
     /// another user.
     pub const MEMORY: &str = "/dev/shm";
 
+    /// Root path of the daemon that the package installs as a service.
+    pub const SERVICE_ROOT: &str = "/run/cdcr";
+
     /// Root path unless a user chooses another: one for each Unix user, because the folder is private to its owner.
     ///
     /// It depends on no environment variable: a `stop` has to find the daemon from any shell, service or `sudo`.

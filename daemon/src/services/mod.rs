@@ -32,7 +32,7 @@ pub use shm_space::daemon_bytes;
 pub enum ServiceError {
     #[error(
         "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
-         check that the folder belongs to you and has free space"
+         check that the folder belongs to you and has free space, and the limits of this process (ulimit -a)"
     )]
     Node {
         prefix: String,
@@ -41,7 +41,7 @@ pub enum ServiceError {
     },
     #[error(
         "the service {service} cannot be created: {cause}\n\
-         a client of another version may hold it open: end the clients, or use another prefix"
+         a client of another version may hold it open: end the clients, or use another prefix; or a limit of this process is too low: ulimit -a"
     )]
     Service { service: String, cause: String },
     /// Another process is the writer of a service that has one.

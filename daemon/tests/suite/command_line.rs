@@ -171,6 +171,23 @@ fn a_doubtful_configuration_and_a_misspelt_variable_are_warned_of() {
 }
 
 #[test]
+fn a_daemon_that_may_open_too_few_files_names_the_limit() {
+    let folder = Scratch::in_memory().unwrap();
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -n 40 && exec \"$0\" run --root \"$1\""])
+        .arg(env!("CARGO_BIN_EXE_cdcrd"))
+        .arg(folder.path().join("root"))
+        .env("CDCR_PREFIX", folder.prefix())
+        .output()
+        .expect("sh runs");
+    let text = text_of(&output.stderr);
+    assert_eq!(output.status.code(), Some(71), "{text}");
+    assert!(text.contains("may open 40 files"), "{text}");
+    assert!(text.contains("ulimit -n 1024"), "{text}");
+    assert!(!folder.path().join("root").exists());
+}
+
+#[test]
 fn the_schema_is_json() {
     let text = printed(&cdcrd(&["config", "schema"]));
     let schema: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -53,12 +53,12 @@ wire_bits! {
     realtime {
         /// The real-time threads do not have `SCHED_FIFO`.
         FIFO = 0: "SCHED_FIFO",
-            "run as the service, or grant rtprio 90 (limits.d, or --ulimit in a container)";
+            "grant rtprio 90 (LimitRTPRIO of a unit, limits.d, or --ulimit in a container)";
         /// The real-time threads are not pinned to their core.
         PINNED = 1: "core pinning", "choose a core that the process may use (realtime.core)";
         /// Memory is not locked.
         LOCKED = 2: "locked memory",
-            "run as the service, or grant memlock unlimited (limits.d, or --ulimit in a container)";
+            "grant memlock unlimited (LimitMEMLOCK of a unit, limits.d, or --ulimit in a container)";
         /// Real time was switched off in the configuration.
         OFF = 3: "real time", "set realtime.mode to \"prefer\" or \"require\"";
     }

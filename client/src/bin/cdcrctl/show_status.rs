@@ -376,7 +376,7 @@ mod tests {
             "misses      the leaky bucket was full 3 times; a robot behind a driver would have been stopped",
             "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference, 101.5, -20.0, 300.0 mm; by its sensor 1.800 mm from it\n",
             "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
-            "SCHED_FIFO is missing: run as the service",
+            "SCHED_FIFO is missing: grant rtprio 90",
             "the last 2m 3s",
             "  wake-up                   0.0       42.5        0.0             -          -          -\n",
             "  compute                     -          -          -             -          -          -\n",

@@ -212,7 +212,7 @@ mod tests {
         };
         let text = text(&report(&cycles, &status), &status).expect("formatted");
         assert!(text.contains("4.97 s: 994 cycles of 5 ms\n"), "{text}");
-        assert!(text.contains("SCHED_FIFO: run as the service"), "{text}");
+        assert!(text.contains("SCHED_FIFO: grant rtprio 90"), "{text}");
         assert!(text.contains("5e-3"), "{text}");
         assert!(
             text.contains("0   (releases that got no command)"),
