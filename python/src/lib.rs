@@ -23,6 +23,7 @@ mod errors;
 mod feed;
 mod feed_stream;
 mod nmpc;
+mod numbers;
 mod obstacle;
 mod recording;
 mod robot;
@@ -36,6 +37,11 @@ mod worker;
 /// What the package `cdcr` exports.
 #[pyo3::pymodule]
 mod _cdcr {
+    /// Version of the package, which needs a daemon of the same one.
+    #[pymodule_export]
+    #[allow(non_upper_case_globals, reason = "the name that Python has for it")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+
     #[pymodule_export]
     use super::connection::{Connection, Live, connect};
     #[pymodule_export]

@@ -12,10 +12,15 @@ use pyo3::prelude::*;
 
 use crate::arrays::{ArrayLike, Doubles, Numbers, triple};
 use crate::errors::Failure;
+use crate::numbers::{count, within};
 use crate::robot::Robot;
 
 /// A curve that can be fed or simulated.
 pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
+
+/// Of a figure (m, m/s): farther is no robot, and nearer is none either.
+const SMALLEST: f64 = 1e-6;
+const LARGEST: f64 = 1e6;
 
 /// What the tip shall follow: a curve in time, which counts from its start. Immutable.
 #[pyclass(frozen, module = "cdcr")]
@@ -59,7 +64,8 @@ impl Trajectory {
 
     /// A screw line about the vertical at an even speed; every other round goes back.
     ///
-    /// centre_m: (3,) [m]. radius_m: above 0. rise_m: from end to end. speed_m_s: above 0. turns: 1 to 100, from end to end. rounds: 1 or more.
+    /// centre_m: (3,) [m]. radius_m: 1e-6 to 1e6 m. rise_m: from end to end, -1e6 to 1e6 m. speed_m_s: 1e-6 to 1e6 m/s. turns: 1 to 100, from end to end.
+    /// rounds: 1 to 4294967295. Raises ArgumentError for a value outside its range.
     #[staticmethod]
     #[pyo3(signature = (centre_m, radius_m, *, rise_m, speed_m_s, turns = 1, rounds = 1))]
     fn helix(
@@ -67,17 +73,14 @@ impl Trajectory {
         radius_m: f64,
         rise_m: f64,
         speed_m_s: f64,
-        turns: u32,
-        rounds: u32,
+        turns: i128,
+        rounds: i128,
     ) -> PyResult<Self> {
-        positive(&[("radius_m", radius_m), ("speed_m_s", speed_m_s)])?;
-        if !rise_m.is_finite() || !(1..=100).contains(&turns) || rounds == 0 {
-            return Err(Failure::argument(
-                format!("rise_m is {rise_m}, turns {turns}, rounds {rounds}"),
-                "Give a finite rise, 1 to 100 turns, and 1 round or more.",
-            )
-            .into());
-        }
+        within("radius_m", radius_m, SMALLEST..=LARGEST)?;
+        within("speed_m_s", speed_m_s, SMALLEST..=LARGEST)?;
+        let turns = count("turns", turns, 1..=100_u32)?;
+        let rounds = count("rounds", rounds, 1..=u32::MAX)?;
+        within("rise_m", rise_m, -LARGEST..=LARGEST)?;
         let rise = rise_m / radius_m;
         let shape = FigureShape::Helix { turns, rise };
         let centre_m = triple(&centre_m, "centre_m")?;
@@ -315,20 +318,6 @@ fn lengths_m(robot: &Robot) -> Vec<f64> {
         .iter()
         .map(|section| section.length_m)
         .collect()
-}
-
-fn positive(numbers: &[(&str, f64)]) -> PyResult<()> {
-    match numbers
-        .iter()
-        .find(|(_, value)| !(*value > 0.0 && value.is_finite()))
-    {
-        None => Ok(()),
-        Some((name, value)) => Err(Failure::argument(
-            format!("{name} is {value}"),
-            format!("Give {name} a value above 0."),
-        )
-        .into()),
-    }
 }
 
 /// How positions between points are found.
