@@ -165,14 +165,15 @@ fn doubles<'py>(
     };
     // Before numpy makes NaN of single masked numbers, with a warning.
     refuse_masked(value, name)?;
+    let kind = value.get_type().name()?;
     let any = numpy
         .call_method1("asarray", (value,))
-        .map_err(|_| refused(format!("{} of uneven rows", value.get_type())))?;
+        .map_err(|_| refused(format!("a {kind} of uneven rows")))?;
     let dtype = any.getattr("dtype")?;
     let kind: String = dtype.getattr("kind")?.extract()?;
     let axes = any.getattr("ndim")?.extract::<usize>()?;
     if kind == "O" && axes == 0 {
-        return Err(refused(format!("of {}", value.get_type())).into());
+        return Err(refused(format!("of the type {}", value.get_type().name()?)).into());
     }
     if !matches!(kind.as_str(), "f" | "i" | "u") {
         return Err(refused(format!("an array of {dtype}")).into());

@@ -140,7 +140,9 @@ impl From<ConnectError> for Failure {
             ConnectError::Full { .. } => "Close another client.",
             ConnectError::Robot(_) => "Use 1 to 40 letters, digits, '-' and '_'.",
             ConnectError::Location(_) => "Give prefix and root as the daemon has them.",
-            ConnectError::Port(_) | ConnectError::Memory { .. } => ROOM,
+            ConnectError::Port(_) | ConnectError::Memory { .. } => {
+                "Check that root is a folder that this user may read and write, and with df that it has memory left."
+            }
         };
         Self::new(Class::Connect, &error, remedy)
     }

@@ -100,7 +100,10 @@ impl Blank {
 impl Recording {
     fn open(path: &Path, every: usize) -> Result<Self, Failure> {
         let name = path.display().to_string();
-        let file = File::open(path).map_err(|error| refused(&name, &error))?;
+        let file = File::open(path).map_err(|error| {
+            let remedy = "Give the path of a recording, which cdcrctl record writes.";
+            Failure::new(Class::Recording, format!("{name}: {error}"), remedy)
+        })?;
         let reader = Reader::new(BufReader::with_capacity(1 << 17, file));
         Ok(Self {
             reader: reader.map_err(|error| refused(&name, &error))?,

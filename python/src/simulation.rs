@@ -21,7 +21,7 @@ use crate::numbers::{count, within};
 use crate::obstacle::{Obstacle, inner};
 use crate::robot::Robot;
 use crate::settings::settings;
-use crate::trajectory::Trajectory;
+use crate::trajectory::{DAY_S, Trajectory};
 use crate::worker::SIGNALS_EACH;
 
 /// Largest acceleration of a robot behind a driver, as a daemon has it by default (rad/s²).
@@ -363,7 +363,6 @@ fn check_actuator(actuator: &Actuator, time_constant_s: f64) -> Result<(), Failu
 
 /// How many periods there are; a simulation of more than a day, or of more memory than that at 5 ms, is a mistake in a unit.
 fn periods(duration_s: f64, period_s: f64) -> Result<usize, Failure> {
-    const DAY_S: f64 = 86_400.0;
     const PERIODS_MAX: f64 = DAY_S / 0.005;
     within("duration_s", duration_s, 0.0..=DAY_S)?;
     // A rounding below a period must not make one more.

@@ -18,6 +18,9 @@ use crate::robot::Robot;
 /// A curve that can be fed or simulated.
 pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
 
+/// As long as a feed may last, and a simulation [s].
+pub(crate) const DAY_S: f64 = 86_400.0;
+
 /// Of a figure (m, m/s): farther is no robot, and nearer is none either.
 const SMALLEST: f64 = 1e-6;
 const LARGEST: f64 = 1e6;
@@ -96,7 +99,7 @@ impl Trajectory {
 
     /// Points of your own.
     ///
-    /// t: (k,) [s], increasing by 1 µs at least; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
+    /// t: (k,) [s], increasing by 1 µs at least, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
     /// length, or axis: (k, 3), a unit vector, if the tip's orientation counts. interpolation: "cubic" or "linear".
     /// Raises ArgumentError for wrong shapes, NaN, times that do not increase, and what is not of unit length.
     #[staticmethod]
@@ -211,6 +214,12 @@ impl Points {
             .iter()
             .map(|time_s| time_s - begin_s)
             .collect();
+        let lasts_s = times_s[count - 1];
+        within(
+            "the time from the first t to the last",
+            lasts_s,
+            0.0..=DAY_S,
+        )?;
         let points = times_s
             .iter()
             .zip(positions.values().chunks_exact(3))

@@ -137,6 +137,22 @@ def test_sizes_that_no_memory_holds_are_refused() -> None:
                 cdcr.Trajectory.helix(**{"centre_m": [0, 0, 1], "radius_m": 0.1, "rise_m": 0.1, "speed_m_s": 0.1, name: number})
 
 
+def test_a_trajectory_is_a_day_long_at_most() -> None:
+    assert cdcr.Trajectory.from_arrays([5, 86_405], XYZ).duration_s == 86_400
+    for t in ([0, 86_401], [0, 1e300], [-1e308, 1e308]):
+        with pytest.raises(cdcr.ArgumentError, match="86400"):
+            cdcr.Trajectory.from_arrays(t, XYZ)
+
+
+def test_a_row_is_no_array_of_them() -> None:
+    rows = np.zeros(2, cdcr.dtype("Status"))
+    assert cdcr.message(rows[0])["mode"] is cdcr.Mode.STARTING
+    for wrong in (rows, 3, None, {}):
+        with pytest.raises(cdcr.ArgumentError, match="no row") as refused:
+            cdcr.message(wrong)
+        assert "records[0]" in refused.value.remedy
+
+
 def test_settings_and_flaws_of_wrong_kinds_are_refused() -> None:
     spiral = cdcr.Trajectory.spiral(ROBOT)
     for settings in ({1: 2}, {"horizon_steps": [1]}, {"horizon_steps": 2.5}, {"horizon_steps": True}, {"horizon_steps": 2**70}):
