@@ -22,6 +22,7 @@ use crate::driver::{DriverPort, interface_of};
 use crate::errors::{Class, Failure};
 use crate::feed::Feed;
 use crate::feed_stream::FeedStream;
+use crate::live::Live;
 use crate::numbers::{count, seconds, until, within};
 use crate::obstacle::{Obstacle, check_count};
 use crate::robot::Robot;
@@ -37,7 +38,7 @@ const OUTCOME: Duration = Duration::from_secs(1);
 /// How long records may stay away; a daemon makes one in each cycle.
 const SILENT_AFTER: Duration = Duration::from_secs(1);
 /// How often records are fetched: well before a queue of 256 is full.
-const FETCH_EACH: Duration = Duration::from_millis(20);
+pub(crate) const FETCH_EACH: Duration = Duration::from_millis(20);
 
 /// Where a daemon is.
 #[derive(Clone)]
@@ -89,7 +90,7 @@ pub(crate) struct Desk {
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Connection {
     worker: Worker<Desk>,
-    address: Address,
+    pub(crate) address: Address,
 }
 
 /// Connects to the daemon that controls a robot, and waits at most timeout_s [s] for one that is starting.
@@ -239,7 +240,7 @@ impl Connection {
     fn live(slf: Bound<'_, Self>, batch_s: f64) -> PyResult<Live> {
         let batch = seconds("batch_s", batch_s)?;
         let connection = slf.unbind();
-        Ok(Live { connection, batch })
+        Ok(Live::new(connection, batch))
     }
 
     /// Records that this connection's telemetry lost, because they were fetched too late.
@@ -412,7 +413,12 @@ impl Connection {
     }
 
     /// Adds the records that wait. `heard` is when the last one came.
-    fn fetch(&self, py: Python<'_>, records: &mut Records, heard: &mut Instant) -> PyResult<()> {
+    pub(crate) fn fetch(
+        &self,
+        py: Python<'_>,
+        records: &mut Records,
+        heard: &mut Instant,
+    ) -> PyResult<()> {
         let fetched = self.worker.ask(py, |desk| {
             let mut fetched = Records::new(Telemetry::LAYOUT);
             let stream = match &mut desk.telemetry {
@@ -460,43 +466,6 @@ impl Connection {
         }
         let message = format!("the daemon refused the obstacles: {outcome}");
         Err(Failure::new(Class::Request, message, cdcr_client::remedy(outcome)).into())
-    }
-}
-
-/// Batches of records, from Connection.live().
-#[pyclass(frozen, module = "cdcr")]
-pub(crate) struct Live {
-    connection: Py<Connection>,
-    batch: Duration,
-}
-
-#[pymethods]
-impl Live {
-    fn __iter__(slf: Py<Self>) -> Py<Self> {
-        slf
-    }
-
-    /// The records since the last step. Raises LinkError if the daemon falls silent for a second.
-    fn __next__(&self, py: Python<'_>) -> PyResult<Records> {
-        let connection = self.connection.get();
-        let mut records = Records::new(Telemetry::LAYOUT);
-        let mut heard = Instant::now();
-        connection.fetch(py, &mut records, &mut heard)?;
-        sleep_until(py, Instant::now() + self.batch)?;
-        // Python may have come back late: a second of silence begins here.
-        heard = Instant::now();
-        loop {
-            connection.fetch(py, &mut records, &mut heard)?;
-            if records.count() > 0 {
-                return Ok(records);
-            }
-            sleep_until(py, Instant::now() + FETCH_EACH)?;
-        }
-    }
-
-    fn __repr__(&self) -> String {
-        let robot = &self.connection.get().address.robot;
-        format!("<Live records of {robot}, each {:?}>", self.batch)
     }
 }
 

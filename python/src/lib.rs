@@ -22,6 +22,7 @@ mod driver;
 mod errors;
 mod feed;
 mod feed_stream;
+mod live;
 mod nmpc;
 mod numbers;
 mod obstacle;
@@ -43,13 +44,15 @@ mod _cdcr {
     const __version__: &str = env!("CARGO_PKG_VERSION");
 
     #[pymodule_export]
-    use super::connection::{Connection, Live, connect};
+    use super::connection::{Connection, connect};
     #[pymodule_export]
     use super::driver::DriverPort;
     #[pymodule_export]
     use super::feed::{Feed, FeedReport};
     #[pymodule_export]
     use super::feed_stream::FeedStream;
+    #[pymodule_export]
+    use super::live::Live;
     #[pymodule_export]
     use super::nmpc::{Nmpc, SolveReport};
     #[pymodule_export]
