@@ -28,7 +28,8 @@ rm -rf dist
 "$work/build/bin/maturin" build --strip --profile release --locked -i "$python" -o dist
 # The signatures are read from the symbols, which the wheel is stripped of.
 "$work/build/bin/maturin" generate-stubs --profile release --locked -i "$python" -o "$work/stubs"
-ls -l dist/*.whl
+"$work/build/bin/auditwheel" show dist/*.whl
+ls -l dist/*.whl | awk '{ printf "the wheel has %.2f MB\n", $5 / 1e6 }'
 
 step "installed"
 "$python" -m venv "$work/venv"

@@ -4,11 +4,16 @@ What the package `cdcr` exports.
 """
 
 from os import PathLike
-from typing import final
+from typing import Final, final
 
 from ._types import ArrayLike, Any, Doubles, Form, Interface, Interpolation, Mapping, Message, Plant, Records, Sensor, Sequence, Settings, Unpack, np
 
-__all__ = ["Connection", "Driver", "Feed", "FeedReport", "FeedStream", "Live", "Nmpc", "Obstacle", "Robot", "Simulation", "SolveReport", "Trajectory", "connect", "default_settings", "dtype", "enumerations", "fields", "messages", "read", "settings_from_toml", "simulate"]
+__all__ = ["__version__", "Connection", "Driver", "Feed", "FeedReport", "FeedStream", "Live", "Nmpc", "Obstacle", "Robot", "Simulation", "SolveReport", "Trajectory", "connect", "default_settings", "dtype", "enumerations", "fields", "messages", "read", "settings_from_toml", "simulate"]
+
+__version__: Final[str]
+"""
+Version of the package, which needs a daemon of the same one.
+"""
 
 @final
 class Connection:
@@ -59,12 +64,14 @@ class Connection:
     def incidents(self, /, timeout_s: float = 0.3) -> Records:
         """
         The last bad cycles, at most 64, oldest first: a structured array with the fields of the message Incident.
+
+        timeout_s: how long it waits for them, 0 to 2 s. Raises LinkError if the daemon has ended.
         """
     def live(self, /, batch_s: float = 0.1) -> Live:
         """
         Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
 
-        Who takes longer than 1.28 s for a step loses records; lost_records() counts them.
+        A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second.
         """
     def lost_records(self, /) -> int:
         """
@@ -90,8 +97,8 @@ class Connection:
         """
         Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
 
-        obstacles: by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
-        Raises RequestError if the daemon refuses them.
+        obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
+        Raises ArgumentError for more of them, and RequestError if the daemon refuses them.
         """
     def settings(self, /) -> Settings:
         """
@@ -117,7 +124,7 @@ class Connection:
         """
         Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
 
-        Raises LinkError if the daemon falls silent.
+        Raises LinkError if the daemon has ended, or sends nothing for a second; live() gives what came before that.
         """
     def track(self, /) -> None:
         """
@@ -132,6 +139,7 @@ class Driver:
     """
     def __enter__(self, /) -> Driver: ...
     def __exit__(self, _kind: object = None, _error: object = None, _trace: object = None, /) -> None: ...
+    def __repr__(self, /) -> str: ...
     def cable_lengths(self, /) -> Doubles | None:
         """
         How long the cables shall be now [m]: (3 n,), or None before the first command. Takes all commands that wait.
@@ -147,6 +155,8 @@ class Driver:
     def next_command(self, /, timeout_s: float = 1.0) -> Message | None:
         """
         The next command that is taken: a dictionary with the fields of the message Command, or None when none came within timeout_s [s].
+
+        Raises LinkError when none came because the daemon has ended. The ports stay open, and take the commands of the daemon that is started next.
         """
     def refusals(self, /) -> int:
         """
@@ -172,7 +182,11 @@ class Feed:
     something else, and be late. Leaving the `with` ends the feed: the lease is given back, and the robot holds.
     """
     def __enter__(self, /) -> Feed: ...
-    def __exit__(self, kind: object = None, _error: object = None, _trace: object = None, /) -> None: ...
+    def __exit__(self, kind: object = None, _error: object = None, _trace: object = None, /) -> None:
+        """
+        Ends the feed, and waits until the robot holds.
+        """
+    def __repr__(self, /) -> str: ...
     @property
     def played_s(self, /) -> float:
         """
@@ -187,7 +201,7 @@ class Feed:
         """
         Waits until it is played, at most timeout_s [s]; without it, for as long as it takes. Returns the report, or None when it still runs.
 
-        Raises FeedError, RequestError or LinkError if the daemon does not follow it to its end.
+        Raises FeedError, RequestError or LinkError if the daemon does not follow it to its end, or has ended, and FeedError outside of the `with`.
         """
 
 @final
@@ -195,6 +209,7 @@ class FeedReport:
     """
     What a feed did.
     """
+    def __repr__(self, /) -> str: ...
     @property
     def chunks(self, /) -> int:
         """
@@ -233,7 +248,11 @@ class FeedStream:
     the robot holds.
     """
     def __enter__(self, /) -> FeedStream: ...
-    def __exit__(self, kind: object = None, _error: object = None, _trace: object = None, /) -> None: ...
+    def __exit__(self, kind: object = None, _error: object = None, _trace: object = None, /) -> None:
+        """
+        Ends the stream, and waits until the robot holds.
+        """
+    def __repr__(self, /) -> str: ...
     @property
     def accepted_chunks(self, /) -> int:
         """
@@ -241,14 +260,14 @@ class FeedStream:
         """
     def now(self, /) -> float:
         """
-        Time since the `with` began [s]: the clock of send().
+        Time since the `with` began [s]: the clock of send(). Raises FeedError outside of the `with`.
         """
     def send(self, /, t: ArrayLike, xyz: ArrayLike, *, quaternion: ArrayLike | None = None) -> None:
         """
         Adds points, which must follow those that were sent before, and be ahead of now().
 
         t: (k,) [s] on the clock of now(), or one number. xyz: (k, 3), or (3,) [m]. quaternion: (k, 4), x, y, z, w, if the orientation counts.
-        Raises ArgumentError for wrong shapes, and FeedError once the daemon has refused points or does not follow any more.
+        Raises ArgumentError for wrong shapes, FeedError once the daemon has refused points or does not follow any more, LinkError once it has ended.
         """
     @property
     def sent_chunks(self, /) -> int:
@@ -266,11 +285,13 @@ class Live:
         """
         The records since the last step. Raises LinkError if the daemon falls silent for a second.
         """
+    def __repr__(self, /) -> str: ...
 
 @final
 class Nmpc:
     """
     Nonlinear model predictive control of one robot: the solver of cdcrd, without its clock. It remembers its last plan, the next warm start.
+    Threads that share a solver are served one after the other.
     """
     def __new__(cls, /, robot: Robot, settings: Settings | None = None, *, period_s: float = 0.005) -> Nmpc:
         """
@@ -279,6 +300,7 @@ class Nmpc:
         settings: what differs from default_settings(). period_s: 1e-6 to 10 s. Raises ArgumentError for an unknown key and a value outside
         its range.
         """
+    def __repr__(self, /) -> str: ...
     def configure(self, /, **changes: Unpack[Settings]) -> None:
         """
         Takes over what differs from the settings in force. Raises ArgumentError, and nothing changes, for an unknown key and a value outside its range.
@@ -306,7 +328,7 @@ class Nmpc:
         budget_s: ends the solve with the best solution so far [s]; budget_quanta: the same after so much work (SolveReport.quanta), repeatable.
         previous_rates: (2 n,) [rad/s], of the last command; zero if left out. elapsed_periods: since the last solve. seed: of the swarm; by default a
         function of the seed in the settings and of how many solves there were.
-        Returns rates (2 n,) [rad/s], plan (blocks, 2 n) [rad/s] and report. Raises ArgumentError for wrong shapes, NaN and infinite numbers.
+        Returns rates (2 n,) [rad/s], plan (blocks, 2 n) [rad/s] and report. Raises ArgumentError for wrong shapes, NaN, infinite numbers and too many obstacles.
         """
 
 @final
@@ -314,6 +336,10 @@ class Obstacle:
     """
     What the body must stay clear of: a ball, or a capsule (all points within a radius of a segment), in the base frame.
     """
+    def __reduce__(self, /) -> tuple[Any, ...]:
+        """
+        For pickle and copy: what makes the same obstacle.
+        """
     def __repr__(self, /) -> str: ...
     @property
     def axis_m(self, /) -> Doubles:
@@ -330,7 +356,7 @@ class Obstacle:
         """
     def moved(self, /, dt_s: float) -> Obstacle:
         """
-        The obstacle dt_s later [s].
+        The obstacle dt_s later, -1e9 to 1e9 s.
         """
     @property
     def radius_m(self, /) -> float:
@@ -361,6 +387,10 @@ class Robot:
     A robot is immutable, and may be used from any thread.
     """
     def __eq__(self, other: object, /) -> bool: ...
+    def __getnewargs_ex__(self, /) -> tuple[tuple[()], dict[str, Any]]:
+        """
+        For pickle and copy: the arguments that make the same robot.
+        """
     def __new__(cls, /, length_m: ArrayLike | None = None, *, cable_radius_m: ArrayLike | None = None, cable_offset_rad: ArrayLike | None = None, bend_max_rad: ArrayLike | None = None, rate_max_rad_s: ArrayLike | None = None, body_radius_m: ArrayLike | None = None, cable_speed_max_m_s: float = 0.5, cable_stroke_max_m: float = 0.25) -> Robot:
         """
         A robot by its numbers; what is left out is the paper's robot. A single number counts for every section; there are as many
@@ -399,7 +429,7 @@ class Robot:
         """
         Least distance of the body's surface from some obstacles [m]: negative inside one, infinite without any. Exact along the whole body.
 
-        bend: (..., 2 n) [rad]. Returns (...). Raises ArgumentError for another shape.
+        bend: (..., 2 n) [rad]. obstacles: at most 64. Returns (...). Raises ArgumentError for another shape and more obstacles.
         """
     def forward(self, /, bend: ArrayLike) -> Doubles:
         """
@@ -609,7 +639,7 @@ class Trajectory:
         """
         Points of your own.
 
-        t: (k,) [s], increasing by 1 µs at least; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
+        t: (k,) [s], increasing by 1 µs at least, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
         length, or axis: (k, 3), a unit vector, if the tip's orientation counts. interpolation: cubic or "linear".
         Raises ArgumentError for wrong shapes, NaN, times that do not increase, and what is not of unit length.
         """
@@ -618,7 +648,8 @@ class Trajectory:
         """
         A screw line about the vertical at an even speed; every other round goes back.
 
-        centre_m: (3,) [m]. radius_m: above 0. rise_m: from end to end. speed_m_s: above 0. turns: 1 to 100, from end to end. rounds: 1 or more.
+        centre_m: (3,) [m]. radius_m: 1e-6 to 1e6 m. rise_m: from end to end, -1e6 to 1e6 m. speed_m_s: 1e-6 to 1e6 m/s. turns: 1 to 100, from end to end.
+        rounds: 1 to 4294967295. Raises ArgumentError for a value outside its range.
         """
     @staticmethod
     def line(robot: Robot) -> Trajectory:

@@ -86,6 +86,8 @@ def _axes(ax: Axes | None) -> Axes:
 
 def _shown(source: Source, seconds: float) -> _Shown:
     if isinstance(source, Simulation):
+        if len(source) == 0:
+            raise ArgumentError("the simulation has no periods", "Simulate for longer.")
         return _Shown(
             robot=source.robot,
             time_s=source.time_s,
@@ -100,6 +102,9 @@ def _shown(source: Source, seconds: float) -> _Shown:
         source = source.telemetry(seconds)
     if isinstance(source, Mapping):
         source = source.get("telemetry", np.empty(0, dtype("Telemetry")))
+    if not isinstance(source, np.ndarray) or source.dtype != dtype("Telemetry") or source.ndim != 1:
+        found = f"an array of {source.dtype}" if isinstance(source, np.ndarray) else f"a {type(source).__name__}"
+        raise ArgumentError(f"{found[:80]} cannot be drawn", "Give a Simulation, what read() returns, records of telemetry, or a Connection.")
     if len(source) == 0:
         raise ArgumentError("there are no records of telemetry", "Watch for longer, or record telemetry.")
     # Without a reference the error is not a number, and the position of none is zero.

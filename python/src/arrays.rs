@@ -6,6 +6,7 @@ use numpy::{
 use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
 use pyo3::type_hint_identifier;
+use pyo3::types::{PyFloat, PyList, PyTuple};
 
 use crate::errors::Failure;
 
@@ -147,7 +148,7 @@ fn doubles<'py>(
     ArrayLike(value): &ArrayLike<'py>,
     name: &str,
 ) -> PyResult<PyReadonlyArrayDyn<'py, f64>> {
-    if let Ok(array) = value.cast::<PyArrayDyn<f64>>()
+    if let Ok(array) = value.cast_exact::<PyArrayDyn<f64>>()
         && array.is_c_contiguous()
         && (array.data() as usize).is_multiple_of(align_of::<f64>())
     {
@@ -157,18 +158,26 @@ fn doubles<'py>(
     let refused = |found: String| {
         Failure::argument(
             format!("{name} is {found}; needed is an array of real numbers"),
-            format!("Give {name} as an array of float64, or what numpy makes one of."),
+            format!(
+                "Give {name} as an array of float64, or a list of numbers or of rows of one length."
+            ),
         )
     };
+    // Before numpy makes NaN of single masked numbers, with a warning.
+    refuse_masked(value, name)?;
+    let kind = value.get_type().name()?;
     let any = numpy
         .call_method1("asarray", (value,))
-        .map_err(|_| refused(format!("{} of uneven rows", value.get_type())))?;
+        .map_err(|_| refused(format!("a {kind} of uneven rows")))?;
     let dtype = any.getattr("dtype")?;
     let kind: String = dtype.getattr("kind")?.extract()?;
+    let axes = any.getattr("ndim")?.extract::<usize>()?;
+    if kind == "O" && axes == 0 {
+        return Err(refused(format!("of the type {}", value.get_type().name()?)).into());
+    }
     if !matches!(kind.as_str(), "f" | "i" | "u") {
         return Err(refused(format!("an array of {dtype}")).into());
     }
-    let axes = any.getattr("ndim")?.extract::<usize>()?;
     let doubles = numpy.call_method1("require", (any, "float64", "CA"))?;
     // What numpy makes contiguous has an axis at least.
     let doubles = if axes == 0 {
@@ -179,7 +188,39 @@ fn doubles<'py>(
     Ok(doubles.cast::<PyArrayDyn<f64>>()?.try_readonly()?)
 }
 
-fn shape_text(shape: &[usize], before: &str) -> String {
+/// Axes that an array of numpy may have: a list may hold itself.
+const AXES_MAX: usize = 64;
+
+/// An array of numpy.ma with masked numbers, or a list that holds one: what stands under a mask is no number that was meant.
+fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
+    let masks = value.py().import("numpy.ma")?;
+    let (class, mask_of) = (masks.getattr("MaskedArray")?, masks.getattr("getmask")?);
+    let mut waiting = vec![(value.clone(), 0)];
+    while let Some((value, depth)) = waiting.pop() {
+        let is_list = value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>();
+        if is_list && depth < AXES_MAX {
+            for part in value.try_iter()? {
+                let part = part?;
+                if !part.is_exact_instance_of::<PyFloat>() {
+                    waiting.push((part, depth + 1));
+                }
+            }
+        } else if value.is_instance(&class)? {
+            let mask = mask_of.call1((value,))?;
+            if mask.call_method0("any")?.is_truthy()? {
+                return Err(Failure::argument(
+                    format!("{name} has masked numbers"),
+                    format!("Give {name}.filled(...) with numbers that are meant, or leave those rows out."),
+                )
+                .into());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// As numpy writes it; `before` is what any length may be along.
+pub(crate) fn shape_text(shape: &[usize], before: &str) -> String {
     let lengths: Vec<_> = shape.iter().map(ToString::to_string).collect();
     let lone = before.is_empty() && shape.len() == 1;
     format!(

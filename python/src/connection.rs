@@ -1,34 +1,44 @@
 //! One connection to a daemon: what it says, and what is asked of it.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use cdcr_client::model::settings_of;
-use cdcr_client::{self, ConnectError, ObstacleSender, Requester, Stream, TelemetryStream};
+use cdcr_client::{
+    self, ConnectError, LinkError, Liveness, ObstacleSender, Requester, Stream, TelemetryStream,
+};
 use cdcr_controller::robot::Robot as Model;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::{
-    Incident, Location, Obstacle as WireObstacle, SolverSettings, Status, Telemetry,
+    Header, Incident, Location, Obstacle as WireObstacle, Service, SolverSettings, Status,
+    Telemetry,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
 
 use crate::arrays::ArrayLike;
 use crate::driver::{DriverPort, interface_of};
 use crate::errors::{Class, Failure};
 use crate::feed::Feed;
 use crate::feed_stream::FeedStream;
-use crate::obstacle::Obstacle;
+use crate::live::Live;
+use crate::numbers::{count, seconds, until, within};
+use crate::obstacle::{Obstacle, check_count};
 use crate::robot::Robot;
 use crate::settings::{Settings, change, settings};
 use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
-use crate::worker::{SIGNALS_EACH, Worker, once, sleep_until};
+use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
 
+/// By which obstacles are known.
+const NUMBERS: RangeInclusive<u32> = 0..=u32::MAX;
 /// How long a daemon may take to say what became of a message.
 const OUTCOME: Duration = Duration::from_secs(1);
+/// How long records may stay away; a daemon makes one in each cycle.
+const SILENT_AFTER: Duration = Duration::from_secs(1);
 /// How often records are fetched: well before a queue of 256 is full.
-const FETCH_EACH: Duration = Duration::from_millis(20);
+pub(crate) const FETCH_EACH: Duration = Duration::from_millis(20);
 
 /// Where a daemon is.
 #[derive(Clone)]
@@ -42,6 +52,30 @@ impl Address {
     pub(crate) fn open(&self) -> Result<cdcr_client::Connection, ConnectError> {
         cdcr_client::Connection::open_within(&self.location, &self.robot, self.timeout)
     }
+
+    /// An error where the daemon has ended, which explains why nothing came on a service for so long.
+    pub(crate) fn check_runs(&self, service: Service, waited: Duration) -> Result<(), LinkError> {
+        let error = self.silent(service, waited);
+        match error {
+            LinkError::Silent {
+                liveness: Liveness::Ended,
+                ..
+            } => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// That nothing came on a service for so long.
+    fn silent(&self, service: Service, waited: Duration) -> LinkError {
+        let presence = self.location.presence(&self.robot);
+        LinkError::Silent {
+            service: service.key(),
+            waited,
+            liveness: presence.map_or(Liveness::Ended, |presence| Liveness::Runs {
+                process_id: presence.process_id,
+            }),
+        }
+    }
 }
 
 /// What the thread of a connection has.
@@ -53,10 +87,10 @@ pub(crate) struct Desk {
 
 /// A connection to a running daemon, from cdcr.connect(). Use it in a `with`, or close it. It may be used from any thread; a process that is
 /// forked from this one may not use it.
-#[pyclass(module = "cdcr")]
+#[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Connection {
     worker: Worker<Desk>,
-    address: Address,
+    pub(crate) address: Address,
 }
 
 /// Connects to the daemon that controls a robot, and waits at most timeout_s [s] for one that is starting.
@@ -184,30 +218,29 @@ impl Connection {
 
     /// Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
     ///
-    /// Raises LinkError if the daemon falls silent.
+    /// Raises LinkError if the daemon has ended, or sends nothing for a second; live() gives what came before that.
     #[pyo3(signature = (seconds))]
     fn telemetry(&self, py: Python<'_>, seconds: f64) -> PyResult<Records> {
+        let until = until("seconds", seconds)?;
         let mut records = Records::new(Telemetry::LAYOUT);
-        let until = Instant::now() + self::seconds("seconds", seconds)?;
-        self.fetch(py, &mut Records::new(Telemetry::LAYOUT))?;
+        let mut heard = self.skip_waiting_records(py)?;
         while Instant::now() < until {
             sleep_until(py, until.min(Instant::now() + FETCH_EACH))?;
-            self.fetch(py, &mut records)?;
+            self.fetch(py, &mut records, &mut heard)?;
         }
-        if records.count() == 0 && seconds > 1.0 {
-            self.snapshot(py, 1.0)?;
-        }
+        let runs = self.address.check_runs(Service::Telemetry, heard.elapsed());
+        runs.map_err(Failure::from)?;
         Ok(records)
     }
 
     /// Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
     ///
-    /// Who takes longer than 1.28 s for a step loses records; lost_records() counts them.
+    /// A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second.
     #[pyo3(signature = (batch_s = 0.1))]
     fn live(slf: Bound<'_, Self>, batch_s: f64) -> PyResult<Live> {
         let batch = seconds("batch_s", batch_s)?;
         let connection = slf.unbind();
-        Ok(Live { connection, batch })
+        Ok(Live::new(connection, batch))
     }
 
     /// Records that this connection's telemetry lost, because they were fetched too late.
@@ -217,49 +250,61 @@ impl Connection {
     }
 
     /// The last bad cycles, at most 64, oldest first: a structured array with the fields of the message Incident.
+    ///
+    /// timeout_s: how long it waits for them, 0 to 2 s. Raises LinkError if the daemon has ended.
     #[pyo3(signature = (timeout_s = 0.3))]
     fn incidents(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Records> {
-        let until = Instant::now() + seconds("timeout_s", timeout_s)?;
+        // The thread is held up for that long.
+        let waits = Duration::from_secs_f64(within("timeout_s", timeout_s, 0.0..=2.0)?);
         let found = self.worker.ask(py, move |desk| {
+            let until = Instant::now() + waits;
             let mut records = Records::new(Incident::LAYOUT);
             let mut stream = desk.connection.incidents()?;
-            // The thread is held up for a moment: that is why the time is short.
             while let Some(incident) =
                 stream.next_within(until.saturating_duration_since(Instant::now()))?
             {
                 records.push(&incident);
             }
             Ok::<_, Failure>(records)
-        })?;
-        Ok(found?)
+        })??;
+        let runs = self.address.check_runs(Service::Incidents, waits);
+        runs.map_err(Failure::from)?;
+        Ok(found)
     }
 
     /// Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
     ///
-    /// obstacles: by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
-    /// Raises RequestError if the daemon refuses them.
+    /// obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
+    /// Raises ArgumentError for more of them, and RequestError if the daemon refuses them.
     #[pyo3(signature = (obstacles: "Mapping[int, Obstacle]", lifetime_s = 0.0))]
     fn set_obstacles(
         &self,
         py: Python<'_>,
-        obstacles: std::collections::BTreeMap<u32, Obstacle>,
+        obstacles: &Bound<'_, PyMapping>,
         lifetime_s: f64,
     ) -> PyResult<()> {
         let lifetime_ns = seconds("lifetime_s", lifetime_s)?.as_nanos() as u64;
         let measured_ns = cdcr_client::monotonic_ns();
-        let wire = |(id, obstacle): (u32, Obstacle)| WireObstacle {
-            id,
-            measured_ns,
-            lifetime_ns,
-            ..obstacle.to_wire()
+        check_count(obstacles.len()?)?;
+        let wire = |(id, obstacle): (i128, Obstacle)| {
+            Ok::<_, Failure>(WireObstacle {
+                id: count("the number of an obstacle", id, NUMBERS)?,
+                measured_ns,
+                lifetime_ns,
+                ..obstacle.to_wire()
+            })
         };
-        let obstacles: Vec<_> = obstacles.into_iter().map(wire).collect();
+        let obstacles = pairs("obstacles", "whole numbers to Obstacles", obstacles)?;
+        let obstacles: Vec<_> = obstacles.into_iter().map(wire).collect::<Result<_, _>>()?;
         self.send_obstacles(py, move |sender| sender.upsert(&obstacles))
     }
 
     /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses.
     #[pyo3(signature = (ids: "Sequence[int]"))]
-    fn remove_obstacles(&self, py: Python<'_>, ids: Vec<u32>) -> PyResult<()> {
+    fn remove_obstacles(&self, py: Python<'_>, ids: Vec<i128>) -> PyResult<()> {
+        check_count(ids.len())?;
+        let number = |id: i128| count("the number of an obstacle", id, NUMBERS);
+        let ids: Vec<u32> = ids.into_iter().map(number).collect::<Result<_, _>>()?;
         self.send_obstacles(py, move |sender| sender.remove(&ids))
     }
 
@@ -286,19 +331,14 @@ impl Connection {
     ) -> PyResult<Feed> {
         let points = Points::from_arrays(t, xyz, quaternion, axis, interpolation)?;
         let source = Source::Points(std::sync::Arc::new(points));
-        Feed::new(
-            self.address.clone(),
-            source,
-            track,
-            seconds("lead_s", lead_s)?,
-        )
+        Feed::new(self.address.clone(), source, track, lead_s)
     }
 
     /// As feed, of a Trajectory.
     #[pyo3(signature = (trajectory, *, track = true, lead_s = 0.3))]
     fn feed_trajectory(&self, trajectory: &Trajectory, track: bool, lead_s: f64) -> PyResult<Feed> {
-        let lead = seconds("lead_s", lead_s)?;
-        Feed::new(self.address.clone(), trajectory.source.clone(), track, lead)
+        let source = trajectory.source.clone();
+        Feed::new(self.address.clone(), source, track, lead_s)
     }
 
     /// A feed of points that are not yet known, to be used in a `with`: send() adds some. Otherwise as feed.
@@ -315,17 +355,18 @@ impl Connection {
     }
 
     /// Closes the connection, and gives back everything that it had. Closing twice changes nothing.
-    fn close(&mut self, py: Python<'_>) {
+    fn close(&self, py: Python<'_>) {
         self.worker.close(py);
     }
 
-    fn __enter__(slf: Py<Self>) -> Py<Self> {
-        slf
+    fn __enter__(slf: Py<Self>) -> PyResult<Py<Self>> {
+        refuse_forked_process()?;
+        Ok(slf)
     }
 
     #[pyo3(signature = (_kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
     fn __exit__(
-        &mut self,
+        &self,
         py: Python<'_>,
         _kind: Option<Py<PyAny>>,
         _error: Option<Py<PyAny>>,
@@ -341,11 +382,15 @@ impl Connection {
 
 impl Connection {
     fn snapshot(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Box<Status>> {
-        let timeout = seconds("timeout_s", timeout_s)?;
-        let status = self.worker.ask(py, move |desk| {
-            desk.connection.status(timeout).map(Box::new)
+        let (begin, until) = (Instant::now(), until("timeout_s", timeout_s)?);
+        let status = self.worker.ask_until(py, until, |desk, slice| {
+            match desk.connection.status(slice) {
+                Err(LinkError::Silent { .. }) => Ok(None),
+                status => Ok(Some(Box::new(status?))),
+            }
         })?;
-        Ok(status.map_err(Failure::from)?)
+        let silent = || Failure::from(self.address.silent(Service::Status, begin.elapsed()));
+        Ok(status.ok_or_else(silent)?)
     }
 
     fn model(&self, py: Python<'_>) -> PyResult<Model> {
@@ -367,8 +412,13 @@ impl Connection {
         Ok(settings.map_err(Failure::from)?)
     }
 
-    /// Adds the records that wait.
-    fn fetch(&self, py: Python<'_>, records: &mut Records) -> PyResult<()> {
+    /// Adds the records that wait. `heard` is when the last one came.
+    pub(crate) fn fetch(
+        &self,
+        py: Python<'_>,
+        records: &mut Records,
+        heard: &mut Instant,
+    ) -> PyResult<()> {
         let fetched = self.worker.ask(py, |desk| {
             let mut fetched = Records::new(Telemetry::LAYOUT);
             let stream = match &mut desk.telemetry {
@@ -379,17 +429,28 @@ impl Connection {
                 fetched.push(&record);
             }
             Ok::<_, Failure>(fetched)
-        })?;
-        records.append(fetched?);
+        })??;
+        if fetched.count() > 0 {
+            *heard = Instant::now();
+        } else if heard.elapsed() > SILENT_AFTER {
+            let silent = self.address.silent(Service::Telemetry, heard.elapsed());
+            return Err(Failure::from(silent).into());
+        }
+        records.append(fetched);
         Ok(())
+    }
+
+    /// The time, after which records are new.
+    fn skip_waiting_records(&self, py: Python<'_>) -> PyResult<Instant> {
+        let mut heard = Instant::now();
+        self.fetch(py, &mut Records::new(Telemetry::LAYOUT), &mut heard)?;
+        Ok(Instant::now())
     }
 
     fn send_obstacles(
         &self,
         py: Python<'_>,
-        send: impl FnOnce(&ObstacleSender) -> Result<cdcr_shared_types::Header, cdcr_client::LinkError>
-        + Send
-        + 'static,
+        send: impl FnOnce(&ObstacleSender) -> Result<Header, LinkError> + Send + 'static,
     ) -> PyResult<()> {
         let outcome = self.worker.ask(py, move |desk| {
             let mut verdicts = desk.connection.telemetry()?;
@@ -408,45 +469,23 @@ impl Connection {
     }
 }
 
-/// Batches of records, from Connection.live().
-#[pyclass(module = "cdcr")]
-pub(crate) struct Live {
-    connection: Py<Connection>,
-    batch: Duration,
-}
-
-#[pymethods]
-impl Live {
-    fn __iter__(slf: Py<Self>) -> Py<Self> {
-        slf
-    }
-
-    /// The records since the last step. Raises LinkError if the daemon falls silent for a second.
-    fn __next__(&self, py: Python<'_>) -> PyResult<Records> {
-        let connection = self.connection.try_borrow(py)?;
-        let mut records = Records::new(Telemetry::LAYOUT);
-        connection.fetch(py, &mut records)?;
-        sleep_until(py, Instant::now() + self.batch)?;
-        let patience = Instant::now() + Duration::from_secs(1);
-        loop {
-            connection.fetch(py, &mut records)?;
-            if records.count() > 0 {
-                return Ok(records);
-            }
-            if Instant::now() > patience {
-                connection.snapshot(py, 1.0)?;
-            }
-            sleep_until(py, Instant::now() + SIGNALS_EACH)?;
-        }
-    }
-}
-
-/// A time of 0 s or more.
-pub(crate) fn seconds(name: &str, value_s: f64) -> Result<Duration, Failure> {
-    Duration::try_from_secs_f64(value_s).map_err(|_| {
-        Failure::argument(
-            format!("{name} is {value_s}"),
-            "Give a time of 0 s or more.",
-        )
-    })
+/// What a mapping of Python holds; `what` says what needs to be in it.
+pub(crate) fn pairs<'py, K, V>(
+    name: &str,
+    what: &str,
+    mapping: &Bound<'py, PyMapping>,
+) -> PyResult<Vec<(K, V)>>
+where
+    (K, V): FromPyObjectOwned<'py>,
+{
+    let pair = |item: Bound<'py, PyAny>| {
+        item.extract::<(K, V)>().map_err(|_| {
+            Failure::argument(
+                format!("{name} holds {item}; needed is a mapping of {what}"),
+                format!("Give {name} as a dictionary of {what}."),
+            )
+        })
+    };
+    let pairs: Result<_, _> = mapping.items()?.iter().map(pair).collect();
+    Ok(pairs?)
 }

@@ -1,27 +1,30 @@
-use std::time::{Duration, Instant};
+use std::ops::RangeInclusive;
+use std::time::Instant;
 
 use cdcr_client::{Driver, monotonic_ns};
 use cdcr_controller::robot::Robot as Model;
-use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::{Measurement, Service};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{ArrayLike, Doubles, Numbers};
-use crate::connection::{Address, seconds};
+use crate::connection::Address;
 use crate::errors::Failure;
+use crate::numbers::{count, until};
 use crate::robot::Robot;
 use crate::wire::Records;
 use crate::worker::{Worker, refuse_forked_process};
 
-/// How long the thread waits at a time, so that Python looks at signals.
-const SLICE: Duration = Duration::from_millis(20);
+/// Times of the clock [ns].
+const TIMES_NS: RangeInclusive<u64> = 0..=u64::MAX;
 
 /// The ports of a driver process, from Connection.driver(): it sends what the robot measures and follows what the daemon commands. Use it in
 /// a `with`, or close it. The daemon commands nothing before a first measurement. A driver refuses commands that this robot must not follow, and counts them.
-#[pyclass(module = "cdcr", name = "Driver")]
+#[pyclass(frozen, module = "cdcr", name = "Driver")]
 pub(crate) struct DriverPort {
     worker: Worker<Driver>,
+    address: Address,
     robot: Robot,
 }
 
@@ -32,18 +35,16 @@ impl DriverPort {
         interface: Interface,
         model: Model,
     ) -> PyResult<Self> {
-        let Address {
-            location,
-            robot,
-            timeout,
-        } = address.clone();
+        let at = address.clone();
         let worker = Worker::start(py, "cdcr-driver", move || {
-            Ok(Driver::connect_within(
-                &location, &robot, interface, timeout,
-            )?)
+            let opened = Driver::connect_within(&at.location, &at.robot, interface, at.timeout);
+            Ok(opened?)
         })?;
-        let robot = Robot { inner: model };
-        Ok(Self { worker, robot })
+        Ok(Self {
+            worker,
+            address: address.clone(),
+            robot: Robot { inner: model },
+        })
     }
 }
 
@@ -60,10 +61,11 @@ impl DriverPort {
         cable_length: Option<ArrayLike<'_>>,
         bend: Option<ArrayLike<'_>>,
         tip: Option<ArrayLike<'_>>,
-        measured_ns: Option<u64>,
+        measured_ns: Option<i128>,
     ) -> PyResult<()> {
+        let measured_ns = measured_ns.map(|time_ns| count("measured_ns", time_ns, TIMES_NS));
         let mut measurement = Measurement {
-            measured_ns: measured_ns.unwrap_or_else(monotonic_ns),
+            measured_ns: measured_ns.transpose()?.unwrap_or_else(monotonic_ns),
             sections: self.robot.inner.section_count() as u32,
             ..Measurement::default()
         };
@@ -108,27 +110,24 @@ impl DriverPort {
     }
 
     /// The next command that is taken: a dictionary with the fields of the message Command, or None when none came within timeout_s [s].
+    ///
+    /// Raises LinkError when none came because the daemon has ended. The ports stay open, and take the commands of the daemon that is started next.
     #[pyo3(signature = (timeout_s = 1.0) -> "Message | None")]
     fn next_command<'py>(
         &self,
         py: Python<'py>,
         timeout_s: f64,
     ) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let until = Instant::now() + seconds("timeout_s", timeout_s)?;
-        loop {
-            let left = until.saturating_duration_since(Instant::now());
-            let slice = left.min(SLICE);
-            let command = self
-                .worker
-                .ask(py, move |driver| driver.next_command(slice))?;
-            if let Some(command) = command.map_err(Failure::from)? {
-                return Records::of(&command).into_message(py).map(Some);
-            }
-            if left.is_zero() {
-                return Ok(None);
-            }
-            py.check_signals()?;
+        let (begin, until) = (Instant::now(), until("timeout_s", timeout_s)?);
+        let command = self
+            .worker
+            .ask_until(py, until, |driver, slice| Ok(driver.next_command(slice)?))?;
+        if let Some(command) = command {
+            return Records::of(&command).into_message(py).map(Some);
         }
+        let runs = self.address.check_runs(Service::Command, begin.elapsed());
+        runs.map_err(Failure::from)?;
+        Ok(None)
     }
 
     /// How fast the cables shall run now [m/s]: (3 n,), zero before the first command and after the newest one has run out. Takes all commands that wait.
@@ -163,7 +162,7 @@ impl DriverPort {
     }
 
     /// Closes the ports. Closing twice changes nothing.
-    fn close(&mut self, py: Python<'_>) {
+    fn close(&self, py: Python<'_>) {
         self.worker.close(py);
     }
 
@@ -174,13 +173,17 @@ impl DriverPort {
 
     #[pyo3(signature = (_kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
     fn __exit__(
-        &mut self,
+        &self,
         py: Python<'_>,
         _kind: Option<Py<PyAny>>,
         _error: Option<Py<PyAny>>,
         _trace: Option<Py<PyAny>>,
     ) {
         self.worker.close(py);
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<Driver of {}>", self.address.robot)
     }
 }
 

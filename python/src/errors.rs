@@ -1,7 +1,7 @@
 //! Exceptions: what was wrong, and beside it, as `.remedy`, what to do. Their classes are in `cdcr/_errors.py`.
 
 use cdcr_client::{
-    ConnectError, FeedError, LinkError, PlantError, RequestError, StopError, remedy,
+    ConnectError, FeedError, LinkError, Liveness, PlantError, RequestError, StopError, remedy,
 };
 use cdcr_controller::nmpc::SettingsError;
 use cdcr_controller::plant::FlawError;
@@ -69,6 +69,10 @@ impl From<Failure> for PyErr {
     }
 }
 
+/// Of errors that only a mistake in this package can raise.
+pub(crate) const REPORT: &str =
+    "This is an error of the package: report it with the call that raised it.";
+const ROOM: &str = "Free memory in the file system of the root folder: df shows how much is left.";
 const RANGE: &str = "Give a value inside the range; units are SI and end the names.";
 
 impl From<RobotError> for Failure {
@@ -108,8 +112,8 @@ impl From<LinkError> for Failure {
     fn from(error: LinkError) -> Self {
         let remedy = match &error {
             LinkError::Port { .. } | LinkError::Askers { .. } => "Close another client.",
-            LinkError::Memory { .. } => "Make room in shared memory.",
-            LinkError::Silent { .. } => "Look with cdcrctl status whether the daemon runs.",
+            LinkError::Memory { .. } => ROOM,
+            LinkError::Silent { liveness, .. } => next_after_silence(*liveness),
             LinkError::ChunkPoints { .. } | LinkError::Obstacles { .. } => "Send fewer at a time.",
             LinkError::Send { .. } | LinkError::Receive { .. } => "Connect again.",
         };
@@ -136,7 +140,9 @@ impl From<ConnectError> for Failure {
             ConnectError::Full { .. } => "Close another client.",
             ConnectError::Robot(_) => "Use 1 to 40 letters, digits, '-' and '_'.",
             ConnectError::Location(_) => "Give prefix and root as the daemon has them.",
-            ConnectError::Port(_) | ConnectError::Memory { .. } => "Make room in shared memory.",
+            ConnectError::Port(_) | ConnectError::Memory { .. } => {
+                "Check that root is a folder that this user may read and write, and with df that it has memory left."
+            }
         };
         Self::new(Class::Connect, &error, remedy)
     }
@@ -147,9 +153,8 @@ impl From<RequestError> for Failure {
         let next = match &error {
             RequestError::Refused { outcome, .. } => remedy(*outcome),
             RequestError::Restarted { .. } => "Feed again.",
-            RequestError::Timeout { .. } | RequestError::Link { .. } => {
-                "Look with cdcrctl status whether the daemon runs."
-            }
+            RequestError::Timeout { liveness, .. } => next_after_silence(*liveness),
+            RequestError::Link { .. } => next_after_silence(Liveness::Unknown),
             RequestError::Answer { .. } => "Install daemon and package of one version.",
         };
         Self::new(Class::Request, &error, next)
@@ -177,10 +182,22 @@ impl From<FeedError> for Failure {
                 return Self::argument(&error, RANGE);
             }
             FeedError::Refused { outcome, .. } => remedy(outcome),
-            FeedError::Ignored => "Look with cdcrctl status whether the daemon runs.",
+            FeedError::Ignored => next_after_silence(Liveness::Unknown),
             FeedError::Restarted { .. } => "Feed again.",
             FeedError::LeftTracking { remedy, .. } => remedy,
         };
         Self::new(Class::Feed, &error, next)
+    }
+}
+
+fn next_after_silence(liveness: Liveness) -> &'static str {
+    match liveness {
+        Liveness::Ended => {
+            "Start a daemon with cdcrd run; this connection is used by the next one, too."
+        }
+        Liveness::Runs { .. } => {
+            "Wait and try again; cdcrctl stop stops the robot. A daemon that stays silent needs to be started again."
+        }
+        Liveness::Unknown => "Check with cdcrctl status whether the daemon runs.",
     }
 }

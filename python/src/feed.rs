@@ -1,19 +1,22 @@
 //! Trajectories that are fed while Python does something else: a thread with a connection of its own keeps the lease.
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use cdcr_client::{FeedEnd, FeedEvent, FeedOptions, FeedProgress, FeedReport as Report};
 use pyo3::prelude::*;
 
-use crate::connection::{Address, seconds};
-use crate::errors::{Class, Failure};
-use crate::running::{Running, TURN, until_it_holds};
+use crate::connection::Address;
+use crate::errors::Failure;
+use crate::numbers::{until, within};
+use crate::running::{Running, leave, until_it_holds};
 use crate::trajectory::{Source, wire_interpolation};
-use crate::worker::sleep_until;
+
+/// From the begin of the `with` to the first point [s].
+const LEAD_S: RangeInclusive<f64> = 0.05..=60.0;
 
 /// What a feed and its thread share.
 #[derive(Default)]
@@ -24,14 +27,13 @@ struct Shared {
 
 /// Points that are fed to a daemon, from Connection.feed(): a context manager. Its thread has a connection and the lease of its own, so Python may do
 /// something else, and be late. Leaving the `with` ends the feed: the lease is given back, and the robot holds.
-#[pyclass(module = "cdcr")]
+#[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Feed {
     address: Address,
     source: Source,
     options: FeedOptions,
     shared: Arc<Shared>,
-    running: Option<Running<Report>>,
-    report: Option<FeedReport>,
+    running: Running<FeedReport>,
 }
 
 /// What a feed did.
@@ -52,6 +54,29 @@ pub(crate) struct FeedReport {
     start_ns: u64,
 }
 
+#[pymethods]
+impl FeedReport {
+    fn __repr__(&self) -> String {
+        let Self {
+            played,
+            points,
+            chunks,
+            tracked,
+            ..
+        } = self;
+        format!(
+            "FeedReport(played={}, points={points}, chunks={chunks}, tracked={})",
+            word(*played),
+            word(*tracked)
+        )
+    }
+}
+
+/// As Python writes it.
+fn word(truth: bool) -> &'static str {
+    if truth { "True" } else { "False" }
+}
+
 impl From<Report> for FeedReport {
     fn from(report: Report) -> Self {
         Self {
@@ -70,18 +95,13 @@ impl Feed {
         address: Address,
         source: Source,
         track: bool,
-        lead: Duration,
+        lead_s: f64,
     ) -> PyResult<Self> {
-        if !(0.05..=60.0).contains(&lead.as_secs_f64()) {
-            let lead_s = lead.as_secs_f64();
-            return Err(
-                Failure::argument(format!("lead_s is {lead_s}"), "Give 0.05 to 60 s.").into(),
-            );
-        }
+        let lead = within("lead_s", lead_s, LEAD_S)?;
         let interpolation = wire_interpolation(source.interpolation());
         let options = FeedOptions {
             track,
-            lead,
+            lead: Duration::from_secs_f64(lead),
             interpolation,
             ..FeedOptions::default()
         };
@@ -90,8 +110,7 @@ impl Feed {
             source,
             options,
             shared: Arc::default(),
-            running: None,
-            report: None,
+            running: Running::new("feed"),
         })
     }
 
@@ -107,51 +126,22 @@ impl Feed {
 #[pymethods]
 impl Feed {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
-        let py = slf.py();
-        let mut feed = slf.borrow_mut();
-        if feed.running.is_some() || feed.report.is_some() {
-            return Err(Failure::new(
-                Class::Feed,
-                "this feed was used before",
-                "Make another one.",
-            )
-            .into());
-        }
+        let feed = slf.get();
         let (address, source, options) = (feed.address.clone(), feed.source.clone(), feed.options);
         let shared = Arc::clone(&feed.shared);
-        let running = Running::start(py, move |begun| {
-            run(&address, &source, options, &shared, begun)
-        });
-        // Where Python was interrupted, the thread still runs.
-        feed.shared.stop.store(running.is_err(), Ordering::Relaxed);
-        feed.running = Some(running?);
-        drop(feed);
+        let run = move |begun: &Sender<bool>| run(&address, &source, options, &shared, begun);
+        let give_up = || feed.shared.stop.store(true, Ordering::Relaxed);
+        feed.running.begin(slf.py(), run, give_up)?;
         Ok(slf)
     }
 
     /// Waits until it is played, at most timeout_s [s]; without it, for as long as it takes. Returns the report, or None when it still runs.
     ///
-    /// Raises FeedError, RequestError or LinkError if the daemon does not follow it to its end.
+    /// Raises FeedError, RequestError or LinkError if the daemon does not follow it to its end, or has ended, and FeedError outside of the `with`.
     #[pyo3(signature = (timeout_s = None))]
-    fn wait(&mut self, py: Python<'_>, timeout_s: Option<f64>) -> PyResult<Option<FeedReport>> {
-        let until = timeout_s
-            .map(|timeout_s| seconds("timeout_s", timeout_s))
-            .transpose()?
-            .map(|timeout| Instant::now() + timeout);
-        while let Some(running) = &self.running
-            && !running.is_finished()
-        {
-            let now = Instant::now();
-            if until.is_some_and(|until| now >= until) {
-                return Ok(None);
-            }
-            let next = now + TURN;
-            sleep_until(py, until.map_or(next, |until| until.min(next)))?;
-        }
-        if let Some(running) = self.running.take() {
-            self.report = Some(running.join(py)?.into());
-        }
-        Ok(self.report.clone())
+    fn wait(&self, py: Python<'_>, timeout_s: Option<f64>) -> PyResult<Option<FeedReport>> {
+        let until = timeout_s.map(|timeout_s| until("timeout_s", timeout_s));
+        self.running.wait(py, until.transpose()?)
     }
 
     /// Time played since the start of the points [s]; 0 before.
@@ -166,31 +156,29 @@ impl Feed {
         self.progress().is_some_and(|progress| progress.tracking)
     }
 
+    /// Ends the feed, and waits until the robot holds.
     #[pyo3(signature = (kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
     fn __exit__(
-        &mut self,
+        &self,
         py: Python<'_>,
         kind: Option<Py<PyAny>>,
         _error: Option<Py<PyAny>>,
         _trace: Option<Py<PyAny>>,
     ) -> PyResult<()> {
         self.shared.stop.store(true, Ordering::Relaxed);
-        let ended = self.wait(py, None);
-        // What happened in the `with` comes first.
-        if kind.is_none() {
-            ended.map(|_| ())
-        } else {
-            Ok(())
-        }
+        leave(kind.as_ref(), self.running.wait(py, None))
+    }
+
+    fn __repr__(&self) -> String {
+        let (robot, stage) = (&self.address.robot, self.running.word());
+        let (played_s, duration_s) = (self.played_s(), self.source.curve().duration_s());
+        format!("<Feed to {robot}: {stage}, {played_s:.2} of {duration_s:.2} s>")
     }
 }
 
 impl Drop for Feed {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
-        if let Some(running) = self.running.take() {
-            running.abandon(());
-        }
     }
 }
 
@@ -200,7 +188,7 @@ fn run(
     options: FeedOptions,
     shared: &Shared,
     begun: &Sender<bool>,
-) -> Result<Report, Failure> {
+) -> Result<FeedReport, Failure> {
     let connection = address.open()?;
     let feeder = connection.feed(source.curve(), options)?;
     let mut has_begun = false;
@@ -225,6 +213,6 @@ fn run(
         let _ = begun.send(true);
     }
     // The lease is given back: the robot holds within a few cycles.
-    until_it_holds(&mut connection.telemetry()?)?;
-    Ok(report)
+    until_it_holds(address, &mut connection.telemetry()?)?;
+    Ok(report.into())
 }

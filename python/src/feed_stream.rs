@@ -1,8 +1,8 @@
 //! Points that are fed as they come.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use cdcr_client::{
@@ -16,11 +16,13 @@ use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferencePoint, Telemetry};
 use pyo3::prelude::*;
 
-use crate::arrays::{ArrayLike, Numbers};
+use crate::arrays::{ArrayLike, Numbers, shape_text};
 use crate::connection::Address;
 use crate::errors::{Class, Failure};
-use crate::running::{Running, TURN, until_it_holds};
+use crate::numbers::SECONDS;
+use crate::running::{Running, TURN, leave, until_it_holds};
 use crate::trajectory::{interpolation, orientations, wire_interpolation};
+use crate::worker::forked;
 
 /// Counts of a stream of points.
 #[derive(Default)]
@@ -31,80 +33,71 @@ struct Counts {
 
 /// Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` gives it back, and
 /// the robot holds.
-#[pyclass(module = "cdcr")]
+#[pyclass(frozen, module = "cdcr")]
 pub(crate) struct FeedStream {
     address: Address,
     interpolation: Interpolation,
     track: bool,
     counts: Arc<Counts>,
-    points: Option<Sender<Vec<ReferencePoint>>>,
-    running: Option<Running<()>>,
+    /// While it is open.
+    points: Mutex<Option<Points>>,
+    running: Running<()>,
+}
+
+/// Where points go.
+#[derive(Clone)]
+struct Points {
+    port: Sender<Vec<ReferencePoint>>,
     start_ns: u64,
 }
 
 #[pymethods]
 impl FeedStream {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
-        let py = slf.py();
-        let mut stream = slf.borrow_mut();
-        if stream.points.is_some() || stream.running.is_some() {
-            return Err(Failure::new(
-                Class::Feed,
-                "this stream was used before",
-                "Make another one.",
-            )
-            .into());
-        }
-        let (points, orders) = channel();
+        let stream = slf.get();
+        let (port, orders) = channel();
         let desk = Desk {
             orders,
+            address: stream.address.clone(),
             interpolation: stream.interpolation,
             track: stream.track,
             counts: Arc::clone(&stream.counts),
         };
-        let address = stream.address.clone();
-        stream.running = Some(Running::start(py, move |begun| {
-            let connection = address.open()?;
-            desk.serve(&connection, begun)
-        })?);
-        stream.points = Some(points);
-        stream.start_ns = monotonic_ns();
-        drop(stream);
+        let run = move |begun: &Sender<bool>| desk.serve(&desk.address.open()?, begun);
+        // An interrupted one drops the port, which ends the thread.
+        stream.running.begin(slf.py(), run, || ())?;
+        *stream.lock() = Some(Points {
+            port,
+            start_ns: monotonic_ns(),
+        });
         Ok(slf)
     }
 
-    /// Time since the `with` began [s]: the clock of send().
-    fn now(&self) -> f64 {
-        monotonic_ns().saturating_sub(self.start_ns) as f64 * 1e-9
+    /// Time since the `with` began [s]: the clock of send(). Raises FeedError outside of the `with`.
+    fn now(&self) -> PyResult<f64> {
+        let start_ns = self.open()?.start_ns;
+        Ok(monotonic_ns().saturating_sub(start_ns) as f64 * 1e-9)
     }
 
     /// Adds points, which must follow those that were sent before, and be ahead of now().
     ///
     /// t: (k,) [s] on the clock of now(), or one number. xyz: (k, 3), or (3,) [m]. quaternion: (k, 4), x, y, z, w, if the orientation counts.
-    /// Raises ArgumentError for wrong shapes, and FeedError once the daemon has refused points or does not follow any more.
+    /// Raises ArgumentError for wrong shapes, FeedError once the daemon has refused points or does not follow any more, LinkError once it has ended.
     #[pyo3(signature = (t, xyz, *, quaternion = None))]
     fn send(
-        &mut self,
+        &self,
         py: Python<'_>,
         t: ArrayLike<'_>,
         xyz: ArrayLike<'_>,
         quaternion: Option<ArrayLike<'_>>,
     ) -> PyResult<()> {
-        let points = self.points(&t, &xyz, quaternion)?;
-        let sent = self
-            .points
-            .as_ref()
-            .is_some_and(|port| port.send(points).is_ok());
-        if sent {
+        let Points { port, start_ns } = self.open()?;
+        if port.send(points(start_ns, &t, &xyz, quaternion)?).is_ok() {
             return Ok(());
         }
-        self.points = None;
-        match self.running.take() {
-            Some(running) => running.join(py),
-            None => {
-                Err(Failure::new(Class::Feed, "the stream is not open", "Use it in a with.").into())
-            }
-        }
+        drop(self.close());
+        self.running.wait(py, None)?;
+        Ok(())
     }
 
     /// Chunks that were sent.
@@ -119,21 +112,25 @@ impl FeedStream {
         self.counts.accepted.load(Ordering::Relaxed)
     }
 
+    /// Ends the stream, and waits until the robot holds.
     #[pyo3(signature = (kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
     fn __exit__(
-        &mut self,
+        &self,
         py: Python<'_>,
         kind: Option<Py<PyAny>>,
         _error: Option<Py<PyAny>>,
         _trace: Option<Py<PyAny>>,
     ) -> PyResult<()> {
-        self.points = None;
-        let ended = self
-            .running
-            .take()
-            .map_or(Ok(()), |running| running.join(py));
-        // What happened in the `with` comes first.
-        if kind.is_none() { ended } else { Ok(()) }
+        if !self.running.is_forked() {
+            drop(self.close());
+        }
+        leave(kind.as_ref(), self.running.wait(py, None))
+    }
+
+    fn __repr__(&self) -> String {
+        let (robot, stage) = (&self.address.robot, self.running.word());
+        let (sent, accepted) = (self.sent_chunks(), self.accepted_chunks());
+        format!("<FeedStream to {robot}: {stage}, {accepted} of {sent} chunks accepted>")
     }
 }
 
@@ -145,70 +142,99 @@ impl FeedStream {
             interpolation,
             track,
             counts: Arc::default(),
-            points: None,
-            running: None,
-            start_ns: 0,
+            points: Mutex::default(),
+            running: Running::new("stream"),
         })
     }
 
-    fn points(
-        &self,
-        t: &ArrayLike<'_>,
-        xyz: &ArrayLike<'_>,
-        quaternion: Option<ArrayLike<'_>>,
-    ) -> PyResult<Vec<ReferencePoint>> {
-        let times = Numbers::with_tail(t, "t", &[], "a time for each point")?.finite("t")?;
-        let positions =
-            Numbers::with_tail(xyz, "xyz", &[3], "x, y, z of each point")?.finite("xyz")?;
-        let count = positions.count();
-        if times.lead() != positions.lead() || times.lead().len() > 1 || count == 0 {
-            let (t, xyz) = (times.lead(), positions.lead());
-            return Err(Failure::argument(
-                format!("t has the shape {t:?}, and xyz {xyz:?} and 3"),
-                "Give one time for each point, and one point at least.",
-            )
-            .into());
+    fn lock(&self) -> MutexGuard<'_, Option<Points>> {
+        self.points.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn open(&self) -> Result<Points, Failure> {
+        // The lock of a process that was forked may be held for ever.
+        if self.running.is_forked() {
+            return Err(forked());
         }
-        if times.values().iter().any(|time_s| *time_s < 0.0) {
-            return Err(Failure::argument(
-                "t is before the stream began",
-                "Add to FeedStream.now().",
+        let open = self.lock().clone();
+        open.ok_or_else(|| {
+            self.running.failure(
+                "is not open",
+                "Use it inside the `with` that begins it, and make another one after an error.",
             )
-            .into());
-        }
-        let orientations = orientations(quaternion, None, count)?;
-        let rows = times
-            .values()
-            .iter()
-            .zip(positions.values().chunks_exact(3))
-            .zip(orientations);
-        let point = |((time_s, place), orientation): ((&f64, &[f64]), Orientation)| {
-            let (kind, orientation) = match orientation {
-                Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
-                Orientation::Free | Orientation::Axis(_) => (OrientationKind::None, [0.0; 4]),
-            };
-            ReferencePoint {
-                time_ns: self.start_ns + (time_s * 1e9).round() as u64,
-                position_m: [place[0], place[1], place[2]],
-                orientation,
-                orientation_kind: kind.code(),
-                reserved: 0,
-            }
-        };
-        Ok(rows.map(point).collect())
+        })
+    }
+
+    fn close(&self) -> Option<Points> {
+        self.lock().take()
     }
 }
 
 impl Drop for FeedStream {
     fn drop(&mut self) {
-        if let Some(running) = self.running.take() {
-            running.abandon(self.points.take());
+        if self.running.is_forked() {
+            let points = self.points.get_mut();
+            std::mem::forget(points.unwrap_or_else(PoisonError::into_inner).take());
         }
     }
 }
 
+fn points(
+    start_ns: u64,
+    t: &ArrayLike<'_>,
+    xyz: &ArrayLike<'_>,
+    quaternion: Option<ArrayLike<'_>>,
+) -> PyResult<Vec<ReferencePoint>> {
+    let times = Numbers::with_tail(t, "t", &[], "a time for each point")?.finite("t")?;
+    let positions = Numbers::with_tail(xyz, "xyz", &[3], "x, y, z of each point")?.finite("xyz")?;
+    let count = positions.count();
+    if times.lead() != positions.lead() || times.lead().len() > 1 || count == 0 {
+        let t = shape_text(times.lead(), "");
+        let xyz = shape_text(&[positions.lead(), &[3]].concat(), "");
+        return Err(Failure::argument(
+            format!(
+                "t has the shape {t} and xyz {xyz}; needed are (k,) and (k, 3), or () and (3,)"
+            ),
+            "Give one time for each point, and one point at least.",
+        )
+        .into());
+    }
+    if let Some(time_s) = times
+        .values()
+        .iter()
+        .find(|time_s| !SECONDS.contains(*time_s))
+    {
+        let (begin, end) = (SECONDS.start(), SECONDS.end());
+        return Err(Failure::argument(
+            format!("t has {time_s} s; needed are {begin} to {end:e} s since the stream began"),
+            "Add to FeedStream.now().",
+        )
+        .into());
+    }
+    let orientations = orientations(quaternion, None, count)?;
+    let rows = times
+        .values()
+        .iter()
+        .zip(positions.values().chunks_exact(3))
+        .zip(orientations);
+    let point = |((time_s, place), orientation): ((&f64, &[f64]), Orientation)| {
+        let (kind, orientation) = match orientation {
+            Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
+            Orientation::Free | Orientation::Axis(_) => (OrientationKind::None, [0.0; 4]),
+        };
+        ReferencePoint {
+            time_ns: start_ns + (time_s * 1e9).round() as u64,
+            position_m: [place[0], place[1], place[2]],
+            orientation,
+            orientation_kind: kind.code(),
+            reserved: 0,
+        }
+    };
+    Ok(rows.map(point).collect())
+}
 /// What the thread of a stream works with.
 struct Desk {
+    address: Address,
     orders: Receiver<Vec<ReferencePoint>>,
     interpolation: Interpolation,
     track: bool,
@@ -227,7 +253,7 @@ impl Desk {
     fn serve(&self, connection: &Connection, begun: &Sender<bool>) -> Result<(), Failure> {
         let port = connection.reference_feed()?;
         let mut telemetry = connection.telemetry()?;
-        let lease = connection.acquire_lease()?;
+        let lease = connection.acquire_lease().map_err(FeedError::from)?;
         let mut renewed = Instant::now();
         let mut followed = Followed::default();
         let _ = begun.send(true);
@@ -237,12 +263,13 @@ impl Desk {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     drop(lease);
-                    return until_it_holds(&mut telemetry);
+                    return until_it_holds(&self.address, &mut telemetry);
                 }
             }
             self.listen(connection, &mut telemetry, &mut followed)?;
             if self.track && !followed.asked && self.counts.accepted.load(Ordering::Relaxed) > 0 {
-                connection.request(RequestKind::Track)?;
+                let asked = connection.request(RequestKind::Track);
+                asked.map_err(FeedError::from)?;
                 followed.asked = true;
             }
             renew(&lease, &mut renewed)?;
@@ -310,7 +337,7 @@ impl Followed {
         );
         let next = match Reason::try_from(record.reason) {
             Ok(Reason::ReferenceEnded) => "Send points further ahead of now().",
-            _ => "Look with cdcrctl status.",
+            _ => "See the cause with cdcrctl status; then make another stream.",
         };
         Err(Failure::new(Class::Feed, message, next))
     }

@@ -22,7 +22,9 @@ mod driver;
 mod errors;
 mod feed;
 mod feed_stream;
+mod live;
 mod nmpc;
+mod numbers;
 mod obstacle;
 mod recording;
 mod robot;
@@ -36,14 +38,21 @@ mod worker;
 /// What the package `cdcr` exports.
 #[pyo3::pymodule]
 mod _cdcr {
+    /// Version of the package, which needs a daemon of the same one.
     #[pymodule_export]
-    use super::connection::{Connection, Live, connect};
+    #[allow(non_upper_case_globals, reason = "the name that Python has for it")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+
+    #[pymodule_export]
+    use super::connection::{Connection, connect};
     #[pymodule_export]
     use super::driver::DriverPort;
     #[pymodule_export]
     use super::feed::{Feed, FeedReport};
     #[pymodule_export]
     use super::feed_stream::FeedStream;
+    #[pymodule_export]
+    use super::live::Live;
     #[pymodule_export]
     use super::nmpc::{Nmpc, SolveReport};
     #[pymodule_export]

@@ -1,4 +1,6 @@
-use std::time::{Duration, Instant};
+use std::ops::RangeInclusive;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use cdcr_controller::nmpc::{self, Constraint, SolveInput, SolveStatus};
 use cdcr_controller::optimizer::{Budget, Candidate, cycle_seed};
@@ -9,17 +11,26 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{ArrayLike, Doubles, Numbers};
 use crate::errors::Failure;
+use crate::numbers::{count, until};
 use crate::obstacle::{Obstacle, inner};
 use crate::robot::Robot;
 use crate::settings::{Settings, settings};
 use crate::trajectory::orientations;
 
+/// Seeds of a swarm.
+pub(crate) const SEEDS: RangeInclusive<u64> = 0..=u64::MAX;
+
 /// Nonlinear model predictive control of one robot: the solver of cdcrd, without its clock. It remembers its last plan, the next warm start.
-#[pyclass(module = "cdcr")]
+/// Threads that share a solver are served one after the other.
+#[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Nmpc {
     robot: Robot,
-    inner: nmpc::Nmpc,
+    solver: Mutex<Solver>,
     period_s: f64,
+}
+
+struct Solver {
+    inner: nmpc::Nmpc,
     solves: u64,
 }
 
@@ -40,9 +51,8 @@ impl Nmpc {
             nmpc::Nmpc::new(robot.inner.clone(), period_s, settings).map_err(Failure::from)?;
         Ok(Self {
             robot: robot.clone(),
-            inner,
+            solver: Mutex::new(Solver { inner, solves: 0 }),
             period_s,
-            solves: 0,
         })
     }
 
@@ -53,7 +63,7 @@ impl Nmpc {
     /// budget_s: ends the solve with the best solution so far [s]; budget_quanta: the same after so much work (SolveReport.quanta), repeatable.
     /// previous_rates: (2 n,) [rad/s], of the last command; zero if left out. elapsed_periods: since the last solve. seed: of the swarm; by default a
     /// function of the seed in the settings and of how many solves there were.
-    /// Returns rates (2 n,) [rad/s], plan (blocks, 2 n) [rad/s] and report. Raises ArgumentError for wrong shapes, NaN and infinite numbers.
+    /// Returns rates (2 n,) [rad/s], plan (blocks, 2 n) [rad/s] and report. Raises ArgumentError for wrong shapes, NaN, infinite numbers and too many obstacles.
     #[pyo3(signature = (
         bend, window, obstacles: "Sequence[Obstacle]" = Vec::new(), *, quaternion = None,
         axis = None, budget_s = None, budget_quanta = None, previous_rates = None,
@@ -61,17 +71,17 @@ impl Nmpc {
     ) -> "tuple[Doubles, Doubles, SolveReport]")]
     #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
     fn solve(
-        &mut self,
+        &self,
         bend: ArrayLike<'_>,
         window: ArrayLike<'_>,
         obstacles: Vec<Obstacle>,
         quaternion: Option<ArrayLike<'_>>,
         axis: Option<ArrayLike<'_>>,
         budget_s: Option<f64>,
-        budget_quanta: Option<u32>,
+        budget_quanta: Option<i128>,
         previous_rates: Option<ArrayLike<'_>>,
-        elapsed_periods: u64,
-        seed: Option<u64>,
+        elapsed_periods: i128,
+        seed: Option<i128>,
     ) -> PyResult<Solution> {
         let py = bend.py();
         let sections = self.robot.inner.section_count();
@@ -83,12 +93,18 @@ impl Nmpc {
             .and_then(|rates| BendRates::from_slice(rates.as_slice()))
             .unwrap_or(BendRates::zero(sections));
         let reference = samples(window, quaternion, axis)?;
-        let seed = seed.unwrap_or_else(|| cycle_seed(self.inner.settings().seed, self.solves));
-        let until = budget_s.map(deadline).transpose()?;
-        let obstacles = inner(&obstacles);
-        self.solves += 1;
-        let solver = &mut self.inner;
-        let (rates, report) = py.detach(|| {
+        let seed = seed.map(|seed| count("seed", seed, SEEDS)).transpose()?;
+        let elapsed_periods = count("elapsed_periods", elapsed_periods, 0..=u64::from(u32::MAX))?;
+        let quanta = budget_quanta.map(|quanta| count("budget_quanta", quanta, 0..=u32::MAX));
+        let quanta = quanta.transpose()?;
+        let until = budget_s.map(|budget_s| until("budget_s", budget_s));
+        let until = until.transpose()?;
+        let obstacles = inner(&obstacles)?;
+        let (rates, plan, report) = py.detach(|| {
+            let mut solver = self.lock();
+            let number = solver.solves;
+            solver.solves += 1;
+            let solver = &mut solver.inner;
             let input = SolveInput {
                 configuration: &configuration,
                 previous_rates: &previous_rates,
@@ -96,53 +112,67 @@ impl Nmpc {
                 obstacles: &obstacles,
                 tip_offset_m: 0.0,
                 elapsed_periods,
-                seed,
+                seed: seed.unwrap_or_else(|| cycle_seed(solver.settings().seed, number)),
             };
             let mut is_late = || until.is_some_and(|until| Instant::now() >= until);
-            let mut budget = match (until, budget_quanta) {
+            let mut budget = match (until, quanta) {
                 (_, Some(quanta)) => Budget::of_quanta(quanta),
                 (Some(_), None) => Budget::new(&mut is_late),
                 (None, None) => Budget::unlimited(),
             };
-            solver.solve(&input, &mut budget)
+            let (rates, report) = solver.solve(&input, &mut budget);
+            (rates, solver.plan().to_vec(), report)
         });
         let width = 2 * sections;
-        let plan = self.inner.plan();
         Ok((
             Doubles::new(&[width], &[], rates.as_slice().to_vec()),
-            Doubles::new(&[plan.len() / width], &[width], plan.to_vec()),
+            Doubles::new(&[plan.len() / width], &[width], plan),
             SolveReport { inner: report },
         ))
     }
 
     /// Takes over what differs from the settings in force. Raises ArgumentError, and nothing changes, for an unknown key and a value outside its range.
     #[pyo3(signature = (**changes: "Unpack[Settings]"))]
-    fn configure(&mut self, changes: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+    fn configure(&self, changes: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let Some(changes) = changes else {
             return Ok(());
         };
-        let all = Settings(*self.inner.settings()).into_pyobject(changes.py())?;
+        let py = changes.py();
+        let all = self.settings(py).into_pyobject(py)?;
         all.update(changes.as_mapping())?;
         let settings = settings(Some(&all))?;
-        self.inner.configure(settings).map_err(Failure::from)?;
+        let configured = py.detach(|| self.lock().inner.configure(settings));
+        configured.map_err(Failure::from)?;
         Ok(())
     }
 
     /// Forgets the plan: the next warm start is rest.
-    fn forget_plan(&mut self) {
-        self.inner.forget_plan();
+    fn forget_plan(&self, py: Python<'_>) {
+        py.detach(|| self.lock().inner.forget_plan());
     }
 
     /// The settings in force.
     #[getter]
-    fn settings(&self) -> Settings {
-        Settings(*self.inner.settings())
+    fn settings(&self, py: Python<'_>) -> Settings {
+        Settings(py.detach(|| *self.lock().inner.settings()))
     }
 
     /// Period [s].
     #[getter]
     fn period_s(&self) -> f64 {
         self.period_s
+    }
+
+    fn __repr__(&self) -> String {
+        let (sections, period_s) = (self.robot.inner.section_count(), self.period_s);
+        format!("<Nmpc of {sections} sections, period {period_s} s>")
+    }
+}
+
+impl Nmpc {
+    /// Only without the interpreter's lock: another thread may solve meanwhile.
+    fn lock(&self) -> MutexGuard<'_, Solver> {
+        self.solver.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -283,14 +313,4 @@ fn samples(
         .zip(orientations)
         .map(sample)
         .collect())
-}
-
-fn deadline(budget_s: f64) -> Result<Instant, Failure> {
-    let budget = Duration::try_from_secs_f64(budget_s).map_err(|_| {
-        Failure::argument(
-            format!("budget_s is {budget_s}"),
-            "Give a time of 0 s or more.",
-        )
-    })?;
-    Ok(Instant::now() + budget)
 }

@@ -1,9 +1,11 @@
+use cdcr_controller::nmpc::OBSTACLES_MAX;
 use cdcr_controller::robot::{self, Shape};
 use cdcr_shared_types::codes::ObstacleShape;
 use pyo3::prelude::*;
 
 use crate::arrays::{ArrayLike, Doubles, triple};
 use crate::errors::Failure;
+use crate::numbers::{SECONDS, within};
 
 /// What the body must stay clear of: a ball, or a capsule (all points within a radius of a segment), in the base frame.
 #[pyclass(frozen, module = "cdcr", from_py_object)]
@@ -67,11 +69,28 @@ impl Obstacle {
         Doubles::new(&[3], &[], self.inner.velocity_m_s().as_slice().to_vec())
     }
 
-    /// The obstacle dt_s later [s].
-    fn moved(&self, dt_s: f64) -> Self {
-        Self {
-            inner: self.inner.moved(dt_s),
-        }
+    /// The obstacle dt_s later, -1e9 to 1e9 s.
+    fn moved(&self, dt_s: f64) -> PyResult<Self> {
+        let most_s = *SECONDS.end();
+        let inner = self.inner.moved(within("dt_s", dt_s, -most_s..=most_s)?);
+        Ok(Self { inner })
+    }
+
+    /// For pickle and copy: what makes the same obstacle.
+    #[pyo3(signature = () -> "tuple[Any, ...]")]
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Py<PyAny>,))> {
+        let [start_m, end_m] = self.axis();
+        let (radius_m, velocity_m_s) = (self.inner.radius_m(), self.inner.velocity_m_s().into());
+        let velocity_m_s: [f64; 3] = velocity_m_s;
+        // A static method of a class in Rust has no name by which pickle finds it.
+        let caller = py.import("operator")?.getattr("methodcaller")?;
+        let maker = match self.inner.shape() {
+            Shape::Sphere { .. } => caller.call1(("sphere", start_m, radius_m, velocity_m_s)),
+            Shape::Capsule { .. } => {
+                caller.call1(("capsule", start_m, end_m, radius_m, velocity_m_s))
+            }
+        };
+        Ok((maker?, (py.get_type::<Self>().into_any().unbind(),)))
     }
 
     fn __repr__(&self) -> String {
@@ -126,6 +145,19 @@ impl Obstacle {
 }
 
 /// What the controller takes.
-pub(crate) fn inner(obstacles: &[Obstacle]) -> Vec<robot::Obstacle> {
-    obstacles.iter().map(|obstacle| obstacle.inner).collect()
+pub(crate) fn inner(obstacles: &[Obstacle]) -> Result<Vec<robot::Obstacle>, Failure> {
+    check_count(obstacles.len())?;
+    Ok(obstacles.iter().map(|obstacle| obstacle.inner).collect())
+}
+
+/// More than the controller and the daemon know of are refused, and never ignored.
+pub(crate) fn check_count(found: usize) -> Result<(), Failure> {
+    const { assert!(OBSTACLES_MAX == cdcr_shared_types::limits::OBSTACLES_MAX) };
+    if found <= OBSTACLES_MAX {
+        return Ok(());
+    }
+    Err(Failure::argument(
+        format!("there are {found} obstacles; allowed are {OBSTACLES_MAX} at most"),
+        "Leave out those that are farthest from the robot, or cover several by one capsule.",
+    ))
 }

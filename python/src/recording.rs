@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::{Class, Failure};
+use crate::numbers::count;
 use crate::wire::Records;
 use crate::worker::SIGNALS_EACH;
 
@@ -24,10 +25,8 @@ use crate::worker::SIGNALS_EACH;
 /// more than one robot.
 #[pyfunction]
 #[pyo3(signature = (path, *, every = 1) -> "dict[str, Records]")]
-pub(crate) fn read(py: Python<'_>, path: PathBuf, every: usize) -> PyResult<Bound<'_, PyDict>> {
-    if every == 0 {
-        return Err(Failure::argument("every is 0", "Give 1 or more.").into());
-    }
+pub(crate) fn read(py: Python<'_>, path: PathBuf, every: i128) -> PyResult<Bound<'_, PyDict>> {
+    let every = count("every", every, 1..=u32::MAX)? as usize;
     let mut recording = Recording::open(&path, every)?;
     // An hour takes a while: in between, Python looks at signals.
     while py.detach(|| recording.read_on())? {
@@ -101,7 +100,10 @@ impl Blank {
 impl Recording {
     fn open(path: &Path, every: usize) -> Result<Self, Failure> {
         let name = path.display().to_string();
-        let file = File::open(path).map_err(|error| refused(&name, &error))?;
+        let file = File::open(path).map_err(|error| {
+            let remedy = "Give the path of a recording, which cdcrctl record writes.";
+            Failure::new(Class::Recording, format!("{name}: {error}"), remedy)
+        })?;
         let reader = Reader::new(BufReader::with_capacity(1 << 17, file));
         Ok(Self {
             reader: reader.map_err(|error| refused(&name, &error))?,

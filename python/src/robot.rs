@@ -3,22 +3,36 @@ use std::path::PathBuf;
 use std::thread;
 
 use cdcr_controller::robot::{
-    self, CABLES_MAX, Configuration, Jacobian, RobotParameters, SectionParameters, ZyxAngles,
-    quaternion_xyzw,
+    self, CABLES_MAX, Configuration, Jacobian, RobotParameters, SECTIONS_MAX, SectionParameters,
+    ZyxAngles, quaternion_xyzw,
 };
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
 use serde::Deserialize;
 use toml::Value;
 
-use crate::arrays::{ArrayLike, Doubles, Numbers};
-use crate::errors::Failure;
+use crate::arrays::{ArrayLike, Doubles, Numbers, shape_text};
+use crate::errors::{Failure, REPORT};
+use crate::numbers::count;
 use crate::obstacle::{Obstacle, inner};
 use crate::settings::read;
 
 /// Configurations that are worth a thread of their own: a tenth of a millisecond and more.
 const ROWS_MIN: usize = 4096;
 /// Of one shape: 2.4 MB.
-const BACKBONE_POINTS_MAX: usize = 100_000;
+const BACKBONE_POINTS_MAX: u32 = 100_000;
+
+type Place = fn(&mut SectionParameters) -> &mut f64;
+
+/// The numbers of a section, by the names of the arguments.
+const PLACES: [(&str, Place); 6] = [
+    ("length_m", |section| &mut section.length_m),
+    ("cable_radius_m", |section| &mut section.cable_radius_m),
+    ("cable_offset_rad", |section| &mut section.cable_offset_rad),
+    ("bend_max_rad", |section| &mut section.bend_max_rad),
+    ("rate_max_rad_s", |section| &mut section.rate_max_rad_s),
+    ("body_radius_m", |section| &mut section.body_radius_m),
+];
 
 /// A robot: 1 to 6 sections that bend into circular arcs, each under three cables.
 ///
@@ -57,28 +71,17 @@ impl Robot {
         cable_speed_max_m_s: f64,
         cable_stroke_max_m: f64,
     ) -> PyResult<Self> {
-        type Place = fn(&mut SectionParameters) -> &mut f64;
         let is_counted = length_m.is_some();
-        let given: [(&str, Option<ArrayLike<'_>>, Place); 6] = [
-            ("length_m", length_m, |section| &mut section.length_m),
-            ("cable_radius_m", cable_radius_m, |section| {
-                &mut section.cable_radius_m
-            }),
-            ("cable_offset_rad", cable_offset_rad, |section| {
-                &mut section.cable_offset_rad
-            }),
-            ("bend_max_rad", bend_max_rad, |section| {
-                &mut section.bend_max_rad
-            }),
-            ("rate_max_rad_s", rate_max_rad_s, |section| {
-                &mut section.rate_max_rad_s
-            }),
-            ("body_radius_m", body_radius_m, |section| {
-                &mut section.body_radius_m
-            }),
+        let given = [
+            length_m,
+            cable_radius_m,
+            cable_offset_rad,
+            bend_max_rad,
+            rate_max_rad_s,
+            body_radius_m,
         ];
         let mut lists = Vec::new();
-        for (name, value, place) in given {
+        for ((name, place), value) in PLACES.into_iter().zip(given) {
             if let Some(value) = value {
                 lists.push((name, list(value, name)?, place));
             }
@@ -112,8 +115,9 @@ impl Robot {
     /// The paper's robot: sections of 0.3 m, cables at 12.5 mm. sections: 1 to 6.
     #[staticmethod]
     #[pyo3(signature = (sections = 3))]
-    fn paper(sections: usize) -> PyResult<Self> {
-        Self::of(&RobotParameters::paper(sections))
+    fn paper(sections: i128) -> PyResult<Self> {
+        let sections: u8 = count("sections", sections, 1..=SECTIONS_MAX as u8)?;
+        Self::of(&RobotParameters::paper(sections.into()))
     }
 
     /// The robot in the table `[robot]` of a configuration of cdcrd.
@@ -138,7 +142,7 @@ impl Robot {
             let sections = Value::try_from(&paper.sections);
             table.insert(
                 "sections".to_owned(),
-                sections.map_err(|error| Failure::argument(error, "Report this."))?,
+                sections.map_err(|error| Failure::argument(error, REPORT))?,
             );
         }
         let parameters = RobotParameters::deserialize(Value::Table(table)).map_err(|error| {
@@ -222,11 +226,8 @@ impl Robot {
     ///
     /// bend: (..., 2 n) [rad]. points: 2 to 100 000. Returns (..., points, 3). Raises ArgumentError for another shape.
     #[pyo3(signature = (bend, points = 50))]
-    fn backbone(&self, bend: ArrayLike<'_>, points: usize) -> PyResult<Doubles> {
-        if !(2..=BACKBONE_POINTS_MAX).contains(&points) {
-            let remedy = format!("Give 2 to {BACKBONE_POINTS_MAX}.");
-            return Err(Failure::argument(format!("points is {points}"), remedy).into());
-        }
+    fn backbone(&self, bend: ArrayLike<'_>, points: i128) -> PyResult<Doubles> {
+        let points = count("points", points, 2..=BACKBONE_POINTS_MAX)? as usize;
         let places = self.places(points);
         self.each(bend, &[points, 3], |robot, shape, out| {
             for (section, share) in &places {
@@ -282,10 +283,10 @@ impl Robot {
 
     /// Least distance of the body's surface from some obstacles [m]: negative inside one, infinite without any. Exact along the whole body.
     ///
-    /// bend: (..., 2 n) [rad]. Returns (...). Raises ArgumentError for another shape.
+    /// bend: (..., 2 n) [rad]. obstacles: at most 64. Returns (...). Raises ArgumentError for another shape and more obstacles.
     #[pyo3(signature = (bend, obstacles: "Sequence[Obstacle]"))]
     fn clearance(&self, bend: ArrayLike<'_>, obstacles: Vec<Obstacle>) -> PyResult<Doubles> {
-        let obstacles = inner(&obstacles);
+        let obstacles = inner(&obstacles)?;
         self.each(bend, &[], |robot, shape, out| {
             let body = robot.body(shape);
             out.push(body.least_clearance_m(obstacles.iter().copied()));
@@ -295,6 +296,23 @@ impl Robot {
     fn __repr__(&self) -> String {
         let lengths_m = self.inner.sections().iter().map(|section| section.length_m);
         format!("Robot(length_m={:?})", lengths_m.collect::<Vec<_>>())
+    }
+
+    /// For pickle and copy: the arguments that make the same robot.
+    #[pyo3(signature = () -> "tuple[tuple[()], dict[str, Any]]")]
+    fn __getnewargs_ex__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
+        let arguments = PyDict::new(py);
+        for (name, place) in PLACES {
+            let mut sections = self.inner.sections().to_vec();
+            let numbers: Vec<f64> = sections.iter_mut().map(|section| *place(section)).collect();
+            arguments.set_item(name, numbers)?;
+        }
+        arguments.set_item("cable_speed_max_m_s", self.inner.cable_speed_max_m_s())?;
+        arguments.set_item("cable_stroke_max_m", self.inner.cable_stroke_max_m())?;
+        Ok((PyTuple::empty(py), arguments))
     }
 
     fn __eq__(&self, other: &Self) -> bool {
@@ -341,32 +359,34 @@ impl Robot {
         let bends = self.bends(&bend, "bend")?;
         let (values, robot, count) = (bends.values(), &self.inner, bends.count());
         let width = robot.coordinate_count();
-        let rows_of = |bends: &[f64]| {
-            let rows = bends.len() / width;
-            let mut out = Vec::with_capacity(rows * row.iter().product::<usize>());
+        let rows_of = |bends: &[f64], out: &mut Vec<f64>| {
             let mut shape = Configuration::straight(robot.section_count());
             for bend in bends.chunks_exact(width) {
                 shape.as_mut_slice().copy_from_slice(bend);
-                compute(robot, &shape, &mut out);
+                compute(robot, &shape, out);
             }
-            out
         };
-        let out = py.detach(|| {
+        let mut out = room(count, row)?;
+        py.detach(|| {
             let threads = thread::available_parallelism().map_or(1, usize::from);
             let each = count.div_ceil(threads).max(ROWS_MIN) * width;
             if values.len() <= each {
-                return rows_of(values);
+                return rows_of(values, &mut out);
             }
             thread::scope(|scope| {
-                let parts: Vec<_> = values
-                    .chunks(each)
-                    .map(|part| scope.spawn(|| rows_of(part)))
-                    .collect();
-                let rows = parts
-                    .into_iter()
-                    .map(|part| part.join().unwrap_or_else(|panic| resume_unwind(panic)));
-                rows.collect::<Vec<_>>().concat()
-            })
+                let rows_of = &rows_of;
+                let begin = |part| {
+                    scope.spawn(move || {
+                        let mut out = Vec::new();
+                        rows_of(part, &mut out);
+                        out
+                    })
+                };
+                let parts: Vec<_> = values.chunks(each).map(begin).collect();
+                for part in parts {
+                    out.extend(part.join().unwrap_or_else(|panic| resume_unwind(panic)));
+                }
+            });
         });
         Ok(Doubles::new(bends.lead(), row, out))
     }
@@ -388,6 +408,21 @@ impl Robot {
     }
 }
 
+/// Memory for so many rows; a process that has no more of it would end otherwise.
+fn room(count: usize, row: &[usize]) -> Result<Vec<f64>, Failure> {
+    let numbers = row
+        .iter()
+        .try_fold(count, |all, axis| all.checked_mul(*axis));
+    let mut out = Vec::new();
+    match numbers.map(|numbers| out.try_reserve_exact(numbers)) {
+        Some(Ok(())) => Ok(out),
+        _ => Err(Failure::argument(
+            format!("there is no memory for the result of {count} configurations"),
+            "Compute fewer of them in one call.",
+        )),
+    }
+}
+
 /// One number, or one for each section.
 fn list(value: ArrayLike<'_>, name: &str) -> PyResult<Vec<f64>> {
     let numbers = Numbers::with_tail(&value, name, &[], "a number for each section")?;
@@ -396,7 +431,8 @@ fn list(value: ArrayLike<'_>, name: &str) -> PyResult<Vec<f64>> {
         [count] if *count > 0 => Ok(numbers.values().to_vec()),
         shape => Err(Failure::argument(
             format!(
-                "{name} has the shape {shape:?}; needed is one number, or one for each section"
+                "{name} has the shape {}; needed is one number, or one for each section",
+                shape_text(shape, "")
             ),
             "Give a flat list.",
         )

@@ -1,81 +1,157 @@
-//! Threads that feed until they are told to stop.
+//! What is fed by a thread of its own, from the begin of a `with` to its end.
 
 use std::process;
 use std::sync::mpsc::{Sender, channel};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{TelemetryStream, monotonic_ns};
+use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::Mode;
 use pyo3::prelude::*;
 
+use crate::connection::Address;
 use crate::errors::{Class, Failure};
 use crate::worker::{ended, forked, refuse_forked_process, sleep_until, spawn, wait};
 
-/// How often a thread that feeds, and who waits for one, looks again: about once a cycle.
+/// How often a thread that feeds, and Python that waits for one, looks again: about once a cycle.
 pub(crate) const TURN: Duration = Duration::from_millis(5);
 /// How long the robot may take to hold once the lease is given back, on a machine that stalls.
 const HOLDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// A thread that runs until it is told to stop, and what came of it.
+/// A thread that feeds, and what came of it. It is begun once.
 pub(crate) struct Running<T> {
-    thread: JoinHandle<Result<T, Failure>>,
+    /// What the user has: "feed" or "stream".
+    what: &'static str,
+    stage: Mutex<Stage<T>>,
     process_id: u32,
 }
 
-impl<T: Send + 'static> Running<T> {
-    /// Starts it, and waits until it says that it has begun, by a true.
-    pub(crate) fn start(
+enum Stage<T> {
+    New,
+    Runs(JoinHandle<Result<T, Failure>>),
+    Ended(Result<T, Failure>),
+}
+
+impl<T: Clone + Send + 'static> Running<T> {
+    pub(crate) fn new(what: &'static str) -> Self {
+        Self {
+            what,
+            stage: Mutex::new(Stage::New),
+            process_id: process::id(),
+        }
+    }
+
+    /// Starts the thread, and waits until it has begun: it reports that by a true. Where Python is interrupted meanwhile, `give_up` ends the thread.
+    pub(crate) fn begin(
+        &self,
         py: Python<'_>,
         run: impl FnOnce(&Sender<bool>) -> Result<T, Failure> + Send + 'static,
-    ) -> PyResult<Self> {
+        give_up: impl FnOnce(),
+    ) -> PyResult<()> {
         refuse_forked_process()?;
         let (begun, has_begun) = channel();
-        let thread = spawn("cdcr-feed", move || {
-            let outcome = run(&begun);
-            let _ = begun.send(false);
-            outcome
-        })?;
-        let running = Self {
-            thread,
-            process_id: process::id(),
+        {
+            let mut stage = self.stage()?;
+            if !matches!(*stage, Stage::New) {
+                return Err(self.failure("has begun before", "Make another one.").into());
+            }
+            *stage = Stage::Runs(spawn("cdcr-feed", move || {
+                let outcome = run(&begun);
+                let _ = begun.send(false);
+                outcome
+            })?);
+        }
+        if wait(py, has_begun).inspect_err(|_| give_up())? {
+            return Ok(());
+        }
+        self.wait(py, None)?;
+        Err(ended().into())
+    }
+
+    /// Waits for its end, at most until a time: then there is no outcome yet.
+    pub(crate) fn wait(&self, py: Python<'_>, until: Option<Instant>) -> PyResult<Option<T>> {
+        loop {
+            if let Some(outcome) = self.outcome()? {
+                return Ok(Some(outcome?));
+            }
+            let now = Instant::now();
+            if until.is_some_and(|until| now >= until) {
+                return Ok(None);
+            }
+            let next = now + TURN;
+            sleep_until(py, until.map_or(next, |until| until.min(next)))?;
+        }
+    }
+
+    /// What came of it, once the thread has ended.
+    fn outcome(&self) -> Result<Option<Result<T, Failure>>, Failure> {
+        let mut stage = self.stage()?;
+        *stage = match std::mem::replace(&mut *stage, Stage::New) {
+            Stage::New => {
+                let remedy = format!("Use the {0} in a `with`: it begins there.", self.what);
+                return Err(self.failure("has not begun", remedy));
+            }
+            Stage::Runs(thread) if thread.is_finished() => {
+                Stage::Ended(thread.join().unwrap_or_else(|_| Err(ended())))
+            }
+            stage => stage,
         };
-        if wait(py, has_begun)? {
-            return Ok(running);
+        match &*stage {
+            Stage::Ended(outcome) => Ok(Some(outcome.clone())),
+            _ => Ok(None),
         }
-        running.join(py).and_then(|_| Err(ended().into()))
     }
 
-    /// Also where the thread is another process's.
-    pub(crate) fn is_finished(&self) -> bool {
-        self.thread.is_finished() || self.process_id != process::id()
+    /// "new", "running" or "ended".
+    pub(crate) fn word(&self) -> &'static str {
+        match self.stage().as_deref() {
+            Ok(Stage::New) => "new",
+            Ok(Stage::Runs(_)) => "running",
+            Ok(Stage::Ended(_)) | Err(_) => "ended",
+        }
     }
 
-    /// Waits for its end.
-    pub(crate) fn join(self, py: Python<'_>) -> PyResult<T> {
-        if self.process_id != process::id() {
-            std::mem::forget(self);
-            return Err(forked().into());
+    pub(crate) fn failure(&self, what_is: &str, remedy: impl ToString) -> Failure {
+        Failure::new(Class::Feed, format!("the {} {what_is}", self.what), remedy)
+    }
+
+    pub(crate) fn is_forked(&self) -> bool {
+        self.process_id != process::id()
+    }
+
+    /// A process that was forked has no such thread, and the lock may be held for ever.
+    fn stage(&self) -> Result<MutexGuard<'_, Stage<T>>, Failure> {
+        if self.is_forked() {
+            return Err(forked());
         }
-        while !self.is_finished() {
-            sleep_until(py, Instant::now() + TURN)?;
-        }
-        let outcome = self.thread.join();
-        Ok(outcome.map_err(|_| ended())??)
+        Ok(self.stage.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl<T> Running<T> {
-    /// Lets go of it. A process that was forked has no such thread, and must not touch what belongs to one.
-    pub(crate) fn abandon<P>(self, port: P) {
+impl<T> Drop for Running<T> {
+    fn drop(&mut self) {
         if self.process_id != process::id() {
-            std::mem::forget((self, port));
+            let stage = self.stage.get_mut().unwrap_or_else(PoisonError::into_inner);
+            std::mem::forget(std::mem::replace(stage, Stage::New));
         }
+    }
+}
+
+/// What leaving a `with` returns: what happened in it comes first.
+pub(crate) fn leave<T>(happened: Option<&Py<PyAny>>, ended: PyResult<T>) -> PyResult<()> {
+    match happened {
+        None => ended.map(|_| ()),
+        Some(_) => Ok(()),
     }
 }
 
 /// Waits until a record says that the robot is not tracking any more.
-pub(crate) fn until_it_holds(telemetry: &mut TelemetryStream) -> Result<(), Failure> {
+pub(crate) fn until_it_holds(
+    address: &Address,
+    telemetry: &mut TelemetryStream,
+) -> Result<(), Failure> {
     let begin_ns = monotonic_ns();
     let until = Instant::now() + HOLDS_WITHIN;
     loop {
@@ -85,12 +161,13 @@ pub(crate) fn until_it_holds(telemetry: &mut TelemetryStream) -> Result<(), Fail
             Some(record) if record.mode != Mode::Tracking.code() => return Ok(()),
             Some(_) if !left.is_zero() => {}
             _ => {
+                address.check_runs(Service::Telemetry, HOLDS_WITHIN)?;
                 return Err(Failure::new(
                     Class::Link,
                     format!(
-                        "the feed has ended, and the daemon did not say within {HOLDS_WITHIN:?} that the robot holds"
+                        "the feed has ended, and the daemon did not report within {HOLDS_WITHIN:?} that the robot holds"
                     ),
-                    "Look with cdcrctl status; cdcrctl stop stops the robot.",
+                    "See the mode with cdcrctl status; cdcrctl stop stops the robot.",
                 ));
             }
         }

@@ -13,13 +13,18 @@ use pyo3::types::{PyBool, PyDict};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use crate::errors::Failure;
+use crate::errors::{Failure, REPORT};
 
 /// The settings that a dictionary changes of the defaults, checked.
 pub(crate) fn settings(given: Option<&Bound<'_, PyDict>>) -> PyResult<NmpcSettings> {
     let mut table = Table::new();
     for (key, value) in given.into_iter().flatten() {
-        let key: String = key.extract()?;
+        let key: String = key.extract().map_err(|_| {
+            Failure::argument(
+                format!("a key of the settings is {key}; needed is a name"),
+                "Use the keys of cdcr.default_settings().",
+            )
+        })?;
         let value = scalar(&key, &value)?;
         table.insert(key, value);
     }
@@ -69,7 +74,7 @@ impl<'py> IntoPyObject<'py> for Settings {
 
     fn into_pyobject(self, py: Python<'py>) -> PyResult<Self::Output> {
         let table = Table::try_from(self.0);
-        let table = table.map_err(|error| Failure::argument(error, "Report this."))?;
+        let table = table.map_err(|error| Failure::argument(error, REPORT))?;
         let dictionary = PyDict::new(py);
         for (key, value) in table {
             match value {
@@ -120,8 +125,7 @@ pub(crate) fn read(path: &PathBuf) -> Result<Table, Failure> {
 
 /// Writes settings into a message: each has one name on both sides. What the message has beyond them stays.
 pub(crate) fn change(message: &mut SolverSettings, settings: &NmpcSettings) -> Result<(), Failure> {
-    let table =
-        Table::try_from(settings).map_err(|error| Failure::argument(error, "Report this."))?;
+    let table = Table::try_from(settings).map_err(|error| Failure::argument(error, REPORT))?;
     let mut unknown = None;
     message.visit_mut(&mut |field, place| {
         let Some(value) = table.get(field.name) else {

@@ -1,7 +1,6 @@
 //! `cdcr_controller::closed_loop`, period by period.
 
-use std::collections::HashMap;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, Sensor};
 use cdcr_controller::estimator::Actuator;
@@ -9,19 +8,22 @@ use cdcr_controller::nmpc::{self, NmpcSettings, RateWeight, SolveReport};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{Configuration, Robot as Model};
+use cdcr_shared_types::codes::Interface;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyMapping};
 
 use crate::arrays::{ArrayLike, Doubles};
+use crate::connection::pairs;
+use crate::driver::interface_of;
 use crate::errors::Failure;
-use crate::nmpc::status_word;
+use crate::nmpc::{SEEDS, status_word};
+use crate::numbers::{count, within};
 use crate::obstacle::{Obstacle, inner};
 use crate::robot::Robot;
 use crate::settings::settings;
-use crate::trajectory::Trajectory;
+use crate::trajectory::{DAY_S, Trajectory};
+use crate::worker::SIGNALS_EACH;
 
-/// How long the simulation runs before it looks whether somebody pressed Ctrl-C.
-const SIGNALS_EACH: Duration = Duration::from_millis(50);
 /// Largest acceleration of a robot behind a driver, as a daemon has it by default (rad/s²).
 const ACCELERATION_RAD_S2: f64 = 40.0;
 
@@ -74,13 +76,13 @@ pub(crate) fn simulate(
     robot: &Robot,
     trajectory: &Trajectory,
     plant: &str,
-    flaws: Option<HashMap<String, f64>>,
+    flaws: Option<&Bound<'_, PyMapping>>,
     settings: Option<&Bound<'_, PyDict>>,
     period_s: f64,
     start: Option<ArrayLike<'_>>,
     obstacles: Vec<Obstacle>,
     duration_s: Option<f64>,
-    seed: u64,
+    seed: i128,
     sensor: Option<&str>,
     interface: &str,
     actuator_delay_s: f64,
@@ -101,15 +103,15 @@ pub(crate) fn simulate(
     };
     check_actuator(&actuator, estimator_time_constant_s)?;
     let preset = preset(plant)?;
-    let flaws = with_flaws(preset.flaws(), flaws.unwrap_or_default())?;
+    let flaws = with_flaws(preset.flaws(), flaws)?;
     let driven = Driven {
         flaws,
         actuator,
         time_constant_s: estimator_time_constant_s,
-        obeys_positions: obeys_positions(interface)?,
+        obeys_positions: interface_of(interface)? == Interface::Position,
         sensor: sensor_of(sensor, preset)?,
         without: None,
-        seed,
+        seed: count("seed", seed, SEEDS)?,
     };
     let is_ideal = preset == Preset::Ideal && flaws == Flaws::default() && sensor.is_none();
     if settings.rate_weight == RateWeight::Auto {
@@ -132,7 +134,7 @@ pub(crate) fn simulate(
     let periods = periods(duration_s, period_s)?;
     let source = trajectory.source.clone();
     let reference_at = move |time_s: f64| source.sample(time_s);
-    let obstacles = inner(&obstacles);
+    let obstacles = inner(&obstacles)?;
     let mut closed = ClosedLoop::new(
         &robot.inner,
         period_s,
@@ -171,7 +173,7 @@ fn run<R: Fn(f64) -> ReferenceSample + Send>(
     reference: &crate::trajectory::Source,
 ) -> PyResult<Vec<Row>> {
     let mut nmpc = nmpc::Nmpc::new(robot.clone(), period_s, settings).map_err(Failure::from)?;
-    let mut rows = Vec::with_capacity(periods);
+    let mut rows = Vec::new();
     while rows.len() < periods {
         let (closed, nmpc, rows) = (&mut closed, &mut nmpc, &mut rows);
         py.detach(move || {
@@ -320,25 +322,16 @@ fn preset(name: &str) -> Result<Preset, Failure> {
     })
 }
 
-fn with_flaws(begin: Flaws, named: HashMap<String, f64>) -> Result<Flaws, Failure> {
-    let mut named: Vec<_> = named.into_iter().collect();
-    named.sort_by(|one, other| one.0.cmp(&other.0));
+fn with_flaws(begin: Flaws, named: Option<&Bound<'_, PyMapping>>) -> PyResult<Flaws> {
     let mut flaws = begin;
-    for (name, value) in named {
-        flaws = flaws.with(&name, value)?;
+    if let Some(named) = named {
+        let mut named: Vec<(String, f64)> = pairs("flaws", "names to numbers", named)?;
+        named.sort_by(|one, other| one.0.cmp(&other.0));
+        for (name, value) in named {
+            flaws = flaws.with(&name, value).map_err(Failure::from)?;
+        }
     }
     Ok(flaws)
-}
-
-fn obeys_positions(interface: &str) -> Result<bool, Failure> {
-    match interface {
-        "velocity" => Ok(false),
-        "position" => Ok(true),
-        other => Err(Failure::argument(
-            format!("interface is {other:?}"),
-            "Use \"velocity\" or \"position\".",
-        )),
-    }
 }
 
 fn sensor_of(name: Option<&str>, preset: Preset) -> Result<Sensor, Failure> {
@@ -363,25 +356,22 @@ fn check_actuator(actuator: &Actuator, time_constant_s: f64) -> Result<(), Failu
         ("estimator_time_constant_s", time_constant_s, 10.0),
     ];
     for (name, value, most) in numbers {
-        if !(0.0..=most).contains(&value) {
-            return Err(Failure::argument(
-                format!("{name} is {value}; allowed is 0 to {most}"),
-                "Give a value inside the range.",
-            ));
-        }
+        within(name, value, 0.0..=most)?;
     }
     Ok(())
 }
 
-/// How many periods there are; a simulation of more than a day is a mistake in a unit.
+/// How many periods there are; a simulation of more than a day, or of more memory than that at 5 ms, is a mistake in a unit.
 fn periods(duration_s: f64, period_s: f64) -> Result<usize, Failure> {
-    const DAY_S: f64 = 86_400.0;
-    if !(0.0..=DAY_S).contains(&duration_s) {
+    const PERIODS_MAX: f64 = DAY_S / 0.005;
+    within("duration_s", duration_s, 0.0..=DAY_S)?;
+    // A rounding below a period must not make one more.
+    let periods = (duration_s / period_s - 1e-9).ceil().max(0.0);
+    if periods > PERIODS_MAX {
         return Err(Failure::argument(
-            format!("duration_s is {duration_s}; allowed is 0 to {DAY_S}"),
-            "Give a duration in seconds.",
+            format!("duration_s has {periods:e} periods; allowed are {PERIODS_MAX:e}"),
+            "Give a shorter duration, or a longer period_s.",
         ));
     }
-    // A rounding below a period must not make one more.
-    Ok((duration_s / period_s - 1e-9).ceil().max(0.0) as usize)
+    Ok(periods as usize)
 }

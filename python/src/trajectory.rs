@@ -12,10 +12,18 @@ use pyo3::prelude::*;
 
 use crate::arrays::{ArrayLike, Doubles, Numbers, triple};
 use crate::errors::Failure;
+use crate::numbers::{count, within};
 use crate::robot::Robot;
 
 /// A curve that can be fed or simulated.
 pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
+
+/// As long as a feed may last, and a simulation [s].
+pub(crate) const DAY_S: f64 = 86_400.0;
+
+/// Of a figure (m, m/s): farther is no robot, and nearer is none either.
+const SMALLEST: f64 = 1e-6;
+const LARGEST: f64 = 1e6;
 
 /// What the tip shall follow: a curve in time, which counts from its start. Immutable.
 #[pyclass(frozen, module = "cdcr")]
@@ -59,7 +67,8 @@ impl Trajectory {
 
     /// A screw line about the vertical at an even speed; every other round goes back.
     ///
-    /// centre_m: (3,) [m]. radius_m: above 0. rise_m: from end to end. speed_m_s: above 0. turns: 1 to 100, from end to end. rounds: 1 or more.
+    /// centre_m: (3,) [m]. radius_m: 1e-6 to 1e6 m. rise_m: from end to end, -1e6 to 1e6 m. speed_m_s: 1e-6 to 1e6 m/s. turns: 1 to 100, from end to end.
+    /// rounds: 1 to 4294967295. Raises ArgumentError for a value outside its range.
     #[staticmethod]
     #[pyo3(signature = (centre_m, radius_m, *, rise_m, speed_m_s, turns = 1, rounds = 1))]
     fn helix(
@@ -67,17 +76,14 @@ impl Trajectory {
         radius_m: f64,
         rise_m: f64,
         speed_m_s: f64,
-        turns: u32,
-        rounds: u32,
+        turns: i128,
+        rounds: i128,
     ) -> PyResult<Self> {
-        positive(&[("radius_m", radius_m), ("speed_m_s", speed_m_s)])?;
-        if !rise_m.is_finite() || !(1..=100).contains(&turns) || rounds == 0 {
-            return Err(Failure::argument(
-                format!("rise_m is {rise_m}, turns {turns}, rounds {rounds}"),
-                "Give a finite rise, 1 to 100 turns, and 1 round or more.",
-            )
-            .into());
-        }
+        within("radius_m", radius_m, SMALLEST..=LARGEST)?;
+        within("speed_m_s", speed_m_s, SMALLEST..=LARGEST)?;
+        let turns = count("turns", turns, 1..=100_u32)?;
+        let rounds = count("rounds", rounds, 1..=u32::MAX)?;
+        within("rise_m", rise_m, -LARGEST..=LARGEST)?;
         let rise = rise_m / radius_m;
         let shape = FigureShape::Helix { turns, rise };
         let centre_m = triple(&centre_m, "centre_m")?;
@@ -93,7 +99,7 @@ impl Trajectory {
 
     /// Points of your own.
     ///
-    /// t: (k,) [s], increasing by 1 µs at least; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
+    /// t: (k,) [s], increasing by 1 µs at least, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
     /// length, or axis: (k, 3), a unit vector, if the tip's orientation counts. interpolation: "cubic" or "linear".
     /// Raises ArgumentError for wrong shapes, NaN, times that do not increase, and what is not of unit length.
     #[staticmethod]
@@ -208,6 +214,12 @@ impl Points {
             .iter()
             .map(|time_s| time_s - begin_s)
             .collect();
+        let lasts_s = times_s[count - 1];
+        within(
+            "the time from the first t to the last",
+            lasts_s,
+            0.0..=DAY_S,
+        )?;
         let points = times_s
             .iter()
             .zip(positions.values().chunks_exact(3))
@@ -315,20 +327,6 @@ fn lengths_m(robot: &Robot) -> Vec<f64> {
         .iter()
         .map(|section| section.length_m)
         .collect()
-}
-
-fn positive(numbers: &[(&str, f64)]) -> PyResult<()> {
-    match numbers
-        .iter()
-        .find(|(_, value)| !(*value > 0.0 && value.is_finite()))
-    {
-        None => Ok(()),
-        Some((name, value)) => Err(Failure::argument(
-            format!("{name} is {value}"),
-            format!("Give {name} a value above 0."),
-        )
-        .into()),
-    }
 }
 
 /// How positions between points are found.

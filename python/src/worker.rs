@@ -2,8 +2,8 @@
 //! signals while it waits.
 
 use std::process;
-use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -13,12 +13,14 @@ use crate::errors::{Class, Failure};
 
 /// How long Python waits before it looks at signals.
 pub(crate) const SIGNALS_EACH: Duration = Duration::from_millis(50);
+/// The longest job of a thread that has others to do, or may be closed meanwhile: what takes longer is done in slices.
+pub(crate) const SLICE: Duration = Duration::from_millis(20);
 
 type Job<D> = Box<dyn FnOnce(&mut D) + Send>;
 
 /// The thread with its desk, which is made and dropped on it.
 pub(crate) struct Worker<D: 'static> {
-    open: Option<Open<D>>,
+    open: Mutex<Option<Open<D>>>,
     process_id: u32,
 }
 
@@ -51,7 +53,7 @@ impl<D: 'static> Worker<D> {
         })?;
         wait(py, is_made)??;
         Ok(Self {
-            open: Some(Open { jobs, thread }),
+            open: Mutex::new(Some(Open { jobs, thread })),
             process_id: process::id(),
         })
     }
@@ -62,50 +64,83 @@ impl<D: 'static> Worker<D> {
         py: Python<'_>,
         job: impl FnOnce(&mut D) -> T + Send + 'static,
     ) -> PyResult<T> {
-        let open = self.open()?;
         let (answer, answered) = channel();
         let job = move |desk: &mut D| {
             let _ = answer.send(job(desk));
         };
-        open.jobs.send(Box::new(job)).map_err(|_| ended())?;
+        self.jobs()?.send(Box::new(job)).map_err(|_| ended())?;
         wait(py, answered)
     }
 
-    fn open(&self) -> PyResult<&Open<D>> {
-        if self.process_id != process::id() {
-            return Err(forked().into());
+    /// Asks for at most a slice at a time until there is an answer, or until a time: then the last one is none.
+    pub(crate) fn ask_until<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        until: Instant,
+        job: impl Fn(&mut D, Duration) -> Result<Option<T>, Failure> + Clone + Send + 'static,
+    ) -> PyResult<Option<T>> {
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let (job, slice) = (job.clone(), left.min(SLICE));
+            let answer = self.ask(py, move |desk| job(desk, slice))??;
+            if answer.is_some() || left.is_zero() {
+                return Ok(answer);
+            }
+            py.check_signals()?;
         }
-        self.open
-            .as_ref()
-            .ok_or_else(|| Failure::new(Class::Link, "it is closed", "Connect again.").into())
+    }
+
+    fn jobs(&self) -> Result<Sender<Job<D>>, Failure> {
+        // The lock of a process that was forked may be held for ever.
+        if self.process_id != process::id() {
+            return Err(forked());
+        }
+        let open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*open {
+            Some(open) => Ok(open.jobs.clone()),
+            None => Err(Failure::new(
+                Class::Link,
+                "the connection or driver is closed",
+                "Make another one, with cdcr.connect().",
+            )),
+        }
     }
 
     /// Ends the thread, and waits until everything that it had is given back. Closing twice changes nothing.
-    pub(crate) fn close(&mut self, py: Python<'_>) {
-        if let Some(open) = self.open.take() {
-            let is_ours = self.process_id == process::id();
-            py.detach(|| end(open, is_ours));
+    pub(crate) fn close(&self, py: Python<'_>) {
+        if self.process_id != process::id() {
+            return;
+        }
+        let open = self
+            .open
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        if let Some(open) = open {
+            py.detach(|| end(open));
         }
     }
 }
 
 impl<D> Drop for Worker<D> {
     fn drop(&mut self) {
-        if let Some(open) = self.open.take() {
-            end(open, self.process_id == process::id());
+        let open = self.open.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let Some(open) = open.take() else {
+            return;
+        };
+        if self.process_id == process::id() {
+            end(open);
+        } else {
+            // A process that was forked has no such thread, and the lock of the channel may be held for ever.
+            std::mem::forget(open);
         }
     }
 }
 
-fn end<D>(open: Open<D>, is_ours: bool) {
-    if is_ours {
-        drop(open.jobs);
-        // A thread that panicked has nothing left to give back.
-        let _ = open.thread.join();
-    } else {
-        // A process that was forked has no such thread, and the lock of the channel may be held for ever.
-        std::mem::forget(open);
-    }
+fn end<D>(open: Open<D>) {
+    drop(open.jobs);
+    // A thread that panicked has nothing left to give back.
+    let _ = open.thread.join();
 }
 
 /// Computes something on a thread of its own and waits for it.
@@ -175,5 +210,9 @@ pub(crate) fn forked() -> Failure {
 }
 
 pub(crate) fn ended() -> Failure {
-    Failure::new(Class::Link, "its thread has ended", "Connect again.")
+    Failure::new(
+        Class::Link,
+        "the thread of the connection has ended",
+        "Connect again.",
+    )
 }

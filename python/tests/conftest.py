@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cdcr
@@ -72,3 +73,28 @@ def daemon() -> Iterator[Daemon]:
     yield running
     running.end()
 
+
+def eventually(happened, patience_s: float = PATIENCE_S) -> None:
+    until = time.monotonic() + patience_s
+    while not happened():
+        assert time.monotonic() < until, "it did not happen"
+        time.sleep(0.02)
+
+
+def newest(connection: cdcr.Connection) -> np.void:
+    """A record of from now on, however long the machine stalls; the status is up to 0.1 s older."""
+    until = time.monotonic() + PATIENCE_S
+    while len(records := connection.telemetry(0.05)) == 0:
+        assert time.monotonic() < until, "there are no records"
+    return records[-1]
+
+
+def mode(connection: cdcr.Connection) -> cdcr.Mode:
+    return cdcr.Mode(newest(connection)["mode"])
+
+
+def curve(robot: cdcr.Robot, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    t = np.linspace(0, seconds, int(200 * seconds) + 1)
+    bends = np.zeros((len(t), 2 * robot.sections))
+    bends[:, -2], bends[:, -1] = 0.3 * np.sin(t), 0.2 * (1 - np.cos(t))
+    return t, robot.forward(bends)

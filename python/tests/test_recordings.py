@@ -100,3 +100,8 @@ def test_each_figure_is_drawn_of_each_source(recording: Path) -> None:
         daemon.end()
     with pytest.raises(cdcr.ArgumentError, match="no records"):
         plot.error({})
+    nothing = cdcr.simulate(robot, cdcr.Trajectory.spiral(robot), duration_s=0)
+    for wrong in (nothing, None, [1, 2], np.zeros(3), np.zeros(3, cdcr.dtype("Status")), {"telemetry": 1}):
+        with pytest.raises(cdcr.ArgumentError, match="cannot be drawn|no periods") as refused:
+            plot.timing(wrong)
+        assert refused.value.remedy

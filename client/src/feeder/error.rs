@@ -1,7 +1,8 @@
+use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::Outcome;
 
 use crate::remedy::remedy;
-use crate::{LinkError, RequestError};
+use crate::{LinkError, Liveness, RequestError};
 
 /// Why a trajectory was not fed to its end.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -24,10 +25,10 @@ pub enum FeedError {
         /// What it says \[s\].
         duration_s: f64,
     },
-    /// A request (lease, track) was refused or not answered.
+    /// A request (lease, track) was refused, or not answered by a daemon that runs.
     #[error(transparent)]
-    Request(#[from] RequestError),
-    /// A port failed, or the daemon fell silent.
+    Request(RequestError),
+    /// A port failed, or the daemon fell silent or has ended.
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The daemon refused a chunk of the reference.
@@ -70,4 +71,44 @@ pub enum FeedError {
         /// What to do.
         remedy: &'static str,
     },
+}
+
+impl From<RequestError> for FeedError {
+    /// That the daemon has ended matters, and not in which request of the feed this was found.
+    fn from(error: RequestError) -> Self {
+        match error {
+            RequestError::Timeout {
+                waited,
+                liveness: liveness @ Liveness::Ended,
+                ..
+            } => LinkError::silent(Service::Control, waited, liveness).into(),
+            error => Self::Request(error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cdcr_shared_types::codes::RequestKind;
+    use std::time::Duration;
+
+    #[test]
+    fn a_request_that_an_ended_daemon_did_not_answer_reports_its_end_and_no_lease() {
+        let timeout = |liveness| RequestError::Timeout {
+            kind: RequestKind::AcquireLease,
+            waited: Duration::from_secs(1),
+            liveness,
+        };
+        let text = FeedError::from(timeout(Liveness::Ended)).to_string();
+        assert!(
+            text.contains("it has ended") && !text.contains("lease"),
+            "{text}"
+        );
+        let running = timeout(Liveness::Runs { process_id: None });
+        assert_eq!(
+            FeedError::from(running.clone()),
+            FeedError::Request(running)
+        );
+    }
 }

@@ -208,7 +208,7 @@ impl<'c> Feeder<'c> {
         match self.lease.renew() {
             Ok(_) => Ok(()),
             Err(RequestError::Restarted { .. }) => Err(state.restarted()),
-            Err(error) => Err(FeedError::Request(error)),
+            Err(error) => Err(error.into()),
         }
     }
 }

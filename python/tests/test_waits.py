@@ -1,0 +1,237 @@
+"""Waits: for how long, what ends them, and what they report of a daemon that has ended."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import cdcr
+from conftest import PATIENCE_S, Daemon, curve, eventually
+
+NEVER = [float("nan"), float("inf"), -float("inf"), -1.0, -1e-9, 1e19, 1e300]
+POINTS = [0.0, 600.0], [[0, 0, 0.9], [0, 0.1, 0.89]]
+
+
+def test_a_time_that_none_can_wait_for_is_refused_everywhere(daemon: Daemon) -> None:
+    robot = cdcr.Robot()
+    nmpc, spiral, ball = cdcr.Nmpc(robot), cdcr.Trajectory.spiral(robot), cdcr.Obstacle.sphere([1, 0, 0], 0.1)
+    with daemon.connect() as c, c.feed(*POINTS, track=False) as feed, c.driver() as driver:
+        calls: dict[str, Callable[[float], object]] = {
+            "connect": lambda time_s: daemon.connect(timeout_s=time_s),
+            "status": c.status,
+            "telemetry": c.telemetry,
+            "live": c.live,
+            "incidents": c.incidents,
+            "lifetime_s": lambda time_s: c.set_obstacles({1: ball}, lifetime_s=time_s),
+            "lead_s": lambda time_s: c.feed(*POINTS, lead_s=time_s),
+            "lead_s of a trajectory": lambda time_s: c.feed_trajectory(spiral, lead_s=time_s),
+            "wait": feed.wait,
+            "next_command": driver.next_command,
+            "budget_s": lambda time_s: nmpc.solve(np.zeros(6), [[0, 0, 0.9]], budget_s=time_s),
+            "period_s": lambda time_s: cdcr.Nmpc(robot, period_s=time_s),
+            "duration_s": lambda time_s: cdcr.simulate(robot, spiral, duration_s=time_s),
+            "estimator": lambda time_s: cdcr.simulate(robot, spiral, estimator_time_constant_s=time_s),
+        }
+        for name, call in calls.items():
+            for time_s in NEVER:
+                with pytest.raises(cdcr.ArgumentError, match=r"_s|seconds") as refused:
+                    call(time_s)
+                assert refused.value.remedy and isinstance(refused.value, ValueError), name
+        for time_s in NEVER[:3] + NEVER[5:]:
+            with pytest.raises(cdcr.ArgumentError, match="dt_s"):
+                ball.moved(time_s)
+        # The longest that is allowed is no panic either.
+        assert feed.wait(0.0) is None and nmpc.solve(np.zeros(6), [[0, 0, 0.9]], budget_s=1e9)[2].status
+        assert c.status(1e9)["process_id"] == daemon.process.pid
+    with daemon.connect() as c, c.stream(track=False) as stream:
+        for time_s in NEVER:
+            with pytest.raises(cdcr.ArgumentError, match="t h"):
+                stream.send(time_s, [0, 0, 0.9])
+
+
+def test_what_has_not_begun_says_to_use_with_and_what_has_ended_keeps_its_outcome(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        t, xyz = curve(connection.robot(), 0.3)
+        feed, stream = connection.feed(t, xyz), connection.stream()
+        for too_early in (feed.wait, lambda: feed.wait(1.0), stream.now, lambda: stream.send(1.0, [0, 0, 0.9])):
+            with pytest.raises(cdcr.FeedError, match="not begun|not open") as refused:
+                too_early()
+            assert "with" in refused.value.remedy
+        with feed:
+            first = feed.wait()
+        assert first.played and feed.wait().points == first.points and feed.wait(0.0).chunks == first.chunks
+        with pytest.raises(cdcr.FeedError, match="begun before"):
+            feed.__enter__()
+        with stream:
+            with pytest.raises(cdcr.FeedError, match="begun before"):
+                stream.__enter__()
+            assert stream.now() >= 0
+        # What went wrong stays known.
+        far = connection.feed([0, 1], [[0, 0, 5.0], [0, 0, 5.0]])
+        for again in (far.__enter__, far.wait, lambda: far.wait(0.0)):
+            with pytest.raises(cdcr.FeedError, match="reachable"):
+                again()
+
+
+def test_a_feed_may_be_asked_from_a_thread_while_another_waits(daemon: Daemon) -> None:
+    with daemon.connect() as connection, connection.feed(*POINTS, track=False) as feed:
+        waiting = threading.Thread(target=lambda: feed.wait(PATIENCE_S))
+        waiting.start()
+        eventually(lambda: feed.played_s > 0)
+        assert feed.wait(0.0) is None and waiting.is_alive()
+        feed.__exit__()
+        waiting.join()
+
+
+def test_closing_while_another_thread_waits_ends_that_wait_by_an_error(daemon: Daemon) -> None:
+    connection = daemon.connect()
+    raised: list[BaseException] = []
+
+    def watch() -> None:
+        try:
+            connection.telemetry(600)
+        except cdcr.Error as error:
+            raised.append(error)
+
+    waiting = threading.Thread(target=watch)
+    waiting.start()
+    time.sleep(0.1)
+    connection.close()
+    waiting.join(PATIENCE_S)
+    assert len(raised) == 1 and "closed" in str(raised[0]) and isinstance(raised[0], cdcr.LinkError)
+
+
+def ended(call: Callable[[], object]) -> None:
+    """The error names the end of the daemon, and its remedy what to do."""
+    with pytest.raises(cdcr.LinkError, match="it has ended") as raised:
+        call()
+    assert "cdcrd run" in raised.value.remedy
+
+
+def test_a_killed_daemon_is_reported_by_every_wait_and_the_next_one_is_found(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        live = connection.live(0.01)
+        assert len(next(live)) > 0
+        daemon.kill()
+        ended(lambda: connection.telemetry(0.1))
+        ended(lambda: connection.telemetry(600))
+        ended(lambda: [batch for batch in live])
+        ended(connection.incidents)
+        ended(connection.settings)
+        eventually(lambda: pytest.raises(cdcr.LinkError, connection.status, 0.0))
+        ended(lambda: connection.status(0.1))
+        ended(connection.robot)
+        with pytest.raises(cdcr.RequestError, match="it has ended") as refused:
+            connection.hold()
+        assert "cdcrd run" in refused.value.remedy
+        with pytest.raises(cdcr.ConnectError, match="no daemon is running"):
+            connection.stop()
+        with pytest.raises(cdcr.ConnectError) as missing:
+            daemon.connect(timeout_s=0.1)
+        assert "cdcrd run" in str(missing.value) and isinstance(missing.value, ConnectionError)
+        daemon.start()
+        with daemon.connect() as fresh:
+            assert fresh.status()["process_id"] == daemon.process.pid
+        eventually(lambda: connection.status(PATIENCE_S)["process_id"] == daemon.process.pid)
+        eventually(lambda: len(connection.telemetry(0.05)) > 0)
+
+
+@pytest.mark.parametrize("what", ["feed", "stream"])
+def test_a_daemon_that_is_killed_during_a_feed_has_ended_and_no_lease_is_to_blame(daemon: Daemon, what: str) -> None:
+    with daemon.connect() as connection:
+        t, xyz = curve(connection.robot(), 60.0)
+
+        def feed() -> None:
+            if what == "feed":
+                with connection.feed(t, xyz) as feeding:
+                    daemon.kill()
+                    feeding.wait()
+            else:
+                with connection.stream() as feeding:
+                    begin = feeding.now() + 0.3
+                    daemon.kill()
+                    for k in range(10**6):
+                        feeding.send(begin + 0.005 * k, xyz[k % len(xyz)])
+                        time.sleep(0.005)
+
+        for _ in range(3):
+            with pytest.raises(cdcr.LinkError, match="has ended") as raised:
+                feed()
+            assert "lease" not in str(raised.value) and "cdcrd run" in raised.value.remedy
+            daemon.start()
+            with daemon.connect():
+                pass
+
+
+def test_a_driver_hears_of_the_end_and_goes_on_with_the_next_daemon() -> None:
+    daemon = Daemon("--set", "link.kind=driver")
+    try:
+        with daemon.connect() as connection, connection.driver() as driver:
+            lengths = driver.robot.cables(np.zeros(6))
+            # Without a measurement there is no command, and the daemon runs.
+            assert driver.next_command(0.05) is None
+            driver.send(cable_length=lengths)
+            assert driver.next_command(PATIENCE_S) is not None
+            daemon.kill()
+            # Those that wait are taken or have run out.
+            with pytest.raises(cdcr.LinkError, match="has ended"):
+                while True:
+                    driver.next_command(0.05)
+            assert (driver.cable_speeds() == 0).all()
+            daemon.start()
+            with daemon.connect():
+                pass
+
+            def is_commanded() -> bool:
+                driver.send(cable_length=lengths)
+                try:
+                    return driver.next_command(0.1) is not None
+                except cdcr.LinkError:
+                    return False
+
+            eventually(is_commanded)
+    finally:
+        daemon.end()
+
+
+WAITS = {
+    "connect": "cdcr.connect('nobody', timeout_s=600)",
+    "status": "c.status(600)",
+    "telemetry": "c.telemetry(600)",
+    "live": "[len(batch) for batch in c.live(600)]",
+    "feed": "c.feed([0, 600], [[0, 0, .9], [0, 0.1, .89]], track=False).__enter__().wait()",
+    "feed, at most": "c.feed([0, 600], [[0, 0, .9], [0, 0.1, .89]], track=False).__enter__().wait(600)",
+    "with of a feed": "f = c.feed([0, 600], [[0, 0, .9], [0, 0.1, .89]], track=False)\n    with f: f.wait()",
+    "driver": "c.driver('position').next_command(600)",
+    "simulate": "cdcr.simulate(cdcr.Robot(), cdcr.Trajectory.from_arrays([0, 80000], [[0, 0, .9]] * 2), settings={'horizon_steps': 50})",
+    # One wait after another, because each of them is short.
+    "requests": "while True: c.hold()",
+    "incidents": "while True: c.incidents(2)",
+    "obstacles": "while True: c.clear_obstacles()",
+    "settings": "while True: c.settings()",
+}
+
+
+@pytest.mark.parametrize("what", WAITS)
+def test_ctrl_c_ends_every_wait(daemon: Daemon, what: str) -> None:
+    text = f"import os, signal, cdcr\nwith cdcr.connect(timeout_s={PATIENCE_S}) as c:\n    "
+    if what == "status":
+        # Of a daemon that stands still, whose last status is old.
+        text += f"os.kill({daemon.process.pid}, signal.SIGSTOP); __import__('time').sleep(1.5)\n    "
+    text += f"print('waits', flush=True)\n    {WAITS[what]}"
+    program = subprocess.Popen([sys.executable, "-c", text], env=daemon.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert program.stdout.readline() == "waits\n"
+        time.sleep(0.5)
+        assert program.poll() is None, program.stderr.read()
+        program.send_signal(signal.SIGINT)
+        _, error = program.communicate(timeout=PATIENCE_S)
+    finally:
+        program.kill()
+        daemon.process.send_signal(signal.SIGCONT)
+    assert "KeyboardInterrupt" in error and "panicked" not in error and program.returncode != 0
