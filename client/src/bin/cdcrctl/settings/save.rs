@@ -3,7 +3,7 @@ use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::{MetadataExt, fchown};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use cdcr_client::Connection;
 use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::Value as Json;
@@ -41,6 +41,7 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
         return Ok(Done::Good);
     };
     let name = file.display();
+    check_kind(file)?;
     let before = match fs::read_to_string(file) {
         Err(cause) if cause.kind() == ErrorKind::NotFound => None,
         text => Some(text.with_context(|| format!("cannot read {name}"))?),
@@ -161,6 +162,17 @@ fn put(document: &mut DocumentMut, table: &str, key: &str, mut value: Value) -> 
             table.insert(key, Item::Value(value));
         }
     }
+    Ok(())
+}
+
+/// A device, a pipe or a folder is not replaced by a file.
+fn check_kind(file: &Path) -> anyhow::Result<()> {
+    let is_other = fs::metadata(file).is_ok_and(|file| !file.is_file());
+    ensure!(
+        !is_other,
+        "{} is no regular file: name another one",
+        file.display()
+    );
     Ok(())
 }
 
@@ -327,6 +339,16 @@ mod tests {
         assert!(fs::symlink_metadata(&link).expect("there").is_symlink());
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 2);
         assert!(replace(&folder.path().join("none/a.toml"), "x").is_err());
+    }
+
+    #[test]
+    fn a_device_or_a_folder_is_not_replaced() {
+        for path in ["/dev/null", "/tmp"] {
+            let error = check_kind(Path::new(path)).expect_err(path);
+            assert!(error.to_string().contains("no regular file"), "{error}");
+        }
+        let folder = Scratch::temporary().expect("a folder");
+        assert!(check_kind(&folder.path().join("new.toml")).is_ok());
     }
 
     #[test]
