@@ -171,7 +171,7 @@ fn no_moment_with_play_breaks_a_rule() {
     );
 }
 
-/// Without obstacles a command is the nearest one inside every limit: no other that holds them to the bit and is not faster than asked for, the oracle's among them, is nearer.
+/// Without obstacles a command is the nearest one inside every limit: of those that the oracle finds, that hold every limit to the bit and are not faster than asked for, none is nearer.
 /// Commands aim a rounding inside their limits (10⁻¹¹ m and rad): over a way of a millisecond, with a cable 3 mm from the backbone, that is 3 · 10⁻⁶ rad/s.
 #[test]
 fn the_limits_give_the_nearest_rates() {
