@@ -8,8 +8,8 @@ use super::clearance::Stopping;
 use super::projection::{Region, Vector};
 
 /// How far inside a limit the nearest command aims, in rad and m, so that rounding does not lead beyond it: there the
-/// command would have to be scaled down, by any amount.
-const INSIDE: f64 = 1e-9;
+/// command would have to be scaled down, by any amount. The projection leaves 10⁻¹³ of a bound, times the way.
+const INSIDE: f64 = 1e-11;
 /// The same for the speed of a cable, as a share of its limit.
 const SPEED_INSIDE: f64 = 1e-12;
 /// Tangents that replace the round limit of a bend before what is left is cut off.

@@ -265,6 +265,82 @@ fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
     assert!((told_m - (clear_m(&at) - 0.03)).abs() < 1e-9, "{told_m}");
 }
 
+/// A section that is faster than an obstacle is thick does not jump over it between two periods: both ends of the period keep D, the way between passes
+/// through. (Six sections at 2 rad/s, three at 8 rad/s.)
+#[test]
+fn no_wire_is_jumped_over_within_a_period() {
+    for (sections, rate_rad_s) in [(6, 2.0), (3, 8.0)] {
+        let mut parameters = RobotParameters::paper(sections);
+        parameters.cable_speed_max_m_s = 10.0;
+        for section in &mut parameters.sections {
+            section.rate_max_rad_s = rate_rad_s;
+            section.body_radius_m = 0.01;
+        }
+        let robot = Robot::new(&parameters).unwrap();
+        let at = Configuration::straight(sections);
+        let bending: Vec<f64> = [rate_rad_s, 0.0].repeat(sections);
+        let desired = BendRates::from_slice(&bending).unwrap();
+        let after = |rates: &BendRates, way_s| at.advanced(rates, way_s);
+        let middle_m = robot.tip_position(&after(&desired, 0.5 * PERIOD_S));
+        let across = Vector3::new(0.0, 0.3, 0.0);
+        let shape = Shape::Capsule {
+            start_m: middle_m - across,
+            end_m: middle_m + across,
+        };
+        let wire = [Obstacle::new(shape, 0.0005, Vector3::zeros()).unwrap()];
+        let clear_m = |rates: &BendRates, way_s| robot.clearance_m(&after(rates, way_s), &wire[0]);
+        let moving = Situation {
+            safe_distance_m: 0.005,
+            acceleration_rad_s2: f64::INFINITY,
+            // Nothing but the period counts.
+            moving_s: PERIOD_S,
+            deceleration_rad_s2: f64::INFINITY,
+            ..situation(&robot, &at, &desired, &wire)
+        };
+        let [start_m, middle_m, end_m] =
+            [0.0, 0.5, 1.0].map(|part| clear_m(&desired, part * PERIOD_S));
+        println!("{sections} sections, asked for: {start_m}, {middle_m}, {end_m} m");
+        assert!(start_m >= 0.005 && middle_m < -0.005 && end_m >= 0.005);
+        let kept = safe_command(&moving, &desired).rates;
+        let way = (0..=100).map(|part| clear_m(&kept, PERIOD_S * f64::from(part) / 100.0));
+        let least_m = way.fold(f64::INFINITY, f64::min);
+        println!(
+            "{} of {rate_rad_s} rad/s, {least_m} m on the way",
+            fastest(&kept)
+        );
+        assert!(least_m >= 0.004 && clear_m(&kept, PERIOD_S) >= 0.005);
+    }
+}
+
+/// A mast beside the base is nearer than D to the first section and always will be; the tip, which bends towards it, keeps the whole of D.
+#[test]
+fn an_obstacle_at_the_base_lowers_no_floor_of_the_tip() {
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let shape = Shape::Capsule {
+        start_m: Vector3::new(0.04, 0.0, 0.0),
+        end_m: Vector3::new(0.4, 0.0, 0.6),
+    };
+    let mast = [Obstacle::new(shape, 0.01, Vector3::zeros()).unwrap()];
+    let clear_m = |at: &Configuration, section| robot.body(at).clearance_of(section, &mast[0]);
+    let mut at = Configuration::straight(3);
+    let desired = BendRates::from_slice(&[0.0, 0.0, 0.5, 0.0, 0.5, 0.0]).unwrap();
+    let mut rates = BendRates::zero(3);
+    let base_m = clear_m(&at, 0);
+    assert!(base_m < 0.016, "{base_m}");
+    let mut least_m = f64::INFINITY;
+    for _ in 0..800 {
+        let moving = Situation {
+            safe_distance_m: 0.03,
+            ..situation(&robot, &at, &rates, &mast)
+        };
+        rates = safe_command(&moving, &desired).rates;
+        at = at.advanced(&rates, PERIOD_S);
+        least_m = least_m.min(clear_m(&at, 1)).min(clear_m(&at, 2));
+    }
+    println!("the base {base_m} m, the other sections {least_m} m at least");
+    assert!((0.03..0.0301).contains(&least_m));
+}
+
 /// Runs of a robot with `sections` that goes home past `balls` balls beside its body, one of them on its way: how many
 /// arrive, and how often it stood still before. From each of them the robot could come to rest as fast as it is allowed to, and
 /// no faster. It never circles: each half second leads nearer to home.

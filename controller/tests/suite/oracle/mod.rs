@@ -171,7 +171,8 @@ fn no_moment_with_play_breaks_a_rule() {
     );
 }
 
-/// Without obstacles a command is the nearest one inside every limit: no other that holds them, the oracle's among them, is nearer.
+/// Without obstacles a command is the nearest one inside every limit: of those that the oracle finds, that hold every limit to the bit and are not faster than asked for, none is nearer.
+/// Commands aim a rounding inside their limits (10⁻¹¹ m and rad): over a way of a millisecond, with a cable 3 mm from the backbone, that is 3 · 10⁻⁶ rad/s.
 #[test]
 fn the_limits_give_the_nearest_rates() {
     for deceleration_rad_s2 in DECELERATIONS_RAD_S2 {
@@ -182,7 +183,7 @@ fn the_limits_give_the_nearest_rates() {
             moment.deceleration_rad_s2 = deceleration_rad_s2;
             let distance = |rates: &[f64]| norm(&moved(rates, &moment.desired_rates, -1.0));
             let candidates = moment.limited_candidates();
-            let holding = candidates.iter().filter(|rates| moment.hold(rates));
+            let holding = candidates.iter().filter(|rates| moment.is_inside(rates));
             let best = holding
                 .map(|rates| distance(rates))
                 .fold(f64::INFINITY, f64::min);
@@ -193,7 +194,7 @@ fn the_limits_give_the_nearest_rates() {
             compared += 1;
             cut += u32::from(best > 1e-3);
             assert!(
-                found <= best + 1e-4,
+                found <= best + 1e-5,
                 "{name}: {found} rad/s instead of {best}"
             );
         }

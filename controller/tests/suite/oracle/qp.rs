@@ -17,6 +17,8 @@ const WITHIN_M: f64 = 1e-9;
 /// Fastest components that are tried, each this share of the one before.
 const SLOWER: i32 = 24;
 const LESS: f64 = 0.9;
+/// How far inside its linear limits a nearest command is looked for, in rad/s and m/s, so that it holds them to the bit.
+const INSIDE: f64 = 1e-10;
 /// The share of the desired rates that counts as motion.
 const LEAST: f64 = 0.05;
 /// Shares of a solution that are tried.
@@ -73,24 +75,27 @@ fn nearest(desired_rates: &[f64], rows: &[Row]) -> Vec<f64> {
 impl Moment {
     /// The nearest rates to the desired ones inside the limits, linear, without obstacles.
     pub(super) fn limited_rates(&self) -> Vec<f64> {
-        self.slower_rates(f64::INFINITY)
+        self.slower_rates(f64::INFINITY, 0.0)
     }
 
     /// Rates of which the nearest that hold are the nearest inside the limits: with ever slower fastest components, each with a way of its own.
     pub(super) fn limited_candidates(&self) -> Vec<Vec<f64>> {
-        let mut candidates = vec![self.limited_rates()];
-        if self.deceleration_rad_s2.is_finite() {
-            let desired_rad_s = fastest(&self.desired_rates);
-            let slower = (0..SLOWER).map(|step| desired_rad_s * LESS.powi(step));
-            candidates.extend(slower.map(|most_rad_s| self.slower_rates(most_rad_s)));
-        }
-        candidates
+        let has_ways = self.deceleration_rad_s2.is_finite();
+        let scanned = if has_ways { SLOWER } else { 1 };
+        let desired_rad_s = fastest(&self.desired_rates);
+        let slower = (0..scanned).map(|step| desired_rad_s * LESS.powi(step));
+        slower
+            .map(|most_rad_s| self.slower_rates(most_rad_s, INSIDE))
+            .collect()
     }
 
-    /// The nearest of which no component is faster than this, which stop with the way of those.
-    fn slower_rates(&self, most_rad_s: f64) -> Vec<f64> {
+    /// The nearest of which no component is faster than this, which stop with the way of those, this far inside every limit.
+    fn slower_rates(&self, most_rad_s: f64, inside: f64) -> Vec<f64> {
         let way_rad_s = most_rad_s.min(fastest(&self.desired_rates));
-        let rows = self.limit_rows(&self.desired_rates, most_rad_s, way_rad_s);
+        let mut rows = self.limit_rows(&self.desired_rates, most_rad_s, way_rad_s);
+        for row in &mut rows {
+            row.bound += inside;
+        }
         nearest(&self.desired_rates, &rows)
     }
 

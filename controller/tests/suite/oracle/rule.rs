@@ -167,6 +167,17 @@ impl Moment {
         self.limits(rates).hold() && places.all(|place| self.clearances(place, rates).hold())
     }
 
+    /// Whether these rates are inside every limit, to the bit, and not faster than asked for.
+    pub(super) fn is_inside(&self, rates: &[f64]) -> bool {
+        let slower = fastest(rates) <= fastest(&self.desired_rates);
+        slower
+            && self
+                .limits(rates)
+                .rules()
+                .iter()
+                .all(|margin| *margin >= 0.0)
+    }
+
     /// From the body to the nearest obstacle now (m).
     pub(super) fn clearance_m(&self) -> f64 {
         let mut least_m = f64::INFINITY;
