@@ -216,3 +216,36 @@ fn an_interior_point_that_time_ends_leaves_what_it_found() {
     assert!(steps.len() >= 4, "{steps:?}");
     assert!(last < 1e-9 * first, "{first} {last}");
 }
+
+#[test]
+fn a_solve_that_its_budget_ends_anywhere_repeats_to_the_bit() {
+    let course = Course::spiral(SolverKind::KpsoRefined, 5.0, true);
+    let window: Vec<_> = (1..=STEPS)
+        .map(|step| spiral(&course.robot, 5.0 * f64::from(step) * PERIOD_S))
+        .collect();
+    let solved = |budget: &mut Budget<'_>| {
+        let mut nmpc = Nmpc::new(course.robot.clone(), PERIOD_S, course.settings).unwrap();
+        let input = SolveInput {
+            configuration: &course.at,
+            previous_rates: &BendRates::zero(3),
+            reference: &window,
+            obstacles: &course.obstacles,
+            tip_offset_m: 0.0,
+            elapsed_periods: 1,
+            seed: 0,
+        };
+        let (_, report) = nmpc.solve(&input, budget);
+        let bits: Vec<_> = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();
+        (bits, report)
+    };
+    for asks_max in (0..400).step_by(7) {
+        let mut asks = 0;
+        let mut is_spent = || {
+            asks += 1;
+            asks > asks_max
+        };
+        let (plan, report) = solved(&mut Budget::new(&mut is_spent));
+        let again = solved(&mut Budget::of_quanta(report.quanta));
+        assert_eq!(again, (plan, report), "after {asks_max} looks at the clock");
+    }
+}
