@@ -65,7 +65,8 @@ impl Knowledge {
     ) {
         let candidates = self.candidates.chunks_exact(problem.dimension());
         for (z, origin) in candidates.zip(&self.origins).skip(1) {
-            if let Some(evaluation) = problem.evaluate_at(z, budget) {
+            let enough = incumbent.cost();
+            if let Some(evaluation) = problem.evaluate_below(z, enough, budget) {
                 incumbent.offer(|i| z[i], &evaluation, 0, *origin);
             }
         }
@@ -81,8 +82,8 @@ impl Knowledge {
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) {
-        let (z, into) = (incumbent.z(), &mut self.scratch);
-        if gauss_newton.propose(problem, bounds, damping, budget, z, into) {
+        let into = &mut self.scratch;
+        if gauss_newton.propose(problem, bounds, damping, budget, incumbent, into) {
             self.evaluate_and_add(problem, Candidate::LeastSquares, budget, incumbent);
         }
     }
@@ -132,7 +133,8 @@ impl Knowledge {
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) {
-        if let Some(evaluation) = problem.evaluate_at(&self.scratch, budget) {
+        let enough = incumbent.cost();
+        if let Some(evaluation) = problem.evaluate_below(&self.scratch, enough, budget) {
             let scratch = &self.scratch;
             incumbent.offer(|i| scratch[i], &evaluation, 0, origin);
             if self.origins.len() < CANDIDATES_MAX {

@@ -184,6 +184,20 @@ impl<'a> Motion<'a> {
         }
     }
 
+    /// By how much coordinates that change by `change` bend each section \[rad\], to first order.
+    pub(super) fn bend_changes_rad(&self, bends: &Bent, change: &[f64]) -> [f64; SECTIONS_MAX] {
+        let mut changes_rad = [0.0; SECTIONS_MAX];
+        let pairs = change.as_chunks::<2>().0.iter().zip(&bends.polar);
+        for (target, ([first, second], polar)) in changes_rad.iter_mut().zip(pairs) {
+            let across = match self.coordinates {
+                Coordinates::BendVector => *second,
+                Coordinates::BendAngles => polar[0].0[0] * second,
+            };
+            *target = (first * first + across * across).sqrt();
+        }
+        changes_rad
+    }
+
     /// Bend rates as controls at the start: one block. A straight section loses what is across its
     /// direction.
     pub(super) fn controls_of(&self, rates: &[f64], controls: &mut [f64]) {

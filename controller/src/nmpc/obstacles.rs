@@ -1,7 +1,7 @@
 //! Obstacles over the horizon: culled once per solve by what the box allows, again at each step by what the plans side by side do, then
 //! a penalty on every step of each section too near to one.
 
-use super::motion::Motion;
+use super::motion::{Bent, Motion};
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
 use crate::optimizer::{Budget, Evaluation};
 use crate::robot::{COORDINATES_MAX, Configuration, Obstacle, Robot, SECTIONS_MAX, Shape};
@@ -15,6 +15,10 @@ const SPHERE_NS: u32 = 40;
 const CAPSULE_NS: u32 = 300;
 /// Nominal time of culling one obstacle at a step \[ns\].
 const CULLING_NS: u32 = 4;
+/// Nominal time of finding that a section is beyond reach, by balls and chord \[ns\].
+const BEYOND_NS: u32 = 8;
+/// Nominal time of bounding one distance by a chord \[ns\].
+const CHORD_NS: u32 = 50;
 /// Nominal time of the derivatives of one distance \[ns\].
 const ROW_NS: u32 = 160;
 /// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
@@ -209,7 +213,7 @@ impl Obstacles {
             if sections == 0 {
                 continue;
             }
-            if !budget.spend(section_ns(&near.obstacle) * sections.count_ones()) {
+            if !budget.spend(BEYOND_NS * sections.count_ones()) {
                 return None;
             }
             let obstacle = near.obstacle.moved(at.time_s);
@@ -218,9 +222,13 @@ impl Obstacles {
                 if sections & 1 << j == 0 {
                     continue;
                 }
-                let Some(clearance_m) = body.section_clearance_below(j, &obstacle, enough_m) else {
+                let Some(beyond) = body.section_is_beyond(j, &obstacle, enough_m) else {
                     continue;
                 };
+                if !budget.spend(section_ns(&near.obstacle)) {
+                    return None;
+                }
+                let clearance_m = body.section_clearance_below(j, &obstacle, enough_m, beyond);
                 let depth_m = Wide::splat(enough_m) - clearance_m;
                 let inside = zero.less(depth_m);
                 let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
@@ -234,36 +242,60 @@ impl Obstacles {
         Some(())
     }
 
-    /// The nearest place of each section to each obstacle that a step could bring too near, for a
-    /// Gauss-Newton step. False: the budget was spent.
+    /// The nearest place of each section to each obstacle that a step could bring too near which moves the sections by `reach_m` at most, for
+    /// a Gauss-Newton step. False: the budget was spent.
     pub(super) fn rows(
         &self,
         robot: &Robot,
         settings: &NmpcSettings,
         at: StepTime,
-        shape: &Configuration,
+        (bends, reach_m): (&Bent, &[f64; SECTIONS_MAX]),
         budget: &mut Budget<'_>,
         mut push: impl FnMut(ClearanceRow),
     ) -> bool {
         if !self.matter_at(at.step) {
             return true;
         }
-        let body = robot.body(shape);
-        let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
+        if !budget.spend(CULLING_NS * self.near.len() as u32) {
+            return false;
+        }
         let kept_m = settings.safe_distance_m + MARGIN_M;
-        let motion = robot.body_motion(shape);
+        let (mut moved_m, _) = self.travel_m(robot, &bends.bend_rad);
+        for (moved_m, reach_m) in moved_m.iter_mut().zip(reach_m) {
+            *moved_m += reach_m + MARGIN_M;
+        }
+        let is_met = |near: &Near| near.sections_at(at.step, &moved_m) != 0;
+        if !self.near.iter().any(is_met) {
+            return true;
+        }
+        let shape = self.shape(bends);
+        let body = robot.body(&shape);
+        let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
+        let motion = robot.body_motion(&shape);
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
         for near in &self.near {
-            let sections = near.sections[at.step];
-            if sections == 0 {
-                continue;
-            }
-            if !budget.spend((section_ns(&near.obstacle) + ROW_NS) * sections.count_ones()) {
-                return false;
-            }
+            let sections = near.sections_at(at.step, &moved_m);
             let obstacle = near.obstacle.moved(at.time_s);
             for j in (0..SECTIONS_MAX).filter(|j| sections & 1 << j != 0) {
-                let nearest = body.nearest_of(j, &obstacle);
+                if matches!(obstacle.shape(), Shape::Capsule { .. }) && reach_m[j].is_finite() {
+                    if !budget.spend(CHORD_NS) {
+                        return false;
+                    }
+                    if body.clearance_min_of(j, &obstacle) - kept_m > reach_m[j] {
+                        continue;
+                    }
+                }
+                if !budget.spend(section_ns(&near.obstacle)) {
+                    return false;
+                }
+                let closest = body.closest_of(j, &obstacle);
+                if closest.clearance_m - kept_m > reach_m[j] {
+                    continue;
+                }
+                if !budget.spend(ROW_NS) {
+                    return false;
+                }
+                let nearest = body.place(&closest, &obstacle);
                 motion.point_jacobian(nearest.section, nearest.s, &mut jacobian);
                 let mut derivatives = [0.0; COORDINATES_MAX];
                 for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {
@@ -277,5 +309,10 @@ impl Obstacles {
             }
         }
         true
+    }
+
+    /// A shape of as many sections as the start.
+    fn shape(&self, bends: &Bent) -> Configuration {
+        Configuration::padded(bends.scalar(), self.start.section_count())
     }
 }

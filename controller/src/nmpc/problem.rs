@@ -9,8 +9,8 @@ use crate::optimizer::{
     Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Stages, WIDTH_MAX, apart,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
-use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
-use crate::wide::Wide;
+use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
+use crate::wide::{Wide, all};
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {
@@ -29,6 +29,8 @@ pub(super) struct TrackingProblem<'a> {
 const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
 /// With so many blocks rows are staged; with fewer a matrix of all is faster (`cdcr-bench solver`).
 const STAGED_BLOCKS_MIN: usize = 4;
+/// Sections are taken to be moved by so many times what a step moves them: what meets constraints goes round them.
+const REACH: f64 = 2.0;
 /// Nominal time of one section at W points side by side \[ns\].
 const SECTION_NS: u32 = 15;
 /// Nominal time of the limits of one section, likewise \[ns\].
@@ -118,11 +120,12 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// Eq. 5 for W plans side by side, in the coordinates that P stands for.
+    /// Eq. 5 for W plans side by side, in the coordinates that P stands for; as far as it takes to know that all cost more than `enough`.
     #[inline(always)]
     fn evaluate_in<const W: usize, const P: usize>(
         &self,
         z: &impl Fn(usize) -> Wide<W>,
+        enough: f64,
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
@@ -152,6 +155,10 @@ impl<'a> TrackingProblem<'a> {
                     budget,
                 };
                 apart(instructions, penalties)?;
+                // No term is negative.
+                if enough < f64::INFINITY && all(Wide::splat(enough).less(evaluation.cost)) {
+                    break;
+                }
             }
         }
         Some(evaluation)
@@ -280,11 +287,11 @@ impl<'a> TrackingProblem<'a> {
         is_left
     }
 
-    /// False: the budget was spent.
+    /// Those that a step can break which moves the sections by `reach_m` at most. False: the budget was spent.
     fn push_clearance_rows(
         &self,
         at: &Step,
-        shape: &Configuration,
+        reach_m: &[f64; SECTIONS_MAX],
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
@@ -293,8 +300,37 @@ impl<'a> TrackingProblem<'a> {
             let kind_and_h = (CLEARANCE, row.h);
             self.push_constraint(kind_and_h, row.derivatives, at.bends, at.place, model);
         };
+        let moved = (at.bends, reach_m);
         self.obstacles
-            .rows(self.robot, self.settings, instant, shape, budget, push)
+            .rows(self.robot, self.settings, instant, moved, budget, push)
+    }
+
+    /// Visits the end of each step of a plan, with the bends before it. False: a visit was false, the last one.
+    fn walk(&self, z: &[f64], mut visit: impl FnMut(&Bent, &Step) -> bool) -> bool {
+        let mut bends: Bent = self.motion.start();
+        let mut place = Place {
+            block: 0,
+            since_start: true,
+            periods: 0.0,
+        };
+        (0..self.steps()).all(|index| {
+            let before = bends;
+            self.motion.advance_one(&mut bends, z, index);
+            let block = self.motion.horizon().block_of(index);
+            if block > place.block {
+                (place.block, place.periods) = (block, 0.0);
+            }
+            place.periods += 1.0;
+            let bends = &bends;
+            visit(
+                &before,
+                &Step {
+                    index,
+                    bends,
+                    place,
+                },
+            )
+        })
     }
 
     /// Nominal time of one step of [`Problem::evaluate`] without obstacles.
@@ -311,7 +347,8 @@ impl<'a> TrackingProblem<'a> {
             Some(Orientation::Axis(_)) => 6,
             Some(Orientation::Full(_)) => 12,
         };
-        3 * self.step_ns() + rows * ROW_NS * self.dimension() as u32 / 3
+        let sections_ns = SECTION_NS * self.robot.section_count() as u32;
+        3 * sections_ns + rows * ROW_NS * self.dimension() as u32 / 3
     }
 }
 
@@ -332,47 +369,56 @@ impl Problem for TrackingProblem<'_> {
         self.stages.blocks() >= STAGED_BLOCKS_MIN && self.settings.rate_change_weight == 0.0
     }
 
-    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
-        let z = |i: usize| Wide([z[i]]);
+    fn evaluate_below(
+        &self,
+        z: &[f64],
+        enough: f64,
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<1>> {
+        let (z, scalar) = (|i: usize| Wide([z[i]]), pulp::Scalar);
         match self.motion.coordinates() {
-            Coordinates::BendVector => Searched::<VECTORS>(self).evaluate(z, budget, pulp::Scalar),
-            Coordinates::BendAngles => Searched::<ANGLES>(self).evaluate(z, budget, pulp::Scalar),
+            Coordinates::BendVector => self.evaluate_in::<1, VECTORS>(&z, enough, budget, scalar),
+            Coordinates::BendAngles => self.evaluate_in::<1, ANGLES>(&z, enough, budget, scalar),
         }
     }
 
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
-        let mut bends: Bent = self.motion.start();
-        let mut place = Place {
-            block: 0,
-            since_start: true,
-            periods: 0.0,
-        };
-        for step in 0..self.steps() {
-            let before = bends;
-            self.motion.advance_one(&mut bends, z, step);
-            let block = self.motion.horizon().block_of(step);
-            if block > place.block {
-                (place.block, place.periods) = (block, 0.0);
+        let is_left = self.walk(z, |_, at| {
+            let is_left = budget.spend(self.linearise_step_ns(at.index));
+            if is_left {
+                self.push_pose_rows(at, &self.motion.shape(at.bends), model);
             }
-            place.periods += 1.0;
-            if !budget.spend(self.linearise_step_ns(step)) {
-                return false;
-            }
-            let shape = self.motion.shape(&bends);
-            let at = Step {
-                index: step,
-                bends: &bends,
-                place,
-            };
-            self.push_pose_rows(&at, &shape, model);
-            if !self.push_limit_rows(&before, &at, model, budget)
-                || !self.push_clearance_rows(&at, &shape, model, budget)
-            {
-                return false;
-            }
-        }
+            is_left
+        });
         self.push_regularisation_rows(z, model);
-        true
+        is_left
+    }
+
+    fn constrain(
+        &self,
+        z: &[f64],
+        step: Option<&[f64]>,
+        model: &mut LinearModel,
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        if self.is_free() {
+            return true;
+        }
+        let mut change = [0.0; COORDINATES_MAX];
+        let change = &mut change[..self.width()];
+        self.walk(z, |before, at| {
+            let mut reach_m = [f64::INFINITY; SECTIONS_MAX];
+            if let Some(step) = step {
+                let of_block = &step[at.place.block * self.width()..];
+                for (change, rate) in change.iter_mut().zip(of_block) {
+                    *change += self.motion.period_s() * rate;
+                }
+                let changes_rad = self.motion.bend_changes_rad(at.bends, change);
+                reach_m = self.robot.travel_m(&changes_rad.map(|own| REACH * own));
+            }
+            self.push_limit_rows(before, at, model, budget)
+                && self.push_clearance_rows(at, &reach_m, model, budget)
+        })
     }
 }
 
@@ -387,7 +433,8 @@ impl<const P: usize> Cost for Searched<'_, P> {
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        self.0.evaluate_in::<W, P>(&z, budget, instructions)
+        self.0
+            .evaluate_in::<W, P>(&z, f64::INFINITY, budget, instructions)
     }
 }
 

@@ -5,7 +5,8 @@ use super::motion::{ANGLES, VECTORS};
 use super::problem::{Searched, TrackingProblem};
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
-    self, Bounds, Budget, Cost, GaussNewton, GaussNewtonOutcome, Incumbent, Kpso, Problem, Simd,
+    self, Bounds, Budget, Cost, Evaluation, GaussNewton, GaussNewtonOutcome, Incumbent, Kpso,
+    Problem, Simd,
 };
 
 /// Rows of one step: position, and three axes of the tip.
@@ -65,38 +66,33 @@ impl Solver {
         self.incumbent.restart(warm_plan, evaluation.as_ref());
         let warm_cost = self.incumbent.cost();
 
-        let mut refinement = GaussNewtonOutcome::default();
+        let mut refinement = None;
         let mut iterations = 0;
         if task.problem.is_posed() && budget.left() {
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
             let refines = task.settings.solver.refines();
-            let mut refined_cost = None;
-            // A long plan that breaks a constraint, as at the new end of its horizon, is mended beside those that do less.
-            if refines && task.problem.is_staged() && self.incumbent.is_violated() {
-                self.mended.restart(warm_plan, evaluation.as_ref());
-                self.knowledge
-                    .evaluate(task.problem, budget, &mut self.incumbent);
-                let settings = task.settings.gauss_newton();
-                let mended = &mut self.mended;
-                refinement =
-                    self.gauss_newton
-                        .refine(task.problem, task.bounds, &settings, budget, mended);
-                self.incumbent.take_better(mended);
-                refined_cost = Some(self.mended.cost());
+            // What is known of a long plan's derivatives costs little, so the plan is refined before anything else is tried.
+            if refines && task.problem.is_staged() {
+                refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
             }
+            let refined_cost = refinement.map(|_| self.incumbent.cost());
             if task.settings.solver.searches() {
-                iterations = self.search(task, budget);
+                iterations = self.search(task, refinement, budget);
             } else {
                 self.knowledge
                     .evaluate(task.problem, budget, &mut self.incumbent);
             }
             if refines && refined_cost != Some(self.incumbent.cost()) {
-                refinement = self.refine(task, budget);
-                if refinement.stuck && self.leave_singular_shape(task, budget) {
-                    refinement = self.refine(task, budget);
-                }
+                refinement = Some(self.refine(task, budget));
+            }
+            if refines
+                && refinement.is_some_and(|refinement| refinement.stuck)
+                && self.leave_singular_shape(task, budget)
+            {
+                refinement = Some(self.refine(task, budget));
             }
         }
+        let refinement = refinement.unwrap_or_default();
         SolveReport {
             warm_cost,
             gradient_norm: refinement.gradient_norm,
@@ -113,22 +109,55 @@ impl Solver {
         }
     }
 
-    /// Knowledge, then the swarm around it. Returns the iterations begun.
-    fn search(&mut self, task: &Task, budget: &mut Budget<'_>) -> u32 {
-        self.knowledge.add_least_squares(
-            task.problem,
-            task.bounds,
-            task.settings.damping,
-            &mut self.gauss_newton,
-            budget,
-            &mut self.incumbent,
-        );
+    /// Refines the warm start; where that breaks a constraint, as at the new end of its horizon, beside those that do less. None: one of these is
+    /// better.
+    fn refine_warm_start(
+        &mut self,
+        task: &Task,
+        evaluation: Option<&Evaluation<1>>,
+        budget: &mut Budget<'_>,
+    ) -> Option<GaussNewtonOutcome> {
+        if !self.incumbent.is_violated() {
+            return Some(self.refine(task, budget));
+        }
+        self.mended.restart(self.incumbent.z(), evaluation);
+        self.knowledge
+            .evaluate(task.problem, budget, &mut self.incumbent);
+        let settings = task.settings.gauss_newton();
+        let mended = &mut self.mended;
+        let refinement =
+            self.gauss_newton
+                .refine(task.problem, task.bounds, &settings, budget, mended);
+        let is_taken = self.incumbent.take_better(mended);
+        is_taken.then_some(refinement)
+    }
+
+    /// Knowledge, then the swarm around it; `refined` is how the incumbent was refined, if it was. Returns the iterations begun.
+    fn search(
+        &mut self,
+        task: &Task,
+        refined: Option<GaussNewtonOutcome>,
+        budget: &mut Budget<'_>,
+    ) -> u32 {
+        if !refined.is_some_and(|refined| refined.converged) {
+            self.knowledge.add_least_squares(
+                task.problem,
+                task.bounds,
+                task.settings.damping,
+                &mut self.gauss_newton,
+                budget,
+                &mut self.incumbent,
+            );
+        }
         if self.error_is_left(task) {
-            let (problem, z) = (task.problem, self.incumbent.z());
-            if self
-                .gauss_newton
-                .vanishes_at(problem, task.bounds, budget, z)
-            {
+            let is_stuck = if let Some(refined) = refined {
+                refined.stuck
+            } else {
+                let (problem, z) = (task.problem, self.incumbent.z());
+                self.gauss_newton
+                    .vanishes_at(problem, task.bounds, budget, z)
+            };
+            if is_stuck {
                 self.leave_singular_shape(task, budget);
             }
         }

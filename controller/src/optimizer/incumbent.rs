@@ -86,17 +86,19 @@ impl Incumbent {
         better
     }
 
-    /// Counts the evaluations of another search from the same start, and takes its solution if that is better.
-    pub(crate) fn take_better(&mut self, other: &Self) {
+    /// Counts the evaluations of another search from the same start, and takes its solution if that is better. Whether it was.
+    pub(crate) fn take_better(&mut self, other: &Self) -> bool {
         // Both counted the start.
         self.evaluations += other.evaluations.saturating_sub(1);
-        if other.cost < self.cost {
+        let better = other.cost < self.cost;
+        if better {
             self.z.copy_from_slice(&other.z);
             self.cost = other.cost;
             self.violations = other.violations;
             self.evaluated = true;
             self.origin = other.origin;
         }
+        better
     }
 
     /// Counts evaluations that are known not to be better.

@@ -111,11 +111,8 @@ impl LinearModel {
         } else {
             stages.unknowns()
         };
-        self.residuals.truncate(0, 0);
-        self.constraints.truncate(0, 0);
-        self.slackest.iter_mut().for_each(BinaryHeap::clear);
-        self.met.clear();
         self.cost_rows = 0;
+        self.clear_constraints();
         self.weight = 0.0;
         self.weighed.clear();
     }
@@ -225,6 +222,14 @@ impl LinearModel {
         self.rows() > self.cost_rows
     }
 
+    /// Forgets all constraints.
+    pub(super) fn clear_constraints(&mut self) {
+        self.residuals.truncate(self.cost_rows, self.stride);
+        self.constraints.truncate(0, 0);
+        self.slackest.iter_mut().for_each(BinaryHeap::clear);
+        self.met.clear();
+    }
+
     /// Forgets which constraints were met.
     pub(super) fn release_constraints(&mut self) {
         self.residuals.truncate(self.cost_rows, self.stride);
@@ -268,6 +273,25 @@ impl LinearModel {
             *change = self.change_of_constraint(index, step, budget)?;
         }
         Some(())
+    }
+
+    /// The part of `step`, up to all of it, that breaks no constraint; 0 where one is broken before, and after the step still. None: the budget
+    /// was spent.
+    pub(super) fn part_kept(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<f64> {
+        self.sum_up(step);
+        let mut part = 1.0;
+        for index in 0..self.constraints() {
+            let change = self.change_of_constraint(index, step, budget)?;
+            let h = self.constraint(index);
+            if h + change < 0.0 {
+                part = if h > 0.0 {
+                    f64::min(part, h / -change)
+                } else {
+                    0.0
+                };
+            }
+        }
+        Some(part)
     }
 
     /// Makes residuals, in place of those that were met, of all constraints whose (value, weight) by index and h is some: the square of

@@ -84,10 +84,31 @@ pub(crate) trait Problem {
     /// Whether its rows are to be kept staged: each has a [`Place`].
     fn is_staged(&self) -> bool;
 
-    /// Evaluates one point of length d. None when `budget` was spent on the way.
-    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>>;
+    /// Evaluates one point of length d; one that costs more than `enough` perhaps only so far that this is known. None when `budget` was spent
+    /// on the way.
+    fn evaluate_below(
+        &self,
+        z: &[f64],
+        enough: f64,
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<1>>;
 
-    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|², and the constraints that a step
-    /// may meet, into `model`. False when `budget` was spent on the way; the model is then not complete.
+    /// Evaluates one point of length d. None as above.
+    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
+        self.evaluate_below(z, f64::INFINITY, budget)
+    }
+
+    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when `budget` was spent on the way; the model is
+    /// then not complete.
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool;
+
+    /// Writes the constraints h + A Δ ≥ 0 into `model`: all that a step in the box can break, or at least those that a step of the size of
+    /// `step` can. False as above.
+    fn constrain(
+        &self,
+        z: &[f64],
+        step: Option<&[f64]>,
+        model: &mut LinearModel,
+        budget: &mut Budget<'_>,
+    ) -> bool;
 }

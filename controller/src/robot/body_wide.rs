@@ -76,11 +76,38 @@ impl<const W: usize> SectionWide<W> {
 }
 
 impl<const W: usize> BodyWide<W> {
-    /// Clearance (m) of one section of each body, counted from 0, from an obstacle, where it is below `enough_m` (m, finite), and
-    /// exactly `enough_m` where it is not; `None` where it is that in all lanes, or there is no such section.
+    /// The lanes in which one section, counted from 0, is farther than `enough_m` (m, finite) from an obstacle, by balls around it and by
+    /// its chord: for next to nothing. `None` where all lanes are, or there is no such section.
+    #[inline(always)]
+    pub(crate) fn section_is_beyond(
+        &self,
+        j: usize,
+        obstacle: &Obstacle,
+        enough_m: f64,
+    ) -> Option<[bool; W]> {
+        /// What a squared distance may be off by rounding, relatively.
+        const ROUNDING: f64 = 1.0 + 1e-14;
+        let section = self.sections[j].as_ref()?;
+        let (axis, zero) = (obstacle.axis(), Wide::splat(0.0));
+        let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
+        let kept_m = radii_m + enough_m + ROUNDING_M + axis.rounding_m();
+        let reach_m = (section.radius_m + kept_m).max(zero);
+        let far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
+        if all(far) {
+            return None;
+        }
+        // Nearer than the ball, by the distance from the chord; of a capsule that of a ball around its axis.
+        let (middle_m, half_m) = axis.ball();
+        let reach_m = (section.bulge_m + (kept_m + half_m)).max(zero);
+        let square_m2 = section.chord_square_m2(&WideVector::splat(&middle_m));
+        let far = either(far, (reach_m * reach_m * ROUNDING).less(square_m2));
+        (!all(far)).then_some(far)
+    }
+
+    /// Clearance (m) of one section of each body, counted from 0, from an obstacle, where it is below `enough_m`, and exactly `enough_m` where it
+    /// is not. `beyond` is what [`Self::section_is_beyond`] says of them.
     ///
-    /// Exact as [`Body::clearance_of`] is. A lane with a NaN or an infinity in its bends may give any number. A section that is
-    /// too far in all lanes, by balls around it, costs next to nothing.
+    /// Exact as [`Body::clearance_of`] is. A lane with a NaN or an infinity in its bends may give any number.
     ///
     /// [`Body::clearance_of`]: super::Body::clearance_of
     #[inline(always)]
@@ -89,32 +116,16 @@ impl<const W: usize> BodyWide<W> {
         j: usize,
         obstacle: &Obstacle,
         enough_m: f64,
-    ) -> Option<Wide<W>> {
-        /// What a squared distance may be off by rounding, relatively.
-        const ROUNDING: f64 = 1.0 + 1e-14;
-        let section = self.sections[j].as_ref()?;
-        let (axis, zero) = (obstacle.axis(), Wide::splat(0.0));
-        let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
-        let kept_m = radii_m + enough_m + ROUNDING_M + axis.rounding_m();
-        let reach_m = (section.radius_m + kept_m).max(zero);
-        let mut far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
-        if all(far) {
-            return None;
-        }
-        if axis.is_point() {
-            // Nearer than the ball, by the distance from the chord.
-            let reach_m = (section.bulge_m + kept_m).max(zero);
-            let square_m2 = section.chord_square_m2(&WideVector::splat(&axis.start_m));
-            far = either(far, (reach_m * reach_m * ROUNDING).less(square_m2));
-            if all(far) {
-                return None;
-            }
-        }
+        beyond: [bool; W],
+    ) -> Wide<W> {
         let enough = Wide::splat(enough_m);
-        let (_, distance_m) = section.tube().nearest(axis);
+        let Some(section) = &self.sections[j] else {
+            return enough;
+        };
+        let (_, distance_m) = section.tube().nearest(obstacle.axis());
         let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
-        // Far lanes have enough, by whatever rounding: as if they were alone.
-        Some(enough.select(enough.min_or_nan(clearance_m), far))
+        // Lanes beyond have enough, by whatever rounding: as if they were alone.
+        enough.select(enough.min_or_nan(clearance_m), beyond)
     }
 }
 

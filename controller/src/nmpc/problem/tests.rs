@@ -134,7 +134,9 @@ fn linearised(problem: &TrackingProblem, plan: &[f64]) -> LinearModel {
     let rows = 12 * HORIZON_STEPS_MAX + 2 * plan.len();
     let mut model = LinearModel::with_capacity(rows, CONSTRAINTS_MAX, plan.len());
     model.clear(problem.stages(), false);
-    assert!(problem.linearise(plan, &mut model, &mut Budget::unlimited()));
+    let budget = &mut Budget::unlimited();
+    assert!(problem.linearise(plan, &mut model, budget));
+    assert!(problem.constrain(plan, None, &mut model, budget));
     model
 }
 
@@ -148,6 +150,9 @@ proptest! {
             let evaluation = problem.evaluate_at(&case.plan, &mut Budget::unlimited());
             let cost = evaluation.expect("an unlimited budget").cost.0[0];
             prop_assert!((sum - cost).abs() <= 1e-12 * cost, "{sum} {cost}");
+            prop_assert_eq!(problem.evaluate_below(&case.plan, cost, &mut Budget::unlimited()), evaluation);
+            let more = problem.evaluate_below(&case.plan, 0.5 * cost, &mut Budget::unlimited());
+            prop_assert!(more.expect("an unlimited budget").cost.0[0] >= 0.5 * cost);
             for i in 0..case.plan.len() {
                 let [behind, ahead] = [-STEP_RAD_S, STEP_RAD_S].map(|step| {
                     let mut plan = case.plan.clone();
@@ -352,10 +357,13 @@ proptest! {
         parameters.cable_stroke_max_m = 0.01;
         parameters.cable_speed_max_m_s = 0.02;
         with_problem_among(&around, &parameters, &case, |problem| {
+            let step: Vec<f64> = case.plan.iter().map(|z| -1.7 * z).collect();
             let mut models = [false, true].map(|is_staged| {
                 let mut model = LinearModel::with_capacity(12 * HORIZON_STEPS_MAX + 2 * case.plan.len(), CONSTRAINTS_MAX, case.plan.len());
                 model.clear(problem.stages(), is_staged);
-                assert!(problem.linearise(&case.plan, &mut model, &mut Budget::unlimited()));
+                let budget = &mut Budget::unlimited();
+                assert!(problem.linearise(&case.plan, &mut model, budget));
+                assert!(problem.constrain(&case.plan, is_staged.then_some(&step), &mut model, budget));
                 let mut gradient = vec![0.0; case.plan.len()];
                 let scale = model.gradient(&mut gradient, &mut Budget::unlimited());
                 (model, gradient, scale.expect("no end"))
@@ -365,8 +373,7 @@ proptest! {
             for (dense, staged) in dense.iter().zip(staged) {
                 prop_assert!((dense - staged).abs() <= 1e-12 * dense_scale, "{dense} {staged}");
             }
-            // They meet the same constraints.
-            let step: Vec<f64> = case.plan.iter().map(|z| -1.7 * z).collect();
+            // They meet the same constraints, even if those of a step of this size alone were asked for.
             let met = models.each_mut().map(|(model, ..)| {
                 let _ = model.meet_constraints(&step, &mut Budget::unlimited());
                 let cost_rows = model.cost_rows();

@@ -5,11 +5,11 @@
 //! iteration is one pass of the smoother. Constraints may give way, by a shortfall whose square counts like a residual's: there is
 //! always a solution, and a constraint weighs no more than a row that was met.
 
-use super::Smoother;
-use crate::optimizer::{Bounds, Budget, LinearModel};
+use super::{Found, Smoother, Trial};
+use crate::optimizer::{Bounds, Budget, LinearModel, Problem};
 
 /// Iterations at most.
-const ITERATIONS: usize = 40;
+const ITERATIONS: u32 = 40;
 /// Part of the way to the nearest border that an iteration goes.
 const WAY: f64 = 0.995;
 /// An unknown that stands at a border begins at this part of the box.
@@ -32,9 +32,6 @@ pub(super) struct Quadratic<'a> {
     pub smoother: &'a mut Smoother,
     /// Jᵀ r.
     pub gradient: &'a [f64],
-    pub bounds: &'a Bounds,
-    /// Where Δ is zero.
-    pub z: &'a [f64],
     pub damping: f64,
 }
 
@@ -126,43 +123,51 @@ impl InteriorPoint {
         }
     }
 
-    /// Finds the step. False: the budget was spent, or a number is not finite.
-    pub(super) fn solve(
+    /// Finds the step, and tries what it has found after 2, 4, 8, … iterations. It ends early when that gets worse again: then the quadratic
+    /// problem is no more like the problem. None: the budget was spent, or a number is not finite.
+    pub(super) fn solve<P: Problem>(
         &mut self,
         mut problem: Quadratic,
+        trial: &mut Trial<P>,
         step: &mut [f64],
         budget: &mut Budget<'_>,
-    ) -> bool {
-        let Some(mu_end) = self.begin(&mut problem, step, budget) else {
-            return false;
-        };
-        let mut centring = 0.1;
-        for _ in 0..ITERATIONS {
+    ) -> Option<Found> {
+        let (bounds, z) = (trial.bounds, trial.base);
+        let mu_end = self.begin(&mut problem, (bounds, z), step, budget)?;
+        let (mut centring, mut is_taken) = (0.1, false);
+        for iteration in 1..=ITERATIONS {
             let mu = centring * self.mean_product();
-            let Some(part) = self.iterate(&mut problem, mu, step, budget) else {
-                return false;
-            };
+            let part = self.iterate(&mut problem, mu, step, budget)?;
             // Only a step that is gone whole makes forces and gradient balance.
             if part > 0.99 && self.mean_product() <= mu_end {
                 break;
             }
+            if iteration > 1 && iteration.is_power_of_two() {
+                let is_better = trial.offer(step, 1.0, budget)?;
+                if is_taken && !is_better {
+                    return Some(Found::Tried);
+                }
+                is_taken |= is_better;
+            }
             centring = if part > 0.9 { 0.05 } else { 1.0 - 0.9 * part };
         }
-        let borders = problem.bounds.lower().iter().zip(problem.bounds.upper());
-        for ((step, z), (lower, upper)) in step.iter_mut().zip(problem.z).zip(borders) {
+        let borders = bounds.lower().iter().zip(bounds.upper());
+        for ((step, z), (lower, upper)) in step.iter_mut().zip(z).zip(borders) {
             *step = (z + *step).clamp(*lower, *upper) - z;
         }
-        step.iter().all(|step| step.is_finite())
+        let is_finite = step.iter().all(|step| step.is_finite());
+        is_finite.then_some(Found::Step)
     }
 
     /// Sets out inside the box. The µ to end at; None: the budget was spent.
     fn begin(
         &mut self,
         problem: &mut Quadratic,
+        (bounds, z): (&Bounds, &[f64]),
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<f64> {
-        let bounds = problem.bounds.lower().iter().zip(problem.bounds.upper());
+        let bounds = bounds.lower().iter().zip(bounds.upper());
         let widths = bounds.clone().map(|(lower, upper)| upper - lower);
         let pulls = problem.gradient.iter().zip(widths.clone());
         let pull: f64 = pulls.map(|(gradient, width)| gradient.abs() * width).sum();
@@ -175,7 +180,7 @@ impl InteriorPoint {
         let mu = pulled.max(broken / count).max(mu_end);
         self.lower.clear();
         self.upper.clear();
-        for ((step, z), (lower, upper)) in step.iter_mut().zip(problem.z).zip(bounds) {
+        for ((step, z), (lower, upper)) in step.iter_mut().zip(z).zip(bounds) {
             let (lower, upper) = (lower - z, upper - z);
             let inside = INSIDE * (upper - lower);
             *step = if inside > 0.0 {

@@ -3,11 +3,13 @@
 mod interior_point;
 mod smoother;
 mod step;
+mod trial;
 
 use interior_point::InteriorPoint;
 use smoother::Smoother;
+use trial::{Found, Trial};
 
-use super::{Bounds, Budget, Incumbent, LinearModel, Problem};
+use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem};
 
 /// What tunes [`GaussNewton`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,6 +52,8 @@ pub(crate) struct GaussNewton {
     /// Unknowns that the linear system solves for.
     free: Vec<usize>,
     step: Vec<f64>,
+    /// Where the model was made.
+    base: Vec<f64>,
     trial: Vec<f64>,
     residuals: Vec<f64>,
     right_side: Vec<f64>,
@@ -66,7 +70,7 @@ pub(crate) struct GaussNewton {
 }
 
 /// Halvings of a step that made the cost worse.
-const HALVINGS: usize = 4;
+const HALVINGS: u32 = 4;
 /// A gradient below this share of what the residuals could give counts as vanished.
 const VANISHED_SHARE: f64 = 0.05;
 /// Factor on the damping after a step that did not help.
@@ -84,7 +88,8 @@ impl GaussNewton {
             pressed: vec![false; dimension],
             free: Vec::with_capacity(dimension),
             step: vec![0.0; dimension],
-            trial: vec![0.0; dimension],
+            base: Vec::with_capacity(dimension),
+            trial: Vec::with_capacity(dimension),
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
@@ -119,13 +124,24 @@ impl GaussNewton {
                 outcome.gradient_norm = self.gradient_norm(problem.dimension());
                 outcome.stuck = self.is_stuck(outcome.gradient_norm);
             }
-            let solved = self.find_step(bounds, incumbent.z(), damping, budget);
-            if solved && self.step_size(problem.dimension()) <= settings.step_tolerance {
+            let origin = incumbent.origin();
+            let before = incumbent.cost();
+            let is_small = self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+                trial.step_tolerance = settings.step_tolerance;
+                let found = own.find_step(trial, damping, budget);
+                let step = &own.step[..trial.base.len()];
+                let is_small = trial.is_small(step);
+                if found == Found::Step && !is_small {
+                    let _ = trial.descend(step, 1.0, HALVINGS, budget);
+                }
+                found != Found::Nothing && is_small
+            });
+            let improved = incumbent.cost() < before;
+            outcome.accepted += u32::from(improved);
+            if is_small {
                 outcome.converged = true;
                 break;
             }
-            let improved = solved && self.advance(problem, budget, incumbent);
-            outcome.accepted += u32::from(improved);
             model_is_current = !improved;
             damping = if improved {
                 settings.damping
@@ -136,7 +152,7 @@ impl GaussNewton {
         outcome
     }
 
-    /// One damped step from `z`, not evaluated: the least-squares particle of the swarm's knowledge.
+    /// One damped step from the incumbent, which it takes if that is better: the least-squares particle of the swarm's knowledge.
     /// False, and `into` untouched, when the linear system is singular or the budget was spent.
     pub(crate) fn propose<P: Problem>(
         &mut self,
@@ -144,17 +160,44 @@ impl GaussNewton {
         bounds: &Bounds,
         damping: f64,
         budget: &mut Budget<'_>,
-        z: &[f64],
+        incumbent: &mut Incumbent,
         into: &mut [f64],
     ) -> bool {
-        let solved = self.linearise(problem, bounds, z, budget)
-            && self.find_step(bounds, z, damping, budget);
-        if solved {
-            for ((target, start), step) in into.iter_mut().zip(z).zip(&self.step) {
-                *target = start + step;
-            }
+        self.linearise(problem, bounds, incumbent.z(), budget) && {
+            let origin = Candidate::LeastSquares;
+            self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+                let solved = own.find_step(trial, damping, budget) != Found::Nothing;
+                if solved {
+                    trial.lead(&own.step[..into.len()], 1.0, into);
+                }
+                solved
+            })
         }
-        solved
+    }
+
+    /// Does something with steps from where the incumbent is.
+    fn on_trial<P: Problem, R>(
+        &mut self,
+        (problem, bounds): (&P, &Bounds),
+        incumbent: &mut Incumbent,
+        origin: Candidate,
+        tried: impl FnOnce(&mut Self, &mut Trial<P>) -> R,
+    ) -> R {
+        let [mut base, mut at] = [&mut self.base, &mut self.trial].map(core::mem::take);
+        base.clear();
+        base.extend_from_slice(incumbent.z());
+        let mut trial = Trial {
+            problem,
+            bounds,
+            base: &base,
+            at: &mut at,
+            incumbent,
+            origin,
+            step_tolerance: 0.0,
+        };
+        let result = tried(self, &mut trial);
+        (self.base, self.trial) = (base, at);
+        result
     }
 
     /// Linearises at `z` and marks what the gradient presses on a bound. False: the budget was spent.
@@ -168,7 +211,10 @@ impl GaussNewton {
         let dimension = z.len();
         self.model.clear(problem.stages(), problem.is_staged());
         self.gram_is_current = false;
-        if !problem.linearise(z, &mut self.model, budget) {
+        // Of staged rows a step asks for constraints when its size is known.
+        let is_left = problem.linearise(z, &mut self.model, budget)
+            && (problem.is_staged() || problem.constrain(z, None, &mut self.model, budget));
+        if !is_left {
             return false;
         }
         let gradient = &mut self.gradient[..dimension];
@@ -211,38 +257,6 @@ impl GaussNewton {
             .map(|(g, _)| g * g);
         2.0 * squares.sum::<f64>().sqrt()
     }
-
-    fn step_size(&self, dimension: usize) -> f64 {
-        let steps = self.step[..dimension].iter();
-        steps.fold(0.0, |largest, step| step.abs().max(largest))
-    }
-
-    /// Goes along the step, halved while it makes the cost worse. The box is convex, so every point
-    /// on the way lies in it.
-    fn advance<P: Problem>(
-        &mut self,
-        problem: &P,
-        budget: &mut Budget<'_>,
-        incumbent: &mut Incumbent,
-    ) -> bool {
-        let dimension = problem.dimension();
-        let mut fraction = 1.0;
-        for _ in 0..=HALVINGS {
-            for i in 0..dimension {
-                self.trial[i] = incumbent.z()[i] + fraction * self.step[i];
-            }
-            let trial = &self.trial[..dimension];
-            let Some(evaluation) = problem.evaluate_at(trial, budget) else {
-                return false;
-            };
-            let origin = incumbent.origin();
-            if incumbent.offer(|i| trial[i], &evaluation, 0, origin) {
-                return true;
-            }
-            fraction *= 0.5;
-        }
-        false
-    }
 }
 
 #[cfg(test)]
@@ -269,7 +283,12 @@ mod tests {
         fn is_staged(&self) -> bool {
             false
         }
-        fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
+        fn evaluate_below(
+            &self,
+            z: &[f64],
+            _: f64,
+            budget: &mut Budget<'_>,
+        ) -> Option<Evaluation<1>> {
             let first = z[0] * z[0] + z[1] - 1.0;
             let second = (z[1] - z[0]) * 10.0;
             let evaluation = Evaluation::from_cost(Wide([first * first + second * second]));
@@ -280,6 +299,15 @@ mod tests {
             model.push(bend, &[2.0 * z[0], 1.0], Place::LAST);
             model.push(10.0 * (z[1] - z[0]), &[-10.0, 10.0], Place::LAST);
             budget.spend(10)
+        }
+        fn constrain(
+            &self,
+            _: &[f64],
+            _: Option<&[f64]>,
+            _: &mut LinearModel,
+            _: &mut Budget<'_>,
+        ) -> bool {
+            true
         }
     }
 

@@ -1,79 +1,100 @@
 //! The damped step inside the box that keeps the constraints: an active set around a linear system.
 
-use super::GaussNewton;
 use super::interior_point::Quadratic;
+use super::trial::{Found, Trial};
+use super::{GaussNewton, HALVINGS};
 use crate::optimizer::linear_model::dot;
-use crate::optimizer::{Bounds, Budget, cholesky};
+use crate::optimizer::{Bounds, Budget, Problem, cholesky};
 
 /// Rounds of fixing unknowns at their bounds and solving again for the others.
 const ACTIVE_SET_ROUNDS: usize = 12;
 /// Unknowns that meet the border nearly as early as the first are fixed with it. All that stand at it and press on it
 /// meet it at once.
 const FIRST_SHARE: f64 = 0.9;
+/// Halvings of a staged step before constraints are looked at.
+const HALVINGS_FIRST: u32 = 2;
+/// The part after these.
+const PART_NEXT: f64 = 0.125;
 /// Rounds of finding a step and meeting the constraints that it breaks.
 const CONSTRAINT_ROUNDS: usize = 3;
 
 impl GaussNewton {
     /// Finds the step inside the box that keeps the constraints: what it breaks is met and the rest
-    /// solved again. False: the matrix was singular, or the budget was spent.
-    pub(super) fn find_step(
+    /// solved again.
+    pub(super) fn find_step<P: Problem>(
         &mut self,
-        bounds: &Bounds,
-        z: &[f64],
+        trial: &mut Trial<P>,
         damping: f64,
         budget: &mut Budget<'_>,
-    ) -> bool {
-        self.model.release_constraints();
+    ) -> Found {
         if self.model.is_staged() {
-            return self.find_staged_step(bounds, z, damping, budget);
+            let found = self.find_staged_step(trial, damping, budget);
+            return found.unwrap_or(Found::Nothing);
         }
+        self.model.release_constraints();
         for _ in 0..CONSTRAINT_ROUNDS {
-            if !self.find_step_in_box(bounds, z, damping, budget) {
-                return false;
+            if self.find_step_in_box(trial, damping, budget).is_none() {
+                return Found::Nothing;
             }
-            let step = &self.step[..z.len()];
+            let step = &self.step[..trial.base.len()];
             if self.model.meet_constraints(step, budget).is_none() {
                 break;
             }
         }
-        true
+        Found::Step
     }
 
-    /// The same for staged rows: by an interior point where the step in the box breaks a constraint.
-    fn find_staged_step(
+    /// The same for staged rows: by an interior point where the step in the box breaks a constraint. What it finds on the way is tried, so a
+    /// budget that ends it leaves that. None: the matrix was singular, or the budget was spent.
+    fn find_staged_step<P: Problem>(
         &mut self,
-        bounds: &Bounds,
-        z: &[f64],
+        trial: &mut Trial<P>,
         damping: f64,
         budget: &mut Budget<'_>,
-    ) -> bool {
-        if !self.find_step_in_box(bounds, z, damping, budget) {
-            return false;
-        }
+    ) -> Option<Found> {
+        self.model.clear_constraints();
+        self.find_step_in_box(trial, damping, budget)?;
+        let (problem, z) = (trial.problem, trial.base);
         let step = &mut self.step[..z.len()];
-        if self.model.meet_constraints(step, budget).is_none() {
-            return true;
+        if trial.is_small(step) {
+            return Some(Found::Step);
         }
-        let problem = Quadratic {
+        // A step that is better and breaks nothing needs no constraints.
+        let part = trial.descend(step, 1.0, HALVINGS_FIRST, budget)?;
+        if part == 1.0 && !trial.incumbent.is_violated() {
+            return Some(Found::Tried);
+        }
+        if !problem.constrain(z, Some(step), &mut self.model, budget) {
+            return None;
+        }
+        let kept = self.model.part_kept(step, budget)?;
+        if kept >= 1.0 {
+            if part == 0.0 {
+                trial.descend(step, PART_NEXT, HALVINGS - HALVINGS_FIRST - 1, budget)?;
+            }
+            return Some(Found::Tried);
+        }
+        if kept > part {
+            trial.offer(step, kept, budget)?;
+        }
+        let quadratic = Quadratic {
             model: &mut self.model,
             smoother: &mut self.smoother,
             gradient: &self.gradient,
-            bounds,
-            z,
             damping,
         };
-        self.interior_point.solve(problem, step, budget)
+        self.interior_point.solve(quadratic, trial, step, budget)
     }
 
     /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
     /// others solved again.
-    fn find_step_in_box(
+    fn find_step_in_box<P: Problem>(
         &mut self,
-        bounds: &Bounds,
-        z: &[f64],
+        trial: &mut Trial<P>,
         damping: f64,
         budget: &mut Budget<'_>,
-    ) -> bool {
+    ) -> Option<()> {
+        let (bounds, z) = (trial.bounds, trial.base);
         let dimension = z.len();
         self.step[..dimension].fill(0.0);
         self.free.clear();
@@ -81,19 +102,32 @@ impl GaussNewton {
         let (pressed, constrained) = (&self.pressed, self.model.is_constrained());
         self.free
             .extend((0..dimension).filter(|&i| constrained || !pressed[i]));
-        for _ in 0..ACTIVE_SET_ROUNDS {
+        for round in 0..ACTIVE_SET_ROUNDS {
             if !self.solve_free(dimension, damping, budget) {
-                return false;
+                return None;
             }
-            if !self.fix_leavers(bounds, z) {
+            if !self.leaves(bounds, z) {
                 break;
             }
+            if round == 0 && self.model.is_staged() {
+                let step = &self.step[..dimension];
+                trial.descend(step, 1.0, HALVINGS_FIRST, budget)?;
+            }
+            self.fix_leavers(bounds, z);
         }
         for i in 0..dimension {
             let target = (z[i] + self.step[i]).clamp(bounds.lower()[i], bounds.upper()[i]);
             self.step[i] = target - z[i];
         }
-        true
+        Some(())
+    }
+
+    /// Whether the step leaves the box.
+    fn leaves(&self, bounds: &Bounds, z: &[f64]) -> bool {
+        self.free.iter().any(|&i| {
+            let target = z[i] + self.step[i];
+            target > bounds.upper()[i] || target < bounds.lower()[i]
+        })
     }
 
     /// Fixes the free unknowns that meet the border of the box first on the way along the step, at that

@@ -39,8 +39,8 @@ fn clearances_below<const W: usize>(
     let body = robot.body_wide(bends);
     let mut clearances_m = [Wide::splat(enough_m); SECTIONS_MAX];
     for j in 0..SECTIONS_MAX {
-        if let Some(clearance_m) = body.section_clearance_below(j, obstacle, enough_m) {
-            clearances_m[j] = clearance_m;
+        if let Some(beyond) = body.section_is_beyond(j, obstacle, enough_m) {
+            clearances_m[j] = body.section_clearance_below(j, obstacle, enough_m, beyond);
         }
     }
     clearances_m

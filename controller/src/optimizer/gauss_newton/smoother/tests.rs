@@ -4,7 +4,10 @@
 use proptest::prelude::*;
 
 use super::super::GaussNewton;
-use crate::optimizer::{Bounds, Budget, Evaluation, LinearModel, Place, Problem, Stages};
+use crate::optimizer::{
+    Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Stages,
+};
+use crate::wide::Wide;
 
 /// Rows of which nothing but their linear model matters.
 #[derive(Debug, Clone)]
@@ -30,18 +33,28 @@ impl Problem for Linear {
     fn is_staged(&self) -> bool {
         self.is_staged
     }
-    fn evaluate_at(&self, _: &[f64], _: &mut Budget<'_>) -> Option<Evaluation<1>> {
-        None
+    /// What is tried on the way to a step is never taken.
+    fn evaluate_below(&self, _: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
+        Some(Evaluation::from_cost(Wide([f64::INFINITY])))
     }
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
         for row in &self.residuals {
             model.push(row.value, &row.derivatives, row.place);
         }
-        for row in &self.constraints {
-            model.push_constraint(0, row.value, row.value, &row.derivatives, row.place);
-        }
         if self.weight > 0.0 {
             model.weigh(self.weight, z);
+        }
+        budget.left()
+    }
+    fn constrain(
+        &self,
+        _: &[f64],
+        _: Option<&[f64]>,
+        model: &mut LinearModel,
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        for row in &self.constraints {
+            model.push_constraint(0, row.value, row.value, &row.derivatives, row.place);
         }
         budget.left()
     }
@@ -57,8 +70,10 @@ fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> O
     bounds.set_symmetric(&std::iter::repeat_n(1.0, unknowns), 1);
     let rows = ROWS_MAX + unknowns;
     let mut gauss_newton = GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX);
+    let mut incumbent = Incumbent::with_capacity(unknowns);
+    incumbent.restart(z, None);
     let mut to = z.to_vec();
-    let found = gauss_newton.propose(problem, &bounds, damping, budget, z, &mut to);
+    let found = gauss_newton.propose(problem, &bounds, damping, budget, &mut incumbent, &mut to);
     found.then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
 }
 

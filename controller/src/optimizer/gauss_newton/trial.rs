@@ -1,0 +1,79 @@
+//! Steps that are tried: whole ones, and what a step that takes longer has found so far.
+
+use crate::optimizer::{Bounds, Budget, Candidate, Incumbent, Problem};
+
+/// What became of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Found {
+    /// None: the matrix was singular, or the budget was spent.
+    Nothing,
+    /// It is there, and nobody has tried it.
+    Step,
+    /// It is there, and the incumbent has what is good about it.
+    Tried,
+}
+
+/// Offers steps to the incumbent, so that a budget which ends in the middle of one leaves the best of it.
+pub(super) struct Trial<'a, P> {
+    pub problem: &'a P,
+    pub bounds: &'a Bounds,
+    /// Where they lead from.
+    pub base: &'a [f64],
+    /// Memory for where they lead to.
+    pub at: &'a mut Vec<f64>,
+    pub incumbent: &'a mut Incumbent,
+    pub origin: Candidate,
+    /// Steps whose largest component is not above this are not worth trying.
+    pub step_tolerance: f64,
+}
+
+impl<P: Problem> Trial<'_, P> {
+    pub(super) fn is_small(&self, step: &[f64]) -> bool {
+        step.iter().all(|step| step.abs() <= self.step_tolerance)
+    }
+
+    /// Writes where a part of a step leads to, inside the box.
+    pub(super) fn lead(&self, step: &[f64], part: f64, into: &mut [f64]) {
+        for ((into, base), step) in into.iter_mut().zip(self.base).zip(step) {
+            *into = base + part * step;
+        }
+        self.bounds.project(into);
+    }
+
+    /// Offers a part of a step, and halves of that while they are not better. The part that was taken, 0 if none was; None: the budget was
+    /// spent.
+    pub(super) fn descend(
+        &mut self,
+        step: &[f64],
+        mut part: f64,
+        halvings: u32,
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        for _ in 0..=halvings {
+            if self.offer(step, part, budget)? {
+                return Some(part);
+            }
+            part *= 0.5;
+        }
+        Some(0.0)
+    }
+
+    /// Evaluates a part of a step, and says whether it is better than the incumbent, which takes it then. None: the budget was spent.
+    pub(super) fn offer(
+        &mut self,
+        step: &[f64],
+        part: f64,
+        budget: &mut Budget<'_>,
+    ) -> Option<bool> {
+        let mut at = core::mem::take(self.at);
+        at.resize(step.len(), 0.0);
+        self.lead(step, part, &mut at);
+        let evaluation = self
+            .problem
+            .evaluate_below(&at, self.incumbent.cost(), budget);
+        let better = evaluation
+            .map(|evaluation| self.incumbent.offer(|i| at[i], &evaluation, 0, self.origin));
+        *self.at = at;
+        better
+    }
+}
