@@ -262,8 +262,9 @@ impl<const W: usize> Swarm<W> {
             for i in 0..self.dimension {
                 let (low, high) = (bounds.lower()[i], bounds.upper()[i]);
                 let half_width = reach * (0.5 * (high - low));
-                let position = Wide::splat(incumbent.z()[i]) + half_width * random.symmetric();
-                let velocity = half_width * random.symmetric();
+                let [aside, speed] = random.units().map(|unit| unit * 2.0 + -1.0);
+                let position = Wide::splat(incumbent.z()[i]) + half_width * aside;
+                let velocity = half_width * speed;
                 let at = block * self.dimension + i;
                 self.positions[at] = position.clamp(low, high).select(self.positions[at], chosen);
                 self.velocities[at] = velocity.select(self.velocities[at], chosen);
@@ -342,8 +343,9 @@ impl<const W: usize> Swarm<W> {
             {
                 let limit = VELOCITY_LIMIT * (high - low);
                 let x = *position;
-                let pull = random.unit() * settings.cognitive * (*own_best - x)
-                    + random.unit() * settings.social * (Wide::splat(global_best) - x);
+                let [own, social] = random.units();
+                let pull = own * settings.cognitive * (*own_best - x)
+                    + social * settings.social * (Wide::splat(global_best) - x);
                 let desired = (*velocity * factors.inertia + pull) * factors.constriction;
                 let target = (x + desired.clamp(-limit, limit)).clamp(low, high);
                 *position = target;

@@ -1,17 +1,19 @@
 use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::Xoshiro256Plus;
 
 use crate::wide::Wide;
 
-/// W independent xoshiro256++ generators (Blackman & Vigna 2021), one in each lane, so that a
-/// particle's random numbers do not depend on how many lanes there are.
+/// W independent xoshiro256+ generators (Blackman & Vigna 2021), one in each lane, so that a
+/// particle's random numbers do not depend on how many lanes there are. Their lowest three bits are weak; here they are worth 2⁻²⁹ at most.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RandomLanes<const W: usize> {
     state: [[u64; W]; 4],
 }
 
-/// Takes the high 52 bits of a number as the fraction of one between 1 and 2.
+/// The exponent of numbers between 1 and 2.
 const ONE_TO_TWO: u64 = 0x3FF0_0000_0000_0000;
+/// The upper 32 bits of their fraction.
+const FRACTION_32: u64 = 0x000F_FFFF_FFF0_0000;
 
 impl<const W: usize> RandomLanes<W> {
     /// Generators of the particles `first_particle`, `first_particle + 1`, …
@@ -19,7 +21,7 @@ impl<const W: usize> RandomLanes<W> {
         let mut state = [[0; W]; 4];
         for lane in 0..W {
             let particle = (first_particle + lane) as u64;
-            let mut seeder = Xoshiro256PlusPlus::seed_from_u64(super::cycle_seed(seed, particle));
+            let mut seeder = Xoshiro256Plus::seed_from_u64(super::cycle_seed(seed, particle));
             for word in &mut state {
                 word[lane] = seeder.random();
             }
@@ -27,28 +29,24 @@ impl<const W: usize> RandomLanes<W> {
         Self { state }
     }
 
-    /// Uniform in [0, 1), 52 bits.
+    /// Two numbers, uniform in [0, 1), of 32 bits each: the halves of one draw, which costs more than all that is done with it.
     #[inline(always)]
-    pub(super) fn unit(&mut self) -> Wide<W> {
-        let mut unit = [0.0; W];
+    pub(super) fn units(&mut self) -> [Wide<W>; 2] {
+        let mut units = [[0.0; W]; 2];
         for lane in 0..W {
             let (s0, s1) = (self.state[0][lane], self.state[1][lane]);
             let (s2, s3) = (self.state[2][lane], self.state[3][lane]);
-            let result = s0.wrapping_add(s3).rotate_left(23).wrapping_add(s0);
+            let result = s0.wrapping_add(s3);
             let (s2, s3, shifted) = (s2 ^ s0, s3 ^ s1, s1 << 17);
             self.state[1][lane] = s1 ^ s2;
             self.state[0][lane] = s0 ^ s3;
             self.state[2][lane] = s2 ^ shifted;
             self.state[3][lane] = s3.rotate_left(45);
-            unit[lane] = f64::from_bits((result >> 12) | ONE_TO_TWO) - 1.0;
+            for (unit, fraction) in units.iter_mut().zip([result >> 12, result << 20]) {
+                unit[lane] = f64::from_bits((fraction & FRACTION_32) | ONE_TO_TWO) - 1.0;
+            }
         }
-        Wide(unit)
-    }
-
-    /// Uniform in [-1, 1).
-    #[inline(always)]
-    pub(super) fn symmetric(&mut self) -> Wide<W> {
-        self.unit() * 2.0 + -1.0
+        units.map(Wide)
     }
 }
 
@@ -59,27 +57,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_lane_is_xoshiro256_plus_plus() {
+    fn each_lane_is_xoshiro256_plus() {
         let mut lanes = RandomLanes::<4>::seed(7, 10);
         for lane in 0..4 {
             let mut seed = [0; 32];
             for (bytes, word) in seed.chunks_exact_mut(8).zip(lanes.state) {
                 bytes.copy_from_slice(&word[lane].to_le_bytes());
             }
-            let mut reference = Xoshiro256PlusPlus::from_seed(seed);
+            let mut reference = Xoshiro256Plus::from_seed(seed);
             let mut copy = lanes;
             for _ in 0..100 {
-                let expected = (reference.next_u64() >> 12) as f64 / 2.0_f64.powi(52);
-                assert_eq!(copy.unit().0[lane], expected);
+                let drawn = reference.next_u64();
+                let halves = [drawn >> 32, drawn & 0xFFFF_FFFF];
+                let expected = halves.map(|half| half as f64 / 2.0_f64.powi(32));
+                assert_eq!(copy.units().map(|unit| unit.0[lane]), expected);
             }
         }
-        assert!(
-            lanes
-                .symmetric()
-                .0
-                .iter()
-                .all(|value| (-1.0..1.0).contains(value))
-        );
     }
 
     #[test]
@@ -87,7 +80,10 @@ mod tests {
         let mut wide = RandomLanes::<8>::seed(3, 8);
         let mut narrow = RandomLanes::<1>::seed(3, 13);
         for _ in 0..50 {
-            assert_eq!(wide.unit().0[5], narrow.unit().0[0]);
+            assert_eq!(
+                wide.units().map(|unit| unit.0[5]),
+                narrow.units().map(|unit| unit.0[0])
+            );
         }
     }
 }

@@ -28,6 +28,7 @@ struct Loop {
     at: Configuration,
     rates: BendRates,
     cycle: u64,
+    seed: u64,
 }
 
 impl Loop {
@@ -37,6 +38,7 @@ impl Loop {
             at,
             rates: BendRates::zero(robot.section_count()),
             cycle: 0,
+            seed: 1,
         }
     }
 
@@ -56,7 +58,7 @@ impl Loop {
             obstacles: &obstacles(time_s(0)),
             tip_offset_m: 0.0,
             elapsed_periods: 1,
-            seed: cycle_seed(1, self.cycle),
+            seed: cycle_seed(self.seed, self.cycle),
         };
         let (rates, report) = self.nmpc.solve(&input, &mut Budget::unlimited());
         self.at = self.at.advanced(&rates, PERIOD_S);
@@ -84,7 +86,8 @@ fn the_line_is_followed_with_its_orientation_from_the_singular_start() {
         let position_m = Vector3::new(0.03 * t, 0.0, 0.9 - 0.01 * t);
         sample(position_m, Orientation::Axis(Vector3::z_axis()))
     };
-    for coordinates in COORDINATES {
+    // How soon the S shape is found is a matter of luck: of twenty seeds, two to four in forty runs take 5 to 8 µm on average.
+    let mean_m = |coordinates, seed| {
         let settings = NmpcSettings {
             coordinates,
             swarm_size: 15,
@@ -94,6 +97,7 @@ fn the_line_is_followed_with_its_orientation_from_the_singular_start() {
             ..NmpcSettings::default()
         };
         let mut control = Loop::new(&robot, Configuration::straight(3), settings);
+        control.seed = seed;
         let mut sum_m = 0.0;
         for _ in 0..510 {
             control.step(line, |_| vec![]);
@@ -102,8 +106,13 @@ fn the_line_is_followed_with_its_orientation_from_the_singular_start() {
             let angles = ZyxAngles::from_rotation(&tip.rotation);
             assert!(angles.theta_rad.abs() <= 1e-2 && angles.psi_rad.abs() <= 1e-2);
         }
-        let mean_m = sum_m / 510.0;
-        assert!(mean_m < 5e-6, "{coordinates:?}: {mean_m} m");
+        sum_m / 510.0
+    };
+    for coordinates in COORDINATES {
+        let mut means_m = [1, 2, 3, 4, 5].map(|seed| mean_m(coordinates, seed));
+        means_m.sort_by(f64::total_cmp);
+        let is_good = means_m[2] < 4e-6 && means_m[4] < 1e-5;
+        assert!(is_good, "{coordinates:?}: {means_m:?} m");
     }
 }
 
