@@ -46,7 +46,7 @@ step "types"
 
 step "tests"
 cp -r tests "$work/tests"
-(cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -n 4 --timeout=240 -p no:cacheprovider tests)
+(cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -n 2 --timeout=240 -p no:cacheprovider tests)
 
 step "examples and notebook"
 export CDCR_ROOT=$root CDCR_PREFIX=cdcr_python_ci_

@@ -136,8 +136,8 @@ struct Opener<'a> {
     files: u64,
 }
 
-/// Errors are told in our own words; iceoryx2's log would say them twice, in its own. A level that the program or
-/// `IOX2_LOG_LEVEL` has chosen stays.
+/// Errors are told in our own words; iceoryx2's log would say them twice, in its own. `IOX2_LOG_LEVEL` chooses a level, and one that the
+/// program has set stays, unless it is iceoryx2's default, `Info`.
 fn silence_iceoryx2() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

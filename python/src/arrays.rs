@@ -190,13 +190,20 @@ fn doubles<'py>(
 
 /// Axes that an array of numpy may have: a list may hold itself.
 const AXES_MAX: usize = 64;
+/// Parts of a list that are looked at: one that holds itself twice has 2^64.
+const PARTS_MAX: usize = 1_000_000;
 
 /// An array of numpy.ma with masked numbers, or a list that holds one: what stands under a mask is no number that was meant.
 fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
     let masks = value.py().import("numpy.ma")?;
     let (class, mask_of) = (masks.getattr("MaskedArray")?, masks.getattr("getmask")?);
     let mut waiting = vec![(value.clone(), 0)];
+    let mut seen = 0;
     while let Some((value, depth)) = waiting.pop() {
+        seen += 1;
+        if seen > PARTS_MAX {
+            break;
+        }
         let is_list = value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>();
         if is_list && depth < AXES_MAX {
             for part in value.try_iter()? {

@@ -86,8 +86,12 @@ pub fn free_files(folder: &Path) -> Option<u64> {
 fn free_descriptors() -> Option<u64> {
     let limit = getrlimit(Limited::Nofile).current?;
     match std::fs::read_dir("/proc/self/fd") {
-        // One of them is the folder itself.
-        Ok(open) => Some((limit + 1).saturating_sub(open.count() as u64)),
+        Ok(open) => {
+            let numbers = open.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+            // What was opened before the limit was lowered takes no place below it; one is the folder itself.
+            let taken = numbers.filter(|number: &u64| *number < limit).count() as u64;
+            Some((limit + 1).saturating_sub(taken))
+        }
         Err(error) if error.raw_os_error() == Some(Errno::MFILE.raw_os_error()) => Some(0),
         Err(_) => None,
     }

@@ -32,8 +32,8 @@ pub(super) struct Solver {
     swarm: Kpso,
     gauss_newton: GaussNewton,
     incumbent: Incumbent,
-    /// The warm start, mended.
-    mended: Incumbent,
+    /// The result of another search from the same warm start.
+    apart: Incumbent,
     scratch: Vec<f64>,
 }
 
@@ -45,7 +45,7 @@ impl Solver {
             swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
             gauss_newton: GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
-            mended: Incumbent::with_capacity(unknowns),
+            apart: Incumbent::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
         }
     }
@@ -76,7 +76,10 @@ impl Solver {
                 refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
-            if task.settings.solver.searches() {
+            if task.settings.solver.searches() && refinement.is_some() && self.error_is_left(task) {
+                (iterations, refinement) =
+                    self.search_apart(task, (warm_plan, evaluation.as_ref()), refinement, budget);
+            } else if task.settings.solver.searches() {
                 iterations = self.search(task, refinement, budget);
             } else {
                 self.knowledge
@@ -120,16 +123,35 @@ impl Solver {
         if !self.incumbent.is_violated() {
             return Some(self.refine(task, budget));
         }
-        self.mended.restart(self.incumbent.z(), evaluation);
+        self.apart.restart(self.incumbent.z(), evaluation);
         self.knowledge
             .evaluate(task.problem, budget, &mut self.incumbent);
         let settings = task.settings.gauss_newton();
-        let mended = &mut self.mended;
+        let apart = &mut self.apart;
         let refinement =
             self.gauss_newton
-                .refine(task.problem, task.bounds, &settings, budget, mended);
-        let is_taken = self.incumbent.take_better(mended);
+                .refine(task.problem, task.bounds, &settings, budget, apart);
+        let is_taken = self.incumbent.take_better(apart);
         is_taken.then_some(refinement)
+    }
+
+    /// The search from the warm start, as if nothing had been refined, where a refinement left an error: around its result a swarm finds no
+    /// other way past an obstacle. The better of both stays. Returns the iterations begun, and how the better one was refined.
+    fn search_apart(
+        &mut self,
+        task: &Task,
+        (warm_plan, evaluation): (&[f64], Option<&Evaluation<1>>),
+        refined: Option<GaussNewtonOutcome>,
+        budget: &mut Budget<'_>,
+    ) -> (u32, Option<GaussNewtonOutcome>) {
+        std::mem::swap(&mut self.incumbent, &mut self.apart);
+        self.incumbent.restart(warm_plan, evaluation);
+        let iterations = self.search(task, None, budget);
+        let mut refinement = Some(self.refine(task, budget));
+        if self.incumbent.take_better(&self.apart) {
+            refinement = refined;
+        }
+        (iterations, refinement)
     }
 
     /// Knowledge, then the swarm around it; `refined` is how the incumbent was refined, if it was. Returns the iterations begun.

@@ -123,8 +123,7 @@ impl InteriorPoint {
         }
     }
 
-    /// Finds the step, and tries what it has found after 2, 4, 8, … iterations. It ends early when that gets worse again: then the quadratic
-    /// problem is no more like the problem. None: the budget was spent, or a number is not finite.
+    /// Finds the step, and tries what it has found after 2, 4, 8, … iterations. None: the budget was spent, or a number is not finite.
     pub(super) fn solve<P: Problem>(
         &mut self,
         mut problem: Quadratic,
@@ -134,7 +133,7 @@ impl InteriorPoint {
     ) -> Option<Found> {
         let (bounds, z) = (trial.bounds, trial.base);
         let mu_end = self.begin(&mut problem, (bounds, z), step, budget)?;
-        let (mut centring, mut is_taken) = (0.1, false);
+        let mut centring = 0.1;
         for iteration in 1..=ITERATIONS {
             let mu = centring * self.mean_product();
             let part = self.iterate(&mut problem, mu, step, budget)?;
@@ -143,11 +142,7 @@ impl InteriorPoint {
                 break;
             }
             if iteration > 1 && iteration.is_power_of_two() {
-                let is_better = trial.offer(step, 1.0, budget)?;
-                if is_taken && !is_better {
-                    return Some(Found::Tried);
-                }
-                is_taken |= is_better;
+                trial.offer(step, 1.0, budget)?;
             }
             centring = if part > 0.9 { 0.05 } else { 1.0 - 0.9 * part };
         }

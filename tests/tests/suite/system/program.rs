@@ -108,7 +108,7 @@ fn obstacles_are_added_shown_and_removed() {
     says("remove 2 77", "accepted, 1 known");
     says("clear", "accepted, 0 known");
     wait_until("none", || status(place)["clearance_m"].is_null());
-    let far = "cdcrctl obstacle add --id 1 --at 9e9,0,0 --radius 1 --far";
+    let far = "cdcrctl obstacle add --id 1 --at 9e8,0,0 --radius 1 --far";
     let parts = ["the daemon refused it", "within ±1000000 m"];
     place.says(far, 1, &parts);
     wait_until("counted", || status(place)["obstacles_refused"] == 1);
