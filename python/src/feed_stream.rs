@@ -64,17 +64,12 @@ impl FeedStream {
             counts: Arc::clone(&stream.counts),
         };
         let run = move |begun: &Sender<bool>| desk.serve(&desk.address.open()?, begun);
-        // It is there before the thread, so that an end in another thread of Python finds it.
+        // An interrupted one drops the port, which ends the thread.
+        stream.running.begin(slf.py(), run, || ())?;
         *stream.lock() = Some(Points {
             port,
             start_ns: monotonic_ns(),
         });
-        // An interrupted one drops the port, which ends the thread.
-        let begun = stream.running.begin(slf.py(), run, || ());
-        if let Some(points) = stream.lock().as_mut() {
-            points.start_ns = monotonic_ns();
-        }
-        begun.inspect_err(|_| drop(stream.lock().take()))?;
         Ok(slf)
     }
 
