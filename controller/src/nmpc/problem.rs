@@ -6,7 +6,7 @@ use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{Coordinates, NmpcSettings, SolveInput};
 use crate::optimizer::{
-    Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Stages, WIDTH_MAX, apart,
+    Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Reach, Stages, WIDTH_MAX, apart,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
@@ -397,7 +397,7 @@ impl Problem for TrackingProblem<'_> {
     fn constrain(
         &self,
         z: &[f64],
-        step: Option<&[f64]>,
+        reach: Option<Reach>,
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
@@ -408,13 +408,15 @@ impl Problem for TrackingProblem<'_> {
         let change = &mut change[..self.width()];
         self.walk(z, |before, at| {
             let mut reach_m = [f64::INFINITY; SECTIONS_MAX];
-            if let Some(step) = step {
+            if let Some(Reach { step, violations }) = reach {
                 let of_block = &step[at.place.block * self.width()..];
                 for (change, rate) in change.iter_mut().zip(of_block) {
                     *change += self.motion.period_s() * rate;
                 }
                 let changes_rad = self.motion.bend_changes_rad(at.bends, change);
-                reach_m = self.robot.travel_m(&changes_rad.map(|own| REACH * own));
+                let travel_m = self.robot.travel_m(&changes_rad);
+                // What mends the worst distance moves the body by as much, wherever else that leads.
+                reach_m = travel_m.map(|own_m| f64::max(REACH * own_m, violations[CLEARANCE]));
             }
             self.push_limit_rows(before, at, model, budget)
                 && self.push_clearance_rows(at, &reach_m, model, budget)

@@ -7,6 +7,7 @@ use super::*;
 use crate::nmpc::obstacles::CLEARANCE;
 use crate::nmpc::solver::CONSTRAINTS_MAX;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
+use crate::optimizer::VIOLATIONS;
 use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
 use crate::wide::LANES;
 
@@ -363,7 +364,8 @@ proptest! {
                 model.clear(problem.stages(), is_staged);
                 let budget = &mut Budget::unlimited();
                 assert!(problem.linearise(&case.plan, &mut model, budget));
-                assert!(problem.constrain(&case.plan, is_staged.then_some(&step), &mut model, budget));
+                let reach = Reach { step: &step, violations: [0.0; VIOLATIONS] };
+                assert!(problem.constrain(&case.plan, is_staged.then_some(reach), &mut model, budget));
                 let mut gradient = vec![0.0; case.plan.len()];
                 let scale = model.gradient(&mut gradient, &mut Budget::unlimited());
                 (model, gradient, scale.expect("no end"))

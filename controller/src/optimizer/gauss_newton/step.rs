@@ -4,7 +4,7 @@ use super::interior_point::Quadratic;
 use super::trial::{Found, Trial};
 use super::{GaussNewton, HALVINGS};
 use crate::optimizer::linear_model::dot;
-use crate::optimizer::{Bounds, Budget, Problem, cholesky};
+use crate::optimizer::{Bounds, Budget, Problem, Reach, cholesky};
 
 /// Rounds of fixing unknowns at their bounds and solving again for the others.
 const ACTIVE_SET_ROUNDS: usize = 12;
@@ -53,10 +53,12 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
     ) -> Option<Found> {
         self.model.clear_constraints();
+        let violations = trial.incumbent.violations();
         self.find_step_in_box(trial, damping, budget)?;
         let (problem, z) = (trial.problem, trial.base);
         let step = &mut self.step[..z.len()];
-        if trial.is_small(step) {
+        // A plan that rests where it breaks a constraint has to be mended all the same.
+        if trial.is_small(step) && !trial.incumbent.is_violated() {
             return Some(Found::Step);
         }
         // A step that is better and breaks nothing needs no constraints.
@@ -64,7 +66,8 @@ impl GaussNewton {
         if part == 1.0 && !trial.incumbent.is_violated() {
             return Some(Found::Tried);
         }
-        if !problem.constrain(z, Some(step), &mut self.model, budget) {
+        let reach = Reach { step, violations };
+        if !problem.constrain(z, Some(reach), &mut self.model, budget) {
             return None;
         }
         let kept = self.model.part_kept(step, budget)?;

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::super::GaussNewton;
 use crate::optimizer::{
-    Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Stages,
+    Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
 };
 use crate::wide::Wide;
 
@@ -49,7 +49,7 @@ impl Problem for Linear {
     fn constrain(
         &self,
         _: &[f64],
-        _: Option<&[f64]>,
+        _: Option<Reach>,
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
