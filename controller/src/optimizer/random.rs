@@ -58,7 +58,7 @@ mod tests {
 
     #[test]
     fn each_lane_is_xoshiro256_plus() {
-        let mut lanes = RandomLanes::<4>::seed(7, 10);
+        let lanes = RandomLanes::<4>::seed(7, 10);
         for lane in 0..4 {
             let mut seed = [0; 32];
             for (bytes, word) in seed.chunks_exact_mut(8).zip(lanes.state) {
