@@ -37,6 +37,8 @@ const SECTION_NS: u32 = 15;
 const LIMITS_NS: u32 = 20;
 /// Nominal time of one row of a linear model, for each coordinate and block \[ns\].
 const ROW_NS: u32 = 1;
+/// Nominal time of one constraint beside that \[ns\].
+const CONSTRAINT_NS: u32 = 30;
 
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
@@ -266,10 +268,11 @@ impl<'a> TrackingProblem<'a> {
         if !self.limits.matter() {
             return true;
         }
-        let mut is_left = true;
+        let row_ns = self.constraint_ns();
+        let mut is_left = budget.spend(self.sections_ns(LIMITS_NS));
         self.limits
             .rows(&before.scalar(), &at.bends.scalar(), |row: LimitRow| {
-                is_left = is_left && budget.spend(ROW_NS * self.dimension() as u32);
+                is_left = is_left && budget.spend(row_ns);
                 let place = if row.of_step {
                     Place {
                         since_start: false,
@@ -337,7 +340,19 @@ impl<'a> TrackingProblem<'a> {
     #[inline(always)]
     fn step_ns(&self) -> u32 {
         let limits_ns = if self.limits.matter() { LIMITS_NS } else { 0 };
-        (SECTION_NS + limits_ns) * self.robot.section_count() as u32
+        self.sections_ns(SECTION_NS + limits_ns)
+    }
+
+    /// Nominal time of all sections.
+    #[inline(always)]
+    fn sections_ns(&self, each_ns: u32) -> u32 {
+        each_ns * self.robot.section_count() as u32
+    }
+
+    /// Nominal time of one constraint of [`Problem::constrain`].
+    fn constraint_ns(&self) -> u32 {
+        let own = [self.dimension(), self.width()][usize::from(self.is_staged())];
+        CONSTRAINT_NS + ROW_NS * own as u32
     }
 
     /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and up to twelve rows.
@@ -347,8 +362,7 @@ impl<'a> TrackingProblem<'a> {
             Some(Orientation::Axis(_)) => 6,
             Some(Orientation::Full(_)) => 12,
         };
-        let sections_ns = SECTION_NS * self.robot.section_count() as u32;
-        3 * sections_ns + rows * ROW_NS * self.dimension() as u32 / 3
+        3 * self.sections_ns(SECTION_NS) + rows * ROW_NS * self.dimension() as u32 / 3
     }
 }
 
@@ -407,6 +421,9 @@ impl Problem for TrackingProblem<'_> {
         let mut change = [0.0; COORDINATES_MAX];
         let change = &mut change[..self.width()];
         self.walk(z, |before, at| {
+            if !budget.spend(self.sections_ns(SECTION_NS)) {
+                return false;
+            }
             let mut reach_m = [f64::INFINITY; SECTIONS_MAX];
             if let Some(Reach { step, violations }) = reach {
                 let of_block = &step[at.place.block * self.width()..];

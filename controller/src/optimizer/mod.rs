@@ -20,7 +20,7 @@ mod stages;
 
 pub(crate) use bounds::Bounds;
 pub use budget::{Budget, QUANTUM_NS};
-pub(crate) use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
+pub(crate) use gauss_newton::{Found, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
 pub use incumbent::Candidate;
 pub(crate) use incumbent::Incumbent;
 pub(crate) use kpso::{Kpso, KpsoSettings, Task};

@@ -7,7 +7,8 @@ mod trial;
 
 use interior_point::InteriorPoint;
 use smoother::Smoother;
-use trial::{Found, Trial};
+pub(crate) use trial::Found;
+use trial::Trial;
 
 use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem};
 
@@ -153,8 +154,8 @@ impl GaussNewton {
         outcome
     }
 
-    /// One damped step from the incumbent, which it takes if that is better: the least-squares particle of the swarm's knowledge.
-    /// False, and `into` untouched, when the linear system is singular or the budget was spent.
+    /// One damped step from the incumbent: the least-squares particle of the swarm's knowledge. What is evaluated on the way the incumbent takes
+    /// where it is better. `into` is untouched where nothing was found.
     pub(crate) fn propose<P: Problem>(
         &mut self,
         problem: &P,
@@ -163,17 +164,18 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
         into: &mut [f64],
-    ) -> bool {
-        self.linearise(problem, bounds, incumbent.z(), budget) && {
-            let origin = Candidate::LeastSquares;
-            self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
-                let solved = own.find_step(trial, damping, budget) != Found::Nothing;
-                if solved {
-                    trial.lead(&own.step[..into.len()], 1.0, into);
-                }
-                solved
-            })
+    ) -> Found {
+        if !self.linearise(problem, bounds, incumbent.z(), budget) {
+            return Found::Nothing;
         }
+        let origin = Candidate::LeastSquares;
+        self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+            let found = own.find_step(trial, damping, budget);
+            if found != Found::Nothing {
+                trial.lead(&own.step[..into.len()], 1.0, into);
+            }
+            found
+        })
     }
 
     /// Does something with steps from where the incumbent is.

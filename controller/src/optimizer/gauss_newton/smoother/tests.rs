@@ -3,7 +3,7 @@
 
 use proptest::prelude::*;
 
-use super::super::GaussNewton;
+use super::super::{Found, GaussNewton};
 use crate::optimizer::{
     Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
 };
@@ -74,7 +74,7 @@ fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> O
     incumbent.restart(z, None);
     let mut to = z.to_vec();
     let found = gauss_newton.propose(problem, &bounds, damping, budget, &mut incumbent, &mut to);
-    found.then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
+    (found != Found::Nothing).then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
 }
 
 fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
