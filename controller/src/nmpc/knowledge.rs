@@ -2,7 +2,7 @@
 
 use super::escape;
 use super::problem::TrackingProblem;
-use crate::optimizer::{Bounds, Budget, Candidate, GaussNewton, Incumbent, Problem};
+use crate::optimizer::{Bounds, Budget, Candidate, Found, GaussNewton, Incumbent, Problem};
 use crate::robot::COORDINATES_MAX;
 
 /// Candidates. The warm start is the first and the incumbent already; the swarm evaluates the others side by
@@ -51,9 +51,12 @@ impl Knowledge {
         self.add(Candidate::Zero);
     }
 
+    /// Adds what is in the scratch, if there is room.
     fn add(&mut self, origin: Candidate) {
-        self.candidates.extend_from_slice(&self.scratch);
-        self.origins.push(origin);
+        if self.origins.len() < CANDIDATES_MAX {
+            self.candidates.extend_from_slice(&self.scratch);
+            self.origins.push(origin);
+        }
     }
 
     /// Evaluates what was gathered, but for the warm start: for solvers without a swarm.
@@ -83,8 +86,11 @@ impl Knowledge {
         incumbent: &mut Incumbent,
     ) {
         let into = &mut self.scratch;
-        if gauss_newton.propose(problem, bounds, damping, budget, incumbent, into) {
-            self.evaluate_and_add(problem, Candidate::LeastSquares, budget, incumbent);
+        let origin = Candidate::LeastSquares;
+        match gauss_newton.propose(problem, bounds, damping, budget, incumbent, into) {
+            Found::Nothing => {}
+            Found::Step => self.evaluate_and_add(problem, origin, budget, incumbent),
+            Found::Tried => self.add(origin),
         }
     }
 
@@ -137,9 +143,7 @@ impl Knowledge {
         if let Some(evaluation) = problem.evaluate_below(&self.scratch, enough, budget) {
             let scratch = &self.scratch;
             incumbent.offer(|i| scratch[i], &evaluation, 0, origin);
-            if self.origins.len() < CANDIDATES_MAX {
-                self.add(origin);
-            }
+            self.add(origin);
         }
     }
 }

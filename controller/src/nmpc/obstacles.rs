@@ -4,7 +4,9 @@
 use super::motion::{Bent, Motion};
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
 use crate::optimizer::{Budget, Evaluation};
-use crate::robot::{COORDINATES_MAX, Configuration, Obstacle, Robot, SECTIONS_MAX, Shape};
+use crate::robot::{
+    BodyMotion, COORDINATES_MAX, Configuration, Obstacle, Robot, SECTIONS_MAX, Shape,
+};
 use crate::wide::Wide;
 
 /// Index of the clearance among the violations: metres inside the safe distance.
@@ -19,6 +21,10 @@ const CULLING_NS: u32 = 4;
 const BEYOND_NS: u32 = 8;
 /// Nominal time of bounding one distance by a chord \[ns\].
 const CHORD_NS: u32 = 50;
+/// Nominal time of preparing one section for distances, exactly at one point \[ns\].
+const BODY_NS: u32 = 80;
+/// Nominal time of preparing one section for derivatives \[ns\].
+const MOTION_NS: u32 = 60;
 /// Nominal time of the derivatives of one distance \[ns\].
 const ROW_NS: u32 = 160;
 /// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
@@ -268,10 +274,14 @@ impl Obstacles {
         if !self.near.iter().any(is_met) {
             return true;
         }
+        let section_count = robot.section_count() as u32;
+        if !budget.spend(BODY_NS * section_count) {
+            return false;
+        }
         let shape = self.shape(bends);
         let body = robot.body(&shape);
         let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
-        let motion = robot.body_motion(&shape);
+        let mut motion: Option<BodyMotion> = None;
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
         for near in &self.near {
             let sections = near.sections_at(at.step, &moved_m);
@@ -292,9 +302,15 @@ impl Obstacles {
                 if closest.clearance_m - kept_m > reach_m[j] {
                     continue;
                 }
-                if !budget.spend(ROW_NS) {
+                let motion_ns = if motion.is_none() {
+                    MOTION_NS * section_count
+                } else {
+                    0
+                };
+                if !budget.spend(ROW_NS + motion_ns) {
                     return false;
                 }
+                let motion = motion.get_or_insert_with(|| robot.body_motion(&shape));
                 let nearest = body.place(&closest, &obstacle);
                 motion.point_jacobian(nearest.section, nearest.s, &mut jacobian);
                 let mut derivatives = [0.0; COORDINATES_MAX];

@@ -6,7 +6,7 @@ use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{Coordinates, NmpcSettings, SolveInput};
 use crate::optimizer::{
-    Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Stages, WIDTH_MAX, apart,
+    Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Reach, Stages, WIDTH_MAX, apart,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
@@ -37,6 +37,8 @@ const SECTION_NS: u32 = 15;
 const LIMITS_NS: u32 = 20;
 /// Nominal time of one row of a linear model, for each coordinate and block \[ns\].
 const ROW_NS: u32 = 1;
+/// Nominal time of one constraint beside that \[ns\].
+const CONSTRAINT_NS: u32 = 30;
 
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
@@ -266,10 +268,11 @@ impl<'a> TrackingProblem<'a> {
         if !self.limits.matter() {
             return true;
         }
-        let mut is_left = true;
+        let row_ns = self.constraint_ns();
+        let mut is_left = budget.spend(self.sections_ns(LIMITS_NS));
         self.limits
             .rows(&before.scalar(), &at.bends.scalar(), |row: LimitRow| {
-                is_left = is_left && budget.spend(ROW_NS * self.dimension() as u32);
+                is_left = is_left && budget.spend(row_ns);
                 let place = if row.of_step {
                     Place {
                         since_start: false,
@@ -337,7 +340,19 @@ impl<'a> TrackingProblem<'a> {
     #[inline(always)]
     fn step_ns(&self) -> u32 {
         let limits_ns = if self.limits.matter() { LIMITS_NS } else { 0 };
-        (SECTION_NS + limits_ns) * self.robot.section_count() as u32
+        self.sections_ns(SECTION_NS + limits_ns)
+    }
+
+    /// Nominal time of all sections.
+    #[inline(always)]
+    fn sections_ns(&self, each_ns: u32) -> u32 {
+        each_ns * self.robot.section_count() as u32
+    }
+
+    /// Nominal time of one constraint of [`Problem::constrain`].
+    fn constraint_ns(&self) -> u32 {
+        let own = [self.dimension(), self.width()][usize::from(self.is_staged())];
+        CONSTRAINT_NS + ROW_NS * own as u32
     }
 
     /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and up to twelve rows.
@@ -347,8 +362,7 @@ impl<'a> TrackingProblem<'a> {
             Some(Orientation::Axis(_)) => 6,
             Some(Orientation::Full(_)) => 12,
         };
-        let sections_ns = SECTION_NS * self.robot.section_count() as u32;
-        3 * sections_ns + rows * ROW_NS * self.dimension() as u32 / 3
+        3 * self.sections_ns(SECTION_NS) + rows * ROW_NS * self.dimension() as u32 / 3
     }
 }
 
@@ -397,7 +411,7 @@ impl Problem for TrackingProblem<'_> {
     fn constrain(
         &self,
         z: &[f64],
-        step: Option<&[f64]>,
+        reach: Option<Reach>,
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
@@ -407,14 +421,19 @@ impl Problem for TrackingProblem<'_> {
         let mut change = [0.0; COORDINATES_MAX];
         let change = &mut change[..self.width()];
         self.walk(z, |before, at| {
+            if !budget.spend(self.sections_ns(SECTION_NS)) {
+                return false;
+            }
             let mut reach_m = [f64::INFINITY; SECTIONS_MAX];
-            if let Some(step) = step {
+            if let Some(Reach { step, violations }) = reach {
                 let of_block = &step[at.place.block * self.width()..];
                 for (change, rate) in change.iter_mut().zip(of_block) {
                     *change += self.motion.period_s() * rate;
                 }
                 let changes_rad = self.motion.bend_changes_rad(at.bends, change);
-                reach_m = self.robot.travel_m(&changes_rad.map(|own| REACH * own));
+                let travel_m = self.robot.travel_m(&changes_rad);
+                // What mends the worst distance moves the body by as much, wherever else that leads.
+                reach_m = travel_m.map(|own_m| f64::max(REACH * own_m, violations[CLEARANCE]));
             }
             self.push_limit_rows(before, at, model, budget)
                 && self.push_clearance_rows(at, &reach_m, model, budget)

@@ -70,25 +70,33 @@ impl Solver {
         let mut iterations = 0;
         if task.problem.is_posed() && budget.left() {
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
-            let refines = task.settings.solver.refines();
+            let (refines, searches) = (
+                task.settings.solver.refines(),
+                task.settings.solver.searches(),
+            );
             // What is known of a long plan's derivatives costs little, so the plan is refined before anything else is tried.
+            let mut is_known = false;
             if refines && task.problem.is_staged() {
+                is_known = self.incumbent.is_violated();
                 refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
-            if task.settings.solver.searches() && refinement.is_some() && self.error_is_left(task) {
+            if searches && refinement.is_some() && self.error_is_left(task) {
                 (iterations, refinement) =
                     self.search_apart(task, (warm_plan, evaluation.as_ref()), refinement, budget);
-            } else if task.settings.solver.searches() {
+            } else if searches {
                 iterations = self.search(task, refinement, budget);
-            } else {
+            } else if !is_known {
                 self.knowledge
                     .evaluate(task.problem, budget, &mut self.incumbent);
             }
-            if refines && refined_cost != Some(self.incumbent.cost()) {
+            let is_new = refined_cost != Some(self.incumbent.cost());
+            if refines && is_new {
                 refinement = Some(self.refine(task, budget));
             }
+            // The search has tried the ways out of where it set out.
             if refines
+                && (is_new || !searches)
                 && refinement.is_some_and(|refinement| refinement.stuck)
                 && self.leave_singular_shape(task, budget)
             {

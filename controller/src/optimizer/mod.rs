@@ -20,7 +20,7 @@ mod stages;
 
 pub(crate) use bounds::Bounds;
 pub use budget::{Budget, QUANTUM_NS};
-pub(crate) use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
+pub(crate) use gauss_newton::{Found, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
 pub use incumbent::Candidate;
 pub(crate) use incumbent::Incumbent;
 pub(crate) use kpso::{Kpso, KpsoSettings, Task};
@@ -71,6 +71,15 @@ pub(crate) trait Cost {
     ) -> Option<Evaluation<W>>;
 }
 
+/// How far the steps go that are to keep the constraints.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reach<'a> {
+    /// They are of the size of this one,
+    pub(crate) step: &'a [f64],
+    /// or mend what the point that they start from breaks: [`Evaluation::violations`].
+    pub(crate) violations: [f64; VIOLATIONS],
+}
+
 /// A cost over a box, point by point, and its least-squares structure.
 pub(crate) trait Problem {
     /// Number of unknowns d.
@@ -102,12 +111,12 @@ pub(crate) trait Problem {
     /// then not complete.
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool;
 
-    /// Writes the constraints h + A Δ ≥ 0 into `model`: all that a step in the box can break, or at least those that a step of the size of
-    /// `step` can. False as above.
+    /// Writes the constraints h + A Δ ≥ 0 into `model`: all that a step in the box can break, or at least those within `reach`.
+    /// False as above.
     fn constrain(
         &self,
         z: &[f64],
-        step: Option<&[f64]>,
+        reach: Option<Reach>,
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool;

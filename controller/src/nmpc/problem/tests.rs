@@ -7,6 +7,7 @@ use super::*;
 use crate::nmpc::obstacles::CLEARANCE;
 use crate::nmpc::solver::CONSTRAINTS_MAX;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
+use crate::optimizer::VIOLATIONS;
 use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
 use crate::wide::LANES;
 
@@ -342,6 +343,42 @@ fn limits_leave_room_for_the_nearest_clearances() {
     assert_eq!(all.iter().filter(is_nearest).count(), 50, "{all:?}");
 }
 
+#[test]
+fn steps_without_rows_are_announced() {
+    let sections = 6;
+    let case = Case {
+        settings: NmpcSettings {
+            horizon_steps: 20,
+            ..NmpcSettings::default()
+        },
+        at: Configuration::straight(sections),
+        held: BendRates::zero(sections),
+        goal: ReferenceSample::default(),
+        plan: vec![0.0; 20 * 2 * sections],
+    };
+    let parameters = RobotParameters::paper(sections);
+    let tip_m = Robot::new(&parameters).unwrap().tip_position(&case.at);
+    let centre_m = tip_m + Vector3::new(0.2, 0.0, 0.0);
+    let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).unwrap();
+    with_problem_among(&[ball], &parameters, &case, |problem| {
+        assert!(problem.is_staged() && problem.obstacles.matter());
+        let constrained = |quanta: u32| {
+            let mut model = LinearModel::with_capacity(0, CONSTRAINTS_MAX, case.plan.len());
+            model.clear(problem.stages(), true);
+            let reach = Reach {
+                step: &vec![1e-6; case.plan.len()],
+                violations: [0.0; VIOLATIONS],
+            };
+            let budget = &mut Budget::of_quanta(quanta);
+            let is_left = problem.constrain(&case.plan, Some(reach), &mut model, budget);
+            let met = model.meet_constraints(&case.plan, &mut Budget::unlimited());
+            (is_left, met)
+        };
+        assert_eq!(constrained(0), (false, None));
+        assert_eq!(constrained(9), (true, None));
+    });
+}
+
 proptest! {
     /// Staged rows say the same, with a derivative for each block that shares it.
     #[test]
@@ -363,7 +400,8 @@ proptest! {
                 model.clear(problem.stages(), is_staged);
                 let budget = &mut Budget::unlimited();
                 assert!(problem.linearise(&case.plan, &mut model, budget));
-                assert!(problem.constrain(&case.plan, is_staged.then_some(&step), &mut model, budget));
+                let reach = Reach { step: &step, violations: [0.0; VIOLATIONS] };
+                assert!(problem.constrain(&case.plan, is_staged.then_some(reach), &mut model, budget));
                 let mut gradient = vec![0.0; case.plan.len()];
                 let scale = model.gradient(&mut gradient, &mut Budget::unlimited());
                 (model, gradient, scale.expect("no end"))

@@ -7,7 +7,8 @@ mod trial;
 
 use interior_point::InteriorPoint;
 use smoother::Smoother;
-use trial::{Found, Trial};
+pub(crate) use trial::Found;
+use trial::Trial;
 
 use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem};
 
@@ -138,7 +139,8 @@ impl GaussNewton {
             });
             let improved = incumbent.cost() < before;
             outcome.accepted += u32::from(improved);
-            if is_small {
+            // What was found on the way to a small step has not been linearised.
+            if is_small && !improved {
                 outcome.converged = true;
                 break;
             }
@@ -152,8 +154,8 @@ impl GaussNewton {
         outcome
     }
 
-    /// One damped step from the incumbent, which it takes if that is better: the least-squares particle of the swarm's knowledge.
-    /// False, and `into` untouched, when the linear system is singular or the budget was spent.
+    /// One damped step from the incumbent: the least-squares particle of the swarm's knowledge. What is evaluated on the way the incumbent takes
+    /// where it is better. `into` is untouched where nothing was found.
     pub(crate) fn propose<P: Problem>(
         &mut self,
         problem: &P,
@@ -162,17 +164,18 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
         into: &mut [f64],
-    ) -> bool {
-        self.linearise(problem, bounds, incumbent.z(), budget) && {
-            let origin = Candidate::LeastSquares;
-            self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
-                let solved = own.find_step(trial, damping, budget) != Found::Nothing;
-                if solved {
-                    trial.lead(&own.step[..into.len()], 1.0, into);
-                }
-                solved
-            })
+    ) -> Found {
+        if !self.linearise(problem, bounds, incumbent.z(), budget) {
+            return Found::Nothing;
         }
+        let origin = Candidate::LeastSquares;
+        self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+            let found = own.find_step(trial, damping, budget);
+            if found != Found::Nothing {
+                trial.lead(&own.step[..into.len()], 1.0, into);
+            }
+            found
+        })
     }
 
     /// Does something with steps from where the incumbent is.
@@ -262,7 +265,7 @@ impl GaussNewton {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimizer::{Evaluation, Place, Stages};
+    use crate::optimizer::{Evaluation, Place, Reach, Stages};
     use crate::wide::Wide;
 
     /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
@@ -303,7 +306,7 @@ mod tests {
         fn constrain(
             &self,
             _: &[f64],
-            _: Option<&[f64]>,
+            _: Option<Reach>,
             _: &mut LinearModel,
             _: &mut Budget<'_>,
         ) -> bool {
@@ -351,6 +354,84 @@ mod tests {
             );
             assert!(incumbent.cost() < 1e-18);
         }
+    }
+
+    /// r = (x + y - 1.5, y + 0.5, 3 - 12 y²), x and y the first unknowns of two blocks. At (1, 0), in a box that ends at 1, no step of
+    /// first order helps, but y = -0.5 does.
+    struct Ridge {
+        stages: Stages,
+    }
+
+    impl Ridge {
+        fn residuals(z: &[f64]) -> [f64; 3] {
+            [z[0] + z[2] - 1.5, z[2] + 0.5, 3.0 - 12.0 * z[2] * z[2]]
+        }
+    }
+
+    impl Problem for Ridge {
+        fn stages(&self) -> &Stages {
+            &self.stages
+        }
+        fn is_staged(&self) -> bool {
+            true
+        }
+        fn evaluate_below(&self, z: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
+            let cost = Self::residuals(z).iter().map(|r| r * r).sum();
+            Some(Evaluation::from_cost(Wide([cost])))
+        }
+        fn linearise(&self, z: &[f64], model: &mut LinearModel, _: &mut Budget<'_>) -> bool {
+            let [sum, second, ridge] = Self::residuals(z);
+            let since_start = Place {
+                block: 1,
+                ..Place::LAST
+            };
+            let alone = Place {
+                since_start: false,
+                ..since_start
+            };
+            model.push(sum, &[1.0, 0.0], since_start);
+            model.push(second, &[1.0, 0.0], alone);
+            model.push(ridge, &[-24.0 * z[2], 0.0], alone);
+            true
+        }
+        fn constrain(
+            &self,
+            _: &[f64],
+            _: Option<Reach>,
+            _: &mut LinearModel,
+            _: &mut Budget<'_>,
+        ) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn a_point_that_was_found_on_the_way_to_a_small_step_is_linearised() {
+        let problem = Ridge {
+            stages: Stages::new(2, 1.0, [1.0, 1.0].into_iter()),
+        };
+        let mut bounds = Bounds::with_capacity(4);
+        bounds.set_symmetric(&[1.0, 1.0].into_iter(), 2);
+        // So near to its border that going there is a small step, but not on it.
+        let start = [1.0 - 1e-13, 0.0, 0.0, 0.0];
+        let mut incumbent = Incumbent::with_capacity(4);
+        let budget = &mut Budget::unlimited();
+        incumbent.restart(&start, problem.evaluate_at(&start, budget).as_ref());
+        let settings = GaussNewtonSettings {
+            steps: 20,
+            damping: 1e-9,
+            step_tolerance: 1e-12,
+        };
+        let outcome = GaussNewton::with_capacity(4, 3, 0).refine(
+            &problem,
+            &bounds,
+            &settings,
+            budget,
+            &mut incumbent,
+        );
+        assert!(incumbent.z()[2] < -0.4, "{:?}", incumbent.z());
+        assert!(outcome.gradient_norm < 1e-4, "{outcome:?}");
+        assert!(outcome.converged && outcome.accepted > 1, "{outcome:?}");
     }
 
     #[test]

@@ -4,14 +4,14 @@ use super::interior_point::Quadratic;
 use super::trial::{Found, Trial};
 use super::{GaussNewton, HALVINGS};
 use crate::optimizer::linear_model::dot;
-use crate::optimizer::{Bounds, Budget, Problem, cholesky};
+use crate::optimizer::{Bounds, Budget, Problem, Reach, cholesky};
 
 /// Rounds of fixing unknowns at their bounds and solving again for the others.
 const ACTIVE_SET_ROUNDS: usize = 12;
 /// Unknowns that meet the border nearly as early as the first are fixed with it. All that stand at it and press on it
 /// meet it at once.
 const FIRST_SHARE: f64 = 0.9;
-/// Halvings of a staged step before constraints are looked at.
+/// Halvings of a staged step before constraints are linearised.
 const HALVINGS_FIRST: u32 = 2;
 /// The part after these.
 const PART_NEXT: f64 = 0.125;
@@ -53,10 +53,13 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
     ) -> Option<Found> {
         self.model.clear_constraints();
+        let violations = trial.incumbent.violations();
         self.find_step_in_box(trial, damping, budget)?;
         let (problem, z) = (trial.problem, trial.base);
         let step = &mut self.step[..z.len()];
-        if trial.is_small(step) {
+        // A plan that rests where it breaks a constraint, or may break one, has to be mended all the same.
+        let is_kept = trial.incumbent.is_evaluated() && !trial.incumbent.is_violated();
+        if trial.is_small(step) && is_kept {
             return Some(Found::Step);
         }
         // A step that is better and breaks nothing needs no constraints.
@@ -64,7 +67,8 @@ impl GaussNewton {
         if part == 1.0 && !trial.incumbent.is_violated() {
             return Some(Found::Tried);
         }
-        if !problem.constrain(z, Some(step), &mut self.model, budget) {
+        let reach = Reach { step, violations };
+        if !problem.constrain(z, Some(reach), &mut self.model, budget) {
             return None;
         }
         let kept = self.model.part_kept(step, budget)?;
@@ -106,14 +110,15 @@ impl GaussNewton {
             if !self.solve_free(dimension, damping, budget) {
                 return None;
             }
-            if !self.leaves(bounds, z) {
+            let excess = self.excess_max(bounds, z);
+            if excess == 0.0 {
                 break;
             }
             if round == 0 && self.model.is_staged() {
                 let step = &self.step[..dimension];
                 trial.descend(step, 1.0, HALVINGS_FIRST, budget)?;
             }
-            self.fix_leavers(bounds, z);
+            self.fix_leavers(bounds, z, excess);
         }
         for i in 0..dimension {
             let target = (z[i] + self.step[i]).clamp(bounds.lower()[i], bounds.upper()[i]);
@@ -122,53 +127,28 @@ impl GaussNewton {
         Some(())
     }
 
-    /// Whether the step leaves the box.
-    fn leaves(&self, bounds: &Bounds, z: &[f64]) -> bool {
-        self.free.iter().any(|&i| {
-            let target = z[i] + self.step[i];
-            target > bounds.upper()[i] || target < bounds.lower()[i]
-        })
+    /// How many times further than the border of the box the step goes at most; 0: it stays inside.
+    fn excess_max(&self, bounds: &Bounds, z: &[f64]) -> f64 {
+        let free = self.free.iter();
+        free.map(|&i| excess(bounds, i, z[i], self.step[i]).0)
+            .fold(0.0, f64::max)
     }
 
-    /// Fixes the free unknowns that meet the border of the box first on the way along the step, at that
-    /// border. False: none does.
+    /// Fixes the free unknowns that meet the border of the box first on the way along the step, at that border: those that go about
+    /// `excess_max` times further.
     ///
     /// Only the first: once they are fixed, the others need no longer balance what they would have done
     /// beyond it. Fixing all that leave would bend the step to a corner of the box.
-    fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64]) -> bool {
+    fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64], excess_max: f64) {
         let step = &mut self.step;
-        let border = |i: usize, step: f64| {
-            if step > 0.0 {
-                bounds.upper()[i] - z[i]
-            } else {
-                bounds.lower()[i] - z[i]
-            }
-        };
-        // How many times further than the border each goes.
-        let excess = |i: usize, step: f64| {
-            let room = border(i, step).abs();
-            if step.abs() > room {
-                step.abs() / room
-            } else {
-                0.0
-            }
-        };
-        let worst = self
-            .free
-            .iter()
-            .map(|&i| excess(i, step[i]))
-            .fold(0.0, f64::max);
-        if worst == 0.0 {
-            return false;
-        }
         self.free.retain(|&i| {
-            let first = excess(i, step[i]) >= FIRST_SHARE * worst;
+            let (excess, border) = excess(bounds, i, z[i], step[i]);
+            let first = excess >= FIRST_SHARE * excess_max;
             if first {
-                step[i] = border(i, step[i]);
+                step[i] = border;
             }
             !first
         });
-        true
     }
 
     /// Solves for the free unknowns with the fixed ones at their present step.
@@ -359,6 +339,19 @@ impl GaussNewton {
     }
 }
 
+/// How many times further than the border a step of unknown `i` from `z` goes, 0 where it stays inside, and the step to that border.
+fn excess(bounds: &Bounds, i: usize, z: f64, step: f64) -> (f64, f64) {
+    let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
+    let border = if step > 0.0 { upper - z } else { lower - z };
+    let is_inside = (lower..=upper).contains(&(z + step));
+    let excess = if is_inside {
+        0.0
+    } else {
+        (step / border).abs()
+    };
+    (excess, border)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -375,8 +368,16 @@ mod tests {
         for (i, step) in gauss_newton.step.iter_mut().enumerate() {
             *step = if i < 16 { 1.0 + i as f64 } else { 5.0 };
         }
-        assert!(gauss_newton.fix_leavers(&bounds, &z));
+        let excess = gauss_newton.excess_max(&bounds, &z);
+        assert_eq!(excess, f64::INFINITY);
+        gauss_newton.fix_leavers(&bounds, &z, excess);
         assert_eq!(gauss_newton.free, [16, 17, 18, 19]);
         assert_eq!(gauss_newton.step[..16], [0.0; 16]);
+        let excess = gauss_newton.excess_max(&bounds, &z);
+        assert_eq!(excess, 5.0);
+        gauss_newton.fix_leavers(&bounds, &z, excess);
+        assert!(gauss_newton.free.is_empty());
+        assert_eq!(gauss_newton.step[16..20], [1.0; 4]);
+        assert_eq!(gauss_newton.excess_max(&bounds, &z), 0.0);
     }
 }

@@ -4,12 +4,12 @@ use crate::optimizer::{Bounds, Budget, Candidate, Incumbent, Problem};
 
 /// What became of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Found {
+pub(crate) enum Found {
     /// None: the matrix was singular, or the budget was spent.
     Nothing,
-    /// It is there, and nobody has tried it.
+    /// The step was found, and not evaluated.
     Step,
-    /// It is there, and the incumbent has what is good about it.
+    /// The step was found and evaluated; the incumbent took it where it was better.
     Tried,
 }
 

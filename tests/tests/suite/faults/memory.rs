@@ -175,7 +175,8 @@ fn too_few_files_that_a_process_may_open_are_told_and_a_stop_gets_through() {
 /// Runs a program that may open so many files.
 fn limited(place: &Place, files: u32, program: &str, argument: &str) -> Output {
     // Other tests of this process have files open that iceoryx2 lets children inherit.
-    let close = "for fd in /proc/self/fd/*; do fd=${fd##*/}; [ $fd -le 2 ] || eval \"exec $fd>&-\"; done";
+    let close =
+        "for fd in /proc/self/fd/*; do fd=${fd##*/}; [ $fd -le 2 ] || eval \"exec $fd>&-\"; done";
     let script = format!("{close}; ulimit -n {files}; exec \"$0\" {argument}");
     let mut shell = place.command_of(Path::new("bash"));
     shell.args(["-c", &script]).arg(binary(program));

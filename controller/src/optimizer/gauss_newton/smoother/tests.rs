@@ -3,9 +3,9 @@
 
 use proptest::prelude::*;
 
-use super::super::GaussNewton;
+use super::super::{Found, GaussNewton};
 use crate::optimizer::{
-    Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Stages,
+    Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
 };
 use crate::wide::Wide;
 
@@ -49,7 +49,7 @@ impl Problem for Linear {
     fn constrain(
         &self,
         _: &[f64],
-        _: Option<&[f64]>,
+        _: Option<Reach>,
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
@@ -74,7 +74,7 @@ fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> O
     incumbent.restart(z, None);
     let mut to = z.to_vec();
     let found = gauss_newton.propose(problem, &bounds, damping, budget, &mut incumbent, &mut to);
-    found.then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
+    (found != Found::Nothing).then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
 }
 
 fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
