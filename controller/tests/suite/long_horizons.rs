@@ -243,7 +243,9 @@ fn a_robot_that_makes_way_sees_what_stands_on_the_other_side() {
             let outcome = course.run(quanta(budget_ns));
             let what = format!("{solver:?}, {budget_ns} ns: {outcome:?}");
             assert!(outcome.spare_m > -1e-9, "{what}");
-            assert!(outcome.mean_m < 1e-13, "{what}");
+            // A step that is cut short leaves a fraction of a nanometre.
+            let most_m = if budget_ns < BUDGET_NS { 1e-9 } else { 1e-13 };
+            assert!(outcome.mean_m < most_m, "{what}");
         }
     }
 }
