@@ -112,12 +112,14 @@ pub(crate) trait Problem {
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool;
 
     /// Writes the constraints h + A Δ ≥ 0 into `model`: all that a step in the box can break, or at least those within `reach`.
-    /// False as above.
+    /// False as above. A problem has none unless it says so.
     fn constrain(
         &self,
-        z: &[f64],
-        reach: Option<Reach>,
-        model: &mut LinearModel,
-        budget: &mut Budget<'_>,
-    ) -> bool;
+        _z: &[f64],
+        _reach: Option<Reach>,
+        _model: &mut LinearModel,
+        _budget: &mut Budget<'_>,
+    ) -> bool {
+        true
+    }
 }

@@ -265,7 +265,7 @@ impl GaussNewton {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimizer::{Evaluation, Place, Reach, Stages};
+    use crate::optimizer::{Evaluation, Place, Stages};
     use crate::wide::Wide;
 
     /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
@@ -302,15 +302,6 @@ mod tests {
             model.push(bend, &[2.0 * z[0], 1.0], Place::LAST);
             model.push(10.0 * (z[1] - z[0]), &[-10.0, 10.0], Place::LAST);
             budget.spend(10)
-        }
-        fn constrain(
-            &self,
-            _: &[f64],
-            _: Option<Reach>,
-            _: &mut LinearModel,
-            _: &mut Budget<'_>,
-        ) -> bool {
-            true
         }
     }
 
@@ -392,15 +383,6 @@ mod tests {
             model.push(sum, &[1.0, 0.0], since_start);
             model.push(second, &[1.0, 0.0], alone);
             model.push(ridge, &[-24.0 * z[2], 0.0], alone);
-            true
-        }
-        fn constrain(
-            &self,
-            _: &[f64],
-            _: Option<Reach>,
-            _: &mut LinearModel,
-            _: &mut Budget<'_>,
-        ) -> bool {
             true
         }
     }
