@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The wheel as a user gets it: built, installed into an empty virtual environment, tested, typed, and its examples and notebook run against a real daemon.
-# Needs cdcrd and cdcrctl in target/release; takes 2 to 3 minutes on two cores where they are built. CDCR_PYTHON names the interpreter, Python 3.10 or later.
+# Takes 2 minutes on two cores where cdcrd and cdcrctl are built. CDCR_PYTHON names the interpreter, Python 3.10 or later.
 set -euo pipefail
 cd "$(dirname "$0")"
 here=$PWD
@@ -11,29 +11,35 @@ step() { printf '\n--- %s\n' "$*"; }
 work=$(mktemp -d)
 root=$(mktemp -d /dev/shm/cdcr-python-ci-XXXXXX)
 daemon=
+tools=
 end() {
+  [ -z "$tools" ] || kill "$tools" 2>/dev/null || true
   [ -z "$daemon" ] || { kill "$daemon" 2>/dev/null && wait "$daemon" 2>/dev/null; } || true
   rm -rf "$work" "$root"
 }
 trap end EXIT
 
-step "virtual environment"
+step "virtual environments"
 "$python" -c 'import sys; assert sys.version_info >= (3, 10), sys.version'
 "$python" -m venv "$work/build"
 "$work/build/bin/pip" install -q -r requirements-build.txt
+# What tests need comes while the wheel compiles; what the wheel needs, it brings itself.
+"$python" -m venv "$work/venv"
+"$work/venv/bin/pip" install -q -r requirements-test.txt &
+tools=$!
 
 step "wheel"
 rm -rf dist
-(cd .. && cargo build --release --locked -p cdcr-controller --example closed_loop_csv --example one_solve)
-"$work/build/bin/maturin" build --strip --profile release --locked -i "$python" -o dist
-# The signatures are read from the symbols, which the wheel is stripped of.
+(cd .. && cargo build --release --locked -p cdcr-daemon -p cdcr-client -p cdcr-controller)
+"$work/build/bin/maturin" build --profile release --locked -i "$python" -o dist
 "$work/build/bin/maturin" generate-stubs --profile release --locked -i "$python" -o "$work/stubs"
 "$work/build/bin/auditwheel" show dist/*.whl
 ls -l dist/*.whl | awk '{ printf "the wheel has %.2f MB\n", $5 / 1e6 }'
 
 step "installed"
-"$python" -m venv "$work/venv"
-"$work/venv/bin/pip" install -q "$(echo dist/*.whl)[plot]" -r requirements-test.txt
+wait "$tools"
+tools=
+"$work/venv/bin/pip" install -q "$(echo dist/*.whl)[plot]"
 run="$work/venv/bin/python"
 # Not the package of this folder, but the one that was installed.
 (cd "$work" && "$run" -c 'import cdcr; assert "site-packages" in cdcr.__file__, cdcr.__file__')
@@ -46,7 +52,7 @@ step "types"
 
 step "tests"
 cp -r tests "$work/tests"
-(cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -n 2 --timeout=240 -p no:cacheprovider tests)
+(cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -n 4 --timeout=240 -p no:cacheprovider tests)
 
 step "examples and notebook"
 export CDCR_ROOT=$root CDCR_PREFIX=cdcr_python_ci_
@@ -75,8 +81,8 @@ for try in 1 2; do
   "$programs/cdcrctl" reset || true
 done
 [ -n "$fed" ]
-wait "$driver"
-stop
 "$run" tune.py tune.png
 "$run" ../run_notebook.py continuum_robot.ipynb .
+wait "$driver"
+stop
 ls -- *.png

@@ -240,7 +240,7 @@ def test_an_orientation_is_followed_and_must_be_of_unit_length() -> None:
 
 @pytest.mark.parametrize("plant", ["ideal", "laboratory", "sloppy", "slow", "blind"])
 def test_simulate_has_the_bits_of_the_closed_loop_in_rust(plant: str) -> None:
-    program = PROGRAMS / "examples" / "closed_loop_csv"
+    program = PROGRAMS / "closed_loop_csv"
     text = subprocess.run([program, plant], capture_output=True, text=True, check=True).stdout
     header, *rows = csv.reader(io.StringIO(text))
     table = np.array(rows, float)

@@ -8,7 +8,7 @@
 #[path = "../../examples/avoid_an_obstacle.rs"]
 mod avoid_an_obstacle;
 #[allow(dead_code, reason = "its table is tested, and its main writes that")]
-#[path = "../../examples/closed_loop_csv.rs"]
+#[path = "../../programs/closed_loop_csv.rs"]
 mod closed_loop_csv;
 #[path = "../../examples/one_solve.rs"]
 mod one_solve;

@@ -1,7 +1,7 @@
 //! A closed loop as CSV, every number to the bit: for plots, and for programs in other languages that shall compute the same.
 //!
 //! ```sh
-//! cargo run --release -p cdcr-controller --example closed_loop_csv -- laboratory > loop.csv
+//! cargo run --release -p cdcr-controller -- laboratory > loop.csv
 //! ```
 
 use std::error::Error;
@@ -20,7 +20,7 @@ const PERIOD_S: f64 = 0.005;
 const CYCLES: u64 = 400;
 
 /// Prints the loop of the robot that the first argument names, the ideal one without.
-pub fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> Result<(), Box<dyn Error>> {
     let name = std::env::args().nth(1).unwrap_or("ideal".to_owned());
     let preset = Preset::ALL.into_iter().find(|preset| preset.name() == name);
     let csv = csv(preset.ok_or_else(|| format!("there is no robot {name:?}"))?)?;
