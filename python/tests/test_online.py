@@ -40,7 +40,8 @@ def test_a_reference_is_followed_and_the_with_ends_in_hold(daemon: Daemon) -> No
         assert records.dtype.names[:3] == ("header", "cycle", "release_ns") and records.dtype == cdcr.dtype("Telemetry")
         assert (np.diff(records["cycle"]) >= 1).all()
         used = records[records["mode"] == cdcr.Mode.TRACKING]
-        assert (used["position_error_m"] < 1e-3).all() and (used["robot"]["sections"] == 3).all()
+        # Behind a release that the machine took, the robot is beside its reference.
+        assert np.median(used["position_error_m"]) < 1e-6 and (used["robot"]["sections"] == 3).all()
         tip = cdcr.Robot().forward(used["present_rad"][:, :6])
         assert np.abs(tip - used["tip_position_m"]).max() < 1e-12
 
