@@ -11,7 +11,6 @@ mod play;
 mod rehearsal;
 mod tip_margin;
 mod trial;
-mod unsent;
 
 use std::path::Path;
 
