@@ -43,7 +43,7 @@ impl From<ConnectError> for Failure {
             ConnectError::DaemonNotRunning { .. } => Code::NoDaemon,
             ConnectError::Silent { .. } => Code::Silent,
             ConnectError::VersionMismatch { .. } => Code::Layout,
-            ConnectError::OtherUser { .. } => Code::Access,
+            ConnectError::OtherUser { .. } | ConnectError::ReadOnly { .. } => Code::Access,
             ConnectError::Full { .. } => Code::Full,
             ConnectError::Robot(_) | ConnectError::Location(_) => Code::Argument,
             ConnectError::Memory { .. } => Code::Link,

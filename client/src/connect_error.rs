@@ -119,6 +119,16 @@ pub enum ConnectError {
         /// User id of this process.
         user_id: u32,
     },
+    /// This process may only read the files.
+    #[error(
+        "{root} is on a file system that is read-only for this program, and every client writes there: mount it \
+         writable (in a unit: ReadWritePaths={root})",
+        root = place.root.display()
+    )]
+    ReadOnly {
+        /// Where it was looked for.
+        place: Place,
+    },
     /// As many processes as the service allows are connected already.
     #[error(
         "the daemon for {place} has as many clients as it allows on the {service} service: close one"

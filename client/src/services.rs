@@ -217,6 +217,11 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
         };
         ConnectError::not_running(place, found)
     };
+    if location.is_read_only() {
+        return Err(ConnectError::ReadOnly {
+            place: place.clone(),
+        });
+    }
     if location.is_open_to_us().map_err(missing)? {
         return Ok(());
     }

@@ -80,7 +80,11 @@ impl ExitCause {
             if cause.is::<ConfigError>() {
                 return Some(Self::Configuration);
             }
-            cause.is::<ServiceError>().then_some(Self::SharedMemory)
+            match cause.downcast_ref::<ServiceError>() {
+                Some(ServiceError::Taken { .. }) => Some(Self::AlreadyRuns),
+                Some(_) => Some(Self::SharedMemory),
+                None => None,
+            }
         });
         known.unwrap_or(Self::Other)
     }
@@ -114,5 +118,8 @@ mod tests {
         let error = anyhow::Error::new(ended).context("ending");
         assert_eq!(ExitCause::of(&error), ExitCause::CycleHung);
         assert_eq!(ExitCause::of(&anyhow::anyhow!("?")), ExitCause::Other);
+        let service = "cdcr/a/telemetry".to_owned();
+        let taken = anyhow::Error::new(ServiceError::Taken { service });
+        assert_eq!(ExitCause::of(&taken), ExitCause::AlreadyRuns);
     }
 }

@@ -137,6 +137,7 @@ impl From<ConnectError> for Failure {
             ConnectError::OtherUser { .. } => {
                 "Run as the daemon's user, or start a daemon of your own with another root."
             }
+            ConnectError::ReadOnly { .. } => "Mount the root folder writable.",
             ConnectError::Full { .. } => "Close another client.",
             ConnectError::Robot(_) => "Use 1 to 40 letters, digits, '-' and '_'.",
             ConnectError::Location(_) => "Give prefix and root as the daemon has them.",

@@ -29,6 +29,12 @@ impl Location {
         Ok(is_for_group && self.is_sheltered())
     }
 
+    /// Whether this process sees the root folder on a file system that it may only read: a container or a unit mounts it so.
+    pub fn is_read_only(&self) -> bool {
+        rustix::fs::statvfs(self.root())
+            .is_ok_and(|found| found.f_flag.contains(rustix::fs::StatVfsMountFlags::RDONLY))
+    }
+
     /// Whether nobody but root can have put the root folder in its place: others trust a folder that is not theirs.
     pub fn is_sheltered(&self) -> bool {
         let is_folder = self

@@ -354,7 +354,7 @@ pub(crate) struct EchoOptions {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) count: Option<u64>,
     /// Print at most this many messages a second and leave out the rest
-    #[arg(long, value_name = "HZ", value_parser = value::positive)]
+    #[arg(long, value_name = "HZ", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate: Option<f64>,
 }
 
@@ -380,7 +380,7 @@ pub(crate) struct PlotOptions {
     #[arg(long, value_name = "PATH")]
     pub(crate) field: Vec<String>,
     /// Send at most this many messages a second and leave out the rest
-    #[arg(long, value_name = "HZ", value_parser = value::positive)]
+    #[arg(long, value_name = "HZ", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate: Option<f64>,
     /// End after this many messages
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -423,6 +423,16 @@ mod tests {
             Some((complete::VARIABLE, &SHELLS)),
         )
         .expect("up to date");
+    }
+
+    #[test]
+    fn a_number_that_may_not_be_negative_is_named_with_what_is_allowed() {
+        let line = "cdcrctl obstacle add --id 1 --at 0,0,1 --radius -1";
+        let refused = Arguments::try_parse_from(line.split(' ')).unwrap_err();
+        let text = refused.to_string();
+        for part in ["--radius <M>", "-1 is below zero: use 0 or more"] {
+            assert!(text.contains(part), "{text}");
+        }
     }
 
     #[test]

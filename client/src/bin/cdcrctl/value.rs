@@ -77,7 +77,7 @@ fn number_in(text: &str, range: RangeInclusive<f64>) -> Result<f64, String> {
 pub(crate) fn not_negative(text: &str) -> Result<f64, String> {
     match number(text)? {
         value if value >= 0.0 => Ok(value),
-        value => Err(format!("{value} is below zero")),
+        value => Err(format!("{value} is below zero: use 0 or more")),
     }
 }
 

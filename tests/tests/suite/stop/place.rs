@@ -6,7 +6,7 @@ use std::io::ErrorKind;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixStream};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
@@ -15,9 +15,12 @@ use std::thread::JoinHandle;
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Location, NameHolder};
-use cdcr_tests::{Daemon, PATIENT, Program, ROBOT, TIMEOUT, text, wait_mode, wait_until};
+use cdcr_test_skip::{Need, skip};
+use cdcr_tests::{
+    Daemon, PATIENT, Program, ROBOT, TIMEOUT, assert_says, text, wait_mode, wait_until,
+};
 use rustix::fs::{FlockOperation, flock};
-use rustix::process::Signal;
+use rustix::process::{Signal, geteuid};
 
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
@@ -217,8 +220,8 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
     let output = second.wait_with_output().unwrap();
     if let Some(status) = output.status.code() {
         let printed = text(&output);
+        assert_eq!(status, 69, "{printed}");
         // Where the machine stalls, the first has made its lock file again.
-        assert!(matches!(status, 71 | 69), "{status}: {printed}");
         let words = ["writes to the service", "runs already"];
         assert!(
             words.iter().any(|words| printed.contains(words)),
@@ -235,4 +238,44 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
     } else {
         assert_eq!(daemon.stop_after_signal().code(), Some(83));
     }
+}
+
+/// A second daemon at the same place, in a network of its own, where nobody has the name. None: the system grants it not; it is said so.
+fn second_in_its_own_network(daemon: &mut Daemon) -> Option<Output> {
+    let inner = daemon.place().command("cdcrd");
+    let mut command = Command::new("unshare");
+    if !geteuid().is_root() {
+        command.arg("--map-root-user");
+    }
+    command.arg("--net").arg(inner.get_program()).arg("run");
+    for (key, value) in inner.get_envs() {
+        match value {
+            Some(value) => command.env(key, value),
+            None => command.env_remove(key),
+        };
+    }
+    let mut second = Program::start(&mut command);
+    wait_until("one of them ends", || !second.runs() || !daemon.runs());
+    assert!(daemon.runs(), "{}", daemon.log());
+    let output = second.output();
+    let printed = text(&output);
+    if output.status.code() == Some(1) && printed.contains("unshare") {
+        skip(Need::Mount, format!("no network of its own: {printed}"));
+        return None;
+    }
+    Some(output)
+}
+
+#[test]
+fn a_second_daemon_in_another_network_is_refused_with_and_without_a_lock_file() {
+    let mut daemon = Daemon::start(PATIENT);
+    let Some(second) = second_in_its_own_network(&mut daemon) else {
+        return;
+    };
+    assert_says(&second, 69, &["runs already"]);
+    fs::remove_file(daemon.place().location().lock_file(ROBOT)).unwrap();
+    if let Some(second) = second_in_its_own_network(&mut daemon) {
+        assert_says(&second, 69, &[]);
+    }
+    assert!(daemon.stop().success(), "{}", daemon.log());
 }

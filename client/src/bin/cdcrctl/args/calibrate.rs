@@ -64,10 +64,10 @@ pub(crate) struct ExciteOptions {
     #[command(flatten)]
     pub(crate) record: RecordOptions,
     /// Largest bend of each section, in rad [default: nine tenths of what the robot may]
-    #[arg(long, value_name = "RAD", value_parser = value::positive)]
+    #[arg(long, value_name = "RAD", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) bend_max: Option<f64>,
     /// Largest rate of each bend, in rad/s [default: half of what the robot may]
-    #[arg(long, value_name = "RAD/S", value_parser = value::positive)]
+    #[arg(long, value_name = "RAD/S", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate_max: Option<f64>,
     /// Another path for each
     #[arg(long, value_name = "N", default_value_t = 1)]

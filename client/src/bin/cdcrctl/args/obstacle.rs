@@ -96,7 +96,7 @@ pub(crate) struct ObstacleAdd {
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
     pub(crate) to: Option<Vector>,
     /// Radius in m
-    #[arg(long, value_name = "M", value_parser = value::not_negative)]
+    #[arg(long, value_name = "M", value_parser = value::not_negative, allow_negative_numbers = true)]
     pub(crate) radius: f64,
     /// Velocity in m/s: the daemon moves it on from now
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]

@@ -111,7 +111,7 @@ pub(crate) struct ChangeArguments {
 #[derive(Debug, Args)]
 pub(crate) struct SpiralOptions {
     /// First value of the parameter t, in degrees [default: 5]
-    #[arg(long, value_name = "DEG", value_parser = value::not_negative)]
+    #[arg(long, value_name = "DEG", value_parser = value::not_negative, allow_negative_numbers = true)]
     pub(crate) start: Option<f64>,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
@@ -144,7 +144,7 @@ pub(crate) struct LineOptions {
 #[derive(Debug, Args)]
 pub(crate) struct CircleOptions {
     /// Radius in m [default: 0.16986 for a last section of 0.3 m]
-    #[arg(long, value_name = "M", value_parser = value::positive)]
+    #[arg(long, value_name = "M", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) radius: Option<f64>,
     /// Height in m [default: 0.22137 above a last section of 0.3 m]
     #[arg(long, value_name = "M", value_parser = value::number, allow_hyphen_values = true)]
@@ -167,7 +167,7 @@ pub(crate) struct FigureArguments {
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
     pub(crate) centre: Option<Vector>,
     /// From its centre to its outermost points in m, along each axis for lissajous [default: 10 % of the robot's length]
-    #[arg(long, value_name = "M", value_parser = value::positive)]
+    #[arg(long, value_name = "M", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) radius: Option<f64>,
     /// Two axes of the base frame that it is drawn in; a helix rises along the third
     #[arg(long, value_parser = value::plane(), default_value = "xy")]

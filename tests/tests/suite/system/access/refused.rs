@@ -18,6 +18,7 @@ use super::stranger::{
     EXIT_ROOT, NOBODY, attempts, busy_daemon, everything, folder_of_stranger, have_a_stranger,
     in_view, left_by_stranger, of_stranger, open_to_all, stranger,
 };
+use crate::own_mounts::{has_own_mounts, mount, name_of};
 
 /// Everything that `cdcrctl` can ask of a daemon. PATH stands for a file that the other user can read.
 const COMMANDS: &[&str] = &[
@@ -296,4 +297,30 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     assert_says(&theirs.output(), 0, &[]);
     assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
     fs::remove_dir_all(&root).unwrap();
+}
+
+/// As in a container or a unit that has only `ReadOnlyPaths`.
+#[test]
+fn a_root_folder_that_is_mounted_read_only_is_said_to_be_so() {
+    let test = &name_of(&a_root_folder_that_is_mounted_read_only_is_said_to_be_so);
+    if !has_own_mounts(test) {
+        return;
+    }
+    let mut daemon = Daemon::start(PATIENT);
+    let root = daemon.place().location().root().display().to_string();
+    let bind = format!("mount --bind '{root}' '{root}' && mount -o remount,ro,bind '{root}'");
+    if !mount(&bind) {
+        return;
+    }
+    let remedy = format!("ReadWritePaths={root}");
+    for request in ["status", "track"] {
+        let line = format!("cdcrctl {request}");
+        daemon.place().says(&line, 1, &["read-only", &remedy]);
+    }
+    // A stop is sent by the signal.
+    let words = ["not confirmed", "read-only"];
+    daemon.place().says("cdcrctl stop", 1, &words);
+    assert!(mount(&format!("umount '{root}'")));
+    daemon.place().says("cdcrctl status", 0, &["stopped"]);
+    assert!(daemon.stop().success(), "{}", daemon.log());
 }
