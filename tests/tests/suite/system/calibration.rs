@@ -306,3 +306,92 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     daemon.kill();
     ends(program, 1, &["gone.csv: ", "rows until then"]);
 }
+
+/// What `cdcrctl record` made while an exciting path moved the robot tells of it what the rows of that path tell, also without a daemon; and
+/// what is no such recording is refused with its reason.
+#[test]
+fn a_recording_tells_what_its_rows_tell() {
+    const LENGTH_M: f64 = 0.3;
+    let mut daemon = one_section();
+    let folder = daemon.place().folder().to_owned();
+    let mut command = daemon.place().command("cdcrctl");
+    let whole = folder.join("moved.mcap");
+    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&whole));
+    wait_until("the recorder has begun", || whole.exists());
+    let excite = [
+        "calibrate",
+        "excite",
+        "-o",
+        "moved.csv",
+        "--duration",
+        "30s",
+    ];
+    run(daemon.place(), &folder, &excite);
+    recorder.signal(Signal::INT);
+    assert_says(&recorder.output(), 0, &["moved.mcap"]);
+    let of_rows = geometry(daemon.place(), &folder, "moved.csv");
+    assert_eq!(daemon.stop().code(), Some(0));
+    let of_recording = geometry(daemon.place(), &folder, "moved.mcap");
+
+    let count = |found: &Value| found["rows"].as_u64().unwrap();
+    assert!(count(&of_recording) >= count(&of_rows) && count(&of_rows) > 100);
+    let [rows, recording] = [&of_rows, &of_recording].map(|found| found["estimates"].as_array());
+    let (rows, recording) = (rows.unwrap(), recording.unwrap());
+    assert_eq!(rows.len(), recording.len());
+    for (row, recorded) in rows.iter().zip(recording) {
+        assert_eq!(row["parameter"], recorded["parameter"]);
+        let number = |of: &Value, key: &str| of[key].as_f64().unwrap();
+        let apart = (number(row, "found") - number(recorded, "found")).abs();
+        let within = number(row, "within_95") + number(recorded, "within_95");
+        assert!(apart < within, "{row} {recorded}");
+        if recorded["parameter"] == "length of section 1" {
+            let off_m = (number(recorded, "found") - LENGTH_M).abs();
+            let most_m = 2e-3 * LENGTH_M + 3.0 * number(recorded, "within_95");
+            assert!(off_m < most_m, "{off_m}");
+        }
+    }
+
+    let bytes = fs::read(&whole).unwrap();
+    let default = include_str!("../../../../configs/default.toml");
+    for (name, content) in [
+        ("cut.mcap", &bytes[..bytes.len() * 4 / 5]),
+        ("begun.mcap", &bytes[..8]),
+        ("empty.mcap", b""),
+        ("rows.mcap", b"t_s,cable_1_m\n"),
+        ("three.toml", default.as_bytes()),
+    ] {
+        fs::write(folder.join(name), content).unwrap();
+    }
+    // By what it begins with, whatever its name.
+    fs::copy(&whole, folder.join("whole.dat")).unwrap();
+    for (arguments, status, said) in [
+        ("cut.mcap", 0, "cut.mcap is cut: what is whole was read"),
+        ("whole.dat", 0, "length of section 1"),
+        ("begun.mcap", 1, "holds no telemetry of cdcrd"),
+        ("empty.mcap", 1, "the file is empty"),
+        ("rows.mcap", 1, "rows.mcap"),
+        ("none.mcap", 1, "cannot read none.mcap"),
+        (
+            "moved.mcap --config three.toml",
+            1,
+            "moved.mcap is of another robot: of 1 sections, and three.toml has 3",
+        ),
+    ] {
+        let line = format!("cdcrctl calibrate geometry {arguments}");
+        daemon.place().says(&line, status, &[said]);
+    }
+
+    let without_tip = Daemon::start(PATIENT);
+    let place = without_tip.place();
+    place.says(
+        "cdcrctl record -o rest.mcap --duration 500ms",
+        0,
+        &["rest.mcap"],
+    );
+    let line = "cdcrctl calibrate geometry rest.mcap";
+    place.says(
+        line,
+        1,
+        &["rest.mcap: measured are cable lengths, and no tip"],
+    );
+}

@@ -33,8 +33,9 @@ pub(crate) enum CalibrateAction {
     Record(RecordOptions),
     /// Estimate lengths, cables, base and sensor from a recording, and print them as a configuration
     #[command(after_help = "Examples:\n  cdcrctl calibrate geometry moved.csv\n  \
-        cdcrctl calibrate geometry moved.csv --config robot.toml --hold base\n\n\
-        Columns of the file, in any order: t_s, cable_1_m … three for each section, base first, x_m, y_m, z_m of the tip, and \
+        cdcrctl calibrate geometry moved.csv --config robot.toml --hold base\n  \
+        cdcrctl calibrate geometry moved.mcap       what cdcrctl record made meanwhile\n\n\
+        A recording (MCAP) says which robot it is of. Columns of a CSV, in any order: t_s, cable_1_m … three for each section, base first, x_m, y_m, z_m of the tip, and \
         perhaps its unit quaternion qx, qy, qz, qw, base to tip. What these data cannot tell is held as configured, and named. A fifth of \
         the rows is held out and only checked.")]
     Geometry(GeometryOptions),
@@ -80,10 +81,10 @@ pub(crate) struct ExciteOptions {
 /// Options of `calibrate geometry`.
 #[derive(Debug, Args)]
 pub(crate) struct GeometryOptions {
-    /// The recording, CSV
+    /// Rows as CSV, or a recording (MCAP)
     #[arg(value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) file: PathBuf,
-    /// Configuration of the robot that was recorded [default: the daemon's robot]
+    /// Configuration of the robot that was recorded [default: of a recording its own robot, of a CSV the daemon's]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) config: Option<PathBuf>,
     /// What is right as it is configured, and not estimated

@@ -11,7 +11,7 @@ use cdcr_shared_types::codes::RequestKind;
 use nalgebra::Vector3;
 
 use super::record::{Rows, check_new, check_sensors, tell};
-use super::resting::rests;
+use super::resting::{Sensors, rests};
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
 use crate::dry_run::{self, Demands};
@@ -54,7 +54,7 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
     }
     let connection = target.connect()?;
     let before = rests(&mut connection.telemetry()?)?;
-    check_sensors(&before)?;
+    check_sensors(Sensors::of(&before))?;
     let bounds = Bounds::new(&robot_of(&before.robot)?, options);
     check_bends(&before, bounds.bend_rad)?;
     let (excitation, demands) = plan(&connection, &before, bounds, options)?;

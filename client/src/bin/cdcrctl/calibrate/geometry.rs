@@ -3,25 +3,25 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use cdcr_client::model::robot_of;
 use cdcr_controller::calibration::{Calibration, ParameterGroup, calibrate};
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
+use cdcr_shared_types::RobotDescription;
 use toml_edit::{DocumentMut, Item, Value};
 
 use super::recording::Recording;
-use super::report;
+use super::{recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
 
 pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<Done> {
     let name = options.file.display();
-    let text = fs::read_to_string(&options.file).with_context(|| format!("cannot read {name}"))?;
-    let robot = match &options.config {
-        Some(path) => configured(path)?,
-        None => of_daemon(target)?,
+    let (robot, recording) = if recorded::is_recording(&options.file)? {
+        of_recording(options)?
+    } else {
+        of_rows(target, options)?
     };
-    let recording = Recording::parse(&options.file, &text, 3 * robot.sections.len())?;
     let hold: Vec<ParameterGroup> = options.hold.iter().map(|hold| hold.0).collect();
     let found: Calibration =
         calibrate(&robot, &recording.rows, &hold).with_context(|| name.to_string())?;
@@ -37,10 +37,45 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
     Ok(Done::Good)
 }
 
-/// The robot of a daemon.
-fn of_daemon(target: &Target) -> anyhow::Result<RobotParameters> {
-    let status = target.connect()?.status(Duration::from_secs(1))?;
-    let robot = robot_of(&status.robot)?;
+/// A file of rows, of the robot of the configuration or of a daemon.
+fn of_rows(
+    target: &Target,
+    options: &GeometryOptions,
+) -> anyhow::Result<(RobotParameters, Recording)> {
+    let path = &options.file;
+    let text =
+        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let robot = if let Some(path) = &options.config {
+        configured(path)?
+    } else {
+        let status = target.connect()?.status(Duration::from_secs(1))?;
+        described(&status.robot)?
+    };
+    let recording = Recording::parse(path, &text, 3 * robot.sections.len())?;
+    Ok((robot, recording))
+}
+
+/// A recording of all that passed on the services: it says which robot it is of.
+fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, Recording)> {
+    let (description, recording) = recorded::read(&options.file)?;
+    let Some(config) = &options.config else {
+        return Ok((described(&description)?, recording));
+    };
+    let robot = configured(config)?;
+    ensure!(
+        robot.sections.len() == description.sections as usize,
+        "{} is of another robot: of {} sections, and {} has {}",
+        options.file.display(),
+        description.sections,
+        config.display(),
+        robot.sections.len()
+    );
+    Ok((robot, recording))
+}
+
+/// The robot of a daemon or recording.
+fn described(description: &RobotDescription) -> anyhow::Result<RobotParameters> {
+    let robot = robot_of(description)?;
     Ok(RobotParameters {
         sections: robot.sections().to_vec(),
         cable_speed_max_m_s: robot.cable_speed_max_m_s(),

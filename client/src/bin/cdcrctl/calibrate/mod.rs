@@ -3,7 +3,9 @@
 mod excite;
 mod geometry;
 mod noise;
+mod pairs;
 mod record;
+mod recorded;
 mod recording;
 mod report;
 mod resting;

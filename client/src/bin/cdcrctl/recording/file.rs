@@ -12,7 +12,7 @@ use super::topic::{Topic, WIRE_TYPE};
 
 /// A message of ours.
 #[derive(Debug)]
-pub(super) enum Recorded {
+pub(crate) enum Recorded {
     Telemetry(Box<Telemetry>),
     Reference(Box<ReferenceChunk>),
     Obstacles(Box<ObstacleUpdate>),
@@ -43,7 +43,7 @@ impl Recorded {
 }
 
 /// A recording that is read from its beginning to its end; one chunk of it is in memory.
-pub(super) struct Recording {
+pub(crate) struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<File>>,
     /// It ended in the middle.
@@ -51,7 +51,7 @@ pub(super) struct Recording {
 }
 
 impl Recording {
-    pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
+    pub(crate) fn open(path: &Path) -> anyhow::Result<Self> {
         let name = || path.display().to_string();
         let file = File::open(path).with_context(name)?;
         let reader = Reader::new(BufReader::with_capacity(1 << 17, file)).with_context(name)?;
@@ -74,7 +74,7 @@ impl Recording {
     }
 
     /// The next message of ours. What others have put into the file is passed over.
-    pub(super) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
+    pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
         loop {
             let name = self.path.display().to_string();
             match self.next_item()? {
@@ -95,7 +95,7 @@ impl Recording {
     }
 
     /// Says how to mend a recording that is cut.
-    pub(super) fn warn_of_cut(&self) {
+    pub(crate) fn warn_of_cut(&self) {
         if self.is_cut {
             let name = self.path.display();
             eprintln!(

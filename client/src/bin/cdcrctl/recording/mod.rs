@@ -2,7 +2,7 @@
 
 pub(crate) mod convert;
 mod examination;
-mod file;
+pub(crate) mod file;
 pub(crate) mod info;
 mod invocation;
 mod play;
