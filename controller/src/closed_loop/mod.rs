@@ -148,6 +148,14 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         Ok(begin)
     }
 
+    /// A solver for this robot, with its period and settings.
+    ///
+    /// # Errors
+    /// As [`Nmpc::new`], which [`Self::new`] has asked already.
+    pub fn solver(&self) -> Result<Nmpc, SettingsError> {
+        Nmpc::new(self.robot.clone(), self.period_s, self.settings)
+    }
+
     /// One period: solves without a limit on time, makes the result safe, and moves on.
     pub fn step(&mut self, nmpc: &mut Nmpc) -> SolveReport {
         nmpc.limit_acceleration(self.acceleration_rad_s2);

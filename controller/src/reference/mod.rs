@@ -84,6 +84,15 @@ pub struct ReferenceSample {
 }
 
 impl ReferenceSample {
+    /// A tip position (m, base frame) that is reached in any orientation.
+    pub fn at(position_m: Vector3<f64>) -> Self {
+        Self {
+            state: ReferenceState::Inside,
+            position_m,
+            orientation: Orientation::Free,
+        }
+    }
+
     /// The same elsewhere by `by_m` (m).
     #[must_use]
     pub fn moved(&self, by_m: &Vector3<f64>) -> Self {

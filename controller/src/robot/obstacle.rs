@@ -175,6 +175,14 @@ pub struct ObstacleError {
 }
 
 impl Obstacle {
+    /// A ball that stands, around `centre_m` (m, base frame).
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn ball(centre_m: Vector3<f64>, radius_m: f64) -> Result<Self, ObstacleError> {
+        Self::new(Shape::Sphere { centre_m }, radius_m, Vector3::zeros())
+    }
+
     /// An obstacle of `radius_m` (m) around `shape` (m, base frame) that moves at `velocity_m_s` (m/s, base frame; zero for one
     /// that stands).
     ///

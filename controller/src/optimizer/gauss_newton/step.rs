@@ -380,4 +380,18 @@ mod tests {
         assert_eq!(gauss_newton.step[16..20], [1.0; 4]);
         assert_eq!(gauss_newton.excess_max(&bounds, &z), 0.0);
     }
+
+    /// A cost that does not tell unknowns apart takes them to the border together, but for rounding. Unknowns that get there clearly later may yet stay inside.
+    #[test]
+    fn ties_are_fixed_together_and_no_other_unknown() {
+        let mut gauss_newton = GaussNewton::with_capacity(4, 1, 0);
+        let mut bounds = Bounds::with_capacity(4);
+        bounds.set_symmetric(&std::iter::repeat_n(1.0, 4), 1);
+        gauss_newton.free.extend(0..4);
+        gauss_newton.step[..4].copy_from_slice(&[2.0, -1.999, 1.85, 1.6]);
+        let excess = gauss_newton.excess_max(&bounds, &[0.0; 4]);
+        gauss_newton.fix_leavers(&bounds, &[0.0; 4], excess);
+        assert_eq!(gauss_newton.free, [3]);
+        assert_eq!(gauss_newton.step[..4], [1.0, -1.0, 1.0, 1.6]);
+    }
 }
