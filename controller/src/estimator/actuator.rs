@@ -28,13 +28,32 @@ impl Actuator {
 }
 
 /// How far the motors are behind their commands, now and a while ago.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct ActuatorModel {
     actuator: Actuator,
     /// The last moves, newest at `newest`.
     moves: Box<[Move]>,
     newest: usize,
     play: Option<PlayModel>,
+}
+
+impl Clone for ActuatorModel {
+    fn clone(&self) -> Self {
+        Self {
+            actuator: self.actuator,
+            moves: self.moves.clone(),
+            newest: self.newest,
+            play: self.play.clone(),
+        }
+    }
+
+    /// Takes no memory.
+    fn clone_from(&mut self, source: &Self) {
+        self.actuator = source.actuator;
+        self.moves.copy_from_slice(&source.moves);
+        self.newest = source.newest;
+        self.play.clone_from(&source.play);
+    }
 }
 
 /// Cables that have play.

@@ -41,7 +41,7 @@ pub enum Measurement {
 /// zero and load of the encoders and motors, errors of the model. The estimate is the sum of what was commanded and of the disturbance,
 /// so it says **where the commands up to now lead the robot**, from where the next one moves it on. Where it is
 /// meanwhile says [`Self::present`].
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Estimator {
     /// Where the commands lead the motors, as far as the measurements have been smoothed: the last one is the estimate.
     stages: [Configuration; STAGES],
@@ -58,6 +58,33 @@ pub struct Estimator {
     /// What they have told of the tip, where something does.
     tip_offset: TipOffset,
     motors: ActuatorModel,
+}
+
+impl Clone for Estimator {
+    fn clone(&self) -> Self {
+        Self {
+            stages: self.stages,
+            led: self.led,
+            measured: self.measured,
+            time_constant_s: self.time_constant_s,
+            uncorrected_s: self.uncorrected_s,
+            tip: self.tip.clone(),
+            tip_offset: self.tip_offset.clone(),
+            motors: self.motors.clone(),
+        }
+    }
+
+    /// Takes no memory.
+    fn clone_from(&mut self, source: &Self) {
+        self.stages = source.stages;
+        self.led = source.led;
+        self.measured = source.measured;
+        self.time_constant_s = source.time_constant_s;
+        self.uncorrected_s = source.uncorrected_s;
+        self.tip.clone_from(&source.tip);
+        self.tip_offset.clone_from(&source.tip_offset);
+        self.motors.clone_from(&source.motors);
+    }
 }
 
 impl Estimator {

@@ -12,6 +12,7 @@ mod own_costs;
 mod present_clearance;
 mod rehearsal;
 mod state;
+mod unsent;
 mod warm_up;
 
 use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
@@ -35,6 +36,7 @@ use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
 use state::RobotState;
+use unsent::LastSent;
 
 /// The controller of one robot, cycle by cycle.
 #[derive(Debug)]
@@ -44,6 +46,7 @@ pub struct Cycle {
     state: RobotState,
     /// Another, that rehearsals move on and nobody asks.
     rehearsed: RobotState,
+    last_sent: LastSent,
     /// The cycle to come was.
     was_rehearsed: bool,
     /// What rehearsals take that looks at no clock.
@@ -105,9 +108,11 @@ impl Cycle {
         let period_ns = ns(config.cycle.period_ms);
         let policy = Policy::new(config);
         let settings = Settings::new(config);
+        let state = RobotState::new(robot.clone(), policy, period_ns, *initial);
         Ok(Self {
             link,
-            state: RobotState::new(robot.clone(), policy, period_ns, *initial),
+            last_sent: LastSent::new(&state),
+            state,
             rehearsed: RobotState::new(robot.clone(), policy, period_ns, *initial),
             was_rehearsed: false,
             rehearsal_costs: RecentCosts::default(),
@@ -177,7 +182,7 @@ impl Cycle {
         self.learn_cost(inputs, stale_inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
         self.state.count_silence(measurement, inputs);
-        self.state.move_on(&self.rates, elapsed_ns);
+        self.move_on(elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
         let sensors = inputs.tip_sensors;
@@ -364,11 +369,13 @@ impl Cycle {
             self.control_begins = false;
             self.state.take_control();
             self.rehearsed.take_control();
+            self.begin_unsent();
         } else if matches!(mode, Mode::Tracking { .. } | Mode::Homing) {
             self.control_begins = false;
             // On the ramp the commanded position must not step back by what the motors lag.
             if self.is_at_rest() {
                 self.state.take_control_moving();
+                self.begin_unsent();
             }
         }
     }

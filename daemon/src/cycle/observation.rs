@@ -30,7 +30,7 @@ impl Cycle {
 
     /// Why the robot should not move on, though nothing is broken.
     fn wait(&self, inputs: &CycleInputs, reference: &ReferenceSample) -> Option<Reason> {
-        if self.stale_ns > self.policy.stale_inputs_max_ns {
+        if self.has_stale_inputs() {
             return Some(Reason::InputsStale);
         }
         if self.followed.is_replaced(&inputs.window) && self.state.is_too_far(reference) {

@@ -21,19 +21,19 @@ const HOME_SETTLED_NS: u64 = 100_000_000;
 /// What a cycle knows of the robot: where it was commanded to be, where it was measured, where it is.
 #[derive(Debug)]
 pub(super) struct RobotState {
-    robot: Robot,
+    pub(super) robot: Robot,
     policy: Policy,
     period_ns: u64,
-    estimator: Estimator,
+    pub(super) estimator: Estimator,
     present: Configuration,
     /// A state, moved by the commanded rates and by nothing else while the robot is in control. A robot that obeys
     /// positions is told it.
-    commanded: Configuration,
-    following: FollowingWatch,
-    plausibility: MeasurementWatch,
+    pub(super) commanded: Configuration,
+    pub(super) following: FollowingWatch,
+    pub(super) plausibility: MeasurementWatch,
     common_mode: CommonModeWatch,
     /// Of the tip beside bends or cables.
-    tip_plausibility: MeasurementWatch,
+    pub(super) tip_plausibility: MeasurementWatch,
     last_tip_ns: u64,
     /// Sensors that measured it so far.
     tip_sensors: u64,

@@ -11,6 +11,7 @@ mod play;
 mod rehearsal;
 mod tip_margin;
 mod trial;
+mod unsent;
 
 use std::path::Path;
 

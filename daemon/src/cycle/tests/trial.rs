@@ -46,6 +46,10 @@ pub(super) struct Trial {
     pub(super) rehearsal_looks: u64,
     /// The motors stand still, whatever is commanded.
     pub(super) stands: bool,
+    /// The exchange is held up: commands do not leave.
+    pub(super) is_held_up: bool,
+    /// The newest command that left.
+    pub(super) sent: Option<cdcr_shared_types::Command>,
     lead_ns: u64,
     /// So much more than there is do the encoders say \[m\].
     pub(super) cable_error_m: [f64; CABLES_MAX],
@@ -105,6 +109,8 @@ impl Trial {
             robot: validated.robot,
             interface,
             stands: false,
+            is_held_up: false,
+            sent: None,
             rehearses: false,
             rehearsal_looks: 0,
             cable_error_m: [0.0; CABLES_MAX],
@@ -122,6 +128,11 @@ impl Trial {
             tip_m: Vector3::zeros(),
             at_release: straight,
         }
+    }
+
+    /// The record of the newest cycle.
+    pub(super) fn last(&self) -> CycleRecord {
+        self.last.unwrap()
     }
 
     /// The number of the cycle to come.
@@ -234,7 +245,12 @@ impl Trial {
             .run(release, &self.inputs, next_request, &self.clock);
         let command = convert::command(&record, &self.robot, PERIOD_NS);
         self.target_rad = command.bend_target_rad[..self.robot.coordinate_count()].to_vec();
-        self.obey(&command);
+        if self.is_held_up {
+            self.go_on(release_ns);
+        } else {
+            self.sent = Some(command);
+            self.obey(&command);
+        }
         self.next += 1;
         self.last = Some(record);
         record
@@ -268,6 +284,21 @@ impl Trial {
                 self.plant.advance(PERIOD_S / f64::from(STEPS));
             }
         }
+    }
+
+    /// The motors obey the command that left until it runs out, for a period from `release_ns` on.
+    fn go_on(&mut self, release_ns: u64) {
+        self.plant.advance(MEASURED_BEFORE_NS as f64 * 1e-9);
+        self.at_release = self.plant.configuration();
+        let is_valid = |sent: &cdcr_shared_types::Command| release_ns < sent.valid_until_ns;
+        self.plant.order(match self.interface {
+            Interface::Position => MotorOrder::Lengths(self.sent_m),
+            Interface::Velocity => match self.sent.filter(is_valid) {
+                Some(sent) => MotorOrder::Speeds(sent.cable_speed_m_s),
+                None => MotorOrder::Stand,
+            },
+        });
+        (self.plant).advance((PERIOD_NS - MEASURED_BEFORE_NS) as f64 * 1e-9);
     }
 
     pub(super) fn turns(&mut self, count: u32) -> CycleRecord {

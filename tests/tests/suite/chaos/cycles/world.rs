@@ -16,7 +16,8 @@ use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
-use cdcr_shared_types::{Header, InputEvent, Telemetry};
+use cdcr_shared_types::{Command, Header, InputEvent, Telemetry};
+use cdcr_tests::record::largest;
 use nalgebra::Vector3;
 
 use super::driver::Driver;
@@ -44,6 +45,8 @@ pub(super) struct World {
     next: u64,
     /// Gathers that a stall of the exchange still takes.
     held_up: u32,
+    /// The command that leaves when it goes on.
+    unsent: Option<Command>,
     /// What the next cycle is asked, and what was asked last.
     asked: Option<RequestKind>,
     kind_of_answer: Option<RequestKind>,
@@ -74,6 +77,7 @@ impl World {
             clock: ManualClock::default(),
             next: 1,
             held_up: 0,
+            unsent: None,
             asked: None,
             kind_of_answer: None,
             stop_asked: false,
@@ -113,12 +117,28 @@ impl World {
         if self.dice.chance(1) {
             self.held_up = self.dice.below(40);
         }
-        if self.held_up == 0 {
+        let is_held_up = self.held_up > 0;
+        if !is_held_up {
+            self.send(release_ns - LEAD_NS);
             self.act();
             self.gather(release_ns);
         }
         self.held_up = self.held_up.saturating_sub(1);
-        self.run(release_ns, skipped)
+        self.run(release_ns, skipped)?;
+        if !is_held_up {
+            self.send(self.clock.now_ns.get());
+        }
+        Ok(())
+    }
+
+    /// The newest command leaves, unless it moves and has run out.
+    fn send(&mut self, now_ns: u64) {
+        let rests = |command: &Command| largest(&command.bend_rate_rad_s) == 0.0;
+        if let Some(command) = self.unsent.take()
+            && (now_ns < command.valid_until_ns || rests(&command))
+        {
+            self.driver.take(&command, now_ns);
+        }
     }
 
     fn run(&mut self, release_ns: u64, skipped: u32) -> CheckResult {
@@ -152,7 +172,7 @@ impl World {
         self.cycle.rest(&self.clock);
         let telemetry = self.telemetry(&record);
         if record.measurement.is_some() {
-            self.driver.take(&telemetry.command, record.handed_over_ns);
+            self.unsent = Some(telemetry.command);
         }
         self.records.check(&telemetry)
     }

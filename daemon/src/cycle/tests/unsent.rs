@@ -1,0 +1,97 @@
+use super::trial::{PERIOD_S, Trial};
+use crate::config::Interface;
+use cdcr_controller::plant::Preset;
+use cdcr_controller::robot::Configuration;
+
+const BOTH: [Interface; 2] = [Interface::Position, Interface::Velocity];
+/// The ramp is over by then, and the leaky bucket, which counts stale inputs, not full.
+const HELD_UP: usize = 35;
+/// A command is valid for twenty periods: much is commanded before the inputs are stale.
+const LONG: &str = "command_valid_ms = 100.0\n";
+
+fn bits(values: &[f64]) -> Vec<u64> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+fn largest_apart(a: &Configuration, b: &Configuration) -> f64 {
+    let pairs = a.as_slice().iter().zip(b.as_slice());
+    pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
+
+/// A robot that tracks, moves, and whose exchange is then held up for `cycles`: the way of the commands that did not leave \[rad\].
+fn hold_up(trial: &mut Trial, cycles: usize) -> f64 {
+    trial.turns(3);
+    trial.begin_tracking();
+    trial.turns(300);
+    trial.is_held_up = true;
+    let mut way_rad = vec![0.0; 6];
+    for _ in 0..cycles {
+        let record = trial.cycle(0);
+        for (way, rate) in way_rad.iter_mut().zip(record.rates.as_slice()) {
+            *way += rate * PERIOD_S;
+        }
+    }
+    trial.is_held_up = false;
+    way_rad.iter().fold(0.0, |most, way| most.max(way.abs()))
+}
+
+/// The last command that left is where the robot is commanded to be, however many were computed since: when the exchange goes on, a robot
+/// that obeys positions is sent nowhere.
+#[test]
+fn commands_that_did_not_leave_move_no_position() {
+    for cycles in [21, 25, HELD_UP] {
+        let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), LONG);
+        let way_rad = hold_up(&mut trial, cycles);
+        assert!(way_rad > 0.005, "{way_rad}");
+        let sent = trial.sent.unwrap();
+        // It leaves before the next gather.
+        let newest = trial.last().rates;
+        for (i, rate) in newest.as_slice().iter().enumerate() {
+            let moved_rad = sent.bend_target_rad[i] + PERIOD_S * rate;
+            assert_eq!(trial.target_rad[i].to_bits(), moved_rad.to_bits());
+        }
+        let target_rad = bits(&trial.target_rad);
+        trial.turns(20);
+        if cycles == HELD_UP {
+            assert_eq!(bits(&trial.target_rad), target_rad);
+        }
+    }
+}
+
+/// The model is where the robot is: it obeyed the last command that left until that ran out, and no other.
+#[test]
+fn the_model_knows_of_commands_that_did_not_leave() {
+    for interface in BOTH {
+        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), LONG);
+        let way_rad = hold_up(&mut trial, HELD_UP);
+        let told = trial.last();
+        let beside_rad = largest_apart(&told.present, &trial.at_release);
+        println!("{interface:?}: {beside_rad:.4} rad beside, {way_rad:.4} rad were not sent");
+        assert!(way_rad > 0.02, "{way_rad}");
+        // Zero and droop of the laboratory's robot are 0.1 mm each, 0.008 rad.
+        assert!(beside_rad < 0.02, "{interface:?}: {beside_rad}");
+        let first = trial.turn();
+        assert!(first.following.largest_rad() < 0.02 + 0.2 * way_rad);
+        assert!(largest_apart(&first.configuration, &told.configuration) < 0.005);
+        // And goes on tracking as if nothing had been.
+        trial.begin_tracking();
+        assert!(trial.turns(200).following.largest_rad() < 0.1);
+    }
+}
+
+/// A gather that is late by less than the validity of a command changes nothing: its command has left.
+#[test]
+fn late_gathers_take_no_command_back() {
+    let mut trial = Trial::new(Interface::Position);
+    trial.turns(3);
+    trial.begin_tracking();
+    trial.turns(100);
+    for _ in 0..3 {
+        let before = trial.target_rad.clone();
+        let record = trial.cycle(0);
+        for (i, rate) in record.rates.as_slice().iter().enumerate() {
+            let moved = before[i] + PERIOD_S * rate;
+            assert_eq!(trial.target_rad[i].to_bits(), moved.to_bits());
+        }
+    }
+}

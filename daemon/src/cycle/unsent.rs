@@ -1,0 +1,84 @@
+//! Commands that did not leave. The exchange gathers and publishes in turn: while it brings no inputs, it sends nothing, and when it goes
+//! on, the newest command alone leaves. So the driver obeyed the last one that left until that ran out.
+
+use cdcr_controller::estimator::Estimator;
+use cdcr_controller::robot::{BendRates, Configuration};
+use cdcr_controller::safety::{FollowingWatch, MeasurementWatch};
+
+use super::Cycle;
+use super::state::RobotState;
+
+/// What commands move on, as it was when the last one left.
+#[derive(Debug)]
+pub(super) struct LastSent {
+    /// That command, and how long ago it was given \[ns\].
+    rates: BendRates,
+    elapsed_ns: u64,
+    estimator: Estimator,
+    commanded: Configuration,
+    following: FollowingWatch,
+    plausibility: MeasurementWatch,
+    tip_plausibility: MeasurementWatch,
+}
+
+impl LastSent {
+    pub(super) fn new(state: &RobotState) -> Self {
+        Self {
+            rates: BendRates::zero(state.robot.section_count()),
+            elapsed_ns: 0,
+            estimator: state.estimator.clone(),
+            commanded: state.commanded,
+            following: state.following.clone(),
+            plausibility: state.plausibility.clone(),
+            tip_plausibility: state.tip_plausibility.clone(),
+        }
+    }
+
+    /// Of a command that was given at the last release.
+    fn note(&mut self, state: &RobotState, rates: &BendRates) {
+        self.rates = *rates;
+        self.elapsed_ns = 0;
+        self.estimator.clone_from(&state.estimator);
+        self.commanded = state.commanded;
+        self.following.clone_from(&state.following);
+        self.plausibility.clone_from(&state.plausibility);
+        self.tip_plausibility.clone_from(&state.tip_plausibility);
+    }
+
+    /// The robot has obeyed that command alone since.
+    fn obey_alone(&self, state: &mut RobotState) {
+        state.estimator.clone_from(&self.estimator);
+        state.commanded = self.commanded;
+        state.following.clone_from(&self.following);
+        state.plausibility.clone_from(&self.plausibility);
+        state.tip_plausibility.clone_from(&self.tip_plausibility);
+        state.move_on(&self.rates, self.elapsed_ns);
+    }
+}
+
+impl Cycle {
+    /// Whether the inputs are so old that a command which left with the last ones has run out.
+    pub(super) fn has_stale_inputs(&self) -> bool {
+        self.stale_ns > self.policy.stale_inputs_max_ns
+    }
+
+    /// The robot moved by the commands that left. Of one or two releases without inputs they may have left all the same: the gather
+    /// was late.
+    pub(super) fn move_on(&mut self, elapsed_ns: u64) {
+        if self.stale_ns == self.period_ns {
+            self.last_sent.note(&self.state, &self.rates);
+        }
+        self.last_sent.elapsed_ns += elapsed_ns;
+        if self.has_stale_inputs() {
+            self.last_sent.obey_alone(&mut self.state);
+        } else {
+            self.state.move_on(&self.rates, elapsed_ns);
+        }
+    }
+
+    /// Control has begun anew, and no command has left since.
+    pub(super) fn begin_unsent(&mut self) {
+        let rest = BendRates::zero(self.robot.section_count());
+        self.last_sent.note(&self.state, &rest);
+    }
+}
