@@ -63,9 +63,11 @@ impl Cycle {
     }
 
     /// The robot moved by the commands that left. Of one or two releases without inputs they may have left all the same: the gather
-    /// was late.
+    /// was late. A robot that has come to rest meanwhile stays where it is commanded to be: rest is rest.
     pub(super) fn move_on(&mut self, elapsed_ns: u64) {
-        if self.stale_ns == self.period_ns {
+        let most_ns = self.policy.stale_inputs_max_ns;
+        let runs_out = self.has_stale_inputs() && self.stale_ns - self.period_ns <= most_ns;
+        if self.stale_ns == self.period_ns || runs_out && self.is_at_rest() {
             self.last_sent.note(&self.state, &self.rates);
         }
         self.last_sent.elapsed_ns += elapsed_ns;
