@@ -31,8 +31,10 @@ const PLACE_LOOKS: u32 = 24;
 const PLANE_LOOKS: u32 = 2;
 /// a row of a correction, beside its clearance,
 pub(super) const ROW_LOOKS: u32 = 4;
-/// and its part of the solution.
+/// its part of the solution,
 pub(super) const SOLVED_LOOKS: u32 = 6;
+/// and as much more where all are made linear anew: of so many, most are looked at in each step of the solution.
+pub(super) const RENEWED_LOOKS: u32 = 60;
 
 /// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: of any value
 /// where it is not asked for, NaN where the state is not finite.

@@ -3,7 +3,7 @@
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
-use super::near::{Near, Place, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
+use super::near::{Near, Place, RENEWED_LOOKS, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
 use super::watched::Watched;
 use super::{Beginning, ClearanceGuard, fastest};
 
@@ -155,6 +155,7 @@ pub(super) fn bound_again(
                         nearest,
                     };
                     if short.bound(near, guard, &nearest, row_around, region) {
+                        near.count(RENEWED_LOOKS);
                         near.note_row(index, section);
                     }
                 }
