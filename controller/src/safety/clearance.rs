@@ -16,18 +16,41 @@ use near::{Near, Stance};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 12;
-/// Times that it is linearised anew where that leads to rest,
+/// Times that it is linearised anew where that leads to rest.
 const RENEWALS: usize = 4;
-/// with as many obstacles near at most: among more of them, nothing comes of it.
-const RENEWED_MAX: usize = 32;
+/// How those begin, and go on.
+const BEGINNINGS: [Beginning; 3] = [
+    Beginning {
+        slack: 0.0,
+        margin_m: 1e-7,
+    },
+    Beginning {
+        slack: 0.1,
+        margin_m: 1e-9,
+    },
+    Beginning {
+        slack: 0.5,
+        margin_m: 1e-9,
+    },
+];
 /// Shares of what is found then that are checked.
-const SHARES: [f64; 5] = [1.0, 0.95, 0.7, 0.4, 0.2];
+const SHARES: [f64; 3] = [1.0, 0.6, 0.25];
 /// A correction that leaves less than this share of the fastest component is rest.
 const STANDING: f64 = 1e-6;
+/// One that is made anew and leaves less than this is taken where no other leaves more.
+const SLOW: f64 = 0.05;
 /// Scales that are tried.
 const SCALES: u32 = 12;
 /// A command that is scaled down is at most this share of the rates shorter than one that was found not to hold.
 const SCALE_WITHIN: f64 = 1.0 / 256.0;
+
+/// Around the standing robot each half-space is wider by a share of the fastest component, because all of them can meet in rest alone where clearances
+/// are curved and there is a way. Later ones ask for a margin.
+#[derive(Clone, Copy)]
+struct Beginning {
+    slack: f64,
+    margin_m: f64,
+}
 
 /// A command that keeps clear.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,6 +107,21 @@ impl StoppingWay {
         let left = (1.0 - beyond_s / ramp_way_s).max(0.0);
         self.moving_s + 2.0 * ramp_way_s * (1.0 - left.sqrt())
     }
+
+    /// Whether the robot moves evenly up to there.
+    fn is_even(&self, way_s: f64) -> bool {
+        way_s <= self.moving_s
+    }
+
+    /// Where it is at a time \[s\]: s.
+    fn way_after_s(&self, time_s: f64) -> f64 {
+        let (beyond_s, ramp_way_s) = (time_s - self.moving_s, self.way_s - self.moving_s);
+        if beyond_s <= 0.0 || ramp_way_s <= 0.0 {
+            return time_s;
+        }
+        let left = (1.0 - 0.5 * beyond_s / ramp_way_s).max(0.0);
+        self.moving_s + ramp_way_s * (1.0 - left * left)
+    }
 }
 
 /// What the body must keep clear of.
@@ -123,8 +161,8 @@ impl ClearanceGuard<'_> {
     /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances that
-    /// matter are made linear anew at one place. Slower rates stop sooner: each that are looked at
+    /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances are
+    /// made linear anew at one place. Slower rates stop sooner: each that are looked at
     /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
     /// positions keeps the same rule from where it is commanded to be, too.
     ///
@@ -250,29 +288,50 @@ impl ClearanceGuard<'_> {
     ) -> BendRates {
         let mut limited = Region::EMPTY;
         limits.fill(&mut limited, fastest(desired_rates));
-        let mut around = None;
-        for _ in 0..RENEWALS {
-            if near.is_out_of_looks() {
-                break;
-            }
-            let mut region = limited.clone();
-            near.bound_again(self, desired_rates, around.as_ref(), &mut region);
-            let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
-                break;
-            };
-            let rates = shortened_to(nearest, fastest(desired_rates));
-            if fastest(&rates) <= STANDING * fastest(desired_rates) {
-                break;
-            }
-            for share in SHARES {
-                let shorter = times(&rates, share);
-                if near.check(self, &shorter).is_ok() {
-                    return shorter;
+        let mut slow = self.rest();
+        for beginning in &BEGINNINGS {
+            let mut around = None;
+            for _ in 0..RENEWALS {
+                if near.is_out_of_looks() {
+                    return slow;
                 }
+                let mut region = limited.clone();
+                near.bound_again(self, desired_rates, around.as_ref(), beginning, &mut region);
+                let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
+                    // What was found is nearer to the standing robot then.
+                    let Some(rates) = around else { break };
+                    around = Some(times(&rates, 0.5));
+                    continue;
+                };
+                let rates = shortened_to(nearest, fastest(desired_rates));
+                if fastest(&rates) <= STANDING * fastest(desired_rates) {
+                    break;
+                }
+                if let Some(held) = self.held_share(near, &rates) {
+                    if fastest(&held) > SLOW * fastest(desired_rates) {
+                        return held;
+                    }
+                    if fastest(&held) > fastest(&slow) {
+                        slow = held;
+                    }
+                }
+                around = Some(rates);
             }
-            around = Some(rates);
         }
-        self.rest()
+        slow
+    }
+
+    /// The largest of [`SHARES`] of `rates` that holds the rule.
+    fn held_share(&self, near: &Places<'_>, rates: &BendRates) -> Option<BendRates> {
+        near.forget_between();
+        SHARES.into_iter().find_map(|share| {
+            let shorter = times(rates, share);
+            let is_held = near.check(self, &shorter).is_ok();
+            if !is_held && share == 1.0 {
+                near.note_between(self, rates);
+            }
+            is_held.then_some(shorter)
+        })
     }
 
     /// `rates`, scaled down to where the rule holds: between a scale that does and one that does not, the one is tried where the
@@ -352,10 +411,8 @@ impl Places<'_> {
             .try_for_each(|(near, guard)| way::check(near, guard, rates))
     }
 
-    /// Whether so few obstacles are near that a command is linearised anew.
     fn are_few(&self) -> bool {
-        self.iter()
-            .all(|near| near.watched().count() <= RENEWED_MAX)
+        self.iter().all(Near::are_few)
     }
 
     /// More work.
@@ -369,10 +426,23 @@ impl Places<'_> {
         guard: &ClearanceGuard<'_>,
         desired_rates: &BendRates,
         around: Option<&BendRates>,
+        beginning: &Beginning,
         region: &mut Region,
     ) {
         for near in self.iter() {
-            rows::bound_again(near, guard, desired_rates, around, region);
+            rows::bound_again(near, guard, desired_rates, around, beginning, region);
+        }
+    }
+
+    fn forget_between(&self) {
+        self.iter().for_each(|near| near.note_between(None));
+    }
+
+    /// What the last check of these rates found between the ends of the way.
+    fn note_between(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) {
+        let ends_s = near::ends_s(guard, rates);
+        for near in self.iter() {
+            near.note_between(near.lack().filter(|lack| !ends_s.contains(&lack.way_s)));
         }
     }
 

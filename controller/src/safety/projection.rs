@@ -140,9 +140,11 @@ impl Region {
         self.is_full
     }
 
-    /// Only where normal · x ≥ bound. What leaves out no part of the box is no row of the region; nor is a normal without length.
-    pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
+    /// Only where normal · x ≥ bound. What leaves out no part of the box is no row of the region; nor is a normal without length. Whether it is one.
+    pub(super) fn bound(&mut self, normal: &Vector, bound: f64) -> bool {
+        let before = self.row_count;
         self.add(normal, bound, Room::None);
+        self.row_count > before
     }
 
     /// Only where normal · x ≥ bound, and normal · x · way ≥ -room.

@@ -21,12 +21,20 @@ const ROUNDING_M: f64 = 1e-6;
 /// The work for one command, in the time of an exact clearance from a sphere, about 22 ns: when it is used up, what is not known to
 /// be clear counts as not clear.
 const LOOKS: u32 = 4000;
-/// As many more where a command is linearised anew, among few obstacles.
-const RENEWAL_LOOKS: u32 = 2000;
+/// As many more where a command is linearised anew,
+const RENEWAL_LOOKS: u32 = 4000;
+/// with as many obstacles near at most: among more of them the worst case stays as long as it is.
+const RENEWED_MAX: usize = 32;
 /// How many of them a place of the way takes the time of,
 const PLACE_LOOKS: u32 = 24;
-/// and a row of a correction, with its part of the solution, beside its clearance.
-pub(super) const ROW_LOOKS: u32 = 10;
+/// a plane between a section and an obstacle,
+const PLANE_LOOKS: u32 = 2;
+/// a row of a correction, beside its clearance,
+pub(super) const ROW_LOOKS: u32 = 4;
+/// its part of the solution,
+pub(super) const SOLVED_LOOKS: u32 = 6;
+/// and as much more where all are made linear anew: of so many, most are looked at in each step of the solution.
+pub(super) const RENEWED_LOOKS: u32 = 60;
 
 /// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: of any value
 /// where it is not asked for, NaN where the state is not finite.
@@ -51,6 +59,8 @@ pub(super) struct Near<'a> {
     order: Cell<[u8; NEAR_MAX]>,
     /// What was too small when rates were checked last.
     lack: Cell<Option<Lack>>,
+    /// What was found so between the ends of the way, of a command that is made linear anew.
+    between: Cell<Option<Lack>>,
     /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
     rows: [Cell<u8>; NEAR_MAX],
     /// From each watched capsule to each section, the direction in which these were nearest when that was looked for last; zero where it was not.
@@ -129,6 +139,7 @@ impl<'a> Near<'a> {
             looks: Cell::new(LOOKS),
             order: Cell::new(core::array::from_fn(|index| index as u8)),
             lack: Cell::new(None),
+            between: Cell::new(None),
             rows: [const { Cell::new(0) }; NEAR_MAX],
             directions: [const { [const { Cell::new([0.0; 3]) }; SECTIONS_MAX] }; NEAR_MAX],
             period_floor_m: [const { [const { Cell::new(0.0) }; SECTIONS_MAX] }; NEAR_MAX],
@@ -303,6 +314,22 @@ impl<'a> Near<'a> {
         closest.map_or_else(|least_m| least_m, |closest| closest.clearance_m)
     }
 
+    /// From an obstacle to where section j of a body is nearest, or was when that was looked for last.
+    pub(super) fn direction(
+        &self,
+        body: &Body,
+        there: &There<'_>,
+        j: usize,
+    ) -> Option<Vector3<f64>> {
+        self.count(PLANE_LOOKS);
+        let direction = if there.watched.is_ball() {
+            body.direction(&body.closest_of(j, there.obstacle()))
+        } else {
+            Vector3::from(self.directions[there.watched.index][j].get())
+        };
+        (direction != Vector3::zeros()).then_some(direction)
+    }
+
     /// Where section j of a body is nearest to an obstacle.
     ///
     /// # Errors
@@ -375,6 +402,15 @@ impl<'a> Near<'a> {
         self.lack.get()
     }
 
+    /// What lacks between the ends of the way of a command that is made linear anew.
+    pub(super) fn between(&self) -> Option<Lack> {
+        self.between.get()
+    }
+
+    pub(super) fn note_between(&self, lack: Option<Lack>) {
+        self.between.set(lack);
+    }
+
     pub(super) fn forget_lack(&self) {
         self.lack.set(None);
     }
@@ -405,6 +441,11 @@ impl<'a> Near<'a> {
     /// Adds [`RENEWAL_LOOKS`] to it.
     pub(super) fn allow_renewal(&self) {
         self.looks.set(self.looks.get() + RENEWAL_LOOKS);
+    }
+
+    /// Whether so few obstacles are near that a command is linearised anew.
+    pub(super) fn are_few(&self) -> bool {
+        self.watched_count <= RENEWED_MAX
     }
 
     /// Whether the time for one command is used up.

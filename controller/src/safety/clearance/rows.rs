@@ -3,9 +3,9 @@
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
-use super::ClearanceGuard;
-use super::near::{Near, Place, ROW_LOOKS, ends_s, sections};
+use super::near::{Near, Place, RENEWED_LOOKS, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
 use super::watched::Watched;
+use super::{Beginning, ClearanceGuard, fastest};
 
 /// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
 const MARGIN_M: f64 = 1e-9;
@@ -23,6 +23,15 @@ struct Short<'a> {
     section: usize,
     /// Where both are nearest there.
     nearest: Nearest,
+}
+
+/// What a half-space is to first order around.
+#[derive(Clone, Copy)]
+enum Around<'a> {
+    /// The robot that stands still; wider by what these rates gain.
+    Rest { wider_rad_s: f64 },
+    /// Rates, with what is asked for beyond the allowed clearance.
+    Rates { rates: &'a BendRates, margin_m: f64 },
 }
 
 /// Bounds `region` to where the clearances that are too small are as large as they must be, to first order: those at the place where the
@@ -69,9 +78,23 @@ pub(super) fn bound(
     let shorts = || least.rows.iter().flatten();
     for short in shorts() {
         if near.has_row(short.index, short.section) {
-            short.bound(near, guard, &short.nearest, Some(rates), region);
+            let margin_m = MARGIN_M;
+            short.bound(
+                near,
+                guard,
+                &short.nearest,
+                Around::Rates { rates, margin_m },
+                region,
+            );
         } else {
-            short.bound(near, guard, &short.standing(near), None, region);
+            let wider_rad_s = 0.0;
+            short.bound(
+                near,
+                guard,
+                &short.standing(near),
+                Around::Rest { wider_rad_s },
+                region,
+            );
         }
     }
     for short in shorts() {
@@ -80,29 +103,49 @@ pub(super) fn bound(
     least.count > 0
 }
 
-/// Bounds `region` at both ends of the way of `desired_rates` for every clearance that had a row, and for those that are too small: all of
-/// them to first order around the same rates, or around the robot that stands still.
+/// Bounds `region` at both ends of the way for every clearance that can bound it: to first order around the robot that stands still, where half-spaces are wider by the
+/// slack of `beginning`; or around other rates, there for those alone that had a row or are too small, and where something lacked between the ends.
 pub(super) fn bound_again(
     near: &Near<'_>,
     guard: &ClearanceGuard<'_>,
     desired_rates: &BendRates,
     around: Option<&BendRates>,
+    beginning: &Beginning,
     region: &mut Region,
 ) {
+    let row_around = match around {
+        None => Around::Rest {
+            wider_rad_s: beginning.slack * fastest(desired_rates),
+        },
+        Some(rates) => Around::Rates {
+            rates,
+            margin_m: beginning.margin_m,
+        },
+    };
     let rest = BendRates::zero(desired_rates.section_count());
-    for way_s in ends_s(guard, desired_rates) {
+    let [period_s, end_s] = ends_s(guard, around.unwrap_or(desired_rates));
+    let between = near.between().filter(|_| around.is_some());
+    for way_s in [Some(period_s), Some(end_s), between.map(|lack| lack.way_s)] {
+        let Some(way_s) = way_s else { break };
         let place = near.place(guard, around.unwrap_or(&rest), way_s);
+        let is_end = way_s == period_s || way_s == end_s;
         for (index, watched) in near.watched().enumerate() {
+            if around.is_none() && watched.stands() && way_s < end_s {
+                // The end tells more.
+                continue;
+            }
             let there = watched.after(place.time_s);
             for section in sections(watched.sections()) {
-                let floor_m = watched.floor_most_m(section, place.time_s);
-                let enough_m = match around {
-                    _ if near.has_row(index, section) => f64::INFINITY,
-                    Some(_) => floor_m,
-                    None => continue,
+                let lacks =
+                    between.is_some_and(|lack| (lack.index, lack.section) == (index, section));
+                let enough_m = if !is_end && !lacks {
+                    continue;
+                } else if around.is_none() || lacks || near.has_row(index, section) {
+                    f64::INFINITY
+                } else {
+                    watched.floor_most_m(section, place.time_s)
                 };
                 if let Some(nearest) = near.nearest_below(&place, &there, section, enough_m) {
-                    near.note_row(index, section);
                     let short = Short {
                         spare_m: 0.0,
                         place: &place,
@@ -111,7 +154,10 @@ pub(super) fn bound_again(
                         section,
                         nearest,
                     };
-                    short.bound(near, guard, &nearest, around, region);
+                    if short.bound(near, guard, &nearest, row_around, region) {
+                        near.count(RENEWED_LOOKS);
+                        near.note_row(index, section);
+                    }
                 }
             }
         }
@@ -149,32 +195,44 @@ impl Short<'_> {
     }
 
     /// To first order around these rates, or around the robot that stands still: there each clearance is as large as it must be, so
-    /// that there is a region.
+    /// that there is a region. Whether that bounds it.
     fn bound(
         &self,
         near: &Near<'_>,
         guard: &ClearanceGuard<'_>,
         nearest: &Nearest,
-        around: Option<&BendRates>,
+        around: Around<'_>,
         region: &mut Region,
-    ) {
+    ) -> bool {
         near.count(ROW_LOOKS);
-        let stance = around.map_or(near.still(), |_| &self.place.stance);
+        let stance = match around {
+            Around::Rest { .. } => near.still(),
+            Around::Rates { .. } => &self.place.stance,
+        };
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
         let motion = stance.motion(guard.robot);
         motion.point_jacobian(self.section, nearest.s, &mut columns);
         let d = &nearest.direction;
         let slope = columns.map(|[x, y, z]| self.place.way_s * (d.x * x + d.y * y + d.z * z));
-        let least_m = if let Some(rates) = around {
-            let rates = rates.as_slice().iter();
-            let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
-            let there = self.watched.after(self.place.time_s);
-            let floor_m = near.floor_m(&there, self.section);
-            gained_m + MARGIN_M + floor_m - nearest.clearance_m
-        } else {
-            // The clearance is what is left to the robot that stands still, and at least the floor.
-            self.watched.kept_m.min(nearest.clearance_m) - nearest.clearance_m
+        let least_m = match around {
+            Around::Rates { rates, margin_m } => {
+                let rates = rates.as_slice().iter();
+                let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
+                let there = self.watched.after(self.place.time_s);
+                let floor_m = near.floor_m(&there, self.section);
+                gained_m + margin_m + floor_m - nearest.clearance_m
+            }
+            Around::Rest { wider_rad_s } => {
+                // The clearance is what is left to the robot that stands still, and at least the floor.
+                let left_m = (nearest.clearance_m - self.watched.kept_m).max(0.0);
+                let slope_m_s = slope.iter().map(|slope| slope * slope).sum::<f64>().sqrt();
+                -left_m - wider_rad_s * slope_m_s
+            }
         };
-        region.bound(&slope, least_m);
+        let is_bound = region.bound(&slope, least_m);
+        if is_bound {
+            near.count(SOLVED_LOOKS);
+        }
+        is_bound
     }
 }

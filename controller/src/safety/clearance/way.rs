@@ -3,11 +3,11 @@
 use crate::robot::{BendRates, SECTIONS_MAX};
 
 use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
-use super::watched::Watched;
+use super::watched::{There, Watched};
 use super::{ClearanceGuard, StoppingWay, fastest};
 
 /// How often a part of the way is halved before it counts as not clear.
-const DEPTH: u32 = 6;
+const DEPTH: u32 = 9;
 /// The share of rates that is tried next where no clearance tells one.
 const HALF: f64 = 0.5;
 
@@ -103,7 +103,7 @@ impl Way<'_> {
         if open == [0; NEAR_MAX] {
             return Ok(());
         }
-        let way_s = 0.5 * (from.way_s + to.way_s);
+        let way_s = self.middle_s(from.way_s, to.way_s, &open);
         if depth == 0 || self.near.is_out_of_looks() {
             if let Some(index) = open.iter().position(|bits| *bits != 0) {
                 let section = open[index].trailing_zeros() as usize;
@@ -120,6 +120,19 @@ impl Way<'_> {
         self.is_clear_between(middle, to, &open, depth - 1)
     }
 
+    /// Between two places of the way: where obstacles move for longer than a period, in the middle of that time.
+    fn middle_s(&self, from_s: f64, to_s: f64, open: &Sections) -> f64 {
+        let times_s = [from_s, to_s].map(|way_s| self.stopping.time_s(way_s));
+        let is_open = |(watched, open): (&Watched<'_>, &u8)| *open != 0 && !watched.stands();
+        if times_s[1] - times_s[0] > self.guard.period_s
+            && self.near.watched().zip(open).any(is_open)
+        {
+            self.stopping.way_after_s(0.5 * (times_s[0] + times_s[1]))
+        } else {
+            0.5 * (from_s + to_s)
+        }
+    }
+
     /// Those that can have come nearer between.
     ///
     /// A point that goes from p to p' in h seconds is nowhere farther from both together than |p' - p| and twice what it leaves
@@ -127,11 +140,8 @@ impl Way<'_> {
     fn unsettled(&self, from: Left<'_>, to: Left<'_>, which: &Sections) -> Sections {
         let stopping = &self.stopping;
         let time_s = stopping.time_s(to.way_s) - stopping.time_s(from.way_s);
-        let obstacles = if time_s > self.guard.period_s {
-            2.0
-        } else {
-            0.0
-        };
+        // What it moves in a period may lack.
+        let counted_s = (time_s - self.guard.period_s).max(0.0);
         let way_s = to.way_s - from.way_s;
         let is_even = self.guard.is_even_between(self.rates, from.way_s, to.way_s);
         let chords_m = to.stance.displacement_m(self.guard.robot, from.stance);
@@ -144,12 +154,41 @@ impl Way<'_> {
         for (index, watched) in self.near.watched().enumerate() {
             for j in sections(which[index]) {
                 // Both the clearance of the robot, and that of the one that stands still, change by its motion.
-                let travel_m = travel_m[j] + obstacles * watched.moves_m(time_s);
+                let travel_m = travel_m[j] + 2.0 * watched.moves_m(counted_s);
                 let spare_m = from.spare_m[index][j] + to.spare_m[index][j];
-                let is_settled = 0.5 * (spare_m - travel_m) >= -watched.dip_m;
+                let is_settled = 0.5 * (spare_m - travel_m) >= -watched.dip_m
+                    || is_even && self.is_apart([from, to], watched, j);
                 open[index] |= u8::from(!is_settled) << j;
             }
         }
         open
+    }
+
+    /// Whether a plane between section j and an obstacle keeps them apart from one place to another one. Along a direction d the points of the section leave the line between
+    /// both places by their acceleration · h²/8 at most, the obstacle moves evenly in time, and time is at most a quarter of its span beside what is even on the way.
+    fn is_apart(&self, [from, to]: [Left<'_>; 2], watched: &Watched<'_>, j: usize) -> bool {
+        let times_s = [from, to].map(|left| self.stopping.time_s(left.way_s));
+        let there = times_s.map(|time_s| watched.after(time_s));
+        let Some(direction) = self.near.direction(&to.stance.body, &there[1], j) else {
+            return false;
+        };
+        let least_m = |left: Left<'_>, there: &There<'_>| {
+            (left.stance.body).clearance_min_along(j, there.obstacle(), &direction)
+        };
+        let least_m = least_m(from, &there[0]).min(least_m(to, &there[1]));
+        let way_s = to.way_s - from.way_s;
+        let bent_m = 0.125 * self.acceleration_m_s2[j] * way_s * way_s;
+        let shifted_m = if self.stopping.is_even(to.way_s) {
+            0.0
+        } else {
+            let along_m_s = direction.dot(&watched.obstacle.velocity_m_s()).abs();
+            0.25 * along_m_s * (times_s[1] - times_s[0])
+        };
+        let floor_m = if watched.stands() {
+            watched.start_m[j].min(watched.kept_m)
+        } else {
+            watched.kept_m
+        };
+        least_m - bent_m - shifted_m >= floor_m - watched.dip_m
     }
 }

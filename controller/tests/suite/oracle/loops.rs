@@ -118,6 +118,7 @@ impl Scene {
     ) -> Moment {
         Moment {
             parameters: self.parameters.clone(),
+            tip_offset_m: 0.0,
             at: at.to_vec(),
             commanded: None,
             previous: previous.to_vec(),

@@ -17,7 +17,10 @@ use super::rule::{norm, strokes_m};
 /// All that a command depends on, in numbers: bends in rad, rates in rad/s, as (u, v) of each section, base first.
 #[derive(Debug, Clone)]
 pub(super) struct Moment {
+    /// With the body that keeps a distance: thicker by its part of the offset of the tip.
     pub(super) parameters: RobotParameters,
+    /// That offset (m).
+    pub(super) tip_offset_m: f64,
     pub(super) at: Vec<f64>,
     pub(super) commanded: Option<Vec<f64>>,
     pub(super) previous: Vec<f64>,
@@ -39,7 +42,7 @@ impl Moment {
 
     /// The same where the cables have play.
     pub(super) fn command_with(&self, slack: Option<&Slack>) -> SafeCommand {
-        let robot = Robot::new(&self.parameters).unwrap();
+        let robot = Robot::new(&self.thinner()).unwrap();
         let at = Configuration::from_slice(&self.at).unwrap();
         let commanded = self.commanded.as_deref().map(Configuration::from_slice);
         let commanded = commanded.map(Option::unwrap);
@@ -53,7 +56,7 @@ impl Moment {
             previous: &previous,
             obstacles: &obstacles,
             safe_distance_m: self.safe_m,
-            tip_offset_m: 0.0,
+            tip_offset_m: self.tip_offset_m,
             acceleration_rad_s2: self.acceleration_rad_s2,
             period_s: self.period_s,
             moving_s: self.moving_s,
@@ -64,6 +67,40 @@ impl Moment {
             &situation,
             &BendRates::from_slice(&self.desired_rates).unwrap(),
         )
+    }
+
+    /// The robot without its offset: what the controller is given.
+    fn thinner(&self) -> RobotParameters {
+        let mut thinner = self.parameters.clone();
+        for (section, thicker_m) in thinner.sections.iter_mut().zip(self.thicker_m()) {
+            // Not below zero by rounding.
+            section.body_radius_m = (section.body_radius_m - thicker_m).max(0.0);
+        }
+        thinner
+    }
+
+    /// What each section is thicker by (m): a section up to whose end the robot is s long by offset · min(1, s/|p|), with the tip p.
+    fn thicker_m(&self) -> Vec<f64> {
+        let arcs = arcs(&self.parameters, &self.at);
+        let away_m = arcs[arcs.len() - 1].end_m().norm();
+        let mut length_m = 0.0;
+        let sections = self.parameters.sections.iter();
+        sections
+            .map(|section| {
+                length_m += section.length_m;
+                self.tip_offset_m * (length_m / away_m).min(1.0)
+            })
+            .collect()
+    }
+
+    /// The same with a tip that is measured this far beside where the bends place it (m).
+    fn with_tip_offset(mut self, tip_offset_m: f64) -> Self {
+        self.tip_offset_m = tip_offset_m;
+        let thicker_m = self.thicker_m();
+        for (section, thicker_m) in self.parameters.sections.iter_mut().zip(thicker_m) {
+            section.body_radius_m += thicker_m;
+        }
+        self
     }
 
     /// A play of `play_m`, of which each cable has taken another part.
@@ -108,7 +145,8 @@ impl Moment {
             .chance(0.3)
             .then(|| at.iter().map(|bend| bend + 0.05 * draw.signed()).collect());
         let balls = draw.balls(&parameters, &at, 64);
-        Self {
+        let moment = Self {
+            tip_offset_m: 0.0,
             commanded,
             previous,
             desired_rates,
@@ -121,7 +159,10 @@ impl Moment {
             comes_to_rest,
             parameters,
             at,
-        }
+        };
+        let is_beside = draw.chance(0.2);
+        let tip_offset_m = draw.between(0.0, 0.02);
+        moment.with_tip_offset(if is_beside { tip_offset_m } else { 0.0 })
     }
 }
 

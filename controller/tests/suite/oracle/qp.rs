@@ -24,6 +24,14 @@ const LEAST: f64 = 0.05;
 /// Shares of a solution that are tried.
 const SHARES: [f64; 6] = [1.0, 0.999, 0.95, 0.7, 0.4, 0.2];
 
+/// A motion that holds every rule.
+pub(super) enum Motion {
+    /// Without help: no clearance lacks anything at the ends, nor more than 1 mm between.
+    Sure(Vec<f64>),
+    /// By rounding, or by what obstacles move in a period, which may lack between the ends as far as a guard does not see it.
+    Unsure,
+}
+
 /// normal · rates ≥ bound.
 #[derive(Debug)]
 struct Row {
@@ -100,7 +108,8 @@ impl Moment {
     }
 
     /// Rates of [`LEAST`] of `desired_rates` at least that hold every rule, where the quadratic program leads to some.
-    pub(super) fn way_out(&self, desired_rates: &[f64]) -> Option<Vec<f64>> {
+    pub(super) fn way_out(&self, desired_rates: &[f64]) -> Option<Motion> {
+        let mut found = None;
         let mut rates = vec![0.0; desired_rates.len()];
         for _ in 0..PASSES {
             let way_rad_s = fastest(&self.desired_rates);
@@ -113,7 +122,7 @@ impl Moment {
             if norm(&rates) < LEAST * norm(desired_rates)
                 || norm(&change) < 1e-6 * norm(desired_rates)
             {
-                return None;
+                break;
             }
             for share in SHARES {
                 let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
@@ -123,11 +132,14 @@ impl Moment {
                     && norm(&candidate) >= LEAST * norm(desired_rates)
                     && self.hold(&candidate)
                 {
-                    return Some(candidate);
+                    if self.hold_surely(&candidate) {
+                        return Some(Motion::Sure(candidate));
+                    }
+                    found = Some(Motion::Unsure);
                 }
             }
         }
-        None
+        found
     }
 
     /// Of rates up to `fastest_rad_s`, with the way to rest of a fastest component of `way_rad_s`.

@@ -167,6 +167,18 @@ impl Moment {
         self.limits(rates).hold() && places.all(|place| self.clearances(place, rates).hold())
     }
 
+    /// Whether these rates hold every limit and, without help from rounding or from what obstacles move in a period, every clearance.
+    pub(super) fn hold_surely(&self, rates: &[f64]) -> bool {
+        let mut places = self.places();
+        self.limits(rates).hold()
+            && places.all(|place| {
+                let way = Way::new(self, place, rates).keeps_between_looks();
+                let margins = self.clearances_along(&way);
+                let clearances_m = [margins.period, margins.way, margins.rest];
+                clearances_m.iter().all(|margin_m| *margin_m >= 0.0)
+            })
+    }
+
     /// Whether these rates are inside every limit, to the bit, and not faster than asked for.
     pub(super) fn is_inside(&self, rates: &[f64]) -> bool {
         let slower = fastest(rates) <= fastest(&self.desired_rates);
@@ -231,7 +243,10 @@ impl Moment {
 
     /// The clearances from one place on.
     fn clearances(&self, place: &[f64], rates: &[f64]) -> Margins {
-        let way = Way::new(self, place, rates);
+        self.clearances_along(&Way::new(self, place, rates))
+    }
+
+    fn clearances_along(&self, way: &Way<'_>) -> Margins {
         let end_s = way.stopping.end_s();
         let least_m = |time_s, within_m| {
             let spares_m = way.spares_m(&way.pairs, time_s, 0.0, within_m);
@@ -263,7 +278,8 @@ pub(super) struct Pair {
     still: Arc,
     /// What it keeps while the obstacle stands, too (m).
     floor_m: f64,
-    /// What may lack between the places where the rule holds exactly (m).
+    /// What may lack between the places where the rule holds exactly (m), without and with what the obstacle moves in a period.
+    dip_m: f64,
     may_lack_m: f64,
     /// How fast the spare changes at most (m/s).
     fastest_m_s: f64,
@@ -304,6 +320,7 @@ impl<'a> Way<'a> {
                         ball: *ball,
                         still: *still,
                         floor_m: clearance_m.min(keeps_m),
+                        dip_m,
                         may_lack_m: dip_m + moment.period_s * ball_m_s,
                         fastest_m_s,
                     });
@@ -317,6 +334,14 @@ impl<'a> Way<'a> {
             stopping,
             pairs,
         }
+    }
+
+    /// The same, where what an obstacle moves in a period may not lack.
+    fn keeps_between_looks(mut self) -> Self {
+        for pair in &mut self.pairs {
+            pair.may_lack_m = pair.dip_m;
+        }
+        self
     }
 
     /// What is left of the clearances beyond what must be, at a time (m), one a pair, `within_m` too large at most. What
