@@ -166,6 +166,9 @@ impl Scenario {
             actuator: known,
             ..Self::new(name, with(|f| f.actuator = actuator)).wants(&[(Mean, 0.5), (Max, 2.0)])
         };
+        let noisy = |name, noise_m| {
+            Self::new(name, with(|f| f.noise_m = noise_m)).wants(&[(Rms, 0.15), (RateChange, 2.0)])
+        };
         let noisy_tip = |name, noise_m| {
             Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
         };
@@ -202,10 +205,24 @@ impl Scenario {
             rests: true,
             ..Self::new(name, play).sensor(tip(1)).wants(&[(AtRest, 0.3)])
         };
+        // With and without play: what of the error at rest is a limit cycle, and what noise.
+        let behind_lag = |name, play_m, wanted: &[_]| {
+            let actuator = Actuator {
+                play_m,
+                ..motors(0.0, 0.02)
+            };
+            Self {
+                rests: true,
+                ..Self::new(name, Flaws { actuator, ..play })
+                    .sensor(tip(2))
+                    .wants(wanted)
+            }
+        };
         vec![
             Self::new("ideal", Flaws::default()),
-            Self::new("30 µm of noise", with(|f| f.noise_m = 3e-5))
-                .wants(&[(Rms, 0.15), (RateChange, 2.0)]),
+            noisy("30 µm of noise", 3e-5),
+            // Evenly spread within ± √3 σ.
+            noisy("30 µm of noise, standard deviation", 3e-5 * 3_f64.sqrt()),
             lagging("lag 30 ms, delay 15 ms", known),
             lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
             lagging("lag 39 ms, delay 20 ms", motors(0.02, 0.039)),
@@ -218,6 +235,12 @@ impl Scenario {
             with_play("play of 0.5 mm", 5e-4),
             with_play("play of 0.5 mm, known as 0.4", 4e-4),
             with_play("play of 0.5 mm, taken for 0.6", 6e-4),
+            behind_lag("lag 20 ms, tip at 100 Hz", 0.0, &[]),
+            behind_lag(
+                "lag 20 ms, tip at 100 Hz, play of 0.5 mm",
+                5e-4,
+                &[(AtRest, 0.3)],
+            ),
             noisy_tip("tip alone, 0.1 mm", 1e-4).wants(&mean(0.1)),
             noisy_tip("tip alone, 0.5 mm", 5e-4).wants(&mean(0.25)),
             straight(1, "tip alone, 0.1 mm, 1 section, through straight", 1e-4).wants(&mean(0.1)),
