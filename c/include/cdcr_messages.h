@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x58082bd59d212a11)
+#define CDCR_LAYOUT UINT64_C(0xb69c0b89a5ecb8e4)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -827,7 +827,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v5, 14376 bytes. */
+/* cdcr.Telemetry.v6, 14384 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -942,60 +942,64 @@ typedef struct CdcrTelemetry {
     /* 13128: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
      * moved back by it. */
     double tip_offset_m[3];
-    /* 13152: Tip position at the release, from present_rad and tip_offset_m [m]. */
+    /* 13152: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
+     * standard deviations of what the measurements leave open of it. So much thicker the body counts for plan and
+     * guard. */
+    double tip_margin_m;
+    /* 13160: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
-    /* 13176: Tip orientation at the release, unit quaternion (x, y, z, w). */
+    /* 13184: Tip orientation at the release, unit quaternion (x, y, z, w). */
     double tip_orientation[4];
-    /* 13208: Distance of tip and reference at the release [m]; NaN without a reference. */
+    /* 13216: Distance of tip and reference at the release [m]; NaN without a reference. */
     double position_error_m;
-    /* 13216: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
+    /* 13224: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
     uint32_t guard_flags;
-    /* 13220: CdcrMeasurementState: what became of tip_measured_m. */
+    /* 13228: CdcrMeasurementState: what became of tip_measured_m. */
     uint32_t tip_state;
-    /* 13224: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
+    /* 13232: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
      * obstacles [m]: negative inside one, infinite without obstacles, NaN when present_rad is not finite. The body
-     * counts as thicker by as much as its tip is measured beside its bends (tip_offset_m). */
+     * counts as thicker by tip_margin_m. */
     double clearance_m;
-    /* 13232: The command as it left. */
+    /* 13240: The command as it left. */
     CdcrCommand command;
-    /* 13784: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 13792: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 13880: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 13888: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 13928: used: 3 * command.sections. The same of each cable [m]. */
+    /* 13936: used: 3 * command.sections. The same of each cable [m]. */
     double following_error_m[18];
-    /* 14072: A following error above this is a warning [rad]. */
+    /* 14080: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 14080: A following error above this is a fault [rad]. */
+    /* 14088: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 14088: How far the motors may lag behind [ns]. */
+    /* 14096: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 14096: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 14104: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 14104: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 14112: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 14112: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 14120: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 14208: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 14216: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 14352: Play of the cables [m]; 0: none. */
+    /* 14360: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 14360: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 14368: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 14368: 1: yes, 0: no. 1 where a latched mode was left and the robot has not come to rest since: a following
+    /* 14376: 1: yes, 0: no. 1 where a latched mode was left and the robot has not come to rest since: a following
      * error is no fault then. */
     uint32_t control_begins;
-    /* 14372: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 14380: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 14376);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 14384);
 
-/* cdcr.Incident.v5, 14416 bytes. */
+/* cdcr.Incident.v5, 14424 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1009,6 +1013,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 14416);
+CDCR_ASSERT_SIZE(CdcrIncident, 14424);
 
 #endif

@@ -119,7 +119,7 @@ message! {
     ///
     /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
     /// in the order that the events of the records tell; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v5" {
+    pub struct Telemetry "cdcr.Telemetry.v6" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -239,6 +239,9 @@ message! {
         tip_measured_ns: u64,
         /// How far the tip is measured beside where the bends place it, smoothed \[m\]. The plan's reference is moved back by it.
         tip_offset_m: [f64; 3],
+        /// How far the tip may be beside where the bends place it \[m\]: the length of `tip_offset_m`, and three standard deviations of what the
+        /// measurements leave open of it. So much thicker the body counts for plan and guard.
+        tip_margin_m: f64,
         /// Tip position at the release, from `present_rad` and `tip_offset_m` \[m\].
         tip_position_m: [f64; 3],
         /// Tip orientation at the release, unit quaternion (x, y, z, w).
@@ -251,7 +254,7 @@ message! {
         tip_state: u32 [code MeasurementState],
         /// Smallest distance at the release between the surfaces of body and obstacles, from `present_rad` and
         /// `obstacles` \[m\]: negative inside one, infinite without obstacles, NaN when `present_rad` is not
-        /// finite. The body counts as thicker by as much as its tip is measured beside its bends (`tip_offset_m`).
+        /// finite. The body counts as thicker by `tip_margin_m`.
         clearance_m: f64,
         /// The command as it left.
         command: Command,

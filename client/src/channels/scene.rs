@@ -107,8 +107,7 @@ impl Scene {
             let points = way.iter().copied().map(point).collect();
             markers.push(line(name, points, WAY_SHARE * self.length_m, color));
         }
-        let offset_m = Vector3::from(record.tip_offset_m).norm();
-        let robot = self.robot.thicker(&at, offset_m);
+        let robot = self.robot.thicker(&at, record.tip_margin_m);
         let body = robot.body(&at);
         let safe_m = record.settings.safe_distance_m;
         let mut nearest: Option<Nearest> = None;

@@ -60,6 +60,7 @@ struct State {
     /// Where they are when the robot is where its commands lead it.
     led: Vec<Obstacle>,
     tip_offset_m: Vector3<f64>,
+    tip_margin_m: f64,
     period_s: f64,
 }
 
@@ -81,6 +82,7 @@ impl State {
             led: known.iter().map(|known| known.moved(lead_s)).collect(),
             known,
             tip_offset_m: record.tip_offset_m.into(),
+            tip_margin_m: record.tip_margin_m,
             period_s: record.period_ns as f64 * 1e-9,
         })
     }
@@ -211,7 +213,7 @@ impl Computer {
             previous: &state.previous,
             obstacles: &state.led,
             safe_distance_m: record.settings.safe_distance_m,
-            tip_offset_m: state.tip_offset_m.norm(),
+            tip_offset_m: state.tip_margin_m,
             acceleration_rad_s2: record.acceleration_rad_s2,
             period_s: state.period_s,
             moving_s: moving_ns as f64 * 1e-9,
@@ -253,9 +255,7 @@ impl Computer {
         let clearance_m = if record.reference_lead_ns == 0 || !safe.clearance_m.is_finite() {
             safe.clearance_m
         } else {
-            let thicker = self
-                .robot
-                .thicker(&state.present, state.tip_offset_m.norm());
+            let thicker = self.robot.thicker(&state.present, state.tip_margin_m);
             let body = thicker.body(&state.present);
             body.least_clearance_m(state.known.iter().copied())
         };
@@ -374,7 +374,7 @@ impl Computer {
             previous_rates: &state.previous,
             reference: &led,
             obstacles: &state.led,
-            tip_offset_m: state.tip_offset_m.norm(),
+            tip_offset_m: state.tip_margin_m,
             // The recorded warm start is moved on in time already.
             elapsed_periods: 0,
             seed,

@@ -132,7 +132,7 @@ impl DrivenRobot {
     pub(super) fn margin_m(&self) -> f64 {
         match self.driven.without {
             Some(Part::Margin) => 0.0,
-            _ => self.tip_offset_m().norm(),
+            _ => self.estimator.tip_margin_m(),
         }
     }
 

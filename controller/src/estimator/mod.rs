@@ -183,6 +183,12 @@ impl Estimator {
         self.tip_offset.offset_m()
     }
 
+    /// How far the tip may be beside where the bends place it (m): the length of [`Self::tip_offset_m`], and three standard deviations of what
+    /// the measurements leave open of it. So much more distance the body keeps ([`Robot::thicker`]). 0 before a tip was measured beside bends.
+    pub fn tip_margin_m(&self) -> f64 {
+        self.tip_offset.margin_m()
+    }
+
     /// The tip is where the bends place it, until it is measured again.
     pub fn forget_tip_offset(&mut self) {
         self.tip_offset = self.tip_offset.forgotten();
@@ -453,5 +459,38 @@ mod tests {
             // Of the measurements themselves: √3 · 0.3 mm.
             assert!(deviation_m < 3e-4, "{sections} sections: {deviation_m} m");
         }
+    }
+
+    /// Beside the offset the body keeps what noise leaves open of it: along an axis the tip is farther beside in few moments, and for less noise
+    /// it keeps less.
+    #[test]
+    fn the_margin_is_the_offset_and_what_noise_leaves_open_of_it() {
+        let robot = robot(3);
+        let at = Configuration::from_slice(&[0.3; 6]).unwrap();
+        let truth_m = Vector3::new(0.01, -0.02, 0.005);
+        let tip_m = robot.tip_position(&at) + truth_m;
+        let lengths = Measurement::CableLengths(robot.cable_lengths(&at));
+        let [more_m, less_m] = [3e-4, 1e-4].map(|noise_m| {
+            let estimator = Estimator::new(at).with_time_constant(0.1);
+            let mut estimator = estimator.with_tip_noise(noise_m);
+            assert_eq!(estimator.tip_margin_m(), 0.0);
+            let (mut state, mut beyond, mut open_m) = (7, 0, 0.0);
+            for cycle in 0..2200 {
+                estimator.predict(&BendRates::zero(3), 0.005);
+                estimator.correct(&robot, &lengths, 0.0);
+                let seen_m = tip_m.map(|m| m + noise_m * noise(&mut state));
+                assert!(estimator.correct_tip(&robot, &seen_m, 0.0));
+                let offset_m = estimator.tip_offset_m();
+                open_m = estimator.tip_margin_m() - offset_m.norm();
+                let off_m = offset_m - truth_m;
+                if cycle >= 200 {
+                    beyond += off_m.iter().filter(|m| m.abs() > open_m).count();
+                }
+            }
+            println!("{noise_m} m: {open_m} m, {beyond} of 6000 beyond");
+            assert!(beyond < 30 && open_m < 1.5 * noise_m, "{beyond}, {open_m}");
+            open_m
+        });
+        assert!(less_m < 0.7 * more_m, "{less_m} {more_m}");
     }
 }

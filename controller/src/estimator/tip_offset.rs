@@ -4,6 +4,8 @@ use super::tip_slope::{STILL_M_S, TipSlope};
 
 /// How slowly the offset follows what is measured (s): of 0.3 mm of noise in each coordinate, measured at 100 Hz, 0.1 mm is left.
 const TIME_CONSTANT_S: f64 = 0.1;
+/// The same at rest, where the play of the cables is known: a motor that turns round for noise runs through all of the play.
+const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
 /// A tip that is measured farther beside (m) is not believed: either the model or the sensor is wrong, and following it no help.
 const OFFSET_MAX_M: f64 = 0.1;
 
@@ -15,6 +17,10 @@ const SILENT: f64 = 1.5;
 const STILL: f64 = 0.25;
 /// The same at rest, where the play of the cables is known: it swallows nothing of the noise then.
 const STILL_WITH_PLAY: f64 = 0.6;
+
+/// So many standard deviations of what is known of the offset the body keeps beside it: in 1 of 740 measurements the tip is farther beside along
+/// the way to an obstacle.
+const MARGIN_DEVIATIONS: f64 = 3.0;
 
 /// What the measured tip is beside the one that the measured bends give: errors of lengths and radii, sag, a load. It changes as
 /// the robot bends, which is learnt, too ([`TipSlope`]), so that it is not late along a way.
@@ -82,6 +88,11 @@ impl TipOffset {
         self.offset_m
     }
 
+    /// How far the tip may be beside where the bends place it (m): by the offset, and by what is not known of that.
+    pub(super) fn margin_m(&self) -> f64 {
+        self.offset_m.norm() + MARGIN_DEVIATIONS * self.slope.deviation_m()
+    }
+
     pub(super) fn predict(&mut self, elapsed_s: f64) {
         self.unmeasured_s = (self.unmeasured_s + elapsed_s).min(TIME_CONSTANT_S);
         self.unplaced_s += elapsed_s;
@@ -131,15 +142,15 @@ impl TipOffset {
         // How far it is beside where it is placed now.
         let since_m = self.placed_m.map(|now_m| now_m - placed_m);
         let beside_m = beside_m + self.slope.change_m(&since_m.unwrap_or_default());
-        let gain = since_s / (since_s + TIME_CONSTANT_S);
+        let (time_constant_s, still) = if has_play && !self.is_moving {
+            (TIME_CONSTANT_WITH_PLAY_S, STILL_WITH_PLAY)
+        } else {
+            (TIME_CONSTANT_S, STILL)
+        };
+        let gain = since_s / (since_s + time_constant_s);
         self.learnt_m += gain * (beside_m - self.learnt_m);
         let missing_m = self.learnt_m - self.offset_m;
         let far_m = missing_m.norm();
-        let still = if has_play && !self.is_moving {
-            STILL_WITH_PLAY
-        } else {
-            STILL
-        };
         let still_m = still * self.slope.noise_m();
         if far_m > still_m {
             let moved_m = self.offset_m + missing_m * (1.0 - still_m / far_m);

@@ -62,6 +62,15 @@ impl TipSlope {
         self.noise_m
     }
 
+    /// Standard deviation of a coordinate of the offset at its last measurement (m); 0 before the first.
+    pub(super) fn deviation_m(&self) -> f64 {
+        if self.placed_m.is_some() {
+            self.covariance[(0, 0)].max(0.0).sqrt()
+        } else {
+            0.0
+        }
+    }
+
     /// What the offset changes by while the tip goes by `by_m` (m).
     pub(super) fn change_m(&self, by_m: &Vector3<f64>) -> Vector3<f64> {
         self.slope * by_m

@@ -70,8 +70,8 @@ pub struct SolveInput<'a> {
     /// What the body must keep away from, at most [`OBSTACLES_MAX`] (further ones are ignored), where
     /// it is at the release; it moves on at its velocity.
     pub obstacles: &'a [Obstacle],
-    /// How far the tip is measured beside where the bends place it \[m\], 0 or more: so much more distance the body keeps, each section its
-    /// part ([`Robot::thicker`]).
+    /// How far the tip may be beside where the bends place it \[m\], 0 or more: so much more distance the body keeps, each section its
+    /// part ([`Robot::thicker`], [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
     pub tip_offset_m: f64,
     /// Periods since the plan was made: how far the warm start is moved on in time.
     pub elapsed_periods: u64,

@@ -39,7 +39,7 @@ pub struct Flaws {
     pub droop_m: f64,
     /// The encoder of the first cable of each section counts from so far beside its zero (m).
     pub offset_m: f64,
-    /// A measured cable length is off by at most this, evenly spread (m).
+    /// A measured cable length is off by at most this, evenly spread (m): its standard deviation is this divided by √3.
     pub noise_m: f64,
     /// Cable length of one count of an encoder (m); 0: as fine as numbers are.
     pub tick_m: f64,
@@ -217,7 +217,7 @@ pub enum Preset {
     /// Exactly its model.
     #[default]
     Ideal,
-    /// Built well: motors with a lag of 20 ms, encoders and motors 0.1 mm beside, noise of 30 µm (three counts of an encoder with 4096 on
+    /// Built well: motors with a lag of 20 ms, encoders and motors 0.1 mm beside, noise evenly spread within 30 µm (three counts of an encoder with 4096 on
     /// a 10 mm spool), 0.3 mm at the tip.
     Laboratory,
     /// Built once and used for years: a lag of 40 ms after 10 ms, 0.3 mm beside, play of 0.3 mm, sections 3 % longer, cables 2 % nearer, a

@@ -22,8 +22,8 @@ pub struct Situation<'a> {
     pub obstacles: &'a [Obstacle],
     /// Distance D that the body keeps \[m\].
     pub safe_distance_m: f64,
-    /// How far the tip is measured beside where the bends place it \[m\], 0 or more: so much more the body keeps, each section its part
-    /// ([`Robot::thicker`]).
+    /// How far the tip may be beside where the bends place it \[m\], 0 or more: so much more the body keeps, each section its part
+    /// ([`Robot::thicker`], [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
     pub tip_offset_m: f64,
     /// How fast the rate of a component may grow \[rad/s²\]; infinite: as it likes.
     pub acceleration_rad_s2: f64,

@@ -275,26 +275,23 @@ fn ball(centre_m: [f64; 3]) -> Obstacle {
 }
 
 /// The true robot keeps the safe distance of a ball on its way, although its model is 40 mm shorter: by as much as its tip is measured
-/// beside it. Noise of 0.3 mm at the tip moves the nearest point by a tenth: the mean over seeds is judged, and the worst of them.
+/// beside it, and by what noise of 0.3 mm at the tip leaves open of that.
 #[test]
 fn a_body_that_is_known_to_be_beside_its_model_keeps_clear() {
     let eight = FigureEight::new().unwrap();
     for &obeys_positions in crate::cases(1, &[true, false]) {
         for &centre_m in crate::cases(1, &[[0.33, 0.0, 0.7], [0.17, 0.0, 0.74]]) {
-            let nearest_mm = [1, 2, 3].map(|seed| {
+            for seed in 1..=3 {
                 let longer = Driven {
                     obeys_positions,
                     seed,
                     ..longer()
                 };
                 let run = eight.run(longer, &[ball(centre_m)]).unwrap();
-                run.min_clearance_mm()
-            });
-            println!("positions {obeys_positions}, ball at {centre_m:?}: {nearest_mm:.2?} mm");
-            let mean_mm = nearest_mm.iter().sum::<f64>() / 3.0;
-            let worst_mm = nearest_mm.into_iter().fold(f64::INFINITY, f64::min);
-            let is_kept = (9.95..15.0).contains(&mean_mm) && worst_mm > 9.85;
-            assert!(is_kept, "{nearest_mm:?}");
+                let nearest_mm = run.min_clearance_mm();
+                println!("positions {obeys_positions}, ball at {centre_m:?}: {nearest_mm:.2} mm");
+                assert!((9.95..15.0).contains(&nearest_mm), "{nearest_mm}");
+            }
         }
     }
 }
@@ -360,10 +357,9 @@ fn resting(known_m: f64, lag_s: f64) -> Driven {
 #[test]
 fn a_robot_with_play_stays_where_it_is_sent() {
     let eight = FigureEight::new().unwrap();
-    // Within how many mm with the first seed, and with each of five. A robot without play, with that lag and those sensors, leaves its
-    // point by up to 0.35 mm: noise (docs/robustness.md).
+    // Within how many mm with the first seed, and with each of five.
     let robots = [
-        (5e-4, 0.02, 0.3, 0.4),
+        (5e-4, 0.02, 0.3, 0.3),
         (0.0, 0.0, 0.13, 0.25),
         (0.0, 0.02, 0.23, 0.28),
         (4e-4, 0.0, 0.18, 0.26),

@@ -49,7 +49,7 @@ cdcr_controller::parameters! {
         /// "simulated": a robot inside the daemon. "driver": a process that publishes measurements and follows commands.
         kind: LinkKind = LinkKind::Simulated;
         /// Which simulated robot. "ideal": exactly its model. "laboratory": built well, motors with a lag of 20 ms, encoders and
-        /// motors with an offset of 0.1 mm, 30 µm of noise. "sloppy": worn, with play, delay, a load, and a geometry that is not
+        /// motors with an offset of 0.1 mm, noise evenly spread within 30 µm. "sloppy": worn, with play, delay, a load, and a geometry that is not
         /// its model's. "slow": motors with a lag of 100 ms after 30 ms. "blind": as laboratory, but only its tip is measured,
         /// with 0.3 mm of noise.
         simulated: Preset = Preset::Ideal;
@@ -60,8 +60,8 @@ cdcr_controller::parameters! {
         simulated_tip: bool = false;
         /// What else is wrong with it, or otherwise than with the preset: name = number. Of the motors delay_s, time_constant_s,
         /// play_m, motor_speed_max_m_s and droop_m; of the cables stretch (of 1), slack_m, broken_cable (its number, 1 is the first) and
-        /// friction_m_per_rad; of the encoders offset_m, noise_m, tick_m, cable_delay_s, cable_interval_s and cable_dropout (of 1); of the sensor of
-        /// the tip tip_noise_m, tip_tick_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m, tip_delay_s, tip_interval_s and tip_dropout; of the geometry length_error, cable_radius_error (of 1) and cable_angle_error_rad; of a load
+        /// friction_m_per_rad; of the encoders offset_m, noise_m (evenly spread within it), tick_m, cable_delay_s, cable_interval_s and cable_dropout (of 1); of the sensor of
+        /// the tip tip_noise_m (standard deviation), tip_tick_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m, tip_delay_s, tip_interval_s and tip_dropout; of the geometry length_error, cable_radius_error (of 1) and cable_angle_error_rad; of a load
         /// payload_u_rad and payload_v_rad; of the base base_x_m, base_y_m, base_z_m, base_turn_x_rad, base_turn_y_rad and
         /// base_turn_z_rad. Not of the ideal robot.
         simulated_flaws: BTreeMap<String, f64> = BTreeMap::new();

@@ -97,6 +97,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         measurement_state: measurement_state(record.measurement_use).code(),
         tip_state: measurement_state(record.tip_use).code(),
         tip_offset_m: record.tip_offset_m.into(),
+        tip_margin_m: record.tip_margin_m,
         miss_limit: record.policy.miss_limit,
         plan_length: record.plan_length as u32,
         warm_plan: record.warm_plan,

@@ -199,8 +199,7 @@ impl Cycle {
         self.begin_control(was_latched);
 
         let previous_rates = self.rates;
-        let configuration = *self.state.configuration();
-        let present = *self.state.present();
+        let (configuration, present) = (*self.state.configuration(), *self.state.present());
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         let costs = Costs {
@@ -258,6 +257,7 @@ impl Cycle {
             tip_measurement,
             tip_use,
             tip_offset_m: self.state.tip_offset_m(),
+            tip_margin_m: self.state.tip_margin_m(),
             tip: self.state.tip(),
             present,
             motors: *self.state.motors(),
@@ -441,7 +441,7 @@ impl Cycle {
             previous_rates: &self.rates,
             reference,
             obstacles: &self.obstacles,
-            tip_offset_m: offset_m.norm(),
+            tip_offset_m: state.tip_margin_m(),
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
         };
@@ -484,7 +484,7 @@ impl Cycle {
             previous: &self.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.nmpc.settings().safe_distance_m,
-            tip_offset_m: self.state.tip_offset_m().norm(),
+            tip_offset_m: self.state.tip_margin_m(),
             acceleration_rad_s2: self.policy.acceleration_rad_s2,
             period_s: self.period_ns as f64 * 1e-9,
             moving_s: self.policy.moving_ns(u64::MAX, self.period_ns) as f64 * 1e-9,

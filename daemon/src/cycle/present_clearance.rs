@@ -1,13 +1,13 @@
 use super::Cycle;
 
 impl Cycle {
-    /// Clearance \[m\] of the body where it is, thicker where its tip is measured beside its bends; `led_m` is that where its commands lead it, infinite where there is no obstacle.
+    /// Clearance \[m\] of the body where it is, thicker where its tip may be beside its bends; `led_m` is that where its commands lead it, infinite where there is no obstacle.
     pub(super) fn present_clearance_m(&self, led_m: f64) -> f64 {
         if self.policy.reference_lead_ns == 0 || !led_m.is_finite() {
             return led_m;
         }
-        let (present, offset_m) = (self.state.present(), self.state.tip_offset_m());
-        let body = self.robot.thicker(present, offset_m.norm()).body(present);
+        let (present, margin_m) = (self.state.present(), self.state.tip_margin_m());
+        let body = self.robot.thicker(present, margin_m).body(present);
         let obstacles = self.known_obstacles.iter();
         body.least_clearance_m(obstacles.map(|known| known.obstacle))
     }

@@ -43,7 +43,7 @@ impl Cycle {
                 previous_rates: &self.rates,
                 reference: inputs.window.ahead(cycle, settings.horizon_steps as usize),
                 obstacles: &self.obstacles,
-                tip_offset_m: self.state.tip_offset_m().norm(),
+                tip_offset_m: self.state.tip_margin_m(),
                 elapsed_periods: 1,
                 seed: cycle_seed(settings.seed, cycle),
             };

@@ -253,6 +253,11 @@ impl RobotState {
         self.estimator.tip_offset_m()
     }
 
+    /// How far it may be beside that (m): so much thicker the body counts.
+    pub(super) fn tip_margin_m(&self) -> f64 {
+        self.estimator.tip_margin_m()
+    }
+
     pub(super) fn tip(&self) -> Pose {
         self.tip_at(&self.present)
     }

@@ -77,6 +77,8 @@ pub struct CycleRecord {
     pub tip_use: MeasurementUse,
     /// How far the tip was measured beside where the bends place it (m): the plan's reference is moved back by it.
     pub tip_offset_m: Vector3<f64>,
+    /// How far it may be beside that (m): so much thicker the body counts.
+    pub tip_margin_m: f64,
     /// Where the commands up to now lead the robot: what the next one is planned from.
     pub configuration: Configuration,
     /// Where they lead its motors: the robot is beside that by the play of its cables.

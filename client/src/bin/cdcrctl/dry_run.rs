@@ -104,7 +104,7 @@ pub(crate) fn compute(
     let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)?
         .with_acceleration(record.acceleration_rad_s2)
         .with_stopping(valid_periods, record.deceleration_rad_s2)
-        .with_tip_offset(offset_m.norm());
+        .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < PATIENT_CYCLES && way.time_s() < WAY_MAX_S {
@@ -122,7 +122,7 @@ pub(crate) fn compute(
     let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)?
         .with_acceleration(record.acceleration_rad_s2)
         .with_stopping(valid_periods, record.deceleration_rad_s2)
-        .with_tip_offset(offset_m.norm());
+        .with_tip_offset(record.tip_margin_m);
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new("dry run");
     for cycle in 0..cycles as u64 {
