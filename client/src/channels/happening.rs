@@ -56,6 +56,7 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
         let (level, what) = match (is_miss, record.skipped_periods) {
             (true, _) => (Level::Warning, "deadline missed".to_owned()),
             (false, 0) => (Level::Info, "late start".to_owned()),
+            (false, 1) => (Level::Info, "1 period skipped".to_owned()),
             (false, skipped) => (Level::Info, format!("{skipped} periods skipped")),
         };
         tell(level, format!("cycle {}: {what} ({cause})", record.cycle));

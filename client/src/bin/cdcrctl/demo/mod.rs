@@ -69,7 +69,7 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
         )?,
     }
     if let Some(out) = &options.out {
-        write_files(out, &run.cycles, &spiral, &backbone, &report)?;
+        write_files(out, &run, &spiral, &backbone, &report)?;
     }
     Ok(Done::Good)
 }
@@ -161,16 +161,21 @@ fn sketch(cycles: &[Cycle], spiral: &Spiral, backbone: &Backbone) -> String {
 
 fn write_files(
     out: &Path,
-    cycles: &[Cycle],
+    run: &Run,
     spiral: &Spiral,
     backbone: &Backbone,
     report: &DemoReport,
 ) -> anyhow::Result<()> {
-    let sections = report.sections as usize;
+    let (cycles, sections) = (&run.cycles, report.sections as usize);
     cycle::write_csv(&out.join("telemetry.csv"), cycles, sections)?;
     pictures::path(&out.join("path.svg"), cycles, spiral, report)?;
     pictures::shape(&out.join("shape.svg"), cycles, spiral, backbone, report)?;
     pictures::error(&out.join("error.svg"), cycles, report)?;
-    pictures::timing(&out.join("timing.svg"), cycles, report)?;
+    pictures::timing(
+        &out.join("timing.svg"),
+        cycles,
+        report,
+        run.status.deadline_ns as f64 * 1e-3,
+    )?;
     Ok(())
 }

@@ -50,7 +50,7 @@ mod tests {
         let report = report(&cycles, &Status::default());
         path(&folder.join("path.svg"), &cycles, &spiral, &report).expect("drawn");
         error(&folder.join("error.svg"), &cycles, &report).expect("drawn");
-        timing(&folder.join("timing.svg"), &cycles, &report).expect("drawn");
+        timing(&folder.join("timing.svg"), &cycles, &report, 5e3).expect("drawn");
         let backbone = Backbone::new(3).expect("the paper's");
         shape(
             &folder.join("shape.svg"),
@@ -138,7 +138,7 @@ mod tests {
         let report = report(&cycles, &Status::default());
         path(&folder.path().join("path.svg"), &cycles, &spiral, &report).expect("drawn");
         error(&folder.path().join("error.svg"), &cycles, &report).expect("drawn");
-        timing(&folder.path().join("timing.svg"), &cycles, &report).expect("drawn");
+        timing(&folder.path().join("timing.svg"), &cycles, &report, 5e3).expect("drawn");
         let backbone = Backbone::new(3).expect("the paper's");
         let file = folder.path().join("shape.svg");
         shape(&file, &cycles, &spiral, &backbone, &report).expect("drawn");

@@ -18,6 +18,8 @@ struct Panel<'a> {
     values_us: Vec<f64>,
     spread: &'a Spread,
     colour: RGBColor,
+    /// What has to be done by the deadline has its line.
+    deadline_us: Option<f64>,
 }
 
 /// Draws how often each latency came, in one scale of time for all three.
@@ -25,6 +27,7 @@ pub(in crate::demo) fn timing(
     file: &Path,
     cycles: &[Cycle],
     report: &DemoReport,
+    deadline_us: f64,
 ) -> anyhow::Result<()> {
     let values = |value: fn(&Cycle) -> f64| cycles.iter().map(value).collect::<Vec<_>>();
     let panels = [
@@ -33,18 +36,21 @@ pub(in crate::demo) fn timing(
             values_us: values(|cycle| cycle.wake_us),
             spread: &report.wake_us,
             colour: BLUE,
+            deadline_us: None,
         },
         Panel {
             name: "solve",
             values_us: values(|cycle| cycle.solve_us),
             spread: &report.solve_us,
             colour: GREEN,
+            deadline_us: None,
         },
         Panel {
             name: "response: due release to command",
             values_us: values(|cycle| cycle.response_us),
             spread: &report.response_us,
             colour: ORANGE,
+            deadline_us: Some(deadline_us),
         },
     ];
     let root = SVGBackend::new(file, (1000, 900)).into_drawing_area();
@@ -55,7 +61,8 @@ pub(in crate::demo) fn timing(
         section_words(report.sections)
     );
     let areas = root.titled(&title, TITLE)?.split_evenly((3, 1));
-    let range_us = decades(panels.iter().flat_map(|panel| &panel.values_us));
+    let values_us = panels.iter().flat_map(|panel| &panel.values_us);
+    let range_us = decades(values_us.chain([&deadline_us]));
     for (area, panel) in areas.iter().zip(&panels) {
         histogram(area, panel, range_us.clone())?;
     }
@@ -97,9 +104,16 @@ fn histogram(
         .draw_series(rectangles)?
         .label(format!("p50 {p50:.1} µs, p99 {p99:.1} µs, max {max:.1} µs"))
         .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 20, y + 5)], colour.filled()));
+    if let Some(deadline_us) = panel.deadline_us {
+        let line = [(deadline_us, 0.7), (deadline_us, 10.0 * most)];
+        chart
+            .draw_series(LineSeries::new(line, BLACK.stroke_width(2)))?
+            .label(format!("deadline, {deadline_us} µs"))
+            .legend(|(x, y)| PathElement::new([(x, y), (x + 20, y)], BLACK.stroke_width(2)));
+    }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
+        .position(SeriesLabelPosition::UpperLeft)
         .label_font(TICK)
         .background_style(WHITE.mix(0.9))
         .border_style(GREY)
