@@ -1,9 +1,10 @@
 //! Points that are fed as they come.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use cdcr_client::{
     Connection, FeedError, Lease, Orientation, ReferenceFeed, TelemetryStream, events,
@@ -232,6 +233,12 @@ fn points(
     };
     Ok(rows.map(point).collect())
 }
+
+/// Chunks under way, at most: half of what waits for a daemon that is held up, which loses what is more.
+const UNDER_WAY_MAX: u64 = 16;
+/// After this without a word a chunk goes all the same: a word about chunks may be lost.
+const SILENCE: Duration = Duration::from_millis(200);
+
 /// What the thread of a stream works with.
 struct Desk {
     address: Address,
@@ -248,10 +255,20 @@ struct Followed {
     tracked: bool,
 }
 
+/// What was sent, what waits to be, and how much of it the daemon has judged.
+struct Outbox {
+    port: ReferenceFeed,
+    waiting: VecDeque<ReferencePoint>,
+    /// Numbers of the newest chunks.
+    sent: u64,
+    judged: u64,
+    sent_at: Instant,
+}
+
 impl Desk {
     /// Until nobody has orders any more.
     fn serve(&self, connection: &Connection, begun: &Sender<bool>) -> Result<(), Failure> {
-        let port = connection.reference_feed()?;
+        let mut outbox = Outbox::new(connection.reference_feed()?);
         let mut telemetry = connection.telemetry()?;
         let lease = connection.acquire_lease().map_err(FeedError::from)?;
         let mut renewed = Instant::now();
@@ -259,14 +276,15 @@ impl Desk {
         let _ = begun.send(true);
         loop {
             match self.orders.recv_timeout(TURN) {
-                Ok(points) => self.send(&port, &points)?,
+                Ok(points) => outbox.waiting.extend(points),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     drop(lease);
                     return until_it_holds(&self.address, &mut telemetry);
                 }
             }
-            self.listen(connection, &mut telemetry, &mut followed)?;
+            self.listen(connection, &mut telemetry, &mut followed, &mut outbox)?;
+            self.send(&mut outbox)?;
             if self.track && !followed.asked && self.counts.accepted.load(Ordering::Relaxed) > 0 {
                 let asked = connection.request(RequestKind::Track);
                 asked.map_err(FeedError::from)?;
@@ -276,13 +294,16 @@ impl Desk {
         }
     }
 
-    fn send(&self, port: &ReferenceFeed, points: &[ReferencePoint]) -> Result<(), Failure> {
-        for points in points.chunks(CHUNK_POINTS_MAX) {
+    /// Points that wait longer than usual share a chunk.
+    fn send(&self, outbox: &mut Outbox) -> Result<(), Failure> {
+        while outbox.may_send() {
+            let count = outbox.waiting.len().min(CHUNK_POINTS_MAX);
+            let points: Vec<_> = outbox.waiting.drain(..count).collect();
             let mode = match self.counts.sent.fetch_add(1, Ordering::Relaxed) {
                 0 => ChunkMode::Replace,
                 _ => ChunkMode::Append,
             };
-            port.send(mode, self.interpolation, points)?;
+            outbox.send(mode, self.interpolation, &points)?;
         }
         Ok(())
     }
@@ -293,12 +314,14 @@ impl Desk {
         connection: &Connection,
         telemetry: &mut TelemetryStream,
         followed: &mut Followed,
+        outbox: &mut Outbox,
     ) -> Result<(), Failure> {
         while let Some(record) = telemetry.try_next()? {
             for event in events(&record) {
                 if event.sender_id == connection.sender_id()
                     && event.kind == EventKind::Reference.code()
                 {
+                    outbox.hear(event.sequence);
                     self.judge(event)?;
                 }
             }
@@ -318,6 +341,43 @@ impl Desk {
             event.detail
         );
         Err(Failure::new(Class::Feed, message, remedy(outcome)))
+    }
+}
+
+impl Outbox {
+    fn new(port: ReferenceFeed) -> Self {
+        Self {
+            port,
+            waiting: VecDeque::new(),
+            sent: 0,
+            judged: 0,
+            sent_at: Instant::now(),
+        }
+    }
+
+    fn may_send(&self) -> bool {
+        let under_way = self.sent - self.judged;
+        let has_room = under_way < UNDER_WAY_MAX || self.sent_at.elapsed() > SILENCE;
+        has_room && !self.waiting.is_empty()
+    }
+
+    fn send(
+        &mut self,
+        mode: ChunkMode,
+        interpolation: Interpolation,
+        points: &[ReferencePoint],
+    ) -> Result<(), Failure> {
+        let header = self.port.send(mode, interpolation, points)?;
+        if mode == ChunkMode::Replace {
+            self.judged = header.sequence - 1;
+        }
+        self.sent = header.sequence;
+        self.sent_at = Instant::now();
+        Ok(())
+    }
+
+    fn hear(&mut self, sequence: u64) {
+        self.judged = self.judged.max(sequence.min(self.sent));
     }
 }
 

@@ -161,6 +161,24 @@ def test_points_can_be_sent_as_they_come_and_what_is_refused_is_told(daemon: Dae
             stream.send(1.0, [0, 0, 1])
 
 
+def test_points_of_a_stream_wait_while_the_daemon_is_held_up(daemon: Daemon) -> None:
+    """Far more chunks than wait for a daemon: 100 points, one at a time."""
+    with daemon.connect() as connection:
+        xyz = curve(connection.robot(), 1.0)[1][:100]
+        with connection.stream(track=False) as stream:
+            times = stream.now() + 30 + np.arange(100) * 0.005
+            daemon.process.send_signal(signal.SIGSTOP)
+            try:
+                for time_s, point in zip(times, xyz):
+                    stream.send(time_s, point)
+                    time.sleep(0.005)
+            finally:
+                daemon.process.send_signal(signal.SIGCONT)
+            # What waited meanwhile shares chunks.
+            eventually(lambda: 16 <= stream.accepted_chunks == stream.sent_chunks < 32)
+            eventually(lambda: connection.status()["reference_points"] == 100)
+
+
 def test_closing_twice_is_nothing_and_what_is_closed_says_so(daemon: Daemon) -> None:
     connection = daemon.connect()
     connection.close()

@@ -24,7 +24,7 @@ fn hold_up(trial: &mut Trial, cycles: usize) -> f64 {
     trial.begin_tracking();
     trial.turns(300);
     trial.is_held_up = true;
-    let mut way_rad = vec![0.0; 6];
+    let mut way_rad = [0.0; 6];
     for _ in 0..cycles {
         let record = trial.cycle(0);
         for (way, rate) in way_rad.iter_mut().zip(record.rates.as_slice()) {
