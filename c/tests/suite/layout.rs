@@ -14,7 +14,12 @@ use super::refused;
 fn source(more: usize, assert: &str) -> String {
     let mut text = String::from("#include \"cdcr.h\"\n");
     let mut check = |what: String, value: i128| {
-        writeln!(text, "{assert}({what} == {value}, \"{what}\");").unwrap();
+        let suffix = if value > i128::from(i64::MAX) {
+            "u"
+        } else {
+            ""
+        };
+        writeln!(text, "{assert}({what} == {value}{suffix}, \"{what}\");").unwrap();
     };
     let mut field = |name: &str, field: &str, offset: usize, size: usize| {
         check(

@@ -16,7 +16,7 @@ use crate::interrupt;
 use crate::system::cores::Cores;
 use crate::system::process::Process;
 
-/// How long a daemon may take to control its robot.
+/// How long a daemon may take to control its robot, and to send a status: on a machine that stalls it may wait for the processor.
 const START_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
@@ -183,7 +183,11 @@ impl Daemon {
     }
 
     pub fn connect(&self) -> Result<Connection> {
-        Ok(Connection::open(self.location(), ROBOT)?)
+        Ok(Connection::open_within(
+            self.location(),
+            ROBOT,
+            START_TIMEOUT,
+        )?)
     }
 
     pub fn stop(mut self) -> Result<()> {
