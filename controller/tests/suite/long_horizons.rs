@@ -180,7 +180,7 @@ fn a_fast_spiral_among_obstacles_is_followed_within_its_budget() {
 #[test]
 fn more_time_is_never_worse_and_the_safe_distance_is_kept_with_any() {
     for solver in SOLVERS {
-        for speed in [1.0, 3.0, 5.0, 10.0] {
+        for &speed in crate::cases(2, &[10.0, 3.0, 5.0, 1.0]) {
             let course = Course::spiral(solver, speed, true);
             let mut best_m = f64::INFINITY;
             for budget_ns in [20_000, 50_000, 100_000, 200_000, 500_000] {
@@ -276,6 +276,7 @@ fn an_interior_point_that_time_ends_leaves_what_it_found() {
         ..Course::spiral(SolverKind::GaussNewton, 5.0, true)
     };
     let costs: Vec<_> = (10..600)
+        .step_by(crate::repetitions(3, 1) as usize)
         .map(|quanta| course.run(quanta).first_cost)
         .collect();
     assert!(costs.is_sorted_by(|more, less| more >= less), "{costs:?}");
