@@ -284,17 +284,6 @@ impl Cycle {
         record
     }
 
-    /// Whether the inputs are those of the cycle before.
-    fn count_stale(&mut self, inputs: &CycleInputs) -> bool {
-        let is_stale = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
-        self.stale_ns = if is_stale {
-            self.stale_ns + self.period_ns
-        } else {
-            0
-        };
-        is_stale
-    }
-
     fn elapsed_ns(&mut self, release: &Release) -> u64 {
         let previous = self.previous_release_ns.replace(release.release_ns);
         previous.map_or(self.period_ns, |previous| release.release_ns - previous)

@@ -7,6 +7,7 @@ use cdcr_controller::safety::{FollowingWatch, MeasurementWatch};
 
 use super::Cycle;
 use super::state::RobotState;
+use crate::handover::CycleInputs;
 
 /// What commands move on, as it was when the last one left.
 #[derive(Debug)]
@@ -57,6 +58,17 @@ impl LastSent {
 }
 
 impl Cycle {
+    /// Whether the inputs are those of the cycle before.
+    pub(super) fn count_stale(&mut self, inputs: &CycleInputs) -> bool {
+        let is_stale = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
+        self.stale_ns = if is_stale {
+            self.stale_ns + self.period_ns
+        } else {
+            0
+        };
+        is_stale
+    }
+
     /// Whether the inputs are so old that a command which left with the last ones has run out.
     pub(super) fn has_stale_inputs(&self) -> bool {
         self.stale_ns > self.policy.stale_inputs_max_ns

@@ -1,5 +1,6 @@
 //! The exchange with real ports and a clock that stands still: who sends what when is up to the test.
 
+mod measurements;
 mod obstacles;
 mod references;
 mod requests;
@@ -445,78 +446,6 @@ fn a_command_that_has_run_out_leaves_only_if_it_is_rest() {
     assert_eq!((command.cycle, command.header.sequence), (20, 3));
     assert!(!moves_at_all(&command) && command.valid_until_ns < rig.now_ns());
     assert!(!rig.shared.last_word_moves.is_set());
-}
-
-#[test]
-fn a_measurement_that_is_old_at_its_arrival_is_refused_also_the_first() {
-    let mut rig = Rig::new("");
-    rig.measure(1, 0.5, 10_000);
-    assert_eq!(rig.gather().measurement, None);
-    rig.measure(1, 0.5, TIMEOUT_MS + 1);
-    assert_eq!(rig.gather().measurement, None);
-    assert_eq!(rig.counted(Outcome::InThePast), 2);
-    rig.measure(1, 0.5, TIMEOUT_MS - 1);
-    assert!(rig.gather().measurement.is_some());
-}
-
-#[test]
-fn a_robot_has_one_driver_until_that_is_lost() {
-    let mut rig = Rig::new("");
-    rig.measure(1, 0.5, 0);
-    rig.gather();
-    for _ in 0..10 {
-        rig.measure(2, 1.0, 0);
-        rig.measure(1, 0.5, 0);
-        let measurement = rig.gather().measurement.unwrap().measurement;
-        let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
-        let first = cdcr_controller::robot::Configuration::from_slice(&bends).unwrap();
-        assert_eq!(
-            measurement,
-            cdcr_controller::estimator::Measurement::Configuration(first)
-        );
-    }
-    assert_eq!(rig.counted(Outcome::OtherDriver), 10);
-    let turn = |rig: &mut Rig| {
-        rig.measure(2, 1.0, 0);
-        rig.gather();
-        rig.run(rig.next_cycle - 1, None);
-        rig.publish();
-    };
-    rig.measure(1, 0.5, 0);
-    turn(&mut rig);
-    // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
-    let (mut silent_ns, last_ns) = (0, rig.now_ns());
-    while rig.exchange.measurements.newest().unwrap().measured_ns <= last_ns {
-        silent_ns = rig.now_ns() - last_ns;
-        turn(&mut rig);
-    }
-    assert!(silent_ns > TIMEOUT_MS * MS, "{silent_ns}");
-    assert!(silent_ns <= TIMEOUT_MS * MS + 3 * PERIOD_NS, "{silent_ns}");
-    rig.measure(1, 0.5, 0);
-    rig.gather();
-    assert_eq!(
-        rig.exchange.measurements.newest().unwrap().measured_ns,
-        rig.now_ns() - PERIOD_NS
-    );
-}
-
-#[test]
-fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
-    let mut rig = Rig::new("");
-    rig.measure(1, 0.5, 0);
-    rig.gather();
-    // No cycle runs, and inputs replace each other unseen.
-    for _ in 0..3 * TIMEOUT_MS * MS / PERIOD_NS {
-        rig.measure(2, 1.0, 0);
-        rig.gather();
-    }
-    let last = rig.exchange.measurements.newest().unwrap().measurement;
-    let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
-    let first = cdcr_controller::robot::Configuration::from_slice(&bends).unwrap();
-    assert_eq!(
-        last,
-        cdcr_controller::estimator::Measurement::Configuration(first)
-    );
 }
 
 #[test]

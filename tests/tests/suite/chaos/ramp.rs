@@ -49,7 +49,11 @@ pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> CheckResult 
     };
     let is_known = before.measurement_state != MeasurementState::None.code();
     let same = (before.mode, before.reason) == (record.mode, record.reason);
-    if !(same && is_known && rests(before) && rests(record)) {
+    // Control begins anew where a latched mode is left, never where one is entered.
+    let is_latched = [Mode::Stopped, Mode::Faulted]
+        .map(Mode::code)
+        .contains(&record.mode);
+    if !((same || is_latched) && is_known && rests(before) && rests(record)) {
         return Ok(());
     }
     // After a reset control begins when the motors have come to the end of their way, too.
@@ -86,6 +90,9 @@ mod tests {
         before.present_rad[3] = 0.01;
         assert_eq!(check_rest(&before, &record), Ok(()));
         (before.mode, record.mode) = (Mode::Stopped.code(), Mode::Stopped.code());
+        assert!(check_rest(&before, &record).is_err());
+        // Nor where that begins.
+        before.mode = Mode::Holding.code();
         assert!(check_rest(&before, &record).is_err());
         // On its way, or after a reset, it may.
         before.previous_rate_rad_s[0] = 0.1;

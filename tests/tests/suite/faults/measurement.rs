@@ -7,9 +7,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
-use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, TIMEOUT, wait_status, wait_until};
-use rustix::process::Signal;
 
 use crate::faults::history::moved_ns;
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
@@ -25,7 +23,7 @@ const RATE_MAX_RAD_S: f64 = 2.0;
 const MADE_UP_MAX_NS: u64 = 300_000_000;
 
 /// A daemon with a driver; nothing but the measurement is a fault.
-fn daemon(interface: Interface) -> Daemon {
+pub(super) fn daemon(interface: Interface) -> Daemon {
     daemon_with(interface, "")
 }
 
@@ -37,7 +35,7 @@ fn daemon_with(interface: Interface, more: &str) -> Daemon {
     ))
 }
 
-fn state(record: &Telemetry) -> MeasurementState {
+pub(super) fn state(record: &Telemetry) -> MeasurementState {
     MeasurementState::try_from(record.measurement_state).unwrap()
 }
 
@@ -48,7 +46,11 @@ fn until_used(trail: &mut Trail, robot: &mut Robot) -> (Telemetry, Telemetry) {
 }
 
 /// Has the robot go home, and waits until its rate has been steady for a while.
-fn go_home(connection: &Connection, trail: &mut Trail, mut turn: impl FnMut()) -> Option<()> {
+pub(super) fn go_home(
+    connection: &Connection,
+    trail: &mut Trail,
+    mut turn: impl FnMut(),
+) -> Option<()> {
     connection
         .request_within(RequestKind::Home, TIMEOUT)
         .unwrap();
@@ -62,7 +64,7 @@ fn go_home(connection: &Connection, trail: &mut Trail, mut turn: impl FnMut()) -
 
 /// The fault of a measurement that does not come any more: in the first cycle whose gather is later than the
 /// timeout after the last measurement. Between two gathers no more than two periods count.
-fn assert_lost(trail: &mut Trail, what: &str, meanwhile: impl FnMut()) {
+pub(super) fn assert_lost(trail: &mut Trail, what: &str, meanwhile: impl FnMut()) {
     let (before, now) = trail.until_while("the fault", meanwhile, is(Mode::Faulted));
     assert_eq!(now.reason, Reason::MeasurementLost.code());
     let timeout_ns = TIMEOUT_MS * 1_000_000;
@@ -423,34 +425,8 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
     });
 }
 
-#[test]
-fn a_killed_driver_is_a_lost_measurement() {
-    behind_both(|interface| {
-        let daemon = daemon(interface);
-        let connection = daemon.connect();
-        let mut trail = Trail::new(&connection);
-        let driver = DriverProcess::start_at(daemon.place(), 1.0);
-        trail.until("holding", is(Mode::Holding));
-        go_home(&connection, &mut trail, || {})?;
-        driver.signal(Signal::KILL);
-        drop(driver);
-        assert_lost(&mut trail, "driver killed", || {});
-        // Another driver takes its place.
-        let _driver = DriverProcess::start_at(daemon.place(), 1.0);
-        trail.until("measured", |record| state(record) == MeasurementState::Used);
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
-        trail.until("holding", is(Mode::Holding));
-        Some(())
-    });
-}
-
 /// Offset and noise of the robot's sensors are far below this.
-const SENSED_RAD: f64 = 0.1;
-/// What the other driver measures.
-const OTHER_RAD: [f64; 12] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-
+pub(super) const SENSED_RAD: f64 = 0.1;
 #[test]
 fn a_first_measurement_that_is_old_is_refused_and_the_daemon_waits_for_a_fresh_one() {
     behind_both(|interface| {
@@ -475,50 +451,6 @@ fn a_first_measurement_that_is_old_is_refused_and_the_daemon_waits_for_a_fresh_o
         let begin_ns = now.release_ns;
         let (_, held) = trail.until_while("used", || robot.turn(), |r| r.release_ns > begin_ns);
         assert!((held.measurement.bend_rad[0] - 1.0).abs() < SENSED_RAD);
-        Some(())
-    });
-}
-
-#[test]
-fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
-    behind_both(|interface| {
-        let daemon = daemon(interface);
-        let (connection, other) = (daemon.connect(), daemon.connect());
-        let mut trail = Trail::new(&connection);
-        let mut first = Robot::new(&connection, 1.0);
-        first.until_held(&mut trail);
-        // The other one measures another robot.
-        let second = Robot::new(&other, -1.0);
-        let measure = || {
-            second.measure(OTHER_RAD);
-        };
-        let mut records = 0;
-        trail.until_while(
-            "both measure",
-            || {
-                first.turn();
-                measure();
-            },
-            |record| {
-                assert_eq!(record.mode, Mode::Holding.code());
-                assert!(
-                    (record.bend_rad[0] - 1.0).abs() < SENSED_RAD,
-                    "{:?}",
-                    record.bend_rad
-                );
-                records += 1;
-                records > 100
-            },
-        );
-        let code = Outcome::OtherDriver.code() as usize;
-        wait_status(&connection, |status| status.outcomes[code] > 10);
-        // The first falls silent. That is a fault before the other one is believed.
-        let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
-        assert_eq!(now.reason, Reason::MeasurementLost.code());
-        assert!((now.bend_rad[0] - 1.0).abs() < SENSED_RAD);
-        trail.until_while("the other has the robot", measure, |record| {
-            record.measurement.bend_rad[0].to_bits() == OTHER_RAD[0].to_bits()
-        });
         Some(())
     });
 }

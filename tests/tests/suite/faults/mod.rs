@@ -4,6 +4,7 @@
 //! Times come from the monotonic stamps in the records, because the machine that runs the tests may stall for
 //! longer than a fault takes to be detected. Each test prints what it measured.
 
+mod drivers;
 mod following;
 mod held_up;
 mod history;

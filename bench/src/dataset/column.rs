@@ -1,0 +1,110 @@
+//! A column: which value of a row it shows, and how.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+#[derive(Debug, Clone, Copy)]
+pub struct Column {
+    pub(super) head: &'static str,
+    pub(super) key: &'static str,
+    pub(super) show: Show,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Show {
+    /// On the left of its column; everything else on the right.
+    Word,
+    Plain,
+    /// Three digits, as far as they say something.
+    Short,
+    Fixed(usize),
+    Signed,
+    Power,
+    Percent(usize),
+}
+
+impl Column {
+    const fn new(head: &'static str, key: &'static str, show: Show) -> Self {
+        Self { head, key, show }
+    }
+
+    pub(super) fn cell(&self, values: &BTreeMap<String, Value>) -> String {
+        match values.get(self.key) {
+            Some(Value::String(text)) if !text.is_empty() => text.clone(),
+            Some(Value::Bool(true)) => "yes".to_owned(),
+            Some(Value::Bool(false)) => "no".to_owned(),
+            Some(Value::Array(ends)) => {
+                let number = |end: &Value| end.as_f64().map(|end| self.number(end));
+                let ends = ends.iter().map(|end| match end {
+                    Value::String(text) => text.clone(),
+                    end => number(end).unwrap_or_default(),
+                });
+                let between = if matches!(self.show, Show::Word) {
+                    ", "
+                } else {
+                    " to "
+                };
+                ends.collect::<Vec<_>>().join(between)
+            }
+            Some(Value::Number(number)) => self.number(number.as_f64().unwrap_or(f64::NAN)),
+            _ => "-".to_owned(),
+        }
+    }
+
+    fn number(&self, value: f64) -> String {
+        match self.show {
+            Show::Word | Show::Plain => value.to_string(),
+            Show::Short => short(value),
+            Show::Fixed(digits) => format!("{value:.digits$}"),
+            Show::Signed => format!("{value:+.1}"),
+            Show::Power => format!("{value:.1e}"),
+            Show::Percent(digits) => format!("{:.digits$}", 100.0 * value),
+        }
+    }
+}
+
+pub const fn word(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Word)
+}
+
+pub const fn plain(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Plain)
+}
+
+pub const fn shorted(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Short)
+}
+
+pub const fn fixed(head: &'static str, key: &'static str, digits: usize) -> Column {
+    Column::new(head, key, Show::Fixed(digits))
+}
+
+pub const fn signed(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Signed)
+}
+
+pub const fn power(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Power)
+}
+
+pub const fn percent(head: &'static str, key: &'static str, digits: usize) -> Column {
+    Column::new(head, key, Show::Percent(digits))
+}
+
+/// Three digits, as far as they say something.
+fn short(value: f64) -> String {
+    let digits = match value.abs() {
+        _ if value == value.round() && value.abs() < 1e6 => 0,
+        size if size >= 100.0 => 0,
+        size if size >= 10.0 => 1,
+        size if size >= 1.0 => 2,
+        size if size >= 1e-3 => 4,
+        _ => return format!("{value:.2e}"),
+    };
+    let text = format!("{value:.digits$}");
+    match text.split_once('.') {
+        Some(_) => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        None => text,
+    }
+}

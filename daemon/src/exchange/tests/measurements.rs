@@ -1,0 +1,73 @@
+//! Measurements and who sends them.
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::robot::Configuration;
+use cdcr_shared_types::codes::Outcome;
+
+use super::{MS, PERIOD_NS, Rig, TIMEOUT_MS};
+
+#[test]
+fn a_measurement_that_is_old_at_its_arrival_is_refused_also_the_first() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 10_000);
+    assert_eq!(rig.gather().measurement, None);
+    rig.measure(1, 0.5, TIMEOUT_MS + 1);
+    assert_eq!(rig.gather().measurement, None);
+    assert_eq!(rig.counted(Outcome::InThePast), 2);
+    rig.measure(1, 0.5, TIMEOUT_MS - 1);
+    assert!(rig.gather().measurement.is_some());
+}
+
+#[test]
+fn a_robot_has_one_driver_until_that_is_lost() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    for _ in 0..10 {
+        rig.measure(2, 1.0, 0);
+        rig.measure(1, 0.5, 0);
+        let measurement = rig.gather().measurement.unwrap().measurement;
+        let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let first = Configuration::from_slice(&bends).unwrap();
+        assert_eq!(measurement, Measurement::Configuration(first));
+    }
+    assert_eq!(rig.counted(Outcome::OtherDriver), 10);
+    let turn = |rig: &mut Rig| {
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+        rig.run(rig.next_cycle - 1, None);
+        rig.publish();
+    };
+    rig.measure(1, 0.5, 0);
+    turn(&mut rig);
+    // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
+    let (mut silent_ns, last_ns) = (0, rig.now_ns());
+    while rig.exchange.measurements.newest().unwrap().measured_ns <= last_ns {
+        silent_ns = rig.now_ns() - last_ns;
+        turn(&mut rig);
+    }
+    assert!(silent_ns > TIMEOUT_MS * MS, "{silent_ns}");
+    assert!(silent_ns <= TIMEOUT_MS * MS + 3 * PERIOD_NS, "{silent_ns}");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    assert_eq!(
+        rig.exchange.measurements.newest().unwrap().measured_ns,
+        rig.now_ns() - PERIOD_NS
+    );
+}
+
+#[test]
+fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    // No cycle runs, and inputs replace each other unseen.
+    for _ in 0..3 * TIMEOUT_MS * MS / PERIOD_NS {
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+    }
+    let last = rig.exchange.measurements.newest().unwrap().measurement;
+    let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let first = Configuration::from_slice(&bends).unwrap();
+    assert_eq!(last, Measurement::Configuration(first));
+}

@@ -1,0 +1,80 @@
+//! Faults of drivers: one that is killed, two at once.
+
+use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::{TIMEOUT, wait_status};
+use rustix::process::Signal;
+
+use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
+use super::robot::{Robot, behind_both};
+use super::trail::{Trail, is};
+
+/// What the other driver measures.
+const OTHER_RAD: [f64; 12] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+
+#[test]
+fn a_killed_driver_is_a_lost_measurement() {
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let mut trail = Trail::new(&connection);
+        let driver = DriverProcess::start_at(daemon.place(), 1.0);
+        trail.until("holding", is(Mode::Holding));
+        go_home(&connection, &mut trail, || {})?;
+        driver.signal(Signal::KILL);
+        drop(driver);
+        assert_lost(&mut trail, "driver killed", || {});
+        // Another driver takes its place.
+        let _driver = DriverProcess::start_at(daemon.place(), 1.0);
+        trail.until("measured", |record| state(record) == MeasurementState::Used);
+        connection
+            .request_within(RequestKind::Reset, TIMEOUT)
+            .unwrap();
+        trail.until("holding", is(Mode::Holding));
+        Some(())
+    });
+}
+
+#[test]
+fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let (connection, other) = (daemon.connect(), daemon.connect());
+        let mut trail = Trail::new(&connection);
+        let mut first = Robot::new(&connection, 1.0);
+        first.until_held(&mut trail);
+        // The other one measures another robot.
+        let second = Robot::new(&other, -1.0);
+        let measure = || {
+            second.measure(OTHER_RAD);
+        };
+        let mut records = 0;
+        trail.until_while(
+            "both measure",
+            || {
+                first.turn();
+                measure();
+            },
+            |record| {
+                assert_eq!(record.mode, Mode::Holding.code());
+                assert!(
+                    (record.bend_rad[0] - 1.0).abs() < SENSED_RAD,
+                    "{:?}",
+                    record.bend_rad
+                );
+                records += 1;
+                records > 100
+            },
+        );
+        let code = Outcome::OtherDriver.code() as usize;
+        wait_status(&connection, |status| status.outcomes[code] > 10);
+        // The first falls silent. That is a fault before the other one is believed.
+        let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
+        assert_eq!(now.reason, Reason::MeasurementLost.code());
+        assert!((now.bend_rad[0] - 1.0).abs() < SENSED_RAD);
+        trail.until_while("the other has the robot", measure, |record| {
+            record.measurement.bend_rad[0].to_bits() == OTHER_RAD[0].to_bits()
+        });
+        Some(())
+    });
+}
