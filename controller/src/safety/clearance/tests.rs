@@ -180,6 +180,25 @@ fn cases() -> ProptestConfig {
 }
 
 proptest! {
+    /// What a plane between a section and a moving obstacle allows for; and where the way is halved in time.
+    #[test]
+    fn time_is_a_quarter_of_its_span_at_most_beside_what_is_even(
+        moving_s in 0.0..0.05_f64,
+        fastest_rad_s in 0.0..8.0_f64,
+        deceleration_rad_s2 in 5.0..500.0_f64,
+        mut shares in prop::array::uniform3(0.0..=1.0_f64),
+    ) {
+        let way = Stopping { moving_s, deceleration_rad_s2 }.way(fastest_rad_s);
+        shares.sort_by(f64::total_cmp);
+        let [from, between, to] = shares.map(|share| (share * way.way_s, way.time_s(share * way.way_s)));
+        let span_s = to.1 - from.1;
+        let even_s = from.1 + span_s * (between.0 - from.0) / (to.0 - from.0).max(1e-12);
+        prop_assert!((between.1 - even_s).abs() <= 0.25 * span_s + 1e-9, "{shares:?}");
+        prop_assert!((way.way_after_s(between.1) - between.0).abs() <= 1e-12);
+    }
+}
+
+proptest! {
     #![proptest_config(cases())]
 
     #[test]
