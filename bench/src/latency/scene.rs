@@ -14,10 +14,9 @@ use crate::interrupt;
 
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
-/// How long the reference may take to be there, and how often the robot is asked to follow it.
-const TIMEOUT: Duration = Duration::from_secs(2);
-/// How long the daemon may take to know the robot of its driver.
-const AWAKE_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a status, the robot of the driver and the reference may take to be there,
+const TIMEOUT: Duration = Duration::from_secs(10);
+/// and how often the robot is asked to follow it.
 const ASK_AGAIN: Duration = Duration::from_millis(5);
 /// When it ends: longer than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
@@ -48,7 +47,7 @@ pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
 
 /// Measures until the daemon knows the robot behind its driver, and holds it.
 pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
-    let deadline = Instant::now() + AWAKE_TIMEOUT;
+    let deadline = Instant::now() + TIMEOUT;
     while hands.connection.status(TIMEOUT)?.mode != Mode::Holding.code() {
         ensure!(
             Instant::now() < deadline,
