@@ -157,8 +157,9 @@ impl ClearanceGuard<'_> {
     /// cⱼ(s) ≥ min(D, c⁰ⱼ(s)) - 1 mm     everywhere between; less by what a moving obstacle moves in a period
     /// ```
     ///
-    /// So a section outside D never enters it by its own motion, one inside never comes nearer, and none jumps through an
-    /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
+    /// So no command leads a section from outside into D, or one inside nearer, and none jumps through an obstacle that stands:
+    /// neither now, nor when no command follows. A robot that a command finds between, because others were lost, keeps what it
+    /// has there: the millimetre may lack anew each time. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
     /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances are

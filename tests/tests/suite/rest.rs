@@ -94,8 +94,14 @@ fn rest(interface: Interface, mode: Mode) {
 
 fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
     match mode {
-        Mode::Holding => connection.request(RequestKind::Hold).map(drop).unwrap(),
-        Mode::Stopped => connection.request(RequestKind::Stop).map(drop).unwrap(),
+        Mode::Holding => connection
+            .request_within(RequestKind::Hold, TIMEOUT)
+            .map(drop)
+            .unwrap(),
+        Mode::Stopped => connection
+            .request_within(RequestKind::Stop, TIMEOUT)
+            .map(drop)
+            .unwrap(),
         _ => {
             // A sensor that is out of its mind for as long as it takes.
             robot.is_mad.store(true, Ordering::Relaxed);

@@ -164,7 +164,7 @@ impl<'a> Near<'a> {
                 speed_m_s,
                 start_m,
                 kept_m: if is_continued {
-                    // But never contact by the ramp itself.
+                    // But at its ends never contact by the ramp itself.
                     (safe_m - dip_m - ROUNDING_M).max(safe_m.min(0.0))
                 } else {
                     safe_m

@@ -175,7 +175,6 @@ impl Way<'_> {
         let least_m = |left: Left<'_>, there: &There<'_>| {
             (left.stance.body).clearance_min_along(j, there.obstacle(), &direction)
         };
-        let least_m = least_m(from, &there[0]).min(least_m(to, &there[1]));
         let way_s = to.way_s - from.way_s;
         let bent_m = 0.125 * self.acceleration_m_s2[j] * way_s * way_s;
         let shifted_m = if self.stopping.is_even(to.way_s) {
@@ -189,6 +188,8 @@ impl Way<'_> {
         } else {
             watched.kept_m
         };
-        least_m - bent_m - shifted_m >= floor_m - watched.dip_m
+        // Of a section that is bent by more than half a circle a plane tells nothing: NaN, at either place.
+        let keeps_m = floor_m - watched.dip_m + bent_m + shifted_m;
+        least_m(from, &there[0]) >= keeps_m && least_m(to, &there[1]) >= keeps_m
     }
 }

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use super::Account;
 use super::body::{Ball, arcs};
 use super::moment::{Draw, Moment};
-use super::rule::{ROUNDING, Way, moved};
+use super::rule::{DIP_M, ROUNDING, Way, moved};
 
 const PERIOD_S: f64 = 0.005;
 const CYCLES: u32 = 120;
@@ -206,7 +206,8 @@ impl Scene {
     }
 
     /// A robot that does what it was told last for three periods, and then ramps to rest: wherever it is on that way, each section keeps
-    /// what the standing robot had, but for what may lack between.
+    /// what the standing robot had, but for what may lack between. A command that comes while it is on its way, after others were
+    /// lost, finds it there: so it may come nearer by that much, each time.
     fn run_losing(&self, lost: &[bool], account: &mut Account) {
         let (_, mut nmpc) = self.nmpc();
         let (mut at, mut rates) = (self.start.clone(), vec![0.0; self.start.len()]);
@@ -215,9 +216,11 @@ impl Scene {
             self.moment(0.0, &at, &rates, &BendRates::zero(at.len() / 2)),
         );
         let mut told_rates = rates.clone();
+        let (mut interruptions, mut nearer_m) = (0, 0.0_f64);
         for cycle in 0..CYCLES {
             let name = format!("{}, cycle {cycle}, commands are lost", self.name);
             if !lost[cycle as usize] {
+                interruptions += u32::from(cycle > 0 && lost[cycle as usize - 1]);
                 let previous = BendRates::from_slice(&rates).unwrap();
                 let mut moment = self.moment(f64::from(cycle) * PERIOD_S, &at, &rates, &previous);
                 (moment.moving_s, moment.deceleration_rad_s2) = (3.0 * PERIOD_S, 40.0);
@@ -251,6 +254,16 @@ impl Scene {
             assert!(
                 left_m >= -ROUNDING,
                 "{name}: {left_m} m after {time_s} s of {end_s} s"
+            );
+            nearer_m = nearer_m.max(self.came_nearer_m(&at));
+        }
+        let allowed_m = DIP_M * f64::from(interruptions + 1);
+        assert!(nearer_m <= allowed_m, "{}: {nearer_m} m", self.name);
+        if nearer_m > ROUNDING {
+            println!(
+                "{}: {:.3} mm nearer to what stands, {interruptions} times after lost commands",
+                self.name,
+                1e3 * nearer_m
             );
         }
     }

@@ -11,7 +11,7 @@ use super::moment::Moment;
 /// What crate and oracle may differ by, in m, rad, m/s and rad/s: the promise of the crate's distances.
 pub(super) const ROUNDING: f64 = 1e-9;
 /// What is not looked for between the places where the rule holds exactly (m).
-const DIP_M: f64 = 1e-3;
+pub(super) const DIP_M: f64 = 1e-3;
 /// What a clearance may be too large by (m): where the rule holds exactly, and on the way between.
 const EXACT_M: f64 = 1e-10;
 const COARSE_M: f64 = 1e-6;

@@ -395,7 +395,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
         // Rest is rest: it is not driven back from beyond its limit, neither by itself nor by a stop.
         for kind in [None, Some(RequestKind::Stop)] {
             if let Some(kind) = kind {
-                connection.request(kind).unwrap();
+                connection.request_within(kind, TIMEOUT).unwrap();
             }
             let mut records = 0;
             measured_at(&mut trail, &robot, 3.0, |record| {

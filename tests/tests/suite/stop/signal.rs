@@ -34,7 +34,7 @@ fn a_signal_stops_a_moving_robot_and_latches() {
         assert_ramps_to_rest(&mut trail, &stopped, || robot.turn());
         // Once more changes nothing, and nothing but a reset leaves it.
         daemon.signal(Signal::USR1);
-        let refused = connection.request(RequestKind::Home);
+        let refused = connection.request_within(RequestKind::Home, TIMEOUT);
         assert!(matches!(refused, Err(RequestError::Refused { .. })));
         let (_, later) = trail.until_while("later", || robot.turn(), |_| true);
         assert_eq!(later.mode, Mode::Stopped.code());

@@ -69,7 +69,9 @@ fn a_refused_request_tells_the_remedy() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     let refused = |kind| {
-        let error = connection.request(kind).expect_err("refused");
+        let error = connection
+            .request_within(kind, TIMEOUT)
+            .expect_err("refused");
         error.to_string()
     };
     let message = refused(RequestKind::Track);

@@ -28,7 +28,7 @@ fn two_clients_one_lease() {
     let most = Duration::from_secs(60);
     let left = lease.left();
     assert!(left <= most && left + asked.elapsed() >= most, "{left:?}");
-    match second.acquire_lease() {
+    match second.acquire_lease_within(TIMEOUT) {
         Err(RequestError::Refused {
             outcome: Outcome::LeaseHeld,
             ..

@@ -16,7 +16,7 @@ use super::error_max_m;
 const HOME_TOLERANCE_RAD: f64 = 0.01;
 
 fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
-    match connection.request(kind) {
+    match connection.request_within(kind, TIMEOUT) {
         Err(RequestError::Refused { outcome, .. }) => outcome,
         other => panic!("{kind} was not refused: {other:?}"),
     }

@@ -309,7 +309,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
     drop(first);
     second.renew().unwrap();
     let other = connect(&place);
-    let refused = other.acquire_lease().expect_err("it is held");
+    let refused = other.acquire_lease_within(TIMEOUT).expect_err("it is held");
     let held = Outcome::LeaseHeld;
     assert!(
         matches!(refused, RequestError::Refused { outcome, .. } if outcome == held),

@@ -189,7 +189,7 @@ fn every_cycle_of_a_recording_is_computed_again() {
         (RequestKind::Stop, Mode::Stopped),
         (RequestKind::Reset, Mode::Holding),
     ] {
-        connection.request(request).unwrap();
+        connection.request_within(request, TIMEOUT).unwrap();
         wait_mode(&mut telemetry, mode);
     }
     let settings = connection.settings().unwrap();
