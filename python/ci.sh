@@ -52,7 +52,9 @@ step "types"
 
 step "tests"
 cp -r tests "$work/tests"
-(cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -n 4 --timeout=240 -p no:cacheprovider tests)
+(cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -rs -n 4 --timeout=240 -p no:cacheprovider tests) | tee "$work/tests.log"
+# All that they need is installed here.
+if grep -qE '[0-9]+ skipped' "$work/tests.log"; then echo "tests were skipped"; exit 1; fi
 
 step "examples and notebook"
 export CDCR_ROOT=$root CDCR_PREFIX=cdcr_python_ci_

@@ -20,12 +20,28 @@ PROGRAMS = Path(os.environ.get("CDCR_PROGRAMS", PROJECT / "target" / "release"))
 # Long, because a machine with other work may stall: no test waits that long for what does come.
 PATIENCE_S = 60.0
 
+MEMORY = Path("/dev/shm")
+# The number of the process follows, so that the next run knows what a killed one left.
+PREFIX = "cdcr-python-"
+
+
+def pytest_report_header() -> list[str]:
+    """Removes what killed runs left in shared memory, and says so."""
+    said = []
+    for place in MEMORY.glob(PREFIX + "*"):
+        number = place.name.removeprefix(PREFIX).partition("-")[0]
+        if not number.isdigit() or Path("/proc", number).exists() or place.stat().st_uid != os.getuid():
+            continue
+        said.append(f"removed, of a run that was killed: {place}")
+        shutil.rmtree(place) if place.is_dir() else place.unlink()
+    return said
+
 
 class Daemon:
     """cdcrd with a private root folder."""
 
     def __init__(self, *options: str, config: Path | None = None) -> None:
-        self.root = Path(tempfile.mkdtemp(prefix="cdcr-python-", dir="/dev/shm"))
+        self.root = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=MEMORY))
         self.options = [*(["--config", str(config)] if config else []), *options]
         self.environment = {**os.environ, "CDCR_ROOT": str(self.root), "CDCR_PREFIX": "cdcr_python_"}
         for name in ("CDCR_CONFIG", "CDCR_ROBOT"):

@@ -53,7 +53,7 @@ def test_an_exception_in_the_with_ends_the_feed_and_comes_through(daemon: Daemon
             with pytest.raises(ZeroDivisionError):
                 with enter() as feeding:
                     if isinstance(feeding, cdcr.FeedStream):
-                        feeding.send(feeding.now() + 0.3 + np.arange(60), xyz[:60])
+                        feeding.send(feeding.now() + 1.0 + np.arange(60), xyz[:60])
                     eventually(lambda: mode(connection) is cdcr.Mode.TRACKING)
                     1 / 0
             assert mode(connection) is cdcr.Mode.HOLDING
@@ -140,7 +140,7 @@ def test_points_can_be_sent_as_they_come_and_what_is_refused_is_told(daemon: Dae
     with daemon.connect() as connection:
         robot = connection.robot()
         with connection.stream() as stream:
-            stream.send(stream.now() + 0.4 + np.arange(400) * 0.005, curve(robot, 1.995)[1])
+            stream.send(stream.now() + 1.0 + np.arange(400) * 0.005, curve(robot, 1.995)[1])
             eventually(lambda: stream.accepted_chunks == 4)
             eventually(lambda: mode(connection) is cdcr.Mode.TRACKING)
             assert stream.sent_chunks == 4
