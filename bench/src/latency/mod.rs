@@ -89,8 +89,9 @@ impl LatencyOptions {
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
             // A machine that stalls is no broken sensor: the driver measures where the newest command that it has leads.
-            .with("link.measurement_timeout_ms", "2000.0")
+            .with("link.measurement_timeout_ms", "10000.0")
             .with("safety.measurement_jump_rad", "1000.0")
+            .with("safety.measurement_frozen_rad", "1000.0")
             .with("safety.following_fault_rad", "1000.0")
             .with(
                 "motion.deceleration_rad_s2",
@@ -188,7 +189,7 @@ impl Bench<'_> {
             let mut hands = Hands::open(location)?;
             let length_m = hands.length_m();
             let reference = Source::Reference {
-                feed: scene::follow(&hands)?,
+                feed: scene::follow(&hands, None)?,
                 length_m,
             };
             let obstacle = Source::Obstacle {
@@ -217,7 +218,7 @@ impl Bench<'_> {
                 sections: hands.status.robot.sections,
             };
             scene::awaken(&hands, &measurement)?;
-            let _feed = scene::follow(&hands)?;
+            let _feed = scene::follow(&hands, Some(&measurement))?;
             inputs::measure(&mut hands, vec![measurement], samples, round)?;
             daemon.add(&hands);
             Ok(())

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use cdcr_client::{ReferenceFeed, RequestError, monotonic_ns};
-use cdcr_shared_types::codes::{ChunkMode, Interpolation, Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{ChunkMode, Interpolation, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{Header, ReferencePoint};
 
 use super::hands::Hands;
@@ -59,23 +59,27 @@ pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
     Ok(())
 }
 
-/// Takes the lease and lets the robot follow.
-pub(super) fn follow(hands: &Hands) -> Result<ReferenceFeed> {
+/// Takes the lease and lets the robot follow. One behind a driver is measured meanwhile: the daemon takes silence for a fault.
+pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<ReferenceFeed> {
     let connection = &hands.connection;
+    let measure = || measurement.map_or(Ok(()), |source| source.send(0, None, None).map(|_| ()));
     connection.request(RequestKind::AcquireLease)?;
     let feed = connection.reference_feed()?;
     send(&feed, on_circle(0, hands.length_m()))?;
     let deadline = Instant::now() + TIMEOUT;
     loop {
+        interrupt::check()?;
+        measure()?;
         match connection.request(RequestKind::Track) {
+            Ok(_) => return Ok(feed),
             // The reference comes with the next gather.
             Err(RequestError::Refused {
                 outcome: Outcome::NoReference,
                 ..
             }) if Instant::now() < deadline => thread::sleep(ASK_AGAIN),
-            answer => {
-                answer.context("the robot shall follow a reference")?;
-                return Ok(feed);
+            Err(error) => {
+                let why = Reason::text_of(connection.status(TIMEOUT)?.reason);
+                return Err(error).context(format!("the robot shall follow a reference ({why})"));
             }
         }
     }
