@@ -12,7 +12,8 @@ use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, TIMEOUT, paper_line, tracked, until_undisturbed, wait_record, wait_status, wait_until,
+    Daemon, TIMEOUT, is_refused, paper_line, tracked, until_undisturbed, wait_record, wait_status,
+    wait_until,
 };
 
 use super::freeze;
@@ -135,7 +136,7 @@ fn no_command_comes_before_the_first_measurement() {
     connection
         .request_within(RequestKind::Stop, TIMEOUT)
         .unwrap();
-    assert!(connection.request(RequestKind::Reset).is_err());
+    assert!(is_refused(&connection, RequestKind::Reset));
     assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
     let mut robot = Robot::new(&connection);
     robot.run_until(|| commands.try_next().unwrap().is_some());
