@@ -18,9 +18,9 @@ use cdcr_tests::{
 
 use super::freeze;
 
-/// The timeout is long, so that a machine that stalls loses no measurement, and short enough that a
+/// The timeouts are long, so that a machine that stalls loses no measurement and no command, and short enough that a
 /// robot that goes on blindly at its largest rates stays inside its limits.
-const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n\
+const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\ncommand_valid_ms = 1000.0\n\
     [cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
 /// So far beside where the bends place it the tip is measured.
