@@ -16,8 +16,9 @@ fn says(daemon: &Daemon, line: &str, status: i32) -> String {
 
 /// The same of a command that ends well. None where a stall took the tip off its way: meanwhile the rates stay as they were.
 fn says_unless_stalled(daemon: &Daemon, line: &str) -> Option<String> {
-    let words: Vec<_> = line.split(' ').collect();
-    let output = daemon.place().cdcrctl(&words);
+    let mut command = daemon.place().command("cdcrctl");
+    command.args(line.split(' '));
+    let output = Program::start(command.current_dir(daemon.place().folder())).output();
     let by_stalls = [Reason::InputsStale.text(), "more than --max-error"];
     let is_stalled = by_stalls.iter().any(|words| text(&output).contains(words));
     (!is_stalled).then(|| assert_says(&output, 0, &[]))
