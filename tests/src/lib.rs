@@ -24,10 +24,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{
-    Connection, FeedEnd, FeedEvent, FeedOptions, Line, TelemetryStream, Trajectory, monotonic_ns,
+    Connection, FeedEnd, FeedEvent, FeedOptions, Line, RequestError, TelemetryStream, Trajectory,
+    monotonic_ns,
 };
 use cdcr_controller::plant::Preset;
-use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Location, Obstacle, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
 pub use program::{Program, Running};
@@ -387,6 +388,12 @@ pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> 
         assert!(begin.elapsed() < TIMEOUT, "no such status: {status:?}");
         std::thread::sleep(Duration::from_millis(10));
     }
+}
+
+/// Whether the daemon refuses a request; that it does not answer is no refusal.
+pub fn is_refused(connection: &Connection, kind: RequestKind) -> bool {
+    let answer = connection.request_within(kind, TIMEOUT);
+    matches!(answer, Err(RequestError::Refused { .. }))
 }
 
 /// Tries until a case could happen as it is meant. `case` returns `None` when the machine made another one of it, such as

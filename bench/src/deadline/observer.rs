@@ -14,6 +14,7 @@ use cdcr_client::{CommandStream, Connection, Stream, TelemetryStream, monotonic_
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Incident, Location, Telemetry};
 
+use super::HEARD_WITHIN;
 use super::tally::{COMMAND, Tally};
 use crate::interrupt;
 use crate::subject::Cycle;
@@ -93,8 +94,8 @@ impl Record {
 
 impl Watch {
     fn open(location: &Location) -> Result<Self> {
-        let connection = Connection::open_within(location, ROBOT, Duration::from_secs(5))?;
-        let status = connection.status(Duration::from_secs(1))?;
+        let connection = Connection::open_within(location, ROBOT, HEARD_WITHIN)?;
+        let status = connection.status(HEARD_WITHIN)?;
         Ok(Self {
             origin_ns: status.origin_ns,
             period_ns: status.period_ns,

@@ -9,7 +9,7 @@ use cdcr_shared_types::Location;
 
 use super::observer::{Counted, observe};
 use super::tally::Tally;
-use super::{DeadlineOptions, Setup, WARM_UP};
+use super::{DeadlineOptions, HEARD_WITHIN, Setup, WARM_UP};
 use crate::benchmark::with_period;
 use crate::interrupt;
 use crate::load::{Done, Load, Running};
@@ -48,10 +48,8 @@ impl<'a> Runner<'a> {
         let launch = launch(options);
         let daemon = Daemon::start(&launch, &cores)?;
         let connection = daemon.connect()?;
-        let status = connection.status(Duration::from_secs(1))?;
-        let record = connection
-            .telemetry()?
-            .next_within(Duration::from_secs(1))?;
+        let status = connection.status(HEARD_WITHIN)?;
+        let record = connection.telemetry()?.next_within(HEARD_WITHIN)?;
         drop(connection);
         daemon.stop()?;
         let late_start_ns = record.context("the daemon runs no cycle")?.late_start_ns;

@@ -20,8 +20,8 @@ use crate::system::counts::{core_share, threads};
 pub(super) const MB: f64 = 1e6;
 /// Between a change and what is measured after it.
 const SETTLE: Duration = Duration::from_millis(500);
-/// How long the daemon may take to send its status.
-const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long the daemon may take to send its status. Generous: machines stall.
+const STATUS_TIMEOUT: Duration = Duration::from_secs(10);
 /// Those of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 

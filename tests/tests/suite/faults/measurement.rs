@@ -7,7 +7,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
-use cdcr_tests::{Daemon, TIMEOUT, wait_status, wait_until};
+use cdcr_tests::{Daemon, TIMEOUT, is_refused, wait_status, wait_until};
 
 use crate::faults::history::moved_ns;
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
@@ -154,7 +154,7 @@ fn a_lost_measurement_is_a_fault_after_the_timeout() {
         go_home(&connection, &mut trail, || robot.turn())?;
         assert_lost(&mut trail, "measurement lost", || {});
         assert!(
-            connection.request(RequestKind::Reset).is_err(),
+            is_refused(&connection, RequestKind::Reset),
             "it still stands"
         );
         // Back again: the reset is granted.
@@ -406,7 +406,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
             });
         }
         assert!(
-            connection.request(RequestKind::Reset).is_err(),
+            is_refused(&connection, RequestKind::Reset),
             "it still stands"
         );
         // Bent back, as far as a robot can in a cycle.

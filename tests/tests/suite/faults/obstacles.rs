@@ -37,6 +37,25 @@ fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Tele
     (record, answer.unwrap())
 }
 
+/// An obstacle aside that comes before its life is over, which a stall may use up on the way.
+fn tell_alive(
+    trail: &mut Trail,
+    sender: &ObstacleSender,
+    lifetime_ns: u64,
+) -> (Obstacle, Telemetry, InputEvent) {
+    loop {
+        let seen = Obstacle {
+            lifetime_ns,
+            ..ball(1, [0.5, 0.5, 0.3])
+        };
+        let (first, answer) = tell(trail, sender, &[seen]);
+        if answer.outcome != Outcome::InThePast.code() {
+            assert_eq!(answer.outcome, Outcome::Accepted.code());
+            return (seen, first, answer);
+        }
+    }
+}
+
 /// A robot that goes slowly home, sideways, and what it would touch next.
 fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
     connection
@@ -59,8 +78,8 @@ fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
 
 #[test]
 fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() {
-    // 18 mm a second: what the test needs to place the ball, the robot does not spend to reach it.
-    let slowly = "[motion]\nhome_rate_rad_s = 0.02\n";
+    // 2 mm a second: in what the test needs to place the ball, the robot does not reach it.
+    let slowly = "[motion]\nhome_rate_rad_s = 0.002\n";
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     // Ideal: the clearances of neighbouring records are compared exactly.
     let daemon = Daemon::ideal(&format!("{PATIENT}{slowly}{bent}"));
@@ -115,7 +134,7 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(answer.judged_ns);
     say("contact", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
-    match connection.request(RequestKind::Reset) {
+    match connection.request_within(RequestKind::Reset, TIMEOUT) {
         Err(RequestError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::CauseStands),
         other => panic!("{other:?}"),
     }
@@ -219,18 +238,7 @@ fn lose_source(rule: &str) {
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     homing(&connection, &mut trail);
-    let (seen, first, answer) = loop {
-        let seen = Obstacle {
-            lifetime_ns: 30_000_000,
-            ..ball(1, [0.5, 0.5, 0.3])
-        };
-        let (first, answer) = tell(&mut trail, &sender, &[seen]);
-        // A stall may use up its life on the way.
-        if answer.outcome != Outcome::InThePast.code() {
-            break (seen, first, answer);
-        }
-    };
-    assert_eq!(answer.outcome, Outcome::Accepted.code());
+    let (seen, first, answer) = tell_alive(&mut trail, &sender, 30_000_000);
     // Silence, longer than lifetime and timeout together.
     let mut held = None;
     let (_, last) = trail.until("silence", |record| {
@@ -253,7 +261,7 @@ fn lose_source(rule: &str) {
         say("source of obstacles silent", detected_ns, bound_ns);
         assert!((200_000_000..=bound_ns).contains(&detected_ns));
         // It is still silent.
-        match connection.request(RequestKind::Home) {
+        match connection.request_within(RequestKind::Home, TIMEOUT) {
             Err(RequestError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::Waits),
             other => panic!("{other:?}"),
         }
@@ -300,13 +308,8 @@ fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
         .request_within(RequestKind::Home, TIMEOUT)
         .unwrap();
     trail.until_while("homing", || robot.turn(), is(Mode::Homing));
-    let seen = Obstacle {
-        lifetime_ns: 300_000_000,
-        ..ball(1, [0.5, 0.5, 0.3])
-    };
-    sender.upsert(&[seen]).unwrap();
-    let known = |record: &Telemetry| record.obstacle_count == 1;
-    trail.until_while("known", || robot.turn(), known);
+    let (seen, first, _) = tell_alive(&mut trail, &sender, 300_000_000);
+    assert_eq!(first.obstacle_count, 1);
     let (_, held) = trail.until_while(
         "holding",
         || robot.turn(),

@@ -207,17 +207,19 @@ impl Renewal {
     }
 }
 
-/// The first gather after the lease ran out ends it, and the robot holds in the cycle after that gather. None when the
-/// machine stalled for so long that something else ended the tracking first.
+/// The first gather after the lease ran out ends it, and the robot holds in the cycle after that gather. None when
+/// something else ended the tracking first: the machine stalled for too long, or a client gave up and its lease back.
 fn expires(trail: &mut Trail, renewal: &mut Renewal, what: &str) -> Option<()> {
     let (before, now) = trail.until("the end of the tracking", |record| {
         renewal.look(record);
         record.mode == Mode::Holding.code() && record.reason != Reason::Start.code()
     });
-    if [Reason::InputsStale, Reason::ReferenceEnded]
-        .map(Reason::code)
-        .contains(&now.reason)
-    {
+    let others = [
+        Reason::InputsStale,
+        Reason::ReferenceEnded,
+        Reason::LeaseReleased,
+    ];
+    if others.map(Reason::code).contains(&now.reason) {
         return None;
     }
     assert_eq!(now.reason, Reason::LeaseExpired.code());

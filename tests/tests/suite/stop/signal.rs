@@ -17,7 +17,8 @@ use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 #[test]
 fn a_signal_stops_a_moving_robot_and_latches() {
     let daemon = Daemon::start(
-        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n[cycle]\nmiss_limit = 1000000\n",
+        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 1000.0\n\
+         [cycle]\nmiss_limit = 1000000\n",
     );
     let connection = daemon.connect();
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));

@@ -31,7 +31,7 @@ obstacle add --id 1 --at 500,0,0 --radius 20 => are these millimetres?
 obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s => obstacles.source_timeout_ms = 500
 ref line --start 0,0,900 => are these millimetres?
 ref circle --radius 170 => are these millimetres?
-ref line --duration 100ms --max-error 1mm => no cycle tracked the reference
+ref line --duration 100ms --lead 1s --max-error 1mm => no cycle tracked the reference
 ref spiral --step 0s --dry-run => step is 0 s; it must be 0.0001 to 1 s
 ref circle --step 1ns --dry-run => it must be 0.0001 to 1 s
 ref rose --step 2s => it must be 0.0001 to 1 s
@@ -98,7 +98,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     ));
     let printed = done(
         &daemon,
-        "ref line --duration 200ms --track --max-error 0.9m",
+        "ref line --duration 200ms --lead 1s --track --max-error 0.9m",
     );
     let error = printed.lines().last().unwrap_or_default();
     let numbers: Vec<f64> = error
@@ -115,7 +115,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     );
     // The plan wants no more than the acceleration allows.
     assert!(limited_percent < 50.0, "{printed}");
-    let line = "ref line --duration 200ms --track --max-error 100mm";
+    let line = "ref line --duration 200ms --lead 1s --track --max-error 100mm";
     let words: Vec<_> = line.split(' ').collect();
     let output = daemon.place().cdcrctl(&words);
     assert_says(&output, 1, &["more than --max-error, 100.000 mm"]);
@@ -126,8 +126,10 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
 #[test]
 fn waiting_ends_when_the_robot_is_there_and_rests() {
     let bent = "[link]\ninitial_bend_rad = [[0.2, 0.0], [0.0, -0.1], [0.0, 0.0]]\n";
-    // The way home takes two seconds.
-    let daemon = Daemon::start(&format!("{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.1\n"));
+    // The way home takes four seconds: longer than it takes to see that the robot goes on.
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.05\n"
+    ));
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let too_short = "cdcrctl home --wait=290ms";

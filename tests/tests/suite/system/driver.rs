@@ -12,14 +12,15 @@ use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, TIMEOUT, paper_line, tracked, until_undisturbed, wait_record, wait_status, wait_until,
+    Daemon, TIMEOUT, is_refused, paper_line, tracked, until_undisturbed, wait_record, wait_status,
+    wait_until,
 };
 
 use super::freeze;
 
-/// The timeout is long, so that a machine that stalls loses no measurement, and short enough that a
+/// The timeouts are long, so that a machine that stalls loses no measurement and no command, and short enough that a
 /// robot that goes on blindly at its largest rates stays inside its limits.
-const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n\
+const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\ncommand_valid_ms = 1000.0\n\
     [cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
 /// So far beside where the bends place it the tip is measured.
@@ -135,7 +136,7 @@ fn no_command_comes_before_the_first_measurement() {
     connection
         .request_within(RequestKind::Stop, TIMEOUT)
         .unwrap();
-    assert!(connection.request(RequestKind::Reset).is_err());
+    assert!(is_refused(&connection, RequestKind::Reset));
     assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
     let mut robot = Robot::new(&connection);
     robot.run_until(|| commands.try_next().unwrap().is_some());

@@ -31,7 +31,7 @@ fn the_example_of_a_position_driver_tracks_holds_and_ends() {
 pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Command) {
     let mut daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
-         command_valid_ms = 100.0\n"
+         command_valid_ms = 1000.0\n"
     ));
     let mut command = program(daemon.place());
     let mut example = Program::start(command.arg(interface));

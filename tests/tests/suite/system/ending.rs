@@ -39,8 +39,8 @@ fn speed(command: &Command) -> f64 {
 
 #[test]
 fn nothing_moves_the_robot_of_a_daemon_that_ends() {
-    // A second of ramp, so that there is time to ask.
-    let mut daemon = moving(1.0, 1.0);
+    // Seconds of ramp, so that there is time to ask.
+    let mut daemon = moving(0.5, 0.2);
     let (connection, asking) = (daemon.connect(), daemon.connect());
     let mut commands = connection.commands().unwrap();
     let line = Line::for_sections(&[0.3; 3]);

@@ -20,8 +20,36 @@ fn blocks(page: &str) -> Vec<String> {
         .collect()
 }
 
+/// What it says, or what failed.
+fn typed(place: &Place, block: &str) -> Result<String, String> {
+    let output = shell(place, &format!("set -e\n{block}")).output();
+    let said = text(&output);
+    if output.status.success() {
+        Ok(said)
+    } else {
+        Err(format!("{block}\n{said}"))
+    }
+}
+
+/// Once more, where the machine stalled for longer than a reference is sent ahead.
+fn once_more<R>(session: impl Fn() -> Result<R, String>) -> R {
+    let again = |first: String| {
+        let second = session();
+        second.unwrap_or_else(|second| panic!("{first}\nand once more: {second}"))
+    };
+    session().unwrap_or_else(again)
+}
+
 #[test]
 fn the_session_of_the_readme_works_as_typed() {
+    let said = once_more(type_the_session);
+    assert!(
+        said.contains("cycles reproduced") && said.contains("run.html"),
+        "{said}"
+    );
+}
+
+fn type_the_session() -> Result<String, String> {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
     fs::create_dir(place.folder().join("configs")).unwrap();
@@ -40,18 +68,22 @@ fn the_session_of_the_readme_works_as_typed() {
     ] {
         assert!(session.contains(word), "{word}");
     }
-    let output = shell(place, &format!("set -e\n{session}")).output();
-    let said = text(&output);
-    assert!(output.status.success(), "{said}");
-    assert!(
-        said.contains("cycles reproduced") && said.contains("run.html"),
-        "{said}"
-    );
     assert_eq!(sessions.next(), None);
+    typed(place, session)
 }
 
 #[test]
 fn the_tutorial_works_as_typed() {
+    let place = once_more(type_the_tutorial);
+    let said = place.says("cdcrctl info loop.mcap --format json", 0, &["tracking"]);
+    let info: serde_json::Value = serde_json::from_str(&said).unwrap();
+    // A robot that is not its model, beside an obstacle that is not in its way.
+    let error_m = info["largest_error"]["position_error_m"].as_f64().unwrap();
+    assert!(error_m > 0.0, "{info}");
+    assert!(place.folder().join("loop.html").exists());
+}
+
+fn type_the_tutorial() -> Result<Place, String> {
     let place = Place::new();
     let mut daemon = None;
     for block in blocks("docs/tutorial.md") {
@@ -63,16 +95,10 @@ fn the_tutorial_works_as_typed() {
             });
             continue;
         }
-        let output = shell(&place, &format!("set -e\n{block}")).output();
-        assert!(output.status.success(), "{block}\n{}", text(&output));
+        typed(&place, &block)?;
     }
     let mut daemon = daemon.expect("a block that starts the daemon");
     daemon.signal(Signal::INT);
     assert!(daemon.output().status.success());
-    let said = place.says("cdcrctl info loop.mcap --format json", 0, &["tracking"]);
-    let info: serde_json::Value = serde_json::from_str(&said).unwrap();
-    // A robot that is not its model, beside an obstacle that is not in its way.
-    let error_m = info["largest_error"]["position_error_m"].as_f64().unwrap();
-    assert!(error_m > 0.0, "{info}");
-    assert!(place.folder().join("loop.html").exists());
+    Ok(place)
 }

@@ -1,3 +1,4 @@
+use std::fmt;
 use std::fs;
 use std::time::Instant;
 
@@ -11,6 +12,13 @@ pub(super) struct Steal {
     pub(super) steal_s: f64,
     /// How long was looked \[s\].
     pub(super) window_s: f64,
+}
+
+impl fmt::Display for Steal {
+    /// To a hundredth of a second: a single tick of the counter may explain a miss.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{:.2} of {:.1} s", self.steal_s, self.window_s)
+    }
 }
 
 /// A reading of the steal counter, to be compared with a later one.

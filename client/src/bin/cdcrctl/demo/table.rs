@@ -5,7 +5,6 @@ use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::LateCause;
 
 use super::report::{DemoReport, Spread};
-use super::steal::Steal;
 use super::verdict::Verdict;
 
 const WIDTH: usize = 80;
@@ -98,13 +97,8 @@ fn causes(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     for (cause, count) in report.misses_by_cause.ranked() {
         write!(out, "{:<24}{count:>12}   {cause}", "  caused by")?;
         let is_platform = cause == LateCause::Platform.text();
-        if let Some(Steal { steal_s, window_s }) =
-            report.steal.filter(|s| is_platform && s.steal_s > 0.05)
-        {
-            write!(
-                out,
-                " (the hypervisor took {steal_s:.1} of {window_s:.1} s)"
-            )?;
+        if let Some(steal) = report.steal.filter(|s| is_platform && s.steal_s > 0.0) {
+            write!(out, " (the hypervisor took {steal})")?;
         }
         writeln!(out)?;
     }
@@ -245,7 +239,7 @@ mod tests {
         assert_eq!(
             lines[misses + 1..misses + 3],
             [
-                "  caused by                        2   platform (the hypervisor took 1.3 of 5.0 s)",
+                "  caused by                        2   platform (the hypervisor took 1.30 of 5.0 s)",
                 "  caused by                        1   another task had the core",
             ]
         );

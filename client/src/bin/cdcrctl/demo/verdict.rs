@@ -102,9 +102,7 @@ fn sentence(
     match limit {
         Limit::Nothing => format!("No deadline was missed{bare}."),
         Limit::Hypervisor => {
-            let took = steal.map(|Steal { steal_s, window_s }| {
-                format!(": it took {steal_s:.1} of {window_s:.1} s from the core of the loop")
-            });
+            let took = steal.map(|steal| format!(": it took {steal} from the core of the loop"));
             let took = took.unwrap_or_default();
             format!("The hypervisor limits this machine{took}{bare}.")
         }
@@ -239,7 +237,7 @@ mod tests {
         let text = stolen(&[LateCause::Platform], 0).text;
         assert_eq!(
             text,
-            "The hypervisor limits this machine: it took 1.3 of 5.0 s from the core of the loop; a bare loop, \
+            "The hypervisor limits this machine: it took 1.30 of 5.0 s from the core of the loop; a bare loop, \
              without work, missed 3 of 100 deadlines."
         );
         let with_baseline = |baseline: Option<Baseline>| {

@@ -132,7 +132,7 @@ fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
             "obstacles: accepted",
         ),
         (
-            "ref line --duration 300ms --track",
+            "ref line --duration 300ms --lead 1s --track",
             "fed and tracked to its end",
         ),
         ("settings set horizon_steps=5", "accepted"),
