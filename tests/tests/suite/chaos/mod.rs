@@ -10,6 +10,7 @@ mod dice;
 mod director;
 mod feeder;
 mod grid;
+pub(crate) mod integral;
 mod limits;
 mod modes;
 mod obstacles;

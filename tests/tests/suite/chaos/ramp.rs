@@ -9,9 +9,6 @@ use crate::chaos::{CheckResult, ensure};
 /// What rounding may do to a rate \[rad/s\].
 const TOLERANCE_RAD_S: f64 = 1e-9;
 
-/// Motors this near to the end of their way have arrived \[rad\].
-const ARRIVED_RAD: f64 = 1e-3;
-
 /// Checks the rates of a record that holds, is stopped, faulted or starting against the ones before: all shrink
 /// by one factor, the fastest by deceleration · period. The clearance guard and the limits may shorten them more, and
 /// nothing makes a component larger.
@@ -41,25 +38,29 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     })
 }
 
-/// Checks that a robot that was at rest in both records is commanded to stay where it is, to the bit.
+/// Whether a record is the first of a robot that is known, where control begins.
+pub(crate) fn is_first_measurement(before: &Telemetry, record: &Telemetry) -> bool {
+    before.measurement_state == MeasurementState::None.code()
+        && record.measurement_state == MeasurementState::Used.code()
+}
+
+/// Whether control may begin anew in a record: a latched mode was left, and the robot has not come to rest since.
+pub(crate) fn control_may_begin(before: &Telemetry, record: &Telemetry) -> bool {
+    let is_latched = |record: &Telemetry| {
+        let latched = [Mode::Stopped, Mode::Faulted].map(Mode::code);
+        latched.contains(&record.mode)
+    };
+    !is_latched(record) && (is_latched(before) || record.control_begins != 0)
+}
+
+/// Checks that a robot that was at rest in both records, whatever made it rest, is commanded to stay where it is, to the bit.
 pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> CheckResult {
     let rests = |record: &Telemetry| {
         let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
         !moves_on.contains(&record.mode) && largest(&record.previous_rate_rad_s) == 0.0
     };
-    let is_known = before.measurement_state != MeasurementState::None.code();
-    let same = (before.mode, before.reason) == (record.mode, record.reason);
-    // Control begins anew where a latched mode is left, never where one is entered.
-    let is_latched = [Mode::Stopped, Mode::Faulted]
-        .map(Mode::code)
-        .contains(&record.mode);
-    if !((same || is_latched) && is_known && rests(before) && rests(record)) {
-        return Ok(());
-    }
-    // After a reset control begins when the motors have come to the end of their way, too.
-    let mut ways = before.bend_rad.iter().zip(&before.present_rad);
-    let has_arrived = ways.all(|(end, here)| (end - here).abs() < ARRIVED_RAD);
-    if record.mode == Mode::Holding.code() && !has_arrived {
+    let begins = is_first_measurement(before, record) || control_may_begin(before, record);
+    if begins || !rests(before) || !rests(record) {
         return Ok(());
     }
     let bits = |record: &Telemetry| record.commanded_rad.map(f64::to_bits);
@@ -73,6 +74,8 @@ pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> CheckResult 
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::codes::Reason;
+
     use super::*;
 
     #[test]
@@ -86,15 +89,23 @@ mod tests {
         assert_eq!(check_rest(&before, &record), Ok(()));
         record.commanded_rad[3] = 1e-300;
         assert!(check_rest(&before, &record).is_err());
-        // Where its motors still run, control may begin; but not in Stopped.
-        before.present_rad[3] = 0.01;
-        assert_eq!(check_rest(&before, &record), Ok(()));
-        (before.mode, record.mode) = (Mode::Stopped.code(), Mode::Stopped.code());
+        // Whatever the mode changes to: it holds for another reason, or is latched.
+        record.reason = Reason::InputsStale.code();
         assert!(check_rest(&before, &record).is_err());
-        // Nor where that begins.
+        record.mode = Mode::Stopped.code();
+        assert!(check_rest(&before, &record).is_err());
+        // Where a latched mode is left control begins, at once or when the motors have arrived.
+        (before.mode, record.mode) = (Mode::Stopped.code(), Mode::Holding.code());
+        assert_eq!(check_rest(&before, &record), Ok(()));
         before.mode = Mode::Holding.code();
         assert!(check_rest(&before, &record).is_err());
-        // On its way, or after a reset, it may.
+        record.control_begins = 1;
+        assert_eq!(check_rest(&before, &record), Ok(()));
+        // It may at the first measurement, and on its way.
+        record.control_begins = 0;
+        before.measurement_state = MeasurementState::None.code();
+        assert_eq!(check_rest(&before, &record), Ok(()));
+        before.measurement_state = MeasurementState::Used.code();
         before.previous_rate_rad_s[0] = 0.1;
         assert_eq!(check_rest(&before, &record), Ok(()));
     }

@@ -8,6 +8,7 @@ use cdcr_controller::robot::Robot;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, guard};
 use cdcr_shared_types::{Command, Telemetry};
 
+use crate::chaos::integral::Integral;
 use crate::chaos::modes::{ModeWatch, place};
 use crate::chaos::{CheckResult, KINDS_TAKE, clearance, ensure, grid, limits, ramp};
 
@@ -101,6 +102,7 @@ pub(crate) struct Records {
     period_s: f64,
     origin_ns: u64,
     before: Option<Box<Telemetry>>,
+    integral: Integral,
     modes: ModeWatch,
     pub(crate) seen: Seen,
 }
@@ -112,6 +114,7 @@ impl Records {
             period_s: period_ns as f64 * 1e-9,
             origin_ns,
             before: None,
+            integral: Integral::default(),
             modes: ModeWatch::default(),
             seen: Seen::default(),
         }
@@ -153,9 +156,11 @@ impl Records {
         limits::check_record(&self.robot, record, self.period_s)?;
         clearance::check(&self.robot, record, self.period_s)?;
         ramp::check(record, self.period_s)?;
-        if let Some(before) = self.before.as_deref().filter(|_| is_neighbour) {
+        let before = self.before.as_deref().filter(|_| is_neighbour);
+        if let Some(before) = before {
             ramp::check_rest(before, record)?;
         }
+        self.integral.check(before, record)?;
         self.modes.look(record, is_neighbour)?;
         self.note(record, is_neighbour)
     }

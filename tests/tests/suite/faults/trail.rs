@@ -11,6 +11,7 @@ use cdcr_shared_types::codes::Mode;
 use cdcr_tests::TIMEOUT;
 use cdcr_tests::record::largest;
 
+use crate::chaos::integral::Integral;
 use crate::chaos::ramp;
 use crate::faults::history::History;
 
@@ -32,12 +33,14 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
     }
 }
 
-/// A reader that loses no record, or fails, and holds each to it that rest is rest. As long as it lives, no other test takes the daemon's core.
+/// A reader that loses no record, or fails, and holds each to it that rest is rest and that
+/// the commanded position is the integral of the rates. As long as it lives, no other test takes the daemon's core.
 pub(crate) struct Trail {
     stream: TelemetryStream,
     /// Read, and not yet looked at; oldest first.
     read: VecDeque<Telemetry>,
     before: Option<Telemetry>,
+    integral: Integral,
     history: History,
     _calm: Option<RwLockReadGuard<'static, ()>>,
 }
@@ -57,6 +60,7 @@ impl Trail {
             stream: connection.telemetry().unwrap(),
             read: VecDeque::new(),
             before: None,
+            integral: Integral::default(),
             history: History::default(),
             _calm: None,
         }
@@ -74,6 +78,7 @@ impl Trail {
             ramp::check_rest(before, &record).unwrap();
         }
         ramp::check(&record, record.period_ns as f64 * 1e-9).unwrap();
+        self.integral.check(self.before.as_ref(), &record).unwrap();
         self.history.note(&record);
         self.before = Some(record);
         Some(record)

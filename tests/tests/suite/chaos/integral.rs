@@ -1,0 +1,325 @@
+//! Invariant: the commanded position is the integral of the commanded rates, to the bit.
+//!
+//! What else moves it shows in the records:
+//!
+//! * Control begins where the robot is: at the first measurement (`measurement_state`), and after a latched mode (`mode`,
+//!   `control_begins`). A lost measurement and a change of drivers lead through Faulted, so they are of these.
+//! * Inputs that are stale (`timing_flags`) for longer than a command is valid bring no command out of the daemon: the robot obeyed
+//!   the one before they went stale. One that rests by then stays.
+
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Interface, MeasurementKind, MeasurementState, Mode, timing};
+use cdcr_shared_types::limits::COORDINATES_MAX;
+use cdcr_tests::record::{largest, robot_of};
+
+use crate::chaos::ramp::{control_may_begin, is_first_measurement};
+use crate::chaos::{CheckResult, ensure};
+
+type Bends = [f64; COORDINATES_MAX];
+
+/// The command that a robot obeys.
+#[derive(Debug, Clone, Copy)]
+struct Obeyed {
+    from_rad: Bends,
+    rates_rad_s: Bends,
+    /// For how long it has been the newest \[ns\].
+    elapsed_ns: u64,
+}
+
+impl Obeyed {
+    fn new(record: &Telemetry) -> Self {
+        Self {
+            from_rad: record.commanded_rad,
+            rates_rad_s: record.command.bend_rate_rad_s,
+            elapsed_ns: 0,
+        }
+    }
+
+    /// Where it has led, if the motors move by it for at most `most_ns`.
+    fn leads_to(&self, most_ns: u64) -> Bends {
+        let moving_s = self.elapsed_ns.min(most_ns) as f64 * 1e-9;
+        core::array::from_fn(|i| self.from_rad[i] + self.rates_rad_s[i] * moving_s)
+    }
+}
+
+/// The commanded position of record after record.
+#[derive(Debug, Default)]
+pub(crate) struct Integral {
+    /// How long the inputs have been stale \[ns\]; `None`: records of that time are lost.
+    stale_ns: Option<u64>,
+    /// The last command that left before.
+    sent: Option<Obeyed>,
+    /// Control began in the record before.
+    has_begun: bool,
+}
+
+impl Integral {
+    /// Takes the next record; `before`: the one before it, where nothing was lost between them.
+    pub(crate) fn check(&mut self, before: Option<&Telemetry>, record: &Telemetry) -> CheckResult {
+        let target = Obeyed {
+            elapsed_ns: record.period_ns,
+            ..Obeyed::new(record)
+        };
+        let target = target.leads_to(record.period_ns);
+        ensure(is_same(&target, &record.command.bend_target_rad), || {
+            format!(
+                "the command leads to {target:?}, and says {:?}",
+                record.command.bend_target_rad
+            )
+        })?;
+        let has_begun = core::mem::take(&mut self.has_begun);
+        let Some(led) = self.led(before, record) else {
+            return Ok(());
+        };
+        let Some(before) = before else {
+            return Ok(());
+        };
+        let begins_first = is_first_measurement(before, record);
+        if is_same(&led, &record.commanded_rad) && !begins_first {
+            return Ok(());
+        }
+        let moved = || {
+            format!(
+                "the commands lead to {led:?}, and commanded is {:?}",
+                record.commanded_rad
+            )
+        };
+        let rests = largest(&record.previous_rate_rad_s) == 0.0;
+        ensure(
+            begins_first || rests && control_may_begin(before, record),
+            moved,
+        )?;
+        ensure(!has_begun || record.control_begins == 0, || {
+            format!("control begins again: {}", moved())
+        })?;
+        check_begin(record)?;
+        self.has_begun = true;
+        self.sent = Some(Obeyed {
+            rates_rad_s: [0.0; COORDINATES_MAX],
+            ..Obeyed::new(record)
+        });
+        Ok(())
+    }
+
+    /// Where the commands up to a record lead; `None`: records are lost that say so.
+    fn led(&mut self, before: Option<&Telemetry>, record: &Telemetry) -> Option<Bends> {
+        let is_stale = record.timing_flags & timing::STALE_INPUTS != 0;
+        self.stale_ns = match (is_stale, before) {
+            (false, _) => Some(0),
+            (true, None) => None,
+            (true, Some(_)) => self.stale_ns.map(|stale_ns| stale_ns + record.period_ns),
+        };
+        let (stale_ns, before) = (self.stale_ns?, before?);
+        let valid_ns = record.command.valid_until_ns - record.command.release_ns;
+        // The simulated robot is measured in the cycle itself.
+        let by_driver = record.measurement.measured_ns < record.gather_ns + record.period_ns;
+        let has_run_out = stale_ns > valid_ns && by_driver;
+        let runs_out = has_run_out && stale_ns - record.period_ns <= valid_ns;
+        let rests = largest(&record.previous_rate_rad_s) == 0.0;
+        if stale_ns == record.period_ns || runs_out && rests {
+            self.sent = Some(Obeyed::new(before));
+        }
+        if let Some(sent) = &mut self.sent {
+            sent.elapsed_ns += record.elapsed_ns;
+        }
+        let obeyed = if has_run_out {
+            self.sent?
+        } else {
+            Obeyed {
+                elapsed_ns: record.elapsed_ns,
+                ..Obeyed::new(before)
+            }
+        };
+        let obeys_positions = record.command.interface == Interface::Position.code();
+        Some(obeyed.leads_to(if obeys_positions {
+            record.period_ns
+        } else {
+            valid_ns
+        }))
+    }
+}
+
+/// Checks that control begins where the motors are known to be, which is where they are measured if the robot holds.
+fn check_begin(record: &Telemetry) -> CheckResult {
+    let commanded = &record.commanded_rad;
+    ensure(is_same(commanded, &record.motor_rad), || {
+        format!(
+            "control begins at {commanded:?}, and the motors are at {:?}",
+            record.motor_rad
+        )
+    })?;
+    let is_used = record.measurement_state == MeasurementState::Used.code();
+    let holds = record.mode == Mode::Holding.code();
+    let measured = match MeasurementKind::try_from(record.measurement.kind) {
+        Ok(MeasurementKind::Configuration) => record.measurement.bend_rad,
+        Ok(MeasurementKind::CableLengths) => {
+            let lengths_m = &record.measurement.cable_length_m;
+            let bends = robot_of(&record.robot).bend_from_cable_lengths(lengths_m);
+            let mut measured = [0.0; COORDINATES_MAX];
+            measured[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
+            measured
+        }
+        _ => return Ok(()),
+    };
+    ensure(!(is_used && holds) || is_same(commanded, &measured), || {
+        format!("control begins at {commanded:?}, and measured is {measured:?}")
+    })
+}
+
+fn is_same(a: &Bends, b: &Bends) -> bool {
+    a.map(f64::to_bits) == b.map(f64::to_bits)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const T_NS: u64 = 5_000_000;
+
+    /// Records of a driver's robot with commands that are valid for three periods.
+    struct Line {
+        integral: Integral,
+        last: Telemetry,
+    }
+
+    impl Line {
+        fn new(interface: Interface) -> Self {
+            let mut last = Telemetry {
+                mode: Mode::Holding.code(),
+                period_ns: T_NS,
+                elapsed_ns: T_NS,
+                gather_ns: T_NS,
+                measurement_state: MeasurementState::Used.code(),
+                ..Telemetry::default()
+            };
+            last.command.interface = interface.code();
+            last.command.valid_until_ns = 3 * T_NS;
+            let integral = Integral {
+                stale_ns: Some(0),
+                ..Integral::default()
+            };
+            Self { integral, last }
+        }
+
+        /// The next record: what is commanded at its release, the rates from then on, what else is different.
+        fn next(
+            &mut self,
+            commanded_rad: f64,
+            rate_rad_s: f64,
+            change: impl FnOnce(&mut Telemetry),
+        ) -> CheckResult {
+            let before = self.last;
+            let record = &mut self.last;
+            (record.elapsed_ns, record.timing_flags) = (T_NS, 0);
+            record.previous_rate_rad_s = record.command.bend_rate_rad_s;
+            record.commanded_rad[0] = commanded_rad;
+            record.command.bend_rate_rad_s[0] = rate_rad_s;
+            record.command.bend_target_rad[0] = commanded_rad + rate_rad_s * 0.005;
+            change(record);
+            self.integral.check(Some(&before), record)
+        }
+    }
+
+    fn stale(record: &mut Telemetry) {
+        record.timing_flags = timing::STALE_INPUTS;
+    }
+
+    #[test]
+    fn what_no_rate_moved_is_found() {
+        // In two periods a position is reached after one.
+        for (interface, there) in [
+            (Interface::Position, 0.01 + 2.0 * 0.005),
+            (Interface::Velocity, 0.01 + 2.0 * 0.01),
+        ] {
+            let mut line = Line::new(interface);
+            assert_eq!(line.next(0.0, 2.0, |_| {}), Ok(()));
+            assert_eq!(line.next(0.01, 2.0, |_| {}), Ok(()));
+            let two = |record: &mut Telemetry| record.elapsed_ns = 2 * T_NS;
+            assert_eq!(line.next(there, 0.0, two), Ok(()));
+            assert_eq!(line.next(there, 0.0, |_| {}), Ok(()));
+            assert!(line.next(there + 1e-15, 0.0, |_| {}).is_err());
+            let beside = |record: &mut Telemetry| record.command.bend_target_rad[0] += 1e-15;
+            assert!(line.next(there + 1e-15, 0.0, beside).is_err());
+        }
+    }
+
+    #[test]
+    fn control_begins_where_the_motors_are_and_once() {
+        let begins = |record: &mut Telemetry| {
+            (record.motor_rad[0], record.control_begins) = (0.3, 1);
+            record.measurement.kind = MeasurementKind::Configuration.code();
+            record.measurement.bend_rad[0] = 0.3;
+        };
+        let mut line = Line::new(Interface::Position);
+        assert!(line.next(0.2, 0.0, begins).is_err(), "not where they are");
+        let mut line = Line::new(Interface::Position);
+        assert_eq!(line.next(0.3, 0.0, begins), Ok(()));
+        let again = |record: &mut Telemetry| record.motor_rad[0] = 0.4;
+        assert!(line.next(0.4, 0.0, again).is_err(), "twice");
+        let mut line = Line::new(Interface::Position);
+        let unasked = |record: &mut Telemetry| record.motor_rad[0] = 0.3;
+        assert!(line.next(0.3, 0.0, unasked).is_err());
+        let beside = |record: &mut Telemetry| {
+            begins(record);
+            record.measurement.bend_rad[0] = 0.31;
+        };
+        let mut line = Line::new(Interface::Position);
+        assert!(line.next(0.3, 0.0, beside).is_err(), "not measured there");
+        // At the first measurement it does.
+        let mut line = Line::new(Interface::Position);
+        line.last.measurement_state = MeasurementState::None.code();
+        let first = |record: &mut Telemetry| {
+            begins(record);
+            record.control_begins = 0;
+            record.measurement_state = MeasurementState::Used.code();
+        };
+        assert_eq!(line.next(0.3, 0.0, first), Ok(()));
+    }
+
+    #[test]
+    fn commands_that_did_not_leave_move_it_as_long_as_they_are_valid() {
+        // Held up for as long as a command is valid: where its rate and those after it lead.
+        let hold_up = |interface| {
+            let (mut line, mut at_rad) = (Line::new(interface), 0.0);
+            assert_eq!(line.next(at_rad, 1.0, |_| {}), Ok(()));
+            for _ in 0..3 {
+                at_rad += 0.005;
+                assert_eq!(line.next(at_rad, 1.0, stale), Ok(()));
+            }
+            (line, at_rad)
+        };
+        let obeyed = [
+            (Interface::Position, 5e6 * 1e-9),
+            (Interface::Velocity, 15e6 * 1e-9),
+        ];
+        for (interface, end_rad) in obeyed {
+            let (mut line, _) = hold_up(interface);
+            assert_eq!(line.next(end_rad, 0.5, stale), Ok(()));
+            assert_eq!(line.next(end_rad, 0.5, stale), Ok(()));
+            assert_eq!(line.next(end_rad + 0.5 * 0.005, 0.0, |_| {}), Ok(()));
+            let (mut line, at_rad) = hold_up(interface);
+            assert!(line.next(at_rad + 0.005, 0.5, stale).is_err());
+        }
+        // A robot that rests when they run out stays, and a simulated one was measured meanwhile.
+        let (mut line, at_rad) = hold_up(Interface::Position);
+        line.last.command.bend_rate_rad_s[0] = 0.0;
+        assert_eq!(line.next(at_rad, 0.0, stale), Ok(()));
+        let (mut line, at_rad) = hold_up(Interface::Position);
+        let simulated = |record: &mut Telemetry| {
+            stale(record);
+            record.measurement.measured_ns = 9 * T_NS;
+        };
+        assert_eq!(line.next(at_rad + 0.005, 1.0, simulated), Ok(()));
+    }
+
+    #[test]
+    fn after_lost_records_it_goes_on_where_the_inputs_are_new() {
+        let mut line = Line::new(Interface::Position);
+        stale(&mut line.last);
+        let lost = line.last;
+        assert_eq!(line.integral.check(None, &lost), Ok(()));
+        assert_eq!(line.next(1.0, 0.0, stale), Ok(()));
+        assert_eq!(line.next(1.0, 0.0, |_| {}), Ok(()));
+        assert!(line.next(2.0, 0.0, |_| {}).is_err());
+    }
+}
