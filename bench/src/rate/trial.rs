@@ -276,12 +276,12 @@ impl TrialMetrics {
         let (dropped, followed) = (counted.dropped_records, 100.0 * self.tracking_share);
         #[rustfmt::skip]
         let remarks = [
-            (causes.own() > 0, format!("{} own misses", causes.own())),
+            (causes.own() > 0, cdcr_client::counted(causes.own(), "own miss")),
             (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
             (self.core_share() >= FULL, format!("core full ({core}): the system halts its threads")),
             (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
             (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
-            (dropped > 0, format!("{dropped} records dropped")),
+            (dropped > 0, cdcr_client::counted(dropped, "record") + " dropped"),
             (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
         ];
         let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);

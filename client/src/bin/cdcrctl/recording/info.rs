@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::{Context, ensure};
+use cdcr_client::counted;
 use cdcr_interchange::mcap::{Item, Stamp, Writer};
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Header, Telemetry};
@@ -81,8 +82,9 @@ fn repair(path: &Path) -> anyhow::Result<Done> {
     let was = if recording.is_cut() { "cut" } else { "whole" };
     writeln!(
         io::stdout(),
-        "{}, which was {was}: {messages} messages saved in {name}",
-        path.display()
+        "{}, which was {was}: {} saved in {name}",
+        path.display(),
+        counted(messages, "message")
     )?;
     Ok(Done::Good)
 }

@@ -1,8 +1,9 @@
 use std::path::Path;
 
+use cdcr_client::counted;
 use plotters::prelude::*;
 
-use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, PURPLE, TICK, TITLE, section_words};
+use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, PURPLE, TICK, TITLE};
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 
@@ -29,7 +30,7 @@ pub(in crate::demo) fn error(
     root.fill(&WHITE)?;
     let title = format!(
         "Tracking error: spiral of Eq. 8, {}",
-        section_words(report.sections)
+        counted(report.sections, "section")
     );
     let mut chart = ChartBuilder::on(&root)
         .caption(title, TITLE)

@@ -26,11 +26,6 @@ const TITLE: (&str, i32) = ("sans-serif", 22);
 const LABEL: (&str, i32) = ("sans-serif", 16);
 const TICK: (&str, i32) = ("sans-serif", 14);
 
-fn section_words(sections: u32) -> String {
-    let plural = if sections == 1 { "" } else { "s" };
-    format!("{sections} section{plural}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::cycle::tests::synthetic;

@@ -1,10 +1,10 @@
 use std::path::Path;
 
-use cdcr_client::Spiral;
+use cdcr_client::{Spiral, counted};
 use plotters::prelude::*;
 
 use super::panel::{Area, HEAD, PANEL, Point, SIDE, TOP, View};
-use super::{BLUE, GREY, ORANGE, TICK, TITLE, section_words};
+use super::{BLUE, GREY, ORANGE, TICK, TITLE};
 use crate::backbone::Position;
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
@@ -28,7 +28,7 @@ pub(in crate::demo) fn shape(
     root.fill(&WHITE)?;
     let title = format!(
         "Shape of the robot every {STEP_S} s: spiral of Eq. 8, {}",
-        section_words(report.sections)
+        counted(report.sections, "section")
     );
     let shown = moments(cycles, STEP_S);
     let shapes: Vec<_> = shown.iter().map(|cycle| backbone.points(cycle)).collect();
