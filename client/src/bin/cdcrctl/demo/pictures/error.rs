@@ -29,7 +29,7 @@ pub(in crate::demo) fn error(
     let root = SVGBackend::new(file, (1000, 520)).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Tracking error: spiral of Eq. 8, {}",
+        "Tracking error: simulated spiral of Eq. 8, {}",
         counted(report.sections, "section")
     );
     let mut chart = ChartBuilder::on(&root)

@@ -87,10 +87,20 @@ mod tests {
         // Ten moments in 4.97 s: a tip in each view, and one in the legend.
         let svg = std::fs::read_to_string(folder.join("shape.svg")).expect("written");
         assert_eq!(svg.matches("<circle").count(), 2 * 10 + 1);
+        for file in ["path.svg", "shape.svg", "error.svg", "timing.svg"] {
+            has(file, &["simulated"]);
+        }
         has("error.svg", &["time [s]", "error [mm]", "mean", "paper"]);
         has(
             "timing.svg",
-            &["wake-up", "solve", "response", "µs", "cycles"],
+            &[
+                "wake-up",
+                "solve",
+                "response",
+                "µs",
+                "cycles",
+                "deadline, 5000 µs",
+            ],
         );
     }
 

@@ -20,7 +20,7 @@ pub(in crate::demo) fn path(
     let root = SVGBackend::new(file, size).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Path of the tip and reference: spiral of Eq. 8, {}",
+        "Path of the tip and reference: simulated spiral of Eq. 8, {}",
         counted(report.sections, "section")
     );
     let (head, panels) = root.split_vertically(HEAD);

@@ -27,7 +27,7 @@ pub(in crate::demo) fn shape(
     let root = SVGBackend::new(file, size).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Shape of the robot every {STEP_S} s: spiral of Eq. 8, {}",
+        "Shape of the robot every {STEP_S} s: simulated spiral of Eq. 8, {}",
         counted(report.sections, "section")
     );
     let shown = moments(cycles, STEP_S);
