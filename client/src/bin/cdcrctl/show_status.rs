@@ -193,12 +193,6 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
         let (heading, left, right) = counter_texts(field, [left, right], solved);
         writeln!(out, "{heading:<30}{left:>23}   {right:>33}")?;
     }
-    let [left, right] = both.map(error_text);
-    writeln!(
-        out,
-        "{:<30}{left:>23}   {right:>33}",
-        "tip error mean, max mm"
-    )?;
     for (index, cause) in LateCause::ALL.iter().enumerate().skip(1) {
         let counts = both.map(|statistics| statistics.causes[index]);
         if counts != [0, 0] {
@@ -207,7 +201,12 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
             writeln!(out, "{name:<30}{left:>23}   {right:>33}")?;
         }
     }
-    Ok(())
+    let [left, right] = both.map(error_text);
+    writeln!(
+        out,
+        "{:<30}{left:>23}   {right:>33}",
+        "tip error mean, max mm"
+    )
 }
 
 /// What one line tells together.

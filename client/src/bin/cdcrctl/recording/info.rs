@@ -89,6 +89,15 @@ fn repair(path: &Path) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
+/// Without a power of ten, unless nothing would be left of it.
+fn millimetres(mm: f64) -> String {
+    if mm >= 1e-3 {
+        format!("{mm:.3}")
+    } else {
+        format!("{mm:.3e}")
+    }
+}
+
 /// What a recording holds.
 #[derive(Debug, Default)]
 struct Seen {
@@ -221,8 +230,8 @@ impl Seen {
         ));
         if let Some((error_m, cycle)) = self.largest_error {
             lines.push(format!(
-                "largest error: {:.3e} mm in cycle {cycle}",
-                error_m * 1e3
+                "largest error: {} mm in cycle {cycle}",
+                millimetres(error_m * 1e3)
             ));
         }
         if let Some((clearance_m, cycle)) = self.least_clearance {
