@@ -151,23 +151,21 @@ impl Panel {
     fn is_log_across(&self) -> bool {
         matches!(self.scale, Scale::LogLog { .. } | Scale::LogAcross)
     }
+
+    /// Whether no point of any curve is as high as that.
+    pub(crate) fn is_below(&self, y: f64) -> bool {
+        let mut points = self.curves.iter().flat_map(Curve::points);
+        points.all(|point| point.1 < y)
+    }
 }
 
-/// Draws panels in rows of `columns`, each `height` high. Those that show shares of one thing have one x axis, which can be compared then.
+/// Draws panels in rows of `columns`, each `height` high. Those over powers of one thing have one x axis: they can be compared.
 pub(crate) fn plot(
     name: &'static str,
     caption: &'static str,
     (columns, height): (usize, u32),
     panels: &[Panel],
 ) -> Result<Plot> {
-    let is_compared =
-        |panel: &Panel| panel.is_log() && panel.is_log_across() && panel.x == panels[0].x;
-    let size = (WIDTH / columns as u32, height);
-    let all = panels.iter().map(|panel| ranges(panel, size).0);
-    let widest = |a: Range<f64>, b: Range<f64>| a.start.min(b.start)..a.end.max(b.end);
-    let across = all
-        .reduce(widest)
-        .filter(|_| panels.iter().all(is_compared));
     let rows = panels.len().div_ceil(columns);
     let mut svg = String::new();
     {
@@ -175,11 +173,20 @@ pub(crate) fn plot(
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
         for (area, panel) in root.split_evenly((rows, columns)).iter().zip(panels) {
-            draw(area, panel, across.as_ref())?;
+            draw(area, panel, common(panel, panels))?;
         }
         root.present()?;
     }
     Ok(Plot { name, caption, svg })
+}
+
+/// The x axis of a panel over powers of something: as wide as all such panels need.
+fn common(panel: &Panel, panels: &[Panel]) -> Option<Range<f64>> {
+    let is_compared = |other: &&Panel| other.is_log_across() && other.x == panel.x;
+    let compared = panels.iter().filter(is_compared);
+    let widest = |a: Range<f64>, b: Range<f64>| a.start.min(b.start)..a.end.max(b.end);
+    let across = compared.map(powers_across).reduce(widest);
+    across.filter(|_| panel.is_log_across())
 }
 
 /// For each time \[µs\] the share of all that were longer: a step for each bucket of the histogram.
@@ -197,7 +204,7 @@ pub(crate) fn longer(times_ns: &Histogram<u64>) -> Vec<Point> {
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-fn draw(area: &Area<'_>, panel: &Panel, common: Option<&Range<f64>>) -> Result<()> {
+fn draw(area: &Area<'_>, panel: &Panel, common: Option<Range<f64>>) -> Result<()> {
     let (width, height) = area.dim_in_pixel();
     let entries = legend(panel, width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
     let head = LINE_OF_TEXT * (entries.last().map_or(0, |entry| entry.line + 1) + 1) + MARGIN;
@@ -221,7 +228,7 @@ fn draw(area: &Area<'_>, panel: &Panel, common: Option<&Range<f64>>) -> Result<(
         ))?;
     }
     let (own, up) = ranges(panel, (width, height - head));
-    let across = common.cloned().unwrap_or(own);
+    let across = common.unwrap_or(own);
     match panel.scale {
         Scale::Log { floor } => fill(&chart, panel, across, up.log_scale(), floor),
         Scale::LogLog { floor } => fill(&chart, panel, across.log_scale(), up.log_scale(), floor),
@@ -329,10 +336,10 @@ fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>
         Scale::Linear => (left..right, widened(low, high)),
         Scale::Log { floor } => (left..right, decades(low.max(floor), high.max(floor))),
         Scale::LogLog { floor } => (
-            decades(if left > 0.0 { left } else { 0.1 * right }, right),
+            powers_across(panel),
             decades(low.max(floor), high.max(floor)),
         ),
-        Scale::LogAcross => (decades(left.max(1e-9), right.max(1e-9)), widened(low, high)),
+        Scale::LogAcross => (powers_across(panel), widened(low, high)),
         Scale::Equal => {
             let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
             let plot_height = f64::from(height - LABEL_BOTTOM - MARGIN);
@@ -348,6 +355,12 @@ fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>
             )
         }
     }
+}
+
+fn powers_across(panel: &Panel) -> Range<f64> {
+    let points = panel.curves.iter().flat_map(Curve::points);
+    let (left, right) = extent(points.map(|point| point.0));
+    decades(if left > 0.0 { left } else { 0.1 * right }, right)
 }
 
 /// Least and greatest finite value, apart; zero to one of nothing.
@@ -393,6 +406,36 @@ mod tests {
             let drawn = plot("", "", (1, 500), &[panel]).expect("drawn");
             assert!(drawn.svg.contains("nothing"));
         }
+    }
+
+    #[test]
+    fn panels_over_one_knob_have_one_axis() {
+        let panel = |x, scale, points| {
+            let curve = Curve::line("", points, BLUE);
+            Panel::new("", [x, "y"], scale, vec![curve])
+        };
+        let log_log = Scale::LogLog { floor: 1e-4 };
+        let panels = [
+            panel("weight", Scale::LogAcross, vec![(2e-10, 1.0), (1e-6, 2.0)]),
+            panel("weight", log_log, vec![(1e-8, 1.0), (2e-5, 2.0)]),
+            panel("time", Scale::LogAcross, vec![(15.0, 1.0), (900.0, 2.0)]),
+            panel("time", Scale::Linear, vec![(15.0, 1.0), (900.0, 2.0)]),
+        ];
+        let [error, change, other, linear] =
+            [0, 1, 2, 3].map(|place| common(&panels[place], &panels));
+        assert_eq!(error, change);
+        assert_eq!(error, Some(decades(2e-10, 2e-5)));
+        assert_eq!(other, Some(decades(15.0, 900.0)));
+        assert_eq!(linear, None);
+    }
+
+    #[test]
+    fn only_a_panel_with_nothing_to_see_is_below() {
+        let of = |curves| Panel::new("", ["x", "y"], Scale::Log { floor: 1e-3 }, curves);
+        let low = || Curve::line("", vec![(0.0, 1e-4), (1.0, 9e-4)], BLUE);
+        let high = Curve::line("", vec![(0.0, 1e-4), (1.0, 0.1)], ORANGE);
+        assert!(of(vec![low()]).is_below(1e-3));
+        assert!(!of(vec![low(), high]).is_below(1e-3));
     }
 
     #[test]

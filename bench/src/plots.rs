@@ -3,6 +3,7 @@
 mod view;
 
 use anyhow::{Context, Result};
+use cdcr_client::counted;
 use cdcr_controller::nmpc::Coordinates;
 use cdcr_controller::robot::{Configuration, ZyxAngles};
 use plotters::style::RGBColor;
@@ -36,8 +37,7 @@ const SHARES: f64 = 1e-3;
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let spiral = |sections| {
-        let plural = if sections == 1 { "" } else { "s" };
-        let title = format!("Simulated spiral, {sections} section{plural}");
+        let title = format!("Simulated spiral, {}", counted(sections, "section"));
         Drawn::new(outcomes, Task::Spiral { sections }, title)
     };
     let line = |rate_limit_rad_s: f64| {

@@ -72,6 +72,7 @@ pub mod channels;
 mod clock;
 mod connect_error;
 mod connection;
+mod counted;
 mod driver;
 mod events;
 mod feeder;
@@ -101,6 +102,7 @@ mod trajectory;
 pub use clock::monotonic_ns;
 pub use connect_error::{ConnectError, Place};
 pub use connection::Connection;
+pub use counted::counted;
 pub use driver::{
     CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
 };

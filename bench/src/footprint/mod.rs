@@ -281,7 +281,12 @@ fn bars(threads: &[Value]) -> Panel {
                 .push(Curve::line(label, vec![(0.0, y), (percent.max(0.0), y)], colour).width(12));
         }
     }
-    Panel::new("Share of a core", ["[%]", "thread"], Scale::Linear, curves)
+    Panel::new(
+        "Share of a core",
+        ["share of a core [%]", "thread"],
+        Scale::Linear,
+        curves,
+    )
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::fs;
 
 use anyhow::{Context, Result};
-use cdcr_client::PAPER_SECTION_M;
+use cdcr_client::{PAPER_SECTION_M, counted};
 use cdcr_scratch::Scratch;
 use serde::Serialize;
 
@@ -45,9 +45,9 @@ impl Case {
     }
 
     pub fn name(&self) -> String {
-        let plural = if self.sections == 1 { "" } else { "s" };
-        let (sections, solver, steps) = (self.sections, self.solver.name(), self.horizon_steps);
-        format!("{sections} section{plural}, {solver}, N = {steps}")
+        let (solver, steps) = (self.solver.name(), self.horizon_steps);
+        let sections = counted(self.sections, "section");
+        format!("{sections}, {solver}, N = {steps}")
     }
 
     pub fn key(&self) -> String {

@@ -178,7 +178,7 @@ fn drawn(rows: &[Value]) -> Result<Plot> {
     let panels = [
         panel(
             "Response of the default",
-            "[µs]",
+            "response time [µs]",
             Scale::LogLog { floor: 1.0 },
             times,
         ),

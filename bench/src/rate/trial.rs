@@ -276,12 +276,12 @@ impl TrialMetrics {
         let (dropped, followed) = (counted.dropped_records, 100.0 * self.tracking_share);
         #[rustfmt::skip]
         let remarks = [
-            (causes.own() > 0, format!("{} own misses", causes.own())),
+            (causes.own() > 0, cdcr_client::counted(causes.own(), "own miss")),
             (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
             (self.core_share() >= FULL, format!("core full ({core}): the system halts its threads")),
             (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
             (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
-            (dropped > 0, format!("{dropped} records dropped")),
+            (dropped > 0, cdcr_client::counted(dropped, "record") + " dropped"),
             (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
         ];
         let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
@@ -417,7 +417,7 @@ pub(super) mod tests {
         let (none, stalls) = ([0; 5], [2, 0, 0, 0, 1]);
         let words = "3 late, 40 skipped (2 platform, 1 stall)";
         let excused = format!("the machine: {words}");
-        let fault = "1 own misses; 0 late, 1000 skipped (10 platform, 1 page fault)";
+        let fault = "1 own miss; 0 late, 1000 skipped (10 platform, 1 page fault)";
         for (misses, skipped, causes, period_ms, outcome, remarks) in [
             (0, 0, none, 0.5, Holds, ""),
             (4, 0, none, 0.5, Holds, ""),
@@ -429,7 +429,7 @@ pub(super) mod tests {
             // Wake-up 10 µs and compute 66 µs do not fit.
             (3, 40, stalls, 0.07, Slow, words),
             // Nothing excuses an own miss.
-            (0, 0, [0, 0, 1, 0, 0], 0.5, Own, "1 own misses"),
+            (0, 0, [0, 0, 1, 0, 0], 0.5, Own, "1 own miss"),
             (0, 1000, [10, 0, 0, 1, 0], 0.5, Own, fault),
         ] {
             let metrics = lossy(misses, skipped, causes);

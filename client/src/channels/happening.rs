@@ -1,7 +1,7 @@
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, timing};
 
-use crate::events;
+use crate::{counted, events};
 
 /// How bad something is: the levels of `rcl_interfaces/Log`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -48,7 +48,7 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
         tell(Level::Warning, format!("refused: {why}"));
     }
     if before.is_some_and(|before| before.obstacle_count != record.obstacle_count) {
-        tell(Level::Info, format!("{} obstacles", record.obstacle_count));
+        tell(Level::Info, counted(record.obstacle_count, "obstacle"));
     }
     let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
     if cause != LateCause::None {
@@ -56,8 +56,7 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
         let (level, what) = match (is_miss, record.skipped_periods) {
             (true, _) => (Level::Warning, "deadline missed".to_owned()),
             (false, 0) => (Level::Info, "late start".to_owned()),
-            (false, 1) => (Level::Info, "1 period skipped".to_owned()),
-            (false, skipped) => (Level::Info, format!("{skipped} periods skipped")),
+            (false, skipped) => (Level::Info, counted(skipped, "period") + " skipped"),
         };
         tell(level, format!("cycle {}: {what} ({cause})", record.cycle));
     }

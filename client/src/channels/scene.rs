@@ -9,7 +9,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::drawn::{point, pose};
 use crate::model::{obstacle_of, robot_of};
-use crate::{obstacles, section_lengths_m};
+use crate::{counted, obstacles, section_lengths_m};
 
 /// Points of a section's backbone: a bend of 0.7 rad looks round.
 const POINTS: usize = 16;
@@ -164,7 +164,11 @@ impl Scene {
     /// Mode, misses and clearance above the robot.
     fn words(&self, record: &Telemetry) -> Marker {
         let mut text = Mode::text_of(record.mode).to_owned();
-        let _ = write!(text, ", {} deadline misses", record.deadline_misses_total);
+        let _ = write!(
+            text,
+            ", {}",
+            counted(record.deadline_misses_total, "deadline miss")
+        );
         if record.position_error_m.is_finite() {
             let _ = write!(text, ", error {:.2} mm", 1e3 * record.position_error_m);
         }

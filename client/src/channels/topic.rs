@@ -87,14 +87,14 @@ impl Topic {
             .find(|topic| topic.layout().name == name)
     }
 
-    /// What its messages are called beside a number.
-    pub fn plural(self) -> &'static str {
+    /// What one of its messages is called.
+    pub fn noun(self) -> &'static str {
         match self {
-            Self::Telemetry => "cycles",
-            Self::Reference => "reference chunks",
-            Self::Obstacles => "obstacle updates",
-            Self::Status => "snapshots",
-            Self::Incidents => "incidents",
+            Self::Telemetry => "cycle",
+            Self::Reference => "reference chunk",
+            Self::Obstacles => "obstacle update",
+            Self::Status => "snapshot",
+            Self::Incidents => "incident",
         }
     }
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
+use serde::Serialize;
 
 use super::preset::Preset;
 use crate::config::{
@@ -217,10 +218,9 @@ fn shortened(value: &str) -> String {
 fn robot(validated: &Validated) -> Vec<String> {
     let Validated { config, robot, .. } = validated;
     let mut lines = vec![format!(
-        "robot      {} ({:?}), {} sections, reach {:.3} m",
+        "robot      {} ({}), reach {:.3} m",
         config.robot.name,
-        config.link.kind,
-        robot.section_count(),
+        as_written(&config.link.kind),
         robot.reach_m()
     )];
     lines.extend(robot.sections().iter().enumerate().map(|(index, section)| {
@@ -236,6 +236,12 @@ fn robot(validated: &Validated) -> Vec<String> {
     lines
 }
 
+/// A choice by its name in the file.
+fn as_written(choice: &impl Serialize) -> String {
+    let value = serde_json::to_value(choice).unwrap_or_default();
+    value.as_str().unwrap_or_default().to_owned()
+}
+
 /// Says how and where it would be controlled.
 fn control(validated: &Validated) -> [String; 3] {
     let Validated {
@@ -244,12 +250,13 @@ fn control(validated: &Validated) -> [String; 3] {
     let nmpc = &config.controller;
     [
         format!(
-            "cycle      {} ms, {:?} real time",
-            config.cycle.period_ms, config.realtime.mode
+            "cycle      {} ms, real time: {}",
+            config.cycle.period_ms,
+            as_written(&config.realtime.mode)
         ),
         format!(
-            "controller {:?}, N = {}, swarm {} x {}, {} refinement steps",
-            nmpc.solver,
+            "controller {}, N = {}, swarm {} x {}, {} refinement steps",
+            as_written(&nmpc.solver),
             nmpc.horizon_steps,
             nmpc.swarm_size,
             nmpc.swarm_iterations,

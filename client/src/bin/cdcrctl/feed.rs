@@ -7,7 +7,7 @@ use anyhow::{Context, bail, ensure};
 use cdcr_client::{
     Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigurePlane,
     FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
-    section_lengths_m,
+    counted, section_lengths_m,
 };
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, RequestKind};
@@ -410,9 +410,9 @@ fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::R
     };
     writeln!(
         std::io::stdout(),
-        "{name}: {} points in {} chunks, {seconds:.2} s, fed {tracked}",
-        report.points,
-        report.chunks
+        "{name}: {} in {}, {seconds:.2} s, fed {tracked}",
+        counted(report.points, "point"),
+        counted(report.chunks, "chunk")
     )?;
     Ok(Done::Good)
 }

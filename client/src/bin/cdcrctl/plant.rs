@@ -5,7 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use cdcr_client::{PlantDriver, events, remedy};
+use cdcr_client::{PlantDriver, counted, events, remedy};
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome};
 use cdcr_shared_types::{InputEvent, Telemetry};
 
@@ -44,8 +44,8 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     let interrupt = Interrupt::catch()?;
     writeln!(
         std::io::stdout(),
-        "a simulated robot with {} sections drives robot \"{}\": preset {}, {}; Ctrl-C ends it",
-        status.robot.sections,
+        "a simulated robot with {} drives robot \"{}\": preset {}, {}; Ctrl-C ends it",
+        counted(status.robot.sections, "section"),
         target.location()?.1,
         preset.name(),
         interface.text()

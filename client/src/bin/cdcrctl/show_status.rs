@@ -3,7 +3,7 @@ use std::io::{IsTerminal as _, Write as _};
 use std::thread;
 use std::time::Duration;
 
-use cdcr_client::{Connection, monotonic_ns, realtime_missing, text};
+use cdcr_client::{Connection, counted, monotonic_ns, realtime_missing, text};
 use cdcr_shared_types::codes::{
     Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
 };
@@ -80,9 +80,9 @@ fn table(status: &Status, now_ns: u64) -> Result<String, std::fmt::Error> {
 fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
     writeln!(
         out,
-        "robot       {} ({} sections, {})",
+        "robot       {} ({}, {})",
         text(&status.robot_name),
-        status.robot.sections,
+        counted(status.robot.sections, "section"),
         RobotLink::text_of(status.link)
     )?;
     writeln!(
@@ -95,19 +95,19 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
     )?;
     writeln!(
         out,
-        "mode        {} ({}), {} faults in {} cycles",
+        "mode        {} ({}), {} in {}",
         Mode::text_of(status.mode),
         Reason::text_of(status.reason),
-        status.faults,
-        status.cycles,
+        counted(status.faults, "fault"),
+        counted(status.cycles, "cycle"),
     )?;
     place(out, status)?;
     if status.misses_tolerated > 0 {
         writeln!(
             out,
-            "misses      the leaky bucket was full {} times; a robot behind a driver would have been stopped \
+            "misses      the leaky bucket was full {}; a robot behind a driver would have been stopped \
              (cycle.miss_limit)",
-            status.misses_tolerated
+            counted(status.misses_tolerated, "time")
         )?;
     }
     let missing = realtime_missing(status.realtime_missing);
@@ -193,12 +193,6 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
         let (heading, left, right) = counter_texts(field, [left, right], solved);
         writeln!(out, "{heading:<30}{left:>23}   {right:>33}")?;
     }
-    let [left, right] = both.map(error_text);
-    writeln!(
-        out,
-        "{:<30}{left:>23}   {right:>33}",
-        "tip error mean, max mm"
-    )?;
     for (index, cause) in LateCause::ALL.iter().enumerate().skip(1) {
         let counts = both.map(|statistics| statistics.causes[index]);
         if counts != [0, 0] {
@@ -207,7 +201,12 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
             writeln!(out, "{name:<30}{left:>23}   {right:>33}")?;
         }
     }
-    Ok(())
+    let [left, right] = both.map(error_text);
+    writeln!(
+        out,
+        "{:<30}{left:>23}   {right:>33}",
+        "tip error mean, max mm"
+    )
 }
 
 /// What one line tells together.
@@ -268,8 +267,8 @@ fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {
     };
     writeln!(
         out,
-        "\nreference   {} points ahead, lease held by {holder}",
-        status.reference_points
+        "\nreference   {} ahead, lease held by {holder}",
+        counted(status.reference_points, "point")
     )?;
     obstacles(out, status)?;
     let counted = Outcome::ALL.iter().zip(status.outcomes);
@@ -287,10 +286,10 @@ fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
     }
     writeln!(
         out,
-        ", kept {} mm away (the guard changed {} commands; {} updates refused)",
+        ", kept {} mm away (the guard changed {}; {} refused)",
         1e3 * status.settings.safe_distance_m,
-        status.clearance_guarded,
-        status.obstacles_refused
+        counted(status.clearance_guarded, "command"),
+        counted(status.obstacles_refused, "update")
     )
 }
 

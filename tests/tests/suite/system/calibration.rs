@@ -374,7 +374,7 @@ fn a_recording_tells_what_its_rows_tell() {
         (
             "moved.mcap --config three.toml",
             1,
-            "moved.mcap is of another robot: of 1 sections, and three.toml has 3",
+            "moved.mcap is of another robot: of 1 section, and three.toml has 3",
         ),
     ] {
         let line = format!("cdcrctl calibrate geometry {arguments}");

@@ -40,7 +40,7 @@ pub(super) fn record_beside(
     };
     track(&connection, &curve);
     recorder.signal(Signal::INT);
-    assert_says(&recorder.output(), 0, &["run.mcap", "1 obstacle updates"]);
+    assert_says(&recorder.output(), 0, &["run.mcap", "1 obstacle update,"]);
     file
 }
 
@@ -78,7 +78,7 @@ fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
         &player.output(),
         0,
         &[
-            "1 obstacle updates sent, 2 times",
+            "1 obstacle update sent, 2 times",
             "the daemon holds",
             "tip error",
         ],

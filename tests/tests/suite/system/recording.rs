@@ -74,7 +74,7 @@ impl Recorded {
 fn lost(said: &str, topic: Topic) -> u64 {
     let counts = said.lines().filter_map(|line| {
         let (count, of) = line.strip_prefix("lost: ")?.split_once(' ')?;
-        of.starts_with(topic.plural())
+        of.starts_with(topic.noun())
             .then(|| count.parse::<u64>().unwrap())
     });
     counts.sum()
@@ -110,7 +110,7 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
             .all(|topic| lost(&said, *topic) == 0);
         is_whole.then_some((run, records, said))
     });
-    assert!(said.contains("1 obstacle updates"), "{said}");
+    assert!(said.contains("1 obstacle update,"), "{said}");
     let info = run.info();
     let telemetry = &info["channels"]["telemetry"];
     assert!(telemetry["messages"].as_u64().unwrap() >= records.len() as u64);

@@ -100,7 +100,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
         "tracking",
         "refused: track",
         "request: track",
-        "1 obstacles",
+        "1 obstacle known",
     ] {
         assert!(
             texts.iter().any(|text| text.starts_with(begin)),

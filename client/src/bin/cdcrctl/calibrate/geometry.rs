@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
+use cdcr_client::counted;
 use cdcr_client::model::robot_of;
 use cdcr_controller::calibration::{Calibration, ParameterGroup, calibrate};
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
@@ -64,9 +65,9 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
     let robot = configured(config)?;
     ensure!(
         robot.sections.len() == description.sections as usize,
-        "{} is of another robot: of {} sections, and {} has {}",
+        "{} is of another robot: of {}, and {} has {}",
         options.file.display(),
-        description.sections,
+        counted(description.sections, "section"),
         config.display(),
         robot.sections.len()
     );

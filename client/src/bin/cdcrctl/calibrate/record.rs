@@ -3,6 +3,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::{Context, ensure};
+use cdcr_client::counted;
 use cdcr_shared_types::Telemetry;
 
 use super::pairs::Pairs;
@@ -51,7 +52,8 @@ pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()
     );
     writeln!(
         std::io::stdout(),
-        "{name}: {rows} rows in {passed_s:.1} s; next: cdcrctl calibrate geometry {name}"
+        "{name}: {} in {passed_s:.1} s; next: cdcrctl calibrate geometry {name}",
+        counted(rows, "row")
     )?;
     Ok(())
 }

@@ -2,6 +2,7 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
+use cdcr_client::counted;
 use cdcr_controller::calibration::CalibrationRow;
 use cdcr_controller::robot::CABLES_MAX;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -96,8 +97,8 @@ impl Columns {
         let found = names.iter().filter(is_cable).count();
         if found > 0 && found != cables {
             bail!(
-                "{found} columns of cables, but the configured robot has {} sections with three cables each, {cables} in all",
-                cables / 3
+                "{} of cables, but the configured robot has {cables}, three for each section",
+                counted(found, "column")
             );
         }
         let has_quaternion = QUATERNION.iter().any(|column| place(column).is_some());
@@ -196,7 +197,7 @@ mod tests {
             ),
             (
                 "t_s,cable_1_m,x_m,y_m,z_m\n".to_owned(),
-                "1 columns of cables, but the configured robot has 1 sections",
+                "1 column of cables, but the configured robot has 3",
             ),
             (
                 "t_s,x_m,y_m,z_m\n".to_owned(),

@@ -3,6 +3,7 @@
 use std::fmt::{Error, Write};
 use std::path::Path;
 
+use cdcr_client::counted;
 use cdcr_controller::calibration::{Calibration, Estimate, TipError};
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use serde_json::{Value, json};
@@ -20,14 +21,14 @@ pub(super) fn text(
     found: &Calibration,
 ) -> Result<String, Error> {
     let mut out = String::new();
-    let rows = recording.rows.len();
     let is_turned = recording.rows.iter().all(|row| row.tip_rotation.is_some());
     writeln!(
         out,
-        "{}: {rows} rows in {:.1} s, {} sections, tip {}\n",
+        "{}: {} in {:.1} s, {}, tip {}\n",
         path.display(),
+        counted(recording.rows.len(), "row"),
         recording.duration_s,
-        robot.sections.len(),
+        counted(robot.sections.len(), "section"),
         if is_turned {
             "position and rotation"
         } else {

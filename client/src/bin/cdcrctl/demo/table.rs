@@ -1,6 +1,6 @@
 use std::fmt::{Error, Write};
 
-use cdcr_client::realtime_missing;
+use cdcr_client::{counted, realtime_missing};
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::LateCause;
 
@@ -11,11 +11,10 @@ const WIDTH: usize = 80;
 
 pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error> {
     let mut out = String::new();
-    let plural = if report.sections == 1 { "" } else { "s" };
     writeln!(
         out,
-        "Spiral of Eq. 8, {} section{plural}, {} s: {} cycles of {} ms\n",
-        report.sections,
+        "Spiral of Eq. 8, {}, {} s: {} cycles of {} ms\n",
+        counted(report.sections, "section"),
         report.duration_s,
         report.cycles,
         status.period_ns as f64 / 1e6

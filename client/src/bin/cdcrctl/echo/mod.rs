@@ -8,7 +8,7 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Message, Stream};
+use cdcr_client::{Connection, Message, Stream, counted};
 use cdcr_shared_types::Service;
 use cdcr_shared_types::message::Struct;
 
@@ -148,7 +148,8 @@ impl<T> Look<T> {
 fn warn_of_loss(service: Service, lost: u64) {
     if lost > 0 {
         eprintln!(
-            "{lost} messages of the {} service were lost: this program was too slow",
+            "lost: {} of the {} service: this program was too slow",
+            counted(lost, "message"),
             service.key()
         );
     }

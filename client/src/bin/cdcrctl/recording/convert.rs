@@ -4,7 +4,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use cdcr_client::{events, text};
+use cdcr_client::{counted, events, text};
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
@@ -36,7 +36,7 @@ pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     );
     let mut out = io::stdout().lock();
     for (path, rows) in rows {
-        writeln!(out, "{}: {rows} rows", path.display())?;
+        writeln!(out, "{}: {}", path.display(), counted(rows, "row"))?;
     }
     recording.warn_of_cut();
     Ok(Done::Good)

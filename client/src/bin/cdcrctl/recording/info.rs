@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::{Context, ensure};
+use cdcr_client::counted;
 use cdcr_interchange::mcap::{Item, Stamp, Writer};
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Header, Telemetry};
@@ -81,10 +82,20 @@ fn repair(path: &Path) -> anyhow::Result<Done> {
     let was = if recording.is_cut() { "cut" } else { "whole" };
     writeln!(
         io::stdout(),
-        "{}, which was {was}: {messages} messages saved in {name}",
-        path.display()
+        "{}, which was {was}: {} saved in {name}",
+        path.display(),
+        counted(messages, "message")
     )?;
     Ok(Done::Good)
+}
+
+/// Without a power of ten, unless nothing would be left of it.
+fn millimetres(mm: f64) -> String {
+    if mm >= 1e-3 {
+        format!("{mm:.3}")
+    } else {
+        format!("{mm:.3e}")
+    }
 }
 
 /// What a recording holds.
@@ -219,8 +230,8 @@ impl Seen {
         ));
         if let Some((error_m, cycle)) = self.largest_error {
             lines.push(format!(
-                "largest error: {:.3e} mm in cycle {cycle}",
-                error_m * 1e3
+                "largest error: {} mm in cycle {cycle}",
+                millimetres(error_m * 1e3)
             ));
         }
         if let Some((clearance_m, cycle)) = self.least_clearance {

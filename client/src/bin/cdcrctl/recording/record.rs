@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use cdcr_client::channels::{Drawing, Drawings, Drawn, Recorded, Topic};
-use cdcr_client::{Connection, Stream, events, monotonic_ns};
+use cdcr_client::{Connection, Stream, counted, events, monotonic_ns};
 use cdcr_interchange::encode;
 use cdcr_interchange::mcap::Stamp;
 use cdcr_shared_types::codes::{EventKind, Outcome};
@@ -188,7 +188,7 @@ fn tell(
     lost: &[(Topic, u64)],
 ) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    let counts = Topic::ALL.map(|topic| format!("{} {}", counts[topic as usize], topic.plural()));
+    let counts = Topic::ALL.map(|topic| counted(counts[topic as usize], topic.noun()));
     let why = match ended {
         Ended::Daemon => "; the daemon ended",
         _ => "",
@@ -197,8 +197,8 @@ fn tell(
     for (topic, count) in lost {
         writeln!(
             out,
-            "lost: {count} {}, because this program was too slow",
-            topic.plural()
+            "lost: {}, because this program was too slow",
+            counted(*count, topic.noun())
         )?;
     }
     Ok(())

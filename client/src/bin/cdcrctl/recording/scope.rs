@@ -168,7 +168,7 @@ impl Shot {
         for (i, (name, _)) in STRIPS.iter().enumerate() {
             let values = self.samples.iter();
             let values = values.map(|sample| (column(sample), sample.values[i]));
-            lines.push(format!("{name}, {:.4} at the line", fired.values[i]));
+            lines.push(format!("{name}, {} at the line", number(fired.values[i])));
             lines.extend(strip(values, column(&fired)));
         }
         let begin = format!("-{:.2} s", seconds(first, &fired));
@@ -176,6 +176,15 @@ impl Shot {
         let gap = (COLUMNS + 1).saturating_sub(begin.len() + end.len());
         lines.push(format!("{:>12} {begin}{:gap$}{end}", "", ""));
         lines.join("\n") + "\n"
+    }
+}
+
+/// Nothing where it means nothing.
+fn number(value: f64) -> String {
+    if value.is_finite() {
+        format!("{value:.4}")
+    } else {
+        "-".to_owned()
     }
 }
 

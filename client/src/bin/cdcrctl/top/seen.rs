@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use cdcr_client::channels::{Happening, Level, happenings};
 use cdcr_client::model::{obstacle_of, robot_of};
-use cdcr_client::{obstacles, section_lengths_m};
+use cdcr_client::{counted, obstacles, section_lengths_m};
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{LateCause, ObstacleShape, RequestKind, SolverStatus};
 use cdcr_shared_types::{Obstacle, Status, Telemetry};
@@ -95,7 +95,7 @@ impl Seen {
             self.tell(now_ns, text, level > Level::Info);
         }
         if lost > self.lost {
-            let text = format!("{} records did not arrive here", lost - self.lost);
+            let text = counted(lost - self.lost, "record") + " did not arrive here";
             self.tell(now_ns, text, true);
             self.lost = lost;
         }
@@ -253,10 +253,7 @@ mod tests {
         }
         let texts = texts(&seen);
         assert_eq!(texts.len(), 4, "{texts:?}");
-        assert_eq!(
-            texts[1..3],
-            ["1 obstacles", "1 records did not arrive here"]
-        );
+        assert_eq!(texts[1..3], ["1 obstacle", "1 record did not arrive here"]);
         assert!(
             texts[3].starts_with("stopped") && seen.lines[3].is_bad,
             "{texts:?}"

@@ -1,8 +1,9 @@
 use std::path::Path;
 
+use cdcr_client::counted;
 use plotters::prelude::*;
 
-use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, PURPLE, TICK, TITLE, section_words};
+use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, PURPLE, TICK, TITLE};
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 
@@ -28,8 +29,8 @@ pub(in crate::demo) fn error(
     let root = SVGBackend::new(file, (1000, 520)).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Tracking error: spiral of Eq. 8, {}",
-        section_words(report.sections)
+        "Tracking error: simulated spiral of Eq. 8, {}",
+        counted(report.sections, "section")
     );
     let mut chart = ChartBuilder::on(&root)
         .caption(title, TITLE)

@@ -26,11 +26,6 @@ const TITLE: (&str, i32) = ("sans-serif", 22);
 const LABEL: (&str, i32) = ("sans-serif", 16);
 const TICK: (&str, i32) = ("sans-serif", 14);
 
-fn section_words(sections: u32) -> String {
-    let plural = if sections == 1 { "" } else { "s" };
-    format!("{sections} section{plural}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::cycle::tests::synthetic;
@@ -92,10 +87,20 @@ mod tests {
         // Ten moments in 4.97 s: a tip in each view, and one in the legend.
         let svg = std::fs::read_to_string(folder.join("shape.svg")).expect("written");
         assert_eq!(svg.matches("<circle").count(), 2 * 10 + 1);
+        for file in ["path.svg", "shape.svg", "error.svg", "timing.svg"] {
+            has(file, &["simulated"]);
+        }
         has("error.svg", &["time [s]", "error [mm]", "mean", "paper"]);
         has(
             "timing.svg",
-            &["wake-up", "solve", "response", "µs", "cycles"],
+            &[
+                "wake-up",
+                "solve",
+                "response",
+                "µs",
+                "cycles",
+                "deadline, 5000 µs",
+            ],
         );
     }
 

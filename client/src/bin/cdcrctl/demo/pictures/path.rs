@@ -1,10 +1,10 @@
 use std::path::Path;
 
-use cdcr_client::Spiral;
+use cdcr_client::{Spiral, counted};
 use plotters::prelude::*;
 
 use super::panel::{Area, HEAD, PANEL, Point, SIDE, TOP, View};
-use super::{GREY, ORANGE, TICK, TITLE, section_words};
+use super::{GREY, ORANGE, TICK, TITLE};
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 use crate::demo::shape::curve;
@@ -20,8 +20,8 @@ pub(in crate::demo) fn path(
     let root = SVGBackend::new(file, size).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Path of the tip and reference: spiral of Eq. 8, {}",
-        section_words(report.sections)
+        "Path of the tip and reference: simulated spiral of Eq. 8, {}",
+        counted(report.sections, "section")
     );
     let (head, panels) = root.split_vertically(HEAD);
     head.titled(&title, TITLE)?;

@@ -1,10 +1,10 @@
 use std::path::Path;
 
-use cdcr_client::Spiral;
+use cdcr_client::{Spiral, counted};
 use plotters::prelude::*;
 
 use super::panel::{Area, HEAD, PANEL, Point, SIDE, TOP, View};
-use super::{BLUE, GREY, ORANGE, TICK, TITLE, section_words};
+use super::{BLUE, GREY, ORANGE, TICK, TITLE};
 use crate::backbone::Position;
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
@@ -27,8 +27,8 @@ pub(in crate::demo) fn shape(
     let root = SVGBackend::new(file, size).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Shape of the robot every {STEP_S} s: spiral of Eq. 8, {}",
-        section_words(report.sections)
+        "Shape of the robot every {STEP_S} s: simulated spiral of Eq. 8, {}",
+        counted(report.sections, "section")
     );
     let shown = moments(cycles, STEP_S);
     let shapes: Vec<_> = shown.iter().map(|cycle| backbone.points(cycle)).collect();

@@ -1,10 +1,11 @@
 use std::ops::Range;
 use std::path::Path;
 
+use cdcr_client::counted;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, TICK, TITLE, section_words};
+use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, TICK, TITLE};
 use crate::demo::cycle::Cycle;
 use crate::demo::report::{DemoReport, Spread};
 
@@ -56,9 +57,9 @@ pub(in crate::demo) fn timing(
     let root = SVGBackend::new(file, (1000, 900)).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "Timing of {} cycles, {}",
-        report.cycles,
-        section_words(report.sections)
+        "Timing of {}, simulated, {}",
+        counted(report.cycles, "cycle"),
+        counted(report.sections, "section")
     );
     let areas = root.titled(&title, TITLE)?.split_evenly((3, 1));
     let values_us = panels.iter().flat_map(|panel| &panel.values_us);

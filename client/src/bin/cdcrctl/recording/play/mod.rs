@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use cdcr_client::{
-    Connection, Lease, ObstacleSender, ReferenceFeed, TelemetryStream, events, monotonic_ns,
+    Connection, Lease, ObstacleSender, ReferenceFeed, TelemetryStream, counted, events,
+    monotonic_ns,
 };
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, Mode, ObstacleAction, Outcome, RequestKind,
@@ -17,6 +18,7 @@ use cdcr_shared_types::codes::{
 use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
 use super::file::Recording;
+use super::topic::Topic;
 use crate::Done;
 use crate::args::{ReplayOptions, Target};
 use crate::bar::Bar;
@@ -70,7 +72,9 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     let speed = options.speed;
     writeln!(
         io::stdout(),
-        "{name}: {chunks} reference chunks and {updates} obstacle updates sent, {speed} times as fast as they were; the daemon holds"
+        "{name}: {} and {} sent, {speed} times as fast as they were; the daemon holds",
+        counted(chunks, Topic::Reference.noun()),
+        counted(updates, Topic::Obstacles.noun())
     )?;
     source.recording.warn_of_cut();
     if done == Done::Good {

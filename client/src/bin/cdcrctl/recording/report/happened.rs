@@ -1,4 +1,4 @@
-use cdcr_client::events;
+use cdcr_client::{counted, events};
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{InputEvent, SolverSettings, Telemetry};
 use serde_json::{Value, json};
@@ -49,7 +49,7 @@ impl Happened {
             self.list(time_s, kind, &format!("{mode}: {reason}"));
         }
         if obstacles != now.obstacles {
-            let text = format!("{} obstacles known", now.obstacles);
+            let text = counted(now.obstacles, "obstacle") + " known";
             self.list(time_s, "obstacles", &text);
         }
         if is_new_settings {

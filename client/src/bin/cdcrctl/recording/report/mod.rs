@@ -10,6 +10,7 @@ use std::fs;
 use std::io::{self, Write};
 
 use anyhow::{Context, ensure};
+use cdcr_client::counted;
 
 use super::file::Recording;
 use crate::Done;
@@ -40,9 +41,9 @@ pub(crate) fn run(options: &ReportOptions) -> anyhow::Result<Done> {
         .with_context(|| format!("cannot write {}", page.display()))?;
     writeln!(
         io::stdout(),
-        "{}: {} cycles; open it in a browser",
+        "{}: {}; open it in a browser",
         page.display(),
-        content.cycles()
+        counted(content.cycles(), "cycle")
     )?;
     recording.warn_of_cut();
     Ok(Done::Good)

@@ -11,7 +11,7 @@ use ratatui::widgets::Paragraph;
 use ratatui::widgets::canvas::{self, Canvas, Context};
 use ratatui::{DefaultTerminal, Frame};
 
-use super::{STRIPS, Sample, Shot};
+use super::{STRIPS, Sample, Shot, number};
 use crate::picture::Signs;
 use crate::trigger::Trigger;
 
@@ -180,7 +180,7 @@ fn chart(shot: &Shot, strip: usize, axis: &Axis, signs: Signs, frame: &mut Frame
         Layout::horizontal([Constraint::Length(LABEL_COLUMNS), Constraint::Min(1)]).areas(below);
     let newest = shot.samples.back().map_or(f64::NAN, |s| s.values[strip]);
     let level = level(shot.around.trigger, strip);
-    let words = format!("{}, now {newest:.4}", STRIPS[strip].0);
+    let words = format!("{}, now {}", STRIPS[strip].0, number(newest));
     let quiet = Style::new().add_modifier(Modifier::DIM);
     frame.render_widget(Line::styled(words, quiet), title);
     let way = axis.way(shot, strip);
@@ -191,14 +191,15 @@ fn chart(shot: &Shot, strip: usize, axis: &Axis, signs: Signs, frame: &mut Frame
         return;
     }
     let mut numbers = vec![Line::default(); usize::from(labels.height)];
-    if let Some(last) = numbers.last_mut() {
-        *last = Line::from(format!("{low:>10.4}"));
-    }
-    if let Some(first) = numbers.first_mut() {
-        *first = Line::from(format!("{high:>10.4}"));
+    let last = numbers.len().saturating_sub(1);
+    // A number that does not change lies in the middle.
+    let places = if low < high { [last, 0] } else { [last / 2; 2] };
+    for (place, number) in places.into_iter().zip([low, high]) {
+        if let Some(line) = numbers.get_mut(place) {
+            *line = Line::from(format!("{number:>10.4}"));
+        }
     }
     frame.render_widget(Paragraph::new(numbers), labels);
-    // A number that does not change lies in the middle.
     let pad = 0.02 * (high - low).max(1e-9 * high.abs()).max(f64::MIN_POSITIVE);
     let (low, high) = (low - pad, high + pad);
     let line = |context: &mut Context<'_>, sign, from: (f64, f64), to: (f64, f64), color| {
@@ -310,6 +311,21 @@ mod tests {
             .find(|line| line.contains("mode "))
             .expect("modes");
         assert!((60..69).contains(&modes.matches('T').count()), "{page}");
+    }
+
+    #[test]
+    fn what_does_not_change_has_one_number_and_what_is_none_has_a_dash() {
+        let mut shot = shot(0);
+        let record = Telemetry {
+            position_error_m: f64::NAN,
+            ..Telemetry::default()
+        };
+        shot.take(&record, false);
+        let lines = drawn(&shot, 80, 24, Signs::Ascii);
+        let page = lines.join("\n");
+        assert!(page.contains("error [mm], now -\n"), "{page}");
+        let labels = lines.iter().filter(|line| line.starts_with("    4.0000"));
+        assert_eq!(labels.count(), 1, "{page}");
     }
 
     #[test]
