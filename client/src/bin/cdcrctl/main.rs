@@ -15,6 +15,7 @@ mod feed;
 mod hz;
 mod incidents;
 mod interrupt;
+mod keys;
 mod known_obstacles;
 mod obstacle;
 mod picture;

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::process::Stdio;
 use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, RequestKind};
@@ -15,14 +16,15 @@ use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
 /// A terminal, and where keys go.
 struct Terminal {
     keys: File,
-    /// What it shows.
-    shown: Arc<Mutex<vt100::Parser>>,
+    /// What it shows; none, once it is closed.
+    shown: Arc<Mutex<Option<vt100::Parser>>>,
+    reader: JoinHandle<()>,
 }
 
 impl Terminal {
     /// With a side for the program.
     fn new(columns: u16, rows: u16) -> (Self, File) {
-        let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         grantpt(&ours).unwrap();
         unlockpt(&ours).unwrap();
         let name = ptsname(&ours, Vec::new()).unwrap();
@@ -37,22 +39,34 @@ impl Terminal {
         };
         tcsetwinsize(&ours, size).unwrap();
         let keys = File::from(ours);
-        let shown = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
+        let shown = Arc::new(Mutex::new(Some(vt100::Parser::new(rows, columns, 0))));
         let (mut screen, heard) = (keys.try_clone().unwrap(), Arc::clone(&shown));
-        std::thread::spawn(move || {
+        let reader = std::thread::spawn(move || {
             let mut bytes = [0; 4096];
             loop {
                 match screen.read(&mut bytes) {
-                    Ok(count) if count > 0 => {
-                        heard.lock().unwrap().process(&bytes[..count]);
-                    }
+                    Ok(count) if count > 0 => match &mut *heard.lock().unwrap() {
+                        Some(shown) => shown.process(&bytes[..count]),
+                        None => return,
+                    },
                     Err(error) if error.kind() == ErrorKind::Interrupted => {}
                     // The last program that had it has ended.
                     _ => return,
                 }
             }
         });
-        (Self { keys, shown }, theirs)
+        let terminal = Self {
+            keys,
+            shown,
+            reader,
+        };
+        (terminal, theirs)
+    }
+
+    /// As when its window is closed; whatever is on the screen draws again.
+    fn close(self) {
+        *self.shown.lock().unwrap() = None;
+        self.reader.join().unwrap();
     }
 
     fn press(&mut self, key: &str) {
@@ -65,9 +79,14 @@ impl Terminal {
 
     fn wait_until(&self, what: &str, is_it: impl Fn(&vt100::Screen) -> bool) {
         let begin = Instant::now();
-        while !is_it(self.shown.lock().unwrap().screen()) {
-            let shown = self.shown.lock().unwrap().screen().contents();
-            assert!(begin.elapsed() < TIMEOUT, "{what}:\n{shown}");
+        loop {
+            let shown = self.shown.lock().unwrap();
+            let screen = shown.as_ref().unwrap().screen();
+            if is_it(screen) {
+                return;
+            }
+            assert!(begin.elapsed() < TIMEOUT, "{what}:\n{}", screen.contents());
+            drop(shown);
             std::thread::sleep(Duration::from_millis(10));
         }
     }
@@ -138,6 +157,22 @@ fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
     terminal.wait_for("another daemon began");
     terminal.press("q");
     assert_eq!(top.wait(String::new).code(), Some(0));
+}
+
+#[test]
+fn a_terminal_that_is_closed_ends_what_is_on_it() {
+    let daemon = Daemon::start("");
+    for (line, words, code) in [
+        ("top", "side x, z", 0),
+        ("scope --trigger mode -o mode.mcap", "waiting for mode", 130),
+    ] {
+        let (terminal, theirs) = Terminal::new(100, 30);
+        let line: Vec<_> = line.split(' ').collect();
+        let mut shown = shown(&daemon, &theirs, &line);
+        terminal.wait_for(words);
+        terminal.close();
+        assert_eq!(shown.wait(String::new).code(), Some(code), "{line:?}");
+    }
 }
 
 #[test]

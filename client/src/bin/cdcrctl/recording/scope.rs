@@ -1,16 +1,17 @@
 mod screen;
 
 use std::collections::VecDeque;
-use std::io::{IsTerminal as _, Write, stdin, stdout};
+use std::io::{self, ErrorKind, IsTerminal as _, Write, stdin, stdout};
 use std::time::Duration;
 
+use anyhow::Context as _;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
-use ratatui::crossterm::event::{self, Event};
 
 use super::record::{Around, Task, Watch, record};
 use crate::Done;
 use crate::args::{ScopeOptions, Target};
+use crate::keys::{self, Keys};
 use crate::top;
 use crate::trigger::Trigger;
 use screen::Screen;
@@ -29,6 +30,7 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
         shot: Shot::new(around),
         on_terminal: stdout().is_terminal() && stdin().is_terminal(),
         screen: None,
+        keys: Keys::default(),
     };
     let task = Task {
         output: options.output.as_deref(),
@@ -48,6 +50,7 @@ struct Scope {
     shot: Shot,
     on_terminal: bool,
     screen: Option<Screen>,
+    keys: Keys,
 }
 
 impl Watch for Scope {
@@ -66,15 +69,20 @@ impl Watch for Scope {
             Some(screen) => screen,
             none => none.insert(Screen::begin()?),
         };
-        screen.show(&self.shot)?;
-        while event::poll(Duration::ZERO)? {
-            if let Event::Key(key) = event::read()?
-                && top::quits(&key)
-            {
-                return Ok(true);
+        let mut is_quit = || -> io::Result<bool> {
+            keys::drawn(screen.show(&self.shot))?;
+            while let Some(key) = self.keys.next_within(Duration::ZERO)? {
+                if top::quits(&key) {
+                    return Ok(true);
+                }
             }
+            Ok(false)
+        };
+        match is_quit() {
+            // Nobody can press a key any more.
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(true),
+            quit => quit.context("the terminal"),
         }
-        Ok(false)
     }
 
     fn end(&mut self) {

@@ -14,11 +14,12 @@ use anyhow::{Context as _, ensure};
 use cdcr_client::{Connection, LinkError, TelemetryStream};
 use cdcr_shared_types::codes::RequestKind;
 use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use crate::Done;
 use crate::args::{Target, TopOptions};
 use crate::interrupt::Interrupt;
+use crate::keys::{self, Keys};
 use crate::picture::Signs;
 use asker::Asker;
 use panels::Screen;
@@ -68,8 +69,10 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
     let mut terminal = ratatui::try_init().context("the terminal")?;
     let every = Duration::from_secs(1) / u32::from(options.rate);
     let watched = top.watch(&mut terminal, every, &interrupt);
-    ratatui::try_restore().context("the terminal")?;
-    watched
+    let restored = ratatui::try_restore().context("the terminal");
+    // One that was closed cannot be given back.
+    let done = watched?;
+    restored.map(|()| done)
 }
 
 struct Top<'a> {
@@ -92,21 +95,21 @@ impl Top<'_> {
         every: Duration,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Done> {
+        let mut keys = Keys::default();
         loop {
             let begun = Instant::now();
             self.listen()?;
-            terminal.draw(|frame| self.screen().draw(frame))?;
+            keys::drawn(terminal.draw(|frame| self.screen().draw(frame)))?;
             // Each key at once, and the next picture when it is due.
             loop {
+                let key = keys.next_within(every.saturating_sub(begun.elapsed()))?;
                 if interrupt.is_raised() {
                     return Ok(Done::Interrupted);
                 }
-                if !event::poll(every.saturating_sub(begun.elapsed()))? {
+                let Some(key) = key else {
                     break;
-                }
-                if let Event::Key(key) = event::read()?
-                    && let Some(action) = action(&key)
-                {
+                };
+                if let Some(action) = action(&key) {
                     if action == Action::Quit {
                         return Ok(Done::Good);
                     }

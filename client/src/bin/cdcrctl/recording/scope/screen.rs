@@ -1,5 +1,6 @@
 //! The charts of `scope` while it waits and while what comes after is recorded.
 
+use std::io;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -42,7 +43,7 @@ impl Screen {
     }
 
     /// Draws what was seen, if the last picture is old enough.
-    pub(super) fn show(&mut self, shot: &Shot) -> anyhow::Result<()> {
+    pub(super) fn show(&mut self, shot: &Shot) -> io::Result<()> {
         if self.drawn.is_none_or(|drawn| drawn.elapsed() >= EVERY) {
             let signs = self.signs;
             self.terminal.draw(|frame| draw(shot, signs, frame))?;
