@@ -102,7 +102,7 @@ fn sentence(
     match limit {
         Limit::Nothing => format!("No deadline was missed{bare}."),
         Limit::Hypervisor => {
-            let took = steal.map(|steal| format!(": it took {steal} from the core of the loop"));
+            let took = steal.map(|steal| format!(": it took {steal} from a core"));
             let took = took.unwrap_or_default();
             format!("The hypervisor limits this machine{took}{bare}.")
         }
@@ -237,7 +237,7 @@ mod tests {
         let text = stolen(&[LateCause::Platform], 0).text;
         assert_eq!(
             text,
-            "The hypervisor limits this machine: it took 1.30 of 5.0 s from the core of the loop; a bare loop, \
+            "The hypervisor limits this machine: it took 1.30 of 5.0 s from a core; a bare loop, \
              without work, missed 3 of 100 deadlines."
         );
         let with_baseline = |baseline: Option<Baseline>| {
