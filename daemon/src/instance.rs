@@ -161,6 +161,8 @@ impl Drop for Instance {
         let locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
         // Otherwise it is another daemon's, which came when ours had been deleted.
         if is_file_at(&locked, &self.path) {
+            // What iceoryx2 leaves of killed clients.
+            stale::sweep(&self.location);
             remove_if_there(&self.path);
         }
     }
@@ -252,9 +254,27 @@ fn remove_if_there(path: &Path) {
 
 #[cfg(test)]
 mod tests {
+    use std::time::SystemTime;
+
     use cdcr_scratch::Scratch;
 
     use super::*;
+
+    #[test]
+    fn what_killed_clients_left_is_gone_after_the_end_and_what_is_new_stays() {
+        let folder = Scratch::in_memory().unwrap();
+        let location = Location::new("cdcrtest_left_", &folder.path().join("root")).unwrap();
+        let instance = Instance::claim(&location, "a", None).unwrap();
+        let [old, new] = ["old.connection", "new.connection"].map(|name| {
+            let name = location.file_prefix() + name;
+            location.root().join(name)
+        });
+        let ago = SystemTime::now() - Duration::from_mins(1);
+        File::create(&old).unwrap().set_modified(ago).unwrap();
+        File::create(&new).unwrap();
+        drop(instance);
+        assert!(!old.exists() && new.exists());
+    }
 
     #[test]
     fn a_link_in_the_place_of_the_lock_file_is_not_followed() {

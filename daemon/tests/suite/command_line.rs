@@ -45,7 +45,12 @@ fn options_win_over_defaults_and_are_checked() {
         "check", "--robot", "trunk", "--prefix", "lab_", "--root", "/tmp/lab",
     ]);
     let text = printed(&good);
-    for part in ["trunk", "lab_", "/tmp/lab", "3 sections"] {
+    for part in [
+        "trunk (simulated)",
+        "section 3 ",
+        "kpso-refined",
+        "lab_ below /tmp/lab",
+    ] {
         assert!(text.contains(part), "{part}: {text}");
     }
     let text = refused(&cdcrd(&["check", "--prefix", "a b"]));

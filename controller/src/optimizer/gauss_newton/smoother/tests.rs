@@ -173,7 +173,7 @@ impl Linear {
     }
 
     /// No step in the box ±1 costs less than this. With forces y ≥ 0 at will, here those of s y = `mu`, the square of a broken constraint v
-    /// is at least -2 y v - y², and a convex function lies above its tangent at `step`.
+    /// is at least -2 y v - y², and what is left lies above its tangent at `step` and the squares of damping and weight.
     fn bound(&self, damping: f64, z: &[f64], step: &[f64], mu: f64) -> f64 {
         let own = z.iter().zip(step);
         let mut gradient: Vec<f64> = own
@@ -199,9 +199,11 @@ impl Linear {
                 *sum += force * derivative;
             }
         }
+        let square = damping + self.weight;
         for ((gradient, z), step) in gradient.iter().zip(z).zip(step) {
-            let farthest = if *gradient > 0.0 { -1.0 - z } else { 1.0 - z };
-            bound += 2.0 * gradient * (farthest - step);
+            let at = z + step;
+            let change = (-gradient / square).clamp(-1.0 - at, 1.0 - at);
+            bound += (2.0 * gradient + square * change) * change;
         }
         bound
     }
