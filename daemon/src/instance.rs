@@ -254,8 +254,6 @@ fn remove_if_there(path: &Path) {
 
 #[cfg(test)]
 mod tests {
-    use std::time::SystemTime;
-
     use cdcr_scratch::Scratch;
 
     use super::*;
@@ -269,8 +267,9 @@ mod tests {
             let name = location.file_prefix() + name;
             location.root().join(name)
         });
-        let ago = SystemTime::now() - Duration::from_mins(1);
-        File::create(&old).unwrap().set_modified(ago).unwrap();
+        let made = File::create(&old).unwrap();
+        let now = made.metadata().unwrap().modified().unwrap();
+        made.set_modified(now - Duration::from_mins(1)).unwrap();
         File::create(&new).unwrap();
         drop(instance);
         assert!(!old.exists() && new.exists());

@@ -121,14 +121,15 @@ impl Watch {
             let (begin_ns, end_ns) = counted
                 .get()
                 .map_or((u64::MAX, u64::MAX), |counted| (counted.start, counted.end));
+            // Before the first of them is read: whoever is held up at the beginning loses those, too.
+            if lost_before.is_none() && begin_ns != u64::MAX {
+                lost_before = Some(self.telemetry.lost());
+            }
             let wanted = (monotonic_ns() + early_ns - self.origin_ns) / self.period_ns + 1;
             let release_ns = self.origin_ns + wanted * self.period_ns;
             sleep_until(release_ns - early_ns);
             self.catch(wanted, release_ns + self.period_ns - 2 * early_ns)?;
             self.drain(begin_ns..end_ns)?;
-            if lost_before.is_none() && begin_ns != u64::MAX {
-                lost_before = Some(self.telemetry.lost());
-            }
             let idle_ns = monotonic_ns() - opened_ns;
             let has_begun = begin_ns != u64::MAX || idle_ns < BEGIN_NS;
             ensure!(

@@ -250,8 +250,8 @@ impl ModeWatch {
             Ok(())
         } else {
             Err(format!(
-                "cycle {cycle}: from {from:?} to {to:?} with the requests {kinds:?}, lost records: {}",
-                !is_whole
+                "cycle {cycle}: from {from:?} to {to:?} with the requests {kinds:?} of gather {}, lost records: {}; accepted after it: {:?}",
+                change.gather, !is_whole, self.accepted
             ))
         }
     }
