@@ -1,7 +1,7 @@
 //! Reads every record, every command and every status with a connection of its own, and holds each to the
 //! invariants.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,6 +19,8 @@ use crate::chaos::{CheckResult, ensure};
 pub(crate) struct View {
     newest: Mutex<Option<Box<Telemetry>>>,
     has_seen_enough: AtomicBool,
+    /// So often `cdcrctl stop` was started.
+    stops: AtomicU64,
     duration: Duration,
 }
 
@@ -28,6 +30,7 @@ impl View {
         Self {
             newest: Mutex::default(),
             has_seen_enough: AtomicBool::new(false),
+            stops: AtomicU64::new(0),
             duration,
         }
     }
@@ -39,6 +42,11 @@ impl View {
 
     pub(crate) fn has_seen_enough(&self) -> bool {
         self.has_seen_enough.load(Ordering::Relaxed)
+    }
+
+    /// To be called before `cdcrctl stop` is started.
+    pub(crate) fn count_stop(&self) {
+        self.stops.fetch_add(1, Ordering::Relaxed);
     }
 
     fn show(&self, record: &Telemetry) {
@@ -100,6 +108,8 @@ impl<'a> Checker<'a> {
 
     fn drain(&mut self) -> CheckResult {
         let lost = |error: cdcr_client::LinkError| error.to_string();
+        let stops = self.view.stops.load(Ordering::Relaxed);
+        self.records.may_have_signals(stops);
         while let Some(record) = self.telemetry.try_next().map_err(lost)? {
             self.records.check(&record)?;
             self.view.show(&record);

@@ -168,6 +168,9 @@ pub(crate) struct ModeWatch {
     records: u64,
     /// Number of the record that was the last to have a gap before it.
     gap: Option<u64>,
+    /// Stops that no record tells a request of, and how many there may be: `cdcrctl stop` sends a signal where its answer comes late.
+    signals: u64,
+    signals_max: u64,
 }
 
 /// Records that a change waits for its events. A daemon that comes out of a stall reports at most 24 of each record.
@@ -199,6 +202,11 @@ impl ModeWatch {
             self.judge_oldest()?;
         }
         Ok(())
+    }
+
+    /// So often `cdcrctl stop` has been started.
+    pub(crate) fn may_have_signals(&mut self, most: u64) {
+        self.signals_max = most;
     }
 
     /// Judges what still waits.
@@ -246,7 +254,11 @@ impl ModeWatch {
         } else {
             some_cycles_lead(from, to)
         };
+        let is_signal = one_cycle_leads(from, to, &[RequestKind::Stop]);
         if leads {
+            Ok(())
+        } else if is_signal && self.signals < self.signals_max {
+            self.signals += 1;
             Ok(())
         } else {
             Err(format!(
@@ -311,5 +323,23 @@ mod tests {
         };
         assert_eq!(verdict(true), Ok(()));
         assert!(verdict(false).is_err());
+    }
+
+    #[test]
+    fn a_signal_stops_as_often_as_one_may_have_been_sent() {
+        let verdict = |most: u64| {
+            let mut watch = ModeWatch::default();
+            watch.may_have_signals(most);
+            watch.look(&record(1, HOLDING), true).unwrap();
+            watch.look(&record(2, STOPPED), true).unwrap();
+            watch.finish()
+        };
+        assert!(verdict(0).is_err());
+        assert_eq!(verdict(1), Ok(()));
+        let mut watch = ModeWatch::default();
+        watch.may_have_signals(1);
+        watch.look(&record(1, STOPPED), true).unwrap();
+        watch.look(&record(2, HOLDING), true).unwrap();
+        assert!(watch.finish().is_err(), "it resets nothing");
     }
 }

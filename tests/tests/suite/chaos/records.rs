@@ -128,6 +128,11 @@ impl Records {
         Ok(())
     }
 
+    /// So often `cdcrctl stop` has been started.
+    pub(crate) fn may_have_signals(&mut self, most: u64) {
+        self.modes.may_have_signals(most);
+    }
+
     /// The newest record.
     pub(crate) fn newest(&self) -> Option<&Telemetry> {
         self.before.as_deref()

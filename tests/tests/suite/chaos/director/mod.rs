@@ -198,6 +198,9 @@ impl<'a> Director<'a> {
             _ => "status",
         };
         if self.dice.chance(15) && command != "status" {
+            if kind == RequestKind::Stop {
+                self.view.count_stop();
+            }
             self.crowd.start(self.daemon.place(), &[command]);
             return;
         }
