@@ -62,14 +62,15 @@ pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
 /// Takes the lease and lets the robot follow. One behind a driver is measured meanwhile: the daemon takes silence for a fault.
 pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<ReferenceFeed> {
     let connection = &hands.connection;
-    let measure = || measurement.map_or(Ok(()), |source| source.send(0, None, None).map(|_| ()));
     connection.request(RequestKind::AcquireLease)?;
     let feed = connection.reference_feed()?;
     send(&feed, on_circle(0, hands.length_m()))?;
     let deadline = Instant::now() + TIMEOUT;
     loop {
         interrupt::check()?;
-        measure()?;
+        if let Some(source) = measurement {
+            source.send(0, None, None)?;
+        }
         match connection.request(RequestKind::Track) {
             Ok(_) => return Ok(feed),
             // The reference comes with the next gather.
