@@ -20,9 +20,7 @@ const DIP_M: f64 = 1e-3;
 pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckResult {
     let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
     let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
-    let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
-    let is_ramp = !moves_on.contains(&record.mode);
-    let lack_m = if is_ramp { DIP_M + 1e-6 } else { 0.0 };
+    let lack_m = if is_ramp(record) { DIP_M + 1e-6 } else { 0.0 };
     check_at(robot, record, &rates, [period_s; 2], lack_m, TOLERANCE_M)?;
     let fastest = rates
         .as_slice()
@@ -47,6 +45,12 @@ pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckRe
         lack_m,
         DIP_M,
     )
+}
+
+/// Whether the robot is on its way to rest, or rests.
+pub(crate) fn is_ramp(record: &Telemetry) -> bool {
+    let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
+    !moves_on.contains(&record.mode)
 }
 
 /// The same when the robot has gone for `way_s` at its rates, after `time_s`. From an obstacle that stands, `lack_m` less than the

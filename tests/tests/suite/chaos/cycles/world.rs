@@ -82,7 +82,8 @@ impl World {
             kind_of_answer: None,
             stop_asked: false,
             sequence: 0,
-            records: Records::new(robot.clone(), period_ns, ORIGIN_NS),
+            records: Records::new(robot.clone(), period_ns, ORIGIN_NS)
+                .with_play(config.actuator.play_m > 0.0),
             dice,
         }
     }
@@ -370,7 +371,7 @@ fn configuration(dice: &mut Dice) -> String {
     let mut text = format!(
         "[link]\nkind = \"driver\"\ninterface = \"{}\"\ncommand_valid_ms = {}\n\
          [cycle]\nmiss_limit = {}\n\
-         [actuator]\ndelay_ms = {}\ntime_constant_ms = {}\n\
+         [actuator]\ndelay_ms = {}\ntime_constant_ms = {}\nplay_m = {}\n\
          [motion]\ndeceleration_rad_s2 = {:.2}\nacceleration_rad_s2 = {:.2}\n\
          [robot]\ncable_speed_max_m_s = {:.3}\ncable_stroke_max_m = {:.3}\n",
         dice.pick(&["velocity", "position"]),
@@ -378,6 +379,7 @@ fn configuration(dice: &mut Dice) -> String {
         dice.pick(&["0", "1000000"]),
         dice.pick(&["0.0", "30.0"]),
         dice.pick(&["0.0", "20.0", "100.0"]),
+        dice.pick(&["0.0", "0.0004", "0.01"]),
         dice.between(5.0, 60.0),
         dice.between(10.0, 80.0),
         dice.between(0.03, 0.2),
