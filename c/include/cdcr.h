@@ -178,7 +178,7 @@ int cdcr_driver_rates_at(CdcrDriver *driver, uint64_t now_ns, CdcrRates *rates);
  * command. */
 int cdcr_driver_position_at(CdcrDriver *driver, uint64_t now_ns, CdcrPosition *position);
 
-/* Rests until the next command, whose position is then taken as it is: for motors whose torque was off. Call it after the
+/* Rests until the next command, which is then a first one again, held to what was sent last: for motors whose torque was off. Call it after the
  * reset. */
 int cdcr_driver_forget(CdcrDriver *driver);
 

@@ -179,7 +179,7 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_BUSY = 17, /* too many requests at once */
     CDCR_OUTCOME_STALE = 18, /* the message is older than one already seen */
     CDCR_OUTCOME_WRONG_ROBOT = 19, /* the message belongs to another robot */
-    CDCR_OUTCOME_OVERRULED = 20, /* a stop came in the same cycle */
+    CDCR_OUTCOME_OVERRULED = 20, /* the robot was stopped after this was asked */
     CDCR_OUTCOME_ENDING = 21, /* the daemon ends */
     CDCR_OUTCOME_WRONG_INTERFACE = 22, /* the driver's interface is not that of the configuration (link.interface) */
     CDCR_OUTCOME_OTHER_DRIVER = 23, /* another driver has the robot */

@@ -3,6 +3,7 @@ mod commanded;
 mod follower;
 mod refusal;
 
+use std::cell::Cell;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -61,6 +62,8 @@ pub struct Driver {
     measurements: Outlet<Measurement>,
     commands: CommandStream,
     follower: CommandFollower,
+    /// What was sent last of bends or cables.
+    measured: Cell<Option<Measurement>>,
 }
 
 /// What [`Driver::update`] found.
@@ -129,6 +132,7 @@ impl Driver {
             measurements: Outlet::open(measurement, sender)?,
             commands: Stream::open_kept(command)?,
             follower: CommandFollower::new(robot, interface),
+            measured: Cell::new(None),
         })
     }
 
@@ -142,6 +146,9 @@ impl Driver {
     /// # Errors
     /// When iceoryx2 fails.
     pub fn send(&self, measurement: Measurement) -> Result<Header, LinkError> {
+        if self.measured.get().is_none() || measurement.kind != MeasurementKind::TipPose.code() {
+            self.measured.set(Some(measurement));
+        }
         self.measurements.send(Measurement {
             interface: self.interface.code(),
             ..measurement
@@ -166,13 +173,22 @@ impl Driver {
         })
     }
 
-    /// Takes every command that waits, oldest first, and says what is new. Never blocks.
+    /// Takes every command that waits, oldest first, and says what is new. Never blocks. A driver that obeys positions takes none
+    /// before it has sent a measurement, and a first one only where that says the robot is.
     ///
     /// # Errors
     /// When iceoryx2 fails. A refused command is no error.
     pub fn update(&mut self) -> Result<DriverUpdate, LinkError> {
         let mut update = DriverUpdate::default();
+        let measured = self.measured.get();
+        if let Some(measured) = &measured {
+            self.follower.tell_measured(measured);
+        }
+        let is_blind = self.interface == Interface::Position && measured.is_none();
         while let Some(command) = self.commands.try_next()? {
+            if is_blind {
+                continue;
+            }
             update.take(&mut self.follower, &command, monotonic_ns());
         }
         Ok(update)

@@ -55,7 +55,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::Ending => "The daemon is coming to rest and ends; start it again first.",
         Outcome::Overruled => {
-            "Another client stopped the robot at the same moment: find out why, then cdcrctl reset, and repeat the request."
+            "A stop, or a fault, came after this was asked: find out why (cdcrctl status), then cdcrctl reset, and repeat the request."
         }
     }
 }

@@ -147,7 +147,7 @@ impl Control {
             let answer = self.ask_once(kind, request, deadline)?;
             let is_over = Instant::now() >= deadline;
             if let Some(response) = answer
-                && (is_over || !comes_too_early(&response, was_unanswered))
+                && (is_over || !comes_too_early(kind, &response, was_unanswered))
             {
                 return evaluate(kind, response);
             }
@@ -196,11 +196,12 @@ impl Control {
 
 /// Whether the same request can be granted a moment later. A daemon that was started again refuses every request about
 /// the mode until it has heard of its robot; and one that stood still refuses what waited for it for long, because it
-/// does not know that the client still waits.
-fn comes_too_early(response: &Response, was_unanswered: bool) -> bool {
+/// does not know that the client still waits. But a stop may have come meanwhile: a reset that is from before it is not asked again.
+fn comes_too_early(kind: RequestKind, response: &Response, was_unanswered: bool) -> bool {
     let is = |outcome: Outcome| response.outcome == outcome.code();
     let is_starting = response.mode == Mode::Starting.code();
-    is(Outcome::Stale) || (was_unanswered && is_starting && is(Outcome::WrongMode))
+    (kind != RequestKind::Reset && is(Outcome::Stale))
+        || (was_unanswered && is_starting && is(Outcome::WrongMode))
 }
 
 fn evaluate(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
@@ -242,6 +243,17 @@ mod tests {
     }
 
     #[test]
+    fn a_reset_that_the_daemon_found_too_old_is_not_asked_again() {
+        let stale = Response {
+            outcome: Outcome::Stale.code(),
+            mode: Mode::Stopped.code(),
+            ..Response::default()
+        };
+        assert!(comes_too_early(RequestKind::Home, &stale, true));
+        assert!(!comes_too_early(RequestKind::Reset, &stale, true));
+    }
+
+    #[test]
     fn the_remedy_for_a_wrong_mode_fits_the_mode() {
         for (kind, mode, remedy) in [
             (RequestKind::Track, Mode::Homing, "cdcrctl hold"),
@@ -278,7 +290,7 @@ mod tests {
         ] {
             let response = response(outcome, mode);
             assert_eq!(
-                comes_too_early(&response, was_unanswered),
+                comes_too_early(RequestKind::Home, &response, was_unanswered),
                 again,
                 "{outcome} {mode}"
             );

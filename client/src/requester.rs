@@ -87,12 +87,18 @@ impl Requester {
 
     /// Stops the robot, by whatever way there is: a place of its own among those who ask, and where shared memory
     /// cannot be used or nobody answers within 0.2 s, the signal `SIGUSR1`, too. After that it asks for up to 1 s more,
-    /// for an answer that confirms it.
+    /// for an answer that confirms it. Where no daemon runs, it waits for up to 1 s for one that is just started again.
     ///
     /// # Errors
     /// No daemon runs, or nothing confirmed the stop: then [`StopError`] says what was done.
     pub fn stop(location: &Location, robot: &str) -> Result<Response, StopError> {
-        let first = Self::ask_for_stop(location, robot, SIGNAL_AFTER);
+        let deadline = Instant::now() + TIMEOUT;
+        let mut first = Self::ask_for_stop(location, robot, SIGNAL_AFTER);
+        // A daemon that is just started again carries out what others asked of the one before.
+        while finds_no_daemon(&first) && Instant::now() < deadline {
+            thread::sleep(LOOK_AGAIN);
+            first = Self::ask_for_stop(location, robot, SIGNAL_AFTER);
+        }
         if is_answered(&first) {
             return first;
         }
@@ -141,6 +147,13 @@ fn is_answered(stop: &Result<Response, StopError>) -> bool {
     matches!(
         stop,
         Ok(_) | Err(StopError::Request(RequestError::Refused { .. }))
+    )
+}
+
+fn finds_no_daemon(stop: &Result<Response, StopError>) -> bool {
+    matches!(
+        stop,
+        Err(StopError::Connect(ConnectError::DaemonNotRunning { .. }))
     )
 }
 

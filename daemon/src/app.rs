@@ -33,6 +33,7 @@ use crate::rt::clock::MonotonicClock;
 use crate::rt::privileges::go_before_ordinary_tasks;
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
+use crate::rt::sys::take_signal;
 use crate::services;
 use crate::start::{self, Started, arm, end_signals, give_up};
 use crate::status_desk::StatusDesk;
@@ -350,6 +351,7 @@ fn spawn_cycle(
         let clock = MonotonicClock;
         shared.set_cycle_thread(this_thread());
         if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up(&clock)) {
+            take_signal(SIGUSR1, true);
             watch(&mut || {
                 run_cycles(
                     &mut cycle,

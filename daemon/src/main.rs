@@ -7,10 +7,14 @@ use anyhow::Result;
 use cdcr_daemon::cli::{Cli, execute};
 use cdcr_daemon::exit::ExitCause;
 use cdcr_daemon::log::Log;
+use cdcr_daemon::rt::sys::take_signal;
 use clap::Parser;
+use signal_hook::consts::SIGUSR1;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
+    // The cycle thread alone takes it: every other one can be kept from its core.
+    take_signal(SIGUSR1, false);
     let log = Log::start();
     let status = status_of(|| execute(cli), |message| log.say(message));
     log.end();

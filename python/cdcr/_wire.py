@@ -218,7 +218,7 @@ class Outcome(Code):
     WRONG_ROBOT = 19
     """The message belongs to another robot."""
     OVERRULED = 20
-    """A stop came in the same cycle."""
+    """The robot was stopped after this was asked."""
     ENDING = 21
     """The daemon ends."""
     WRONG_INTERFACE = 22

@@ -287,8 +287,8 @@ wire_enum! {
         Stale = 18: "the message is older than one already seen",
         /// A sections count is not the robot's.
         WrongRobot = 19: "the message belongs to another robot",
-        /// A stop came in the same cycle, and stop wins.
-        Overruled = 20: "a stop came in the same cycle",
+        /// A stop or a fault came after it was asked, or in the same cycle.
+        Overruled = 20: "the robot was stopped after this was asked",
         Ending = 21: "the daemon ends",
         /// The driver obeys positions and the daemon is configured for speeds, or the other way round.
         WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",

@@ -125,7 +125,7 @@ fn padded(bends: &Configuration) -> [f64; COORDINATES_MAX] {
     core::array::from_fn(|i| bends.as_slice().get(i).copied().unwrap_or(0.0))
 }
 
-/// What a machine that stalls, or a daemon that was killed, brings about. Everything else is a daemon that commands what
+/// What a machine that stalls, or a daemon or driver that was killed, brings about. Everything else is a daemon that commands what
 /// no robot may do.
 fn may_happen(refusal: &CommandRefusal) -> bool {
     matches!(
@@ -133,5 +133,6 @@ fn may_happen(refusal: &CommandRefusal) -> bool {
         CommandRefusal::Expired { .. }
             | CommandRefusal::NotNewer { .. }
             | CommandRefusal::OtherDaemon { .. }
+            | CommandRefusal::Elsewhere { .. }
     )
 }

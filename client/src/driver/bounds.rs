@@ -1,15 +1,15 @@
 //! The limits of a robot, as its driver holds a command to them.
 
-use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::{COORDINATES_MAX, SECTIONS_MAX};
-use cdcr_shared_types::{Command, RobotDescription, SectionDescription};
+use cdcr_shared_types::{Command, Measurement, RobotDescription, SectionDescription};
 
 use super::{CommandRefusal, CommandedPosition};
 
 /// What rounding may add to a rate or a speed, as a part of its limit.
 const ROUNDING: f64 = 1e-9;
 /// The daemon holds a robot that is measured so far beyond the limit of a bend, and commands where it is
-/// \[rad\]. A cable: this times the sum of the radii on its way.
+/// \[rad\]. A cable: this times the sum of the radii on its way. A first position is as near to what was measured.
 const BEND_TOLERANCE_RAD: f64 = 0.05;
 
 /// The sections that a description uses.
@@ -86,6 +86,35 @@ fn check_strokes(
                     stroke_m,
                     limit_m,
                 });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a first position that is not where the robot was measured.
+pub(super) fn check_near(
+    robot: &RobotDescription,
+    command: &Command,
+    measured: &Measurement,
+) -> Result<(), CommandRefusal> {
+    let near = |at: usize, way: f64, most: f64| {
+        let is_near = way.abs() <= most;
+        let elsewhere = CommandRefusal::Elsewhere { at, way, most };
+        if is_near { Ok(()) } else { Err(elsewhere) }
+    };
+    let mut tolerance_m = 0.0;
+    for (j, section) in sections(robot).iter().enumerate() {
+        tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
+        if measured.kind == MeasurementKind::Configuration.code() {
+            for i in 2 * j..2 * j + 2 {
+                let way_rad = command.bend_target_rad[i] - measured.bend_rad[i];
+                near(i, way_rad, BEND_TOLERANCE_RAD)?;
+            }
+        } else if measured.kind == MeasurementKind::CableLengths.code() {
+            for i in 3 * j..3 * j + 3 {
+                let way_m = command.cable_length_m[i] - measured.cable_length_m[i];
+                near(i, way_m, tolerance_m)?;
             }
         }
     }

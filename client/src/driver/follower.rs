@@ -1,5 +1,5 @@
 use cdcr_shared_types::codes::Interface;
-use cdcr_shared_types::{Command, RobotDescription};
+use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
 
@@ -13,6 +13,7 @@ pub struct CommandFollower {
     robot: RobotDescription,
     interface: Interface,
     present: Option<Present>,
+    measured: Option<Measurement>,
     refusals: u64,
 }
 
@@ -52,8 +53,15 @@ impl CommandFollower {
             robot: *robot,
             interface,
             present: None,
+            measured: None,
             refusals: 0,
         }
+    }
+
+    /// Tells what was measured last. A first position is held to it: motors that have stood elsewhere hold until a reset has
+    /// brought the commanded position to them. Without any measurement of bends or cables it is taken as it is.
+    pub fn tell_measured(&mut self, measurement: &Measurement) {
+        self.measured = Some(*measurement);
     }
 
     /// Takes a command that arrived at `now_ns`. One of another daemon is taken when that of the present one has run out.
@@ -113,7 +121,13 @@ impl CommandFollower {
                 late_ns: now_ns - command.valid_until_ns,
             });
         }
-        bounds::check(&self.robot, self.interface, command, standing)
+        bounds::check(&self.robot, self.interface, command, standing)?;
+        match (standing, &self.measured) {
+            (None, Some(measured)) if self.interface == Interface::Position => {
+                bounds::check_near(&self.robot, command, measured)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The target is reached in time, unless the robot would have to be faster than it may be: after commands that
@@ -161,7 +175,7 @@ impl CommandFollower {
         self.refusals
     }
 
-    /// Rests until the next command, whose position is then taken as it is. For motors whose torque was off: they are no
+    /// Rests until the next command, which is then a first one again. For motors whose torque was off: they are no
     /// longer where the last command led. To be called after the reset: until then the commands name the old position.
     pub fn forget(&mut self) {
         self.present = None;

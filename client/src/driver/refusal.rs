@@ -18,8 +18,8 @@ pub enum CommandRefusal {
     },
     /// The daemon means the other interface, or one that is not known.
     #[error(
-        "the command is for interface code {commanded} and this driver obeys the {} (set link.interface)",
-        driver.text()
+        "the daemon commands by {}, and this driver obeys the interface {driver}: set link.interface",
+        Interface::try_from(*commanded).map_or_else(|code| format!("an {code}"), |known| format!("the interface {known}"))
     )]
     Interface {
         /// Code in the command.
@@ -56,6 +56,19 @@ pub enum CommandRefusal {
         cycle: u64,
         /// By how much \[ns\].
         late_ns: u64,
+    },
+    /// The first position is not where the robot was measured.
+    #[error(
+        "the first position is not where the robot is measured: component {at} is {way} from it, and {most} is the most \
+         (rad, or m of a cable). Look at the robot, then cdcrctl reset"
+    )]
+    Elsewhere {
+        /// Component of the bends, or cable, whichever was measured.
+        at: usize,
+        /// How far its motor would go at once \[rad or m\].
+        way: f64,
+        /// How far it may \[rad or m\].
+        most: f64,
     },
     /// A section would bend too far.
     #[error("section {section} is commanded to bend by {bend_rad} rad, {limit_rad} is its limit")]

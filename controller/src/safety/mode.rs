@@ -154,8 +154,8 @@ pub enum Refusal {
     /// The robot has to wait, though nothing is broken: [`Observation::wait`].
     #[error("the robot has to wait")]
     Waits,
-    /// A stop came in the same cycle.
-    #[error("a stop came in the same cycle")]
+    /// A stop or a fault came after this was asked, or in the same cycle.
+    #[error("the robot was stopped after this was asked")]
     Overruled,
     /// The process ends.
     #[error("the process ends")]

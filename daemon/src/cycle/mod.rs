@@ -11,6 +11,7 @@ mod observation;
 mod own_costs;
 mod present_clearance;
 mod rehearsal;
+mod requests;
 mod state;
 mod unsent;
 mod warm_up;
@@ -20,17 +21,13 @@ use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
 use cdcr_controller::safety::{
-    Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
-    ramp_to_zero, safe_command,
+    Mode, ModeMachine, Reason, SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command,
 };
 
 use crate::accounting::Accounting;
 use crate::config::{Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts};
-use crate::handover::{
-    CycleAnswer, CycleInputs, CycleRecord, CycleRequest, Policy, REQUESTS_PER_CYCLE,
-    REQUESTS_WAITING, Settings,
-};
+use crate::handover::{CycleInputs, CycleRecord, CycleRequest, Policy, Settings};
 use crate::link::RobotLink;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
@@ -72,6 +69,8 @@ pub struct Cycle {
     last_gather: Option<u64>,
     /// Stops that were asked for when the last cycle ran.
     stops: u64,
+    /// Start of the last cycle that was asked to stop, or in which the robot was latched \[ns\].
+    latched_ns: u64,
     /// Time of cycles in a row that had no new inputs \[ns\].
     stale_ns: u64,
     /// A latched mode was left, and the robot has not come to rest since.
@@ -134,6 +133,7 @@ impl Cycle {
             settings_revision: 0,
             last_gather: None,
             stops: 0,
+            latched_ns: 0,
             clearance_m: f64::INFINITY,
             longest_gap_ns: 0,
             previous_release_ns: None,
@@ -168,7 +168,7 @@ impl Cycle {
     }
 
     /// Runs the cycle of `release`. Takes requests from `next_request` until it has no more, at most
-    /// [`REQUESTS_PER_CYCLE`].
+    /// [`REQUESTS_PER_CYCLE`](crate::handover::REQUESTS_PER_CYCLE).
     pub fn run(
         &mut self,
         release: Release,
@@ -193,10 +193,11 @@ impl Cycle {
         let reference = inputs.window.get(release.cycle);
         let seen = self.observe(measurement, &reference, inputs);
         let control_begins = self.control_begins;
-        let was_latched = self.modes.mode().is_latched();
+        let mode_before = self.modes.mode();
         self.modes.observe(&seen);
-        let answers = self.answer(next_request, inputs, &seen);
-        self.begin_control(was_latched);
+        self.note_latch(mode_before, &release);
+        let answers = self.answer(next_request, inputs, &seen, &release);
+        self.begin_control(mode_before.is_latched());
 
         let previous_rates = self.rates;
         let (configuration, present) = (*self.state.configuration(), *self.state.present());
@@ -219,6 +220,7 @@ impl Cycle {
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
         let safe = self.make_safe(&desired_rates, comes_to_rest);
+        self.note_latch(mode_before, &release);
         self.clearance_m = self.present_clearance_m(safe.clearance_m);
         self.rates = safe.rates;
         self.link
@@ -317,33 +319,6 @@ impl Cycle {
         let shapes = self.known_obstacles.iter();
         self.obstacles
             .extend(shapes.map(|known| known.obstacle.moved(lead_s)));
-    }
-
-    fn answer(
-        &mut self,
-        mut next_request: impl FnMut() -> Option<CycleRequest>,
-        inputs: &CycleInputs,
-        seen: &Observation,
-    ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
-        let stops = core::mem::replace(&mut self.stops, inputs.stops) != inputs.stops;
-        // What was asked before a stop must not be carried out after it.
-        let most = if stops {
-            REQUESTS_WAITING
-        } else {
-            REQUESTS_PER_CYCLE
-        };
-        let mut asked = [None; REQUESTS_WAITING];
-        asked[..most].fill_with(&mut next_request);
-        let requests = asked.map(|asked: Option<CycleRequest>| asked.map(|asked| asked.request));
-        let outcomes = self.modes.requests(&requests, stops, seen);
-        let mut answers = [None; REQUESTS_WAITING];
-        for (answer, (asked, outcome)) in answers.iter_mut().zip(asked.iter().zip(outcomes)) {
-            *answer = asked.map(|CycleRequest { ticket, .. }| CycleAnswer {
-                ticket,
-                outcome: outcome.unwrap_or(Err(Refusal::WrongMode)),
-            });
-        }
-        answers
     }
 
     /// After a latched mode was left, control begins anew. A robot that is still on its ramp goes on along it first, and motors

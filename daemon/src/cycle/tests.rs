@@ -16,7 +16,7 @@ mod unsent;
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_controller::safety::Request;
+use cdcr_controller::safety::{Refusal, Request};
 use nalgebra::Vector3;
 
 use super::*;

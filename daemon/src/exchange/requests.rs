@@ -117,7 +117,12 @@ impl Exchange {
     fn pass_on(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
         let ticket = self.requests.next_ticket;
         let ring = &mut self.ends.requests;
-        if self.requests.has_room() && ring.push(CycleRequest { ticket, request }).is_ok() {
+        let passed_on = CycleRequest {
+            ticket,
+            request,
+            asked_ns: asked.payload().header.sent_ns,
+        };
+        if self.requests.has_room() && ring.push(passed_on).is_ok() {
             self.requests.next_ticket += 1;
             self.requests.waiting.push((ticket, asked));
         } else {

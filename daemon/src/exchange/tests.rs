@@ -141,7 +141,11 @@ impl Rig {
             start_ns: release_ns,
             skipped: 0,
         };
-        let untold = request.map(|request| CycleRequest { ticket: 0, request });
+        let untold = request.map(|request| CycleRequest {
+            ticket: 0,
+            request,
+            asked_ns: release_ns,
+        });
         let mut request = self.ends.requests.pop().ok().or(untold);
         let (inputs, clock) = (self.ends.inputs.read(), &self.clock);
         let record = self.cycle.run(release, inputs, || request.take(), clock);

@@ -80,6 +80,8 @@ pub struct CycleRequest {
     /// Its ticket: the exchange finds the waiting client by it.
     pub ticket: u64,
     pub request: Request,
+    /// When its client sent it \[ns\].
+    pub asked_ns: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,6 +5,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::io;
+use std::mem::MaybeUninit;
 
 /// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99).
 ///
@@ -22,6 +23,23 @@ pub fn set_fifo(priority: i32) -> io::Result<()> {
     } else {
         Err(io::Error::last_os_error())
     }
+}
+
+/// Whether the calling thread, and those that it starts from now on, take `signal`. The kernel gives a signal of the process
+/// to one that does, preferably the main thread, and keeps it where none does.
+pub fn take_signal(signal: i32, takes: bool) {
+    let how = if takes {
+        libc::SIG_UNBLOCK
+    } else {
+        libc::SIG_BLOCK
+    };
+    let mut set = MaybeUninit::<libc::sigset_t>::uninit();
+    // SAFETY: `set` is memory for a set, which this call fills.
+    unsafe { libc::sigemptyset(set.as_mut_ptr()) };
+    // SAFETY: `set` is a set since the call before.
+    unsafe { libc::sigaddset(set.as_mut_ptr(), signal) };
+    // SAFETY: `set` is a set, and only read; the old mask is not asked for.
+    unsafe { libc::pthread_sigmask(how, set.as_ptr(), std::ptr::null_mut()) };
 }
 
 /// Keeps freed memory in the process, so that no later allocation asks the kernel for pages.

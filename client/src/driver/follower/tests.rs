@@ -1,3 +1,4 @@
+use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Header, SectionDescription};
 
 use super::*;
@@ -55,6 +56,35 @@ fn command(interface: Interface, cycle: u64, u_rad: f64, rate_rad_s: f64) -> Com
 
 fn position(cycle: u64, u_rad: f64) -> Command {
     command(Interface::Position, cycle, u_rad, 0.0)
+}
+
+/// A driver that was started again while the robot was stopped, beside where it was commanded.
+#[test]
+fn a_first_position_that_is_not_where_the_robot_was_measured_is_refused() {
+    let mut of_bends = Measurement {
+        kind: MeasurementKind::Configuration.code(),
+        ..Measurement::default()
+    };
+    of_bends.bend_rad[0] = 0.5;
+    let mut of_cables = Measurement {
+        kind: MeasurementKind::CableLengths.code(),
+        ..Measurement::default()
+    };
+    of_cables.cable_length_m = position(1, 0.5).cable_length_m;
+    for measured in [of_bends, of_cables] {
+        let mut follower = CommandFollower::new(&robot(), Interface::Position);
+        follower.tell_measured(&measured);
+        let refused = follower.take(&position(1, 0.0), PERIOD_NS + 1);
+        let is_elsewhere = matches!(refused, Err(CommandRefusal::Elsewhere { at: 0, .. }));
+        assert!(is_elsewhere, "{refused:?}");
+        assert!(follower.position_at(PERIOD_NS).is_none(), "it holds");
+        // After the reset, beside what droop and offset make of it.
+        follower
+            .take(&position(2, 0.49), 2 * PERIOD_NS + 1)
+            .unwrap();
+        // What follows is held to the speed, not to the measurement.
+        follower.take(&position(3, 0.8), 3 * PERIOD_NS + 1).unwrap();
+    }
 }
 
 fn velocity(cycle: u64, rate_rad_s: f64) -> Command {
@@ -232,9 +262,9 @@ fn a_refused_command_changes_nothing_and_is_counted() {
         ),
         (
             with(|next| next.interface = 2),
-            "this driver obeys the velocity",
+            "commands by the interface position, and this driver obeys the interface velocity",
         ),
-        (with(|next| next.interface = 77), "interface code 77"),
+        (with(|next| next.interface = 77), "77"),
         (
             with(|next| next.target_ns = next.release_ns - 7),
             "7 ns before its release",

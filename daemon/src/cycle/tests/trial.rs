@@ -236,9 +236,11 @@ impl Trial {
         self.clock.now_ns.set(release.start_ns);
         let mut asked = self.asked.take();
         let next_request = || {
-            asked
-                .take()
-                .map(|request| CycleRequest { ticket: 1, request })
+            asked.take().map(|request| CycleRequest {
+                ticket: 1,
+                request,
+                asked_ns: release.start_ns,
+            })
         };
         let record = self
             .cycle

@@ -1,6 +1,7 @@
 //! Requests that a cycle decides.
 
-use cdcr_shared_types::codes::RequestKind;
+use cdcr_controller::safety::Mode;
+use cdcr_shared_types::codes::{Outcome, RequestKind};
 
 use super::homing;
 use crate::handover::CycleReport;
@@ -25,4 +26,32 @@ fn of_records_that_wait_together_a_request_names_the_cycle_that_decided_it() {
             .iter()
             .all(|later| handed_over_ns(later) > handed_over_ns(&reports[0]))
     );
+}
+
+/// The exchange stands still while a reset and a motion wait for it, and a signal stops the robot.
+#[test]
+fn what_was_asked_before_a_signal_is_not_carried_out_after_it() {
+    let mut rig = homing("");
+    rig.cycle.stop();
+    assert!(matches!(rig.run(3, None), Mode::Stopped { .. }));
+    let before = [RequestKind::Reset, RequestKind::Home].map(|kind| rig.ask(5, kind));
+    rig.cycle.stop();
+    rig.run(4, None);
+    rig.next_cycle = 5;
+    rig.measure(1, 1.5, 0);
+    rig.gather();
+    // One request a cycle, in this rig.
+    for cycle in [5, 6] {
+        assert!(matches!(rig.run(cycle, None), Mode::Stopped { .. }));
+    }
+    rig.publish();
+    for asked in before {
+        let answer = asked.receive().unwrap().unwrap();
+        assert_eq!(answer.payload().outcome, Outcome::Overruled.code());
+    }
+    let _after = rig.ask(5, RequestKind::Reset);
+    rig.next_cycle = 7;
+    rig.measure(1, 1.5, 0);
+    rig.gather();
+    assert!(matches!(rig.run(7, None), Mode::Holding { .. }));
 }

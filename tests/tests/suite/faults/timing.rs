@@ -273,6 +273,7 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
         let mut requests = vec![CycleRequest {
             ticket: 1,
             request: Request::Track { lease_number: 0 },
+            asked_ns: PERIOD_NS,
         }];
         let record = cycle.run(
             release,
@@ -322,6 +323,7 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
         let mut requests = vec![CycleRequest {
             ticket: 1,
             request: Request::Track { lease_number: 0 },
+            asked_ns: release_ns,
         }];
         requests.truncate(usize::from(number == 1));
         let record = cycle.run(

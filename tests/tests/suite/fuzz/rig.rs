@@ -155,7 +155,11 @@ impl Rig {
             return false;
         };
         if let Some(request) = convert::mode_request(kind, 0) {
-            self.requests.push_back(CycleRequest { ticket: 1, request });
+            self.requests.push_back(CycleRequest {
+                ticket: 1,
+                request,
+                asked_ns: u64::MAX,
+            });
             return true;
         }
         if kind != RequestKind::Settings {

@@ -11,7 +11,7 @@ use cdcr_tests::{
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
-use crate::faults::threads::Hung;
+use crate::faults::threads::{Hung, find_thread};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
 #[test]
@@ -57,6 +57,22 @@ fn a_signal_stops_a_moving_robot_and_latches() {
             }
         });
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
+    }
+}
+
+/// Another thread may be kept from its core, by a task of higher priority for example, and the signal with it.
+#[test]
+fn only_the_cycle_takes_the_signal() {
+    let daemon = Daemon::start(PATIENT);
+    let cycle = find_thread(daemon.id(), "cdcr-cycle").unwrap();
+    let tasks = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).unwrap();
+    for task in tasks.flatten().map(|task| task.path()) {
+        let status = std::fs::read_to_string(task.join("status")).unwrap();
+        let blocked = status.lines().find_map(|line| line.strip_prefix("SigBlk:"));
+        let blocked = u64::from_str_radix(blocked.unwrap().trim(), 16).unwrap();
+        let takes = blocked & (1 << (Signal::USR1.as_raw() - 1)) == 0;
+        let is_cycle = task.ends_with(cycle.to_string());
+        assert_eq!(takes, is_cycle, "{status}");
     }
 }
 

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{MeasurementState, Mode};
+use cdcr_shared_types::codes::{MeasurementState, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, paper_line, text, track, wait_mode, wait_record,
+    Daemon, PATIENT, Place, Program, TIMEOUT, paper_line, text, track, wait_mode, wait_record,
 };
 use rustix::process::Signal;
 
@@ -72,6 +72,48 @@ pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Comman
     drop((telemetry, connection));
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+}
+
+/// Its robot is straight again then, and the daemon commands the old position until a reset.
+#[test]
+fn a_position_driver_that_is_started_again_beside_a_stopped_robot_moves_nothing() {
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 1000.0\n\
+         command_valid_ms = 1000.0\n"
+    ));
+    let start = || Program::start(daemon.place().command("examples/driver").arg("position"));
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let example = start();
+    wait_mode(&mut telemetry, Mode::Holding);
+    let straight = wait_record(&mut telemetry, is_measured).measurement;
+    track(&connection, &paper_line(1.0));
+    connection
+        .request_within(RequestKind::Stop, TIMEOUT)
+        .unwrap();
+    example.signal(Signal::KILL);
+    wait_mode(&mut telemetry, Mode::Faulted);
+
+    let _again = start();
+    let mut stands = |mode: Mode| {
+        let first = wait_record(&mut telemetry, |record| {
+            record.mode == mode.code() && is_measured(record)
+        });
+        let last = wait_record(&mut telemetry, |record| {
+            record.cycle > first.cycle + u64::from(RESTING) && is_measured(record)
+        });
+        let at_m = last.measurement.cable_length_m;
+        assert_eq!(at_m, straight.cable_length_m, "{mode:?}");
+    };
+    stands(Mode::Faulted);
+    connection
+        .request_within(RequestKind::Reset, TIMEOUT)
+        .unwrap();
+    stands(Mode::Holding);
+}
+
+fn is_measured(record: &Telemetry) -> bool {
+    record.measurement_state == MeasurementState::Used.code()
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{
     Connection, FeedEnd, FeedError, FeedEvent, Line, LinkError, ObstacleSender, RequestError,
-    TelemetryStream, monotonic_ns,
+    Requester, StopError, TelemetryStream, monotonic_ns,
 };
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
@@ -343,6 +343,26 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
         old.wait_mode(Mode::Stopped, begin_ns);
         next.join().unwrap()
     });
+}
+
+#[test]
+fn a_stop_that_comes_while_no_daemon_runs_stops_the_one_that_is_just_started_again() {
+    let place = place(PATIENT);
+    drop(Life::begin(&place));
+    let next = thread::scope(|scope| {
+        let next = scope.spawn(|| {
+            thread::sleep(Duration::from_millis(200));
+            Life::begin(&place)
+        });
+        let stopped = Requester::stop(place.location(), ROBOT);
+        let is_sent = matches!(stopped, Ok(_) | Err(StopError::Unconfirmed { .. }));
+        assert!(is_sent, "{stopped:?}");
+        next.join().unwrap()
+    });
+    wait_status(&connect(&place), |status| {
+        status.mode == Mode::Stopped.code()
+    });
+    drop(next);
 }
 
 /// Measures a robot whose first section is bent by `bend_rad` every 2 ms; `commanded_by` is the daemon of the newest

@@ -165,7 +165,11 @@ impl World {
         let mut request = asked.and_then(|kind| convert::mode_request(kind, 0));
         let next_request = || {
             let request = request.take()?;
-            Some(CycleRequest { ticket: 1, request })
+            Some(CycleRequest {
+                ticket: 1,
+                request,
+                asked_ns: start_ns,
+            })
         };
         let record = self
             .cycle

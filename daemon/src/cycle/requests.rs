@@ -1,0 +1,55 @@
+//! What clients ask of a cycle, and what a stop overrules.
+
+use cdcr_controller::safety::{Mode, Observation, Refusal, Request};
+
+use super::Cycle;
+use crate::handover::{
+    CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE, REQUESTS_WAITING,
+};
+use crate::rt::schedule::Release;
+
+impl Cycle {
+    /// When a stop or a fault latched the robot.
+    pub(super) fn note_latch(&mut self, before: Mode, release: &Release) {
+        let now = self.modes.mode();
+        if now.is_latched() && now != before {
+            self.latched_ns = release.start_ns;
+        }
+    }
+
+    /// What was asked before a stop or a fault is not carried out after it, wherever it waited meanwhile.
+    pub(super) fn answer(
+        &mut self,
+        mut next_request: impl FnMut() -> Option<CycleRequest>,
+        inputs: &CycleInputs,
+        seen: &Observation,
+        release: &Release,
+    ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
+        let stops = core::mem::replace(&mut self.stops, inputs.stops) != inputs.stops;
+        if stops {
+            self.latched_ns = release.start_ns;
+        }
+        // Of those that wait, none stays behind.
+        let most = if stops {
+            REQUESTS_WAITING
+        } else {
+            REQUESTS_PER_CYCLE
+        };
+        let mut asked = [None; REQUESTS_WAITING];
+        asked[..most].fill_with(&mut next_request);
+        let latched_ns = self.latched_ns;
+        let is_in_time =
+            |asked: &CycleRequest| asked.request == Request::Stop || asked.asked_ns >= latched_ns;
+        let requests = asked
+            .map(|asked: Option<CycleRequest>| asked.filter(is_in_time).map(|asked| asked.request));
+        let outcomes = self.modes.requests(&requests, stops, seen);
+        let mut answers = [None; REQUESTS_WAITING];
+        for (answer, (asked, outcome)) in answers.iter_mut().zip(asked.iter().zip(outcomes)) {
+            *answer = asked.map(|CycleRequest { ticket, .. }| CycleAnswer {
+                ticket,
+                outcome: outcome.unwrap_or(Err(Refusal::Overruled)),
+            });
+        }
+        answers
+    }
+}
