@@ -271,7 +271,7 @@ impl Desk {
         let mut outbox = Outbox::new(connection.reference_feed()?);
         let mut telemetry = connection.telemetry()?;
         let lease = connection.acquire_lease().map_err(FeedError::from)?;
-        let mut renewed = Instant::now();
+        let mut renewed_ns = monotonic_ns();
         let mut followed = Followed::default();
         let _ = begun.send(true);
         loop {
@@ -283,14 +283,16 @@ impl Desk {
                     return until_it_holds(&self.address, &mut telemetry);
                 }
             }
-            self.listen(connection, &mut telemetry, &mut followed, &mut outbox)?;
+            let accepted_ns =
+                self.listen(connection, &mut telemetry, &mut followed, &mut outbox)?;
+            renewed_ns = renewed_ns.max(accepted_ns);
             self.send(&mut outbox)?;
             if self.track && !followed.asked && self.counts.accepted.load(Ordering::Relaxed) > 0 {
                 let asked = connection.request(RequestKind::Track);
                 asked.map_err(FeedError::from)?;
                 followed.asked = true;
             }
-            renew(&lease, &mut renewed)?;
+            renew(&lease, &mut renewed_ns)?;
         }
     }
 
@@ -308,14 +310,15 @@ impl Desk {
         Ok(())
     }
 
-    /// Reads all records that wait.
+    /// Reads all records that wait. Returns when the daemon last accepted a chunk, or 0.
     fn listen(
         &self,
         connection: &Connection,
         telemetry: &mut TelemetryStream,
         followed: &mut Followed,
         outbox: &mut Outbox,
-    ) -> Result<(), Failure> {
+    ) -> Result<u64, Failure> {
+        let mut accepted_ns = 0_u64;
         while let Some(record) = telemetry.try_next()? {
             for event in events(&record) {
                 if event.sender_id == connection.sender_id()
@@ -323,11 +326,12 @@ impl Desk {
                 {
                     outbox.hear(event.sequence);
                     self.judge(event)?;
+                    accepted_ns = accepted_ns.max(event.judged_ns);
                 }
             }
             followed.judge(&record)?;
         }
-        Ok(())
+        Ok(accepted_ns)
     }
 
     fn judge(&self, event: &InputEvent) -> Result<(), Failure> {
@@ -403,12 +407,13 @@ impl Followed {
     }
 }
 
-/// At a fifth of it, so that four renewals may come too late.
-fn renew(lease: &Lease<'_>, renewed: &mut Instant) -> Result<(), Failure> {
-    if renewed.elapsed() < lease.left() / 5 {
+/// At a fifth of it, so that four renewals may come too late. Each accepted chunk is one: a request waits for its answer, and points wait with it.
+fn renew(lease: &Lease<'_>, renewed_ns: &mut u64) -> Result<(), Failure> {
+    let now_ns = monotonic_ns();
+    if now_ns < *renewed_ns + lease.left().as_nanos() as u64 / 5 {
         return Ok(());
     }
-    *renewed = Instant::now();
     lease.renew().map_err(FeedError::from)?;
+    *renewed_ns = now_ns;
     Ok(())
 }
