@@ -176,8 +176,24 @@ def test_points_of_a_stream_wait_while_the_daemon_is_held_up(daemon: Daemon) -> 
             finally:
                 daemon.process.send_signal(signal.SIGCONT)
             # What waited meanwhile shares chunks.
-            eventually(lambda: 16 <= stream.accepted_chunks == stream.sent_chunks < 32)
+            eventually(lambda: 4 <= stream.accepted_chunks == stream.sent_chunks < 32)
             eventually(lambda: connection.status()["reference_points"] == 100)
+
+
+def test_points_that_come_at_once_share_chunks(daemon: Daemon) -> None:
+    """As single ones they would be all that may be under way, and the rest would wait for the daemon's words."""
+    with daemon.connect() as connection:
+        xyz = curve(connection.robot(), 1.0)[1]
+        with connection.stream(track=False) as stream:
+            daemon.process.send_signal(signal.SIGSTOP)
+            try:
+                for k in range(40):
+                    stream.send(30 + 0.005 * k, xyz[k])
+                time.sleep(0.1)
+                assert 1 <= stream.sent_chunks < 12
+            finally:
+                daemon.process.send_signal(signal.SIGCONT)
+            eventually(lambda: connection.status()["reference_points"] == 40)
 
 
 def test_a_stream_whose_chunks_are_accepted_does_not_renew_its_lease_by_requests(daemon: Daemon) -> None:
