@@ -48,7 +48,7 @@ step "what is generated is what is committed"
 (cd "$work" && cp "$here/generate.py" . && "$run" generate.py "$work/stubs" "$here" --check)
 
 step "types"
-"$run" -m mypy --config-file pyproject.toml cdcr examples measure.py
+"$run" -m mypy --config-file pyproject.toml cdcr examples tests/measure.py
 
 step "tests"
 cp -r tests "$work/tests"

@@ -46,12 +46,11 @@ def path(source: Source, *, seconds: float = 2.0, ax: Axes3D | None = None) -> A
         ax.plot(*body.T, color=str(shade), linewidth=3, solid_capstyle="round")
     ax.plot(*shown.reference_m.T, color="tab:orange", linewidth=3, alpha=0.6, label="reference")
     ax.plot(*shown.tip_m.T, color="tab:blue", linewidth=1, label="tip")
-    ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    ax.set_aspect("equal")
-    for axis in ("x", "y"):
-        # A robot is longer than wide: more numbers would lie over each other.
-        ax.locator_params(axis=axis, nbins=3)
-    ax.legend()
+    for axis, name in ((ax.xaxis, "x"), (ax.yaxis, "y"), (ax.zaxis, "z")):
+        axis.set_label_text(f"{name} [m]")
+        axis.labelpad = 8
+    _widen(ax)
+    ax.legend(loc="upper left")
     return ax
 
 
@@ -78,6 +77,16 @@ def timing(source: Source, *, seconds: float = 2.0, ax: Axes | None = None) -> A
     median_us, p99_us = np.percentile(took_us, [50, 99])
     ax.set(xlabel=f"{shown.took} [µs]", ylabel="cycles", title=f"median {median_us:.0f} µs, 99 % below {p99_us:.0f} µs, largest {took_us.max():.0f} µs")
     return ax
+
+
+def _widen(ax: Axes3D) -> None:
+    """A robot is longer than wide: the numbers of x and y have room where the box is 0.6 times as wide as tall."""
+    x, y, z = (np.array(limits()) for limits in (ax.get_xlim, ax.get_ylim, ax.get_zlim))
+    half = max(np.ptp(x), np.ptp(y), 0.6 * np.ptp(z)) / 2
+    ax.set(xlim=(x.mean() - half, x.mean() + half), ylim=(y.mean() - half, y.mean() + half))
+    for axis in ("x", "y"):
+        ax.locator_params(axis=axis, nbins=4)
+    ax.set_aspect("equal")
 
 
 def _axes(ax: Axes | None) -> Axes:

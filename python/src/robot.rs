@@ -1,5 +1,5 @@
-use std::panic::resume_unwind;
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 
 use cdcr_controller::robot::{
@@ -17,8 +17,10 @@ use crate::numbers::count;
 use crate::obstacle::{Obstacle, inner};
 use crate::settings::read;
 
-/// Configurations that are worth a thread of their own: a tenth of a millisecond and more.
-const ROWS_MIN: usize = 4096;
+/// Configurations that one thread computes before it takes the next ones.
+const BLOCK: usize = 1024;
+/// So many are not worth a second thread.
+const ALONE_MAX: usize = 4096;
 /// Of one shape: 2.4 MB.
 const BACKBONE_POINTS_MAX: u32 = 100_000;
 
@@ -190,9 +192,7 @@ impl Robot {
     /// bend: (..., 2 n) [rad]. Returns (..., 3). Raises ArgumentError for another shape.
     #[pyo3(signature = (bend))]
     fn forward(&self, bend: ArrayLike<'_>) -> PyResult<Doubles> {
-        self.each(bend, &[3], |robot, shape, out| {
-            out.extend_from_slice(robot.tip_position(shape).as_slice());
-        })
+        self.blocks(bend, &[3], robot::Robot::tip_positions)
     }
 
     /// Orientation of the tip, base frame.
@@ -204,15 +204,15 @@ impl Robot {
         let rotation = |robot: &robot::Robot, shape: &Configuration| robot.tip_pose(shape).rotation;
         match form {
             "quaternion" => self.each(bend, &[4], |robot, shape, out| {
-                out.extend(quaternion_xyzw(&rotation(robot, shape)));
+                out.copy_from_slice(&quaternion_xyzw(&rotation(robot, shape)));
             }),
             "matrix" => self.each(bend, &[3, 3], |robot, shape, out| {
                 // nalgebra stores column by column, numpy row by row.
-                out.extend(rotation(robot, shape).transpose().iter());
+                out.copy_from_slice(rotation(robot, shape).transpose().as_slice());
             }),
             "zyx" => self.each(bend, &[3], |robot, shape, out| {
                 let angles = ZyxAngles::from_rotation(&rotation(robot, shape));
-                out.extend([angles.phi_rad, angles.theta_rad, angles.psi_rad]);
+                out.copy_from_slice(&[angles.phi_rad, angles.theta_rad, angles.psi_rad]);
             }),
             other => Err(Failure::argument(
                 format!("form is {other:?}"),
@@ -230,9 +230,8 @@ impl Robot {
         let points = count("points", points, 2..=BACKBONE_POINTS_MAX)? as usize;
         let places = self.places(points);
         self.each(bend, &[points, 3], |robot, shape, out| {
-            for (section, share) in &places {
-                let point_m = robot.body_point(shape, *section, *share);
-                out.extend_from_slice(point_m.as_slice());
+            for ((section, share), out) in places.iter().zip(out.chunks_exact_mut(3)) {
+                out.copy_from_slice(robot.body_point(shape, *section, *share).as_slice());
             }
         })
     }
@@ -246,8 +245,10 @@ impl Robot {
         self.each(bend, &[6, columns], |robot, shape, out| {
             let mut jacobian = Jacobian::new();
             robot.tip_jacobian(shape, &mut jacobian);
-            for row in 0..6 {
-                out.extend(jacobian.columns().iter().map(|column| column[row]));
+            for (row, out) in out.chunks_exact_mut(columns).enumerate() {
+                for (out, column) in out.iter_mut().zip(jacobian.columns()) {
+                    *out = column[row];
+                }
             }
         })
     }
@@ -259,7 +260,7 @@ impl Robot {
     fn cables(&self, bend: ArrayLike<'_>) -> PyResult<Doubles> {
         let cables = self.inner.cable_count();
         self.each(bend, &[cables], |robot, shape, out| {
-            out.extend_from_slice(&robot.cable_lengths(shape)[..cables]);
+            out.copy_from_slice(&robot.cable_lengths(shape)[..cables]);
         })
     }
 
@@ -289,7 +290,7 @@ impl Robot {
         let obstacles = inner(&obstacles)?;
         self.each(bend, &[], |robot, shape, out| {
             let body = robot.body(shape);
-            out.push(body.least_clearance_m(obstacles.iter().copied()));
+            out[0] = body.least_clearance_m(obstacles.iter().copied());
         })
     }
 
@@ -348,44 +349,59 @@ impl Robot {
         )
     }
 
-    /// Computes `row` numbers for each configuration, without the interpreter's lock, and many of them on all cores.
+    /// Computes `row` numbers for each configuration.
     fn each(
         &self,
         bend: ArrayLike<'_>,
         row: &[usize],
-        compute: impl Fn(&robot::Robot, &Configuration, &mut Vec<f64>) + Sync,
+        compute: impl Fn(&robot::Robot, &Configuration, &mut [f64]) + Sync,
+    ) -> PyResult<Doubles> {
+        let numbers = row.iter().product();
+        self.blocks(bend, row, |robot, bends, out| {
+            let mut shape = Configuration::straight(robot.section_count());
+            let bends = bends.chunks_exact(robot.coordinate_count());
+            for (bend, out) in bends.zip(out.chunks_exact_mut(numbers)) {
+                shape.as_mut_slice().copy_from_slice(bend);
+                compute(robot, &shape, out);
+            }
+        })
+    }
+
+    /// Computes `row` numbers for each configuration, block by block, without the interpreter's lock. Cores share the blocks of many: one that does
+    /// something else takes fewer.
+    fn blocks(
+        &self,
+        bend: ArrayLike<'_>,
+        row: &[usize],
+        compute: impl Fn(&robot::Robot, &[f64], &mut [f64]) + Sync,
     ) -> PyResult<Doubles> {
         let py = bend.py();
         let bends = self.bends(&bend, "bend")?;
         let (values, robot, count) = (bends.values(), &self.inner, bends.count());
-        let width = robot.coordinate_count();
-        let rows_of = |bends: &[f64], out: &mut Vec<f64>| {
-            let mut shape = Configuration::straight(robot.section_count());
-            for bend in bends.chunks_exact(width) {
-                shape.as_mut_slice().copy_from_slice(bend);
-                compute(robot, &shape, out);
-            }
-        };
-        let mut out = room(count, row)?;
+        let numbers: usize = row.iter().product();
+        let mut out = room(count, numbers)?;
         py.detach(|| {
-            let threads = thread::available_parallelism().map_or(1, usize::from);
-            let each = count.div_ceil(threads).max(ROWS_MIN) * width;
-            if values.len() <= each {
-                return rows_of(values, &mut out);
+            let width = robot.coordinate_count();
+            let blocks = values.chunks(BLOCK * width);
+            let blocks = Mutex::new(blocks.zip(out.chunks_mut(BLOCK * numbers)));
+            let next = || {
+                let mut blocks = blocks.lock().unwrap_or_else(PoisonError::into_inner);
+                blocks.next()
+            };
+            let work = || {
+                while let Some((bends, out)) = next() {
+                    compute(robot, bends, out);
+                }
+            };
+            if count <= ALONE_MAX {
+                return work();
             }
             thread::scope(|scope| {
-                let rows_of = &rows_of;
-                let begin = |part| {
-                    scope.spawn(move || {
-                        let mut out = Vec::new();
-                        rows_of(part, &mut out);
-                        out
-                    })
-                };
-                let parts: Vec<_> = values.chunks(each).map(begin).collect();
-                for part in parts {
-                    out.extend(part.join().unwrap_or_else(|panic| resume_unwind(panic)));
+                let threads = thread::available_parallelism().map_or(1, usize::from);
+                for _ in 1..threads.min(count.div_ceil(BLOCK)) {
+                    scope.spawn(work);
                 }
+                work();
             });
         });
         Ok(Doubles::new(bends.lead(), row, out))
@@ -408,14 +424,12 @@ impl Robot {
     }
 }
 
-/// Memory for so many rows; a process that has no more of it would end otherwise.
-fn room(count: usize, row: &[usize]) -> Result<Vec<f64>, Failure> {
-    let numbers = row
-        .iter()
-        .try_fold(count, |all, axis| all.checked_mul(*axis));
-    let mut out = Vec::new();
-    match numbers.map(|numbers| out.try_reserve_exact(numbers)) {
-        Some(Ok(())) => Ok(out),
+/// Zeros for so many rows; a process that has no memory for them would end otherwise.
+fn room(count: usize, numbers: usize) -> Result<Vec<f64>, Failure> {
+    let all = count.checked_mul(numbers);
+    match all.map(|all| Vec::<f64>::new().try_reserve_exact(all)) {
+        // Zeros from the system: the threads that fill it take its pages.
+        Some(Ok(())) => Ok(vec![0.0; count * numbers]),
         _ => Err(Failure::argument(
             format!("there is no memory for the result of {count} configurations"),
             "Compute fewer of them in one call.",

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -304,3 +305,18 @@ def test_trajectories_are_what_they_say() -> None:
     for wrong in [{"radius_m": 0}, {"speed_m_s": -1}, {"turns": 0}, {"rounds": 0}]:
         with pytest.raises(cdcr.ArgumentError):
             cdcr.Trajectory.helix(**{"centre_m": [0, 0, 1], "radius_m": 0.1, "rise_m": 0.1, "speed_m_s": 0.1, **wrong})
+
+
+def test_the_first_call_loads_no_module() -> None:
+    """It would make the first points of a feed late."""
+    program = """
+import sys, cdcr
+loaded = set(sys.modules)
+robot = cdcr.Robot(length_m=[0.3, 0.2])
+tip = robot.forward([0.1, 0, 0, 0.2])
+cdcr.Nmpc(robot).solve([0.0] * 4, [tip], [cdcr.Obstacle.sphere([1, 0, 0], 0.1)])
+cdcr.simulate(robot, cdcr.Trajectory.from_arrays([0, 0.1], [[0, 0, 0.4], [0, 0.01, 0.4]]))
+assert set(sys.modules) == loaded, set(sys.modules) - loaded
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -60,6 +60,22 @@ def test_a_recording_is_a_dictionary_of_structured_arrays(recording: Path) -> No
     assert status["robot_name"] == "cdcr"
 
 
+@pytest.mark.parametrize("sections", [1, 3, 6])
+def test_no_words_of_a_path_lie_over_others(sections: int) -> None:
+    robot = cdcr.Robot.paper(sections)
+    for trajectory in (cdcr.Trajectory.line(robot), cdcr.Trajectory.spiral(robot)):
+        ax = plot.path(cdcr.simulate(robot, trajectory, duration_s=0.5))
+        ax.figure.canvas.draw()
+        words = [axis.label for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
+        for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim()), (ax.zaxis, ax.get_zlim())):
+            words += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+        boxes = [ax.get_legend().get_window_extent(), *(word.get_window_extent() for word in words)]
+        assert len(boxes) > 10
+        for k, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in boxes[:k]), words[k - 1]
+        plt.close("all")
+
+
 def test_what_is_no_recording_is_refused_and_a_cut_one_gives_what_is_whole(recording: Path, tmp_path: Path) -> None:
     whole = recording.read_bytes()
     file = tmp_path / "some.mcap"

@@ -20,6 +20,7 @@
 //! | `chord` | how far is one section from a segment at least, for less work |
 //! | `clearance` | how far is the body from an obstacle, and where |
 //! | `body_motion` | how does a point of the body move when a bend changes |
+//! | `many` | where are the tips of any number of configurations |
 //! | `wide` | where are the tips of many configurations, side by side |
 //! | `lanes` | vectors and frames of many configurations, side by side |
 //! | `body_wide` | how far are many bodies from an obstacle, side by side |
@@ -39,6 +40,7 @@ mod configuration;
 mod jacobian;
 mod kinematics;
 mod lanes;
+mod many;
 mod obstacle;
 mod orientation;
 mod parameters;

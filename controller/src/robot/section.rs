@@ -43,7 +43,7 @@ const fn alternating_inverse_factorials(first: usize) -> [f64; SERIES_TERMS] {
 }
 
 /// Horner's rule.
-#[inline]
+#[inline(always)]
 fn polynomial(coefficients: &[f64; SERIES_TERMS], w: f64) -> f64 {
     coefficients
         .iter()
@@ -75,6 +75,13 @@ fn h_and_k_closed(w: f64) -> (f64, f64) {
 pub(super) fn position_coefficients(w: f64) -> (f64, f64) {
     let (h, k) = h_and_k(w);
     (1.0 - w * h, 0.5 - w * k)
+}
+
+/// The same by the series alone, and whether they serve at w: the bits of [`position_coefficients`] there, without a branch.
+#[inline(always)]
+pub(super) fn series_position_coefficients(w: f64) -> (f64, f64, bool) {
+    let (h, k) = (polynomial(&H_SERIES, w), polynomial(&K_SERIES, w));
+    (1.0 - w * h, 0.5 - w * k, w <= SERIES_W_MAX)
 }
 
 /// (f, g) at w by the series alone, as the lanes of a swarm compute it: no branch, no trigonometry.

@@ -1,6 +1,7 @@
-"""Measures what docs/decisions/0019-python.md states: python measure.py [SECONDS_OF_FEEDING]
+"""Measures what docs/decisions/0019-python.md states, with the package installed and from the project's folder:
 
-It needs target/release/cdcrd and target/release/examples/one_solve, and the package installed.
+    cargo build --release && cargo build --release -p cdcr-controller --example one_solve
+    python python/tests/measure.py [SECONDS_OF_FEEDING]
 """
 
 import os
@@ -16,7 +17,7 @@ import numpy as np
 
 import cdcr
 
-PROGRAMS = Path(__file__).resolve().parents[1] / "target" / "release"
+PROGRAMS = Path(__file__).resolve().parents[2] / "target" / "release"
 CONFIGURATIONS = 100_000
 SOLVES = 2000
 
