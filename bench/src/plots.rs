@@ -112,7 +112,7 @@ fn of_circles(tasks: &[Drawn<'_>]) -> Vec<Figure> {
     vec![
         ("paper-circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
           the robot where it is nearest to the obstacle.", (2, 900),
-         vec![circle_path(View::ABOVE, "Circle from above", tasks), circle_path(View::SIDE, "From the side", tasks)]),
+         vec![circle_path(View::ABOVE, "Simulated circle from above", tasks), circle_path(View::SIDE, "From the side", tasks)]),
         ("paper-circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
           detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
          (1, 640), vec![circle_errors(tasks)]),
@@ -416,7 +416,7 @@ fn spiral_paths(tasks: &[Drawn<'_>]) -> Vec<Panel> {
         ));
     }
     vec![
-        View::ABOVE.panel("Spiral from above", above),
+        View::ABOVE.panel("Simulated spiral from above", above),
         View::SIDE.panel("From the side, robots at the end", side),
     ]
 }

@@ -33,6 +33,7 @@ class _Shown:
     error_m: Doubles
     took_s: Doubles
     took: str
+    deadline_s: float | None = None
 
 
 def path(source: Source, *, seconds: float = 2.0, ax: Axes3D | None = None) -> Axes3D:
@@ -67,13 +68,16 @@ def error(source: Source, *, seconds: float = 2.0, ax: Axes | None = None, label
 
 
 def timing(source: Source, *, seconds: float = 2.0, ax: Axes | None = None) -> Axes:
-    """How long the cycles took: of a daemon, from the release that was due to the hand-over of the command."""
+    """How long the cycles took: of a daemon, from the release that was due to the hand-over of the command, with the deadline as a line."""
     shown = _shown(source, seconds)
     ax = _axes(ax)
-    took_us = 1e6 * shown.took_s
-    # A single late cycle must not squeeze the rest into one bar; it stands at the end.
-    last_us = min(took_us.max(), 3 * np.percentile(took_us, 99)) or 1.0
-    ax.hist(np.minimum(took_us, last_us), bins=60, log=True)
+    took_us = np.maximum(1e6 * shown.took_s, 0.1)
+    # Powers of ten: a single late cycle must not squeeze the rest into one bar.
+    ax.hist(took_us, bins=np.geomspace(0.9 * took_us.min(), 1.1 * took_us.max(), 60), log=True)
+    ax.set_xscale("log")
+    if shown.deadline_s is not None:
+        ax.axvline(1e6 * shown.deadline_s, color="black", label=f"deadline, {1e6 * shown.deadline_s:.0f} µs")
+        ax.legend()
     median_us, p99_us = np.percentile(took_us, [50, 99])
     ax.set(xlabel=f"{shown.took} [µs]", ylabel="cycles", title=f"median {median_us:.0f} µs, 99 % below {p99_us:.0f} µs, largest {took_us.max():.0f} µs")
     return ax
@@ -128,6 +132,7 @@ def _shown(source: Source, seconds: float) -> _Shown:
         error_m=np.where(has_reference, source["position_error_m"], np.nan),
         took_s=1e-9 * (source["handed_over_ns"] - source["due_ns"]).astype(float),
         took="response time",
+        deadline_s=1e-9 * float(source["deadline_ns"][-1]),
     )
 
 

@@ -1,5 +1,6 @@
 """Recordings as arrays, and the figures of them."""
 
+import itertools
 import subprocess
 from pathlib import Path
 
@@ -13,6 +14,7 @@ matplotlib = pytest.importorskip("matplotlib")
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt  # noqa: E402
+from mpl_toolkits.mplot3d import Axes3D  # noqa: E402
 
 from cdcr import plot  # noqa: E402
 
@@ -95,6 +97,17 @@ def test_what_is_no_recording_is_refused_and_a_cut_one_gives_what_is_whole(recor
     assert 0 < len(part) < len(telemetry) and part.tobytes() == telemetry[: len(part)].tobytes()
 
 
+def overlapping_numbers(ax: Axes3D) -> list[tuple[str, str]]:
+    ax.figure.canvas.draw()
+    shown = []
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        low, high = sorted(axis.get_view_interval())
+        shown += [number for number, place in zip(axis.get_ticklabels(), axis.get_ticklocs()) if low <= place <= high]
+        shown.append(axis.label)
+    pairs = itertools.combinations(shown, 2)
+    return [(one.get_text(), other.get_text()) for one, other in pairs if one.get_window_extent().overlaps(other.get_window_extent())]
+
+
 def test_each_figure_is_drawn_of_each_source(recording: Path) -> None:
     robot = cdcr.Robot()
     daemon = Daemon()
@@ -109,7 +122,10 @@ def test_each_figure_is_drawn_of_each_source(recording: Path) -> None:
                 assert len(line.get_xdata()) > 10 and (source is live or len(line.get_xdata()) == points)
                 path = plot.path(source, seconds=0.3)
                 assert len(path.get_lines()) == plot.SHAPES + 2
+                assert overlapping_numbers(path) == []
                 histogram = plot.timing(source, seconds=0.3)
+                _, labels = histogram.get_legend_handles_labels()
+                assert labels == ([] if isinstance(source, cdcr.Simulation) else ["deadline, 5000 µs"])
                 assert sum(bar.get_height() for bar in histogram.patches) > 10 and "µs" in histogram.get_title()
                 plt.close("all")
     finally:

@@ -9,6 +9,7 @@ mod trial;
 use anyhow::Result;
 
 pub use case::Case;
+pub use report::picture;
 pub use trial::{Length, Observed, Trial, TrialMetrics, TrialOutcome};
 
 use crate::benchmark::Benchmark;

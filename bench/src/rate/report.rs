@@ -115,7 +115,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         "The default ({}) with shorter and shorter periods, medians over rounds{how}",
         Case::DEFAULT.name()
     );
-    dataset.plots.push(drawn(&default)?);
+    dataset.plots.push(picture(&default)?);
     dataset.sheets = vec![
         Sheet::of(
             &format!("Shortest period that holds{how}"),
@@ -162,7 +162,11 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
     spin + refused
 }
 
-fn drawn(rows: &[Value]) -> Result<Plot> {
+/// What the default does at each rate, from the rows of its result.
+///
+/// # Errors
+/// When it cannot be drawn.
+pub fn picture(rows: &[Value]) -> Result<Plot> {
     let line = |label: &str, key: &str, colour| Curve::of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
     let times = vec![
@@ -182,7 +186,7 @@ fn drawn(rows: &[Value]) -> Result<Plot> {
             Scale::LogLog { floor: 1.0 },
             times,
         ),
-        panel("What it costs", "share", Scale::Linear, shares),
+        panel("What it costs", "share", Scale::LogAcross, shares),
     ];
     plot(
         "rate",

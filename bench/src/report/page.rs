@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::dataset::{Dataset, Sheet};
+use crate::dataset::{Dataset, Plot, Sheet};
 
 const STYLE: &str = include_str!("page.css");
 
@@ -13,19 +13,31 @@ latency says little; the ratio to the bare loop, taken in turns with it, says wh
 numbers are in <code>report.json</code>, for <code>cdcr-bench compare</code>, each case in a CSV, and every \
 latency in <code>histograms/</code>, in the log format of HDR histograms.</p>\n";
 
-/// With contents where there is an introduction, which is HTML.
+/// With contents: the results where there is an introduction, which is HTML; else the pictures of the one result.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
     let heading = escape(title);
     let link = |dataset: &&Dataset| {
         let (name, heading) = (dataset.name, escape(dataset.heading));
         format!("<li><a href=\"#{name}\">{heading}</a></li>\n")
     };
-    let contents = match introduction {
-        "" => String::new(),
-        _ => format!(
-            "<nav><ul>\n{}</ul></nav>\n",
-            all.iter().map(link).collect::<String>()
-        ),
+    let shown = |plot: &Plot| {
+        let (name, caption) = (plot.name, escape(plot.caption));
+        format!(
+            "<li><a href=\"#{name}\">{}</a>: {caption}</li>\n",
+            name.replace('-', " ")
+        )
+    };
+    let links: String = match introduction {
+        "" => all
+            .iter()
+            .flat_map(|dataset| &dataset.plots)
+            .map(shown)
+            .collect(),
+        _ => all.iter().map(link).collect(),
+    };
+    let contents = match links.as_str() {
+        "" => links,
+        _ => format!("<nav><ul>\n{links}</ul></nav>\n"),
     };
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -78,6 +90,11 @@ mod tests {
             name: "a",
             heading: "1 < 2 & \"more\"",
             note: "<script>".to_owned(),
+            plots: vec![Plot {
+                name: "a-path",
+                caption: "Where <it> went.",
+                svg: String::new(),
+            }],
             ..Dataset::default()
         };
         // A result alone has one heading.
@@ -85,6 +102,8 @@ mod tests {
         for words in [
             "<h1>1 &lt; 2 &amp; &quot;more&quot;</h1>",
             "<p>&lt;script&gt;</p>",
+            "<a href=\"#a-path\">a path</a>: Where &lt;it&gt; went.",
+            "<figure id=\"a-path\">",
         ] {
             assert!(html.contains(words), "{html}");
         }

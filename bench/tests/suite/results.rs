@@ -1,10 +1,10 @@
-//! The tables of `docs/robustness.md` and `docs/tuning.md` are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
+//! The tables of `docs/robustness.md` and `docs/tuning.md` and the picture of the rates are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use cdcr_bench::dataset::Sheet;
-use cdcr_bench::robustness;
+use cdcr_bench::{rate, robustness};
 use serde_json::Value;
 
 /// Where a table begins in the document, and where it ends.
@@ -55,6 +55,24 @@ fn the_tables_of_the_results_are_made_from_the_json_beside_them() {
     ] {
         check(&docs, name, row);
     }
+}
+
+#[test]
+fn the_picture_of_the_rates_is_drawn_from_its_rows() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let place = docs.join("images/results-rate.svg");
+    let rows = rows(&result(&docs.join("results/rate.json")), "default");
+    let drawn = rate::picture(&rows).expect("a picture").svg;
+    if generates() {
+        std::fs::write(&place, drawn).expect("written");
+        return;
+    }
+    let picture = std::fs::read_to_string(&place).expect("the picture");
+    assert!(
+        picture == drawn,
+        "{} is not up to date: {HOW}",
+        place.display()
+    );
 }
 
 /// That the tables of a document, of which one has this `row`, are up to date.

@@ -39,9 +39,9 @@ impl Watch for PlotOptions {
         mut stream: Stream<T>,
         _: &Look<T>,
     ) -> anyhow::Result<Done> {
-        let to = self.udp.to_socket_addrs();
-        let to = to.ok().and_then(|mut all| all.next());
-        let to = to.with_context(|| format!("--udp {}: expected HOST:PORT", self.udp))?;
+        let expected = || format!("--udp {}: expected HOST:PORT", self.udp);
+        let mut all = self.udp.to_socket_addrs().with_context(expected)?;
+        let to = all.next().with_context(expected)?;
         let any = if to.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
         let socket = UdpSocket::bind(any).context("cannot open a socket")?;
         let fields = match (self.topic, &*self.field) {

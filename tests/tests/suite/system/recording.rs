@@ -293,14 +293,20 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     let info: Value =
         serde_json::from_str(&run.cdcrctl(&["info", &file, "--format", "json"])).unwrap();
     assert_eq!(info["cut"], false);
-    assert!(info["channels"]["telemetry"]["messages"].as_u64().unwrap() > 10);
+    let messages = info["channels"]["telemetry"]["messages"].as_u64().unwrap();
+    assert!(messages > 10);
     // A machine that held the recorder up for more than a second made it lose records: it says so.
     let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains(&format!(": {messages} cycles, ")), "{said}");
     let missing = info["channels"]["telemetry"]["missing"].as_u64().unwrap();
     assert!(
         missing <= lost(&said, Topic::Telemetry),
         "{missing}: {said}"
     );
+    // Where the disk is full before, as well.
+    fs::write(disk.join("rest"), vec![0; 1 << 20]).unwrap_err();
+    let mut again = Recorded::recorder(&run.daemon, &disk.join("again.mcap"));
+    assert_says(&again.output(), 3, &["again.mcap", "No space left"]);
     // The loop never noticed.
     let status = run
         .daemon

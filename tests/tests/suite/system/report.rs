@@ -58,6 +58,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
         &["telemetry"],
     ))
     .unwrap();
+    assert_eq!(data["link"], "simulated");
     assert_eq!(data["cycles"], info["channels"]["telemetry"]["messages"]);
     assert_eq!(data["deadline_misses"], info["deadline_misses"]);
     let [mean, max, last] = [0, 1, 2].map(|k| data["error_mm"][k].as_f64().unwrap());

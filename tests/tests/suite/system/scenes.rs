@@ -162,6 +162,7 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
         last_s = time_s;
     }
     says(&daemon, "plot --udp nowhere", 1, "expected HOST:PORT");
+    says(&daemon, "plot --udp localhost:99999", 1, "invalid port");
     let whole = "plot status --count 1 --udp 127.0.0.1:9";
     says(&daemon, whole, 1, "choose some fields with --field");
 }

@@ -7,7 +7,7 @@ use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
-use cdcr_client::{Connection, ObstacleSender, TelemetryStream, monotonic_ns};
+use cdcr_client::{Connection, ObstacleSender, TelemetryStream, counted, monotonic_ns};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Header, Obstacle};
 
@@ -106,8 +106,8 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
         }
         feed.send(&together)?;
         if let Some(cause) = bad {
-            let sent = feed.changes;
-            bail!("standard input: {cause}\nwhat came before stays as it is: {sent} changes");
+            let sent = counted(feed.changes, "change");
+            bail!("standard input: {cause}\nwhat came before stays as it is: {sent}");
         }
     }
 }
@@ -191,10 +191,10 @@ impl Feed {
     }
 
     fn end(&self, done: Done) -> anyhow::Result<Done> {
-        let (changes, known) = (self.changes, self.known);
+        let (changes, known) = (counted(self.changes, "change"), self.known);
         writeln!(
             std::io::stdout(),
-            "obstacles: {changes} changes accepted, {known} known to the daemon now"
+            "obstacles: {changes} accepted, {known} known to the daemon now"
         )?;
         Ok(done)
     }

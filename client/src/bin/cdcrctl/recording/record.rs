@@ -89,7 +89,17 @@ pub(super) struct Around {
 }
 
 /// Records a daemon into a file.
-pub(super) fn record(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
+pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
+    match recorded(target, task) {
+        Err(error) if error.downcast_ref().is_some_and(is_full) => {
+            eprintln!("error: {error:#}");
+            Ok(Done::DiskFull)
+        }
+        done => done,
+    }
+}
+
+fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     let (_, robot) = target.location()?;
     let connection = target.connect()?;
@@ -147,17 +157,19 @@ pub(super) fn record(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done
             Ended::Asked | Ended::Failed(_) => bail!("it did not happen, and nothing was recorded"),
         };
     }
-    let (lost, counts) = (recorder.lost(&streams), recorder.sink.counts);
+    let ended = match ended {
+        Ended::Failed(_) => ended,
+        _ => recorder.sink.flush().map_or_else(Ended::Failed, |()| ended),
+    };
+    let (lost, counts) = (recorder.lost(&streams), recorder.sink.whole);
     recorder
         .finish(&ended, &lost, examination)
         .with_context(cannot_write)?;
     tell(&path, counts, &ended, &lost)?;
     match ended {
-        Ended::Failed(cause) if is_full(&cause) => {
-            eprintln!("error: {name}: {cause}: the recording ended there");
-            Ok(Done::DiskFull)
+        Ended::Failed(cause) => {
+            Err(cause).with_context(|| format!("{name}: the recording ended there"))
         }
-        Ended::Failed(cause) => Err(cause).with_context(cannot_write),
         _ => Ok(Done::Good),
     }
 }

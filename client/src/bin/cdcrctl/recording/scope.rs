@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
+use ratatui::crossterm::terminal;
 
 use super::record::{Around, Task, Watch, record};
 use crate::Done;
@@ -19,6 +20,8 @@ use screen::Screen;
 /// Columns of a chart, beside its numbers.
 const COLUMNS: usize = 64;
 const ROWS: usize = 5;
+/// Of the numbers beside a chart.
+const LABEL_COLUMNS: usize = 13;
 
 pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Done> {
     let around = Around {
@@ -40,7 +43,13 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
     };
     let done = record(target, task)?;
     if done == Done::Good {
-        write!(stdout().lock(), "{}", scope.shot.text())?;
+        let columns = if scope.on_terminal {
+            terminal::size()?.0.into()
+        } else {
+            usize::MAX
+        };
+        let text = scope.shot.text();
+        write!(stdout().lock(), "{}", fitting(&text, columns))?;
     }
     Ok(done)
 }
@@ -187,6 +196,15 @@ impl Shot {
     }
 }
 
+/// The sentence alone where the charts would be wrapped.
+fn fitting(text: &str, columns: usize) -> &str {
+    if columns <= LABEL_COLUMNS + COLUMNS {
+        text.split_inclusive('\n').next().unwrap_or_default()
+    } else {
+        text
+    }
+}
+
 /// Nothing where it means nothing.
 fn number(value: f64) -> String {
     if value.is_finite() {
@@ -196,7 +214,8 @@ fn number(value: f64) -> String {
     }
 }
 
-/// One chart: the least to the largest value of each column, over the range of all. Columns without a number stay empty.
+/// One chart: the least to the largest value of each column, over the range of all, of which one number is told where it has no other.
+/// Columns without a number stay empty.
 fn strip(values: impl Iterator<Item = (usize, f64)>, fired: usize) -> Vec<String> {
     let mut columns: [Option<(f64, f64)>; COLUMNS] = [None; COLUMNS];
     for (column, value) in values.filter(|(_, value)| value.is_finite()) {
@@ -215,11 +234,12 @@ fn strip(values: impl Iterator<Item = (usize, f64)>, fired: usize) -> Vec<String
         let share = (value - low) / (high - low).max(f64::MIN_POSITIVE);
         (ROWS - 1) - ((share * ROWS as f64) as usize).min(ROWS - 1)
     };
+    let (top, bottom) = (number(high), number(low));
     let rows = (0..ROWS).map(|row| {
         let label = match row {
-            0 => format!("{high:.4}"),
-            _ if row == ROWS - 1 => format!("{low:.4}"),
-            _ => String::new(),
+            _ if row == ROWS - 1 => &bottom,
+            0 if top != bottom => &top,
+            _ => "",
         };
         let sign = |(column, found): (usize, &Option<(f64, f64)>)| match found {
             Some((least, most)) if (row_of(*most)..=row_of(*least)).contains(&row) => '#',
@@ -272,6 +292,9 @@ mod tests {
         assert!(lines[6].starts_with("      2.0000 ####"), "{text}");
         assert_eq!(lines[2].chars().nth(13 + 32), Some('|'), "{text}");
         assert_eq!(lines[8].trim(), "no number");
+        assert_eq!(fitting(&text, 20).trim_end(), lines[0]);
+        assert_eq!(fitting(&text, 78), text);
+        assert!(lines[1..].iter().all(|line| line.len() <= 78), "{text}");
     }
 
     #[test]
@@ -279,5 +302,6 @@ mod tests {
         let rows = strip((0..COLUMNS).map(|column| (column, 2.0)), 3);
         assert_eq!(rows.len(), ROWS);
         assert_eq!(rows[ROWS - 1].matches('#').count(), COLUMNS);
+        assert_eq!(rows.concat().matches("2.0000").count(), 1);
     }
 }

@@ -102,8 +102,10 @@ pub(super) struct Sink {
     ring: Ring,
     file: Option<(Writer<File>, Vec<u16>)>,
     path: PathBuf,
-    /// Messages of each channel in the file.
-    pub(super) counts: [u64; CHANNELS],
+    /// Messages of each channel that were given to the file.
+    counts: [u64; CHANNELS],
+    /// Those of them that the last flush brought into it.
+    pub(super) whole: [u64; CHANNELS],
 }
 
 impl Sink {
@@ -119,6 +121,7 @@ impl Sink {
             file: None,
             path: path.to_owned(),
             counts: [0; CHANNELS],
+            whole: [0; CHANNELS],
         }
     }
 
@@ -175,9 +178,11 @@ impl Sink {
 
     /// Writes what came since the last time.
     pub(super) fn flush(&mut self) -> io::Result<()> {
-        self.file
-            .as_mut()
-            .map_or(Ok(()), |(writer, _)| writer.flush())
+        if let Some((writer, _)) = &mut self.file {
+            writer.flush()?;
+            self.whole = self.counts;
+        }
+        Ok(())
     }
 
     /// Ends the file, where there is one, also where there is hardly room left. `about` and `attachment` come at its end.

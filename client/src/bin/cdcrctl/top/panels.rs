@@ -136,7 +136,7 @@ impl Screen<'_> {
                 let ago_s = record.release_ns.saturating_sub(when_ns) as f64 * 1e-9;
                 format!("   last late {ago_s:.0} s ago: {cause}")
             });
-        format!("deadline misses {misses}, skipped periods {skipped}{late}")
+        format!("misses {misses}, skipped {skipped}{late}")
     }
 
     fn surroundings(&self, record: &Telemetry) -> String {

@@ -69,10 +69,13 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         chunks + updates > 0 || done == Done::Interrupted,
         "{name} holds no obstacles, and no reference from its first chunk on"
     );
-    let speed = options.speed;
+    let speed = match options.speed {
+        1.0 => String::new(),
+        speed => format!("{speed} times "),
+    };
     writeln!(
         io::stdout(),
-        "{name}: {} and {} sent, {speed} times as fast as they were; the daemon holds",
+        "{name}: {} and {} sent, {speed}as fast as they were; the daemon holds",
         counted(chunks, Topic::Reference.noun()),
         counted(updates, Topic::Obstacles.noun())
     )?;

@@ -4,7 +4,7 @@ use anyhow::Context;
 use cdcr_client::model::robot_of;
 use cdcr_client::{obstacles, text};
 use cdcr_controller::robot::{Configuration, Robot};
-use cdcr_shared_types::codes::{LateCause, Mode, ObstacleShape, SolverStatus, timing};
+use cdcr_shared_types::codes::{LateCause, Mode, ObstacleShape, RobotLink, SolverStatus, timing};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use serde_json::{Map, Value, json};
@@ -27,6 +27,8 @@ const WORST_MAX: usize = 50;
 pub(super) struct Content {
     cycles: Option<Cycles>,
     robot_name: String,
+    /// Whether it is simulated.
+    link: &'static str,
     daemon: String,
 }
 
@@ -101,6 +103,7 @@ impl Content {
             }
             Recorded::Status(status) => {
                 self.robot_name = text(&status.robot_name);
+                self.link = RobotLink::text_of(status.link);
                 self.daemon = text(&status.build);
             }
             _ => {}
@@ -122,6 +125,7 @@ impl Content {
         let mut json = cycles.json();
         json["file"] = json!(file);
         json["robot"] = json!(self.robot_name);
+        json["link"] = json!(self.link);
         json["daemon"] = json!(self.daemon);
         json["is_cut"] = json!(recording.is_cut());
         json["made_by"] = json!(concat!("cdcrctl ", env!("CARGO_PKG_VERSION")));

@@ -288,7 +288,8 @@ function summary() {
   const add = (name, value, bad = false) =>
     list.append(element('div', {}, element('dt', {}, name), element('dd', bad ? { class: 'bad' } : {}, value)));
   const lengths = data.sections.map((part) => number(1e3 * part.length_m)).join(' + ');
-  add('robot', `${data.robot || 'not named'}: ${data.sections.length} sections, ${lengths} mm`);
+  const kind = { simulated: ' (simulated)', driver: ' (behind a driver)' }[data.link] || '';
+  add('robot', `${data.robot || 'not named'}${kind}: ${data.sections.length} section${data.sections.length === 1 ? '' : 's'}, ${lengths} mm`);
   add('duration', `${number(data.duration_s, 5)} s, ${data.cycles} cycles of ${number(data.period_ms)} ms`);
   add('cycles by mode', counted(data.modes));
   const missed = Object.values(data.deadline_misses).reduce((sum, count) => sum + count, 0);
@@ -732,7 +733,7 @@ function happened() {
       svg.append(tick);
     };
     for (const { t_s, kind, text } of data.events) mark(t_s, 27, kind === 'refused' || kind === 'stop' ? 'var(--bad)' : 'var(--c1)', `${t_s.toFixed(3)} s: ${text}`);
-    curves.misses.forEach((count, i) => { if (count) mark(times[i], 46, 'var(--bad)', `${times[i].toFixed(2)} s: ${count} deadline misses`); });
+    curves.misses.forEach((count, i) => { if (count) mark(times[i], 46, 'var(--bad)', `${times[i].toFixed(2)} s: ${count} deadline miss${count === 1 ? '' : 'es'}`); });
     ['mode', 'event', 'miss'].forEach((name, k) => svg.append(drawn('text', { x: LEFT - 6, y: box.top + 15 + 21 * k, 'text-anchor': 'end' }, name)));
     tells_time(svg, box, sx);
     return svg;

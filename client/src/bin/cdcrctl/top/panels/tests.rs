@@ -176,3 +176,13 @@ fn numbers_of_every_size_are_short() {
         assert_eq!(four_digits(value), text);
     }
 }
+
+#[test]
+fn the_cause_of_a_late_cycle_fits_into_the_narrowest_screen() {
+    let mut seen = seen();
+    let record = seen.record.as_mut().expect("a record");
+    record.deadline_misses_total = 123_456;
+    record.skipped_periods_total = 123_456;
+    let page = drawn(&seen, COLUMNS_MIN, ROWS_MIN, Signs::Ascii).join("\n");
+    assert!(page.contains("another task had the core"), "{page}");
+}
