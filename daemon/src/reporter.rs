@@ -129,6 +129,7 @@ impl Reporter {
             {
                 shared.dropped_records.add(1);
             }
+            self.ends.used.give_back(report.record);
         }
     }
 
@@ -138,15 +139,13 @@ impl Reporter {
         scheduling: wire::SchedulingReport,
         now_ns: u64,
     ) -> wire::Telemetry {
-        let telemetry = wire::Telemetry {
-            header: self.header(report.number, now_ns),
-            command: report.command,
-            scheduling,
-            events: report.inputs.events,
-            event_count: report.inputs.event_count as u32,
-            ..convert::telemetry(&report.record, &self.robot, self.period_ns)
-        };
-        services::send(&self.telemetry, telemetry);
+        let mut telemetry = convert::telemetry(&report.record, &self.robot, self.period_ns);
+        telemetry.header = self.header(report.number, now_ns);
+        telemetry.command = report.command;
+        telemetry.scheduling = scheduling;
+        telemetry.events = report.inputs.events;
+        telemetry.event_count = report.inputs.event_count as u32;
+        services::send(&self.telemetry, &telemetry);
         telemetry
     }
 
