@@ -72,7 +72,6 @@ pub mod channels;
 mod clock;
 mod connect_error;
 mod connection;
-mod counted;
 mod driver;
 mod events;
 mod feeder;
@@ -99,10 +98,10 @@ mod stream;
 mod tip_sensor;
 mod trajectory;
 
+pub use cdcr_shared_types::counted;
 pub use clock::monotonic_ns;
 pub use connect_error::{ConnectError, Place};
 pub use connection::Connection;
-pub use counted::counted;
 pub use driver::{
     CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
 };

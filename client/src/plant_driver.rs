@@ -4,6 +4,7 @@ use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, true_robot};
 use cdcr_controller::robot::{Configuration, RobotError};
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::counted;
 
 use crate::model::robot_of;
 use crate::{Connection, Driver, DriverUpdate, LinkError, monotonic_ns};
@@ -36,7 +37,7 @@ pub enum PlantError {
     #[error("a robot with these flaws cannot be built: {0}")]
     Robot(#[from] RobotError),
     /// Another number of sections than the robot has.
-    #[error("{given} sections are given, but the robot has {robot}")]
+    #[error("{} given, but the robot has {robot}", counted(*given, "section"))]
     SectionCount {
         /// Sections that were given.
         given: usize,

@@ -125,15 +125,11 @@ impl ObstacleSet {
         self.retain(|known| known.is_known_at(time_ns));
     }
 
-    /// Replaces each obstacle by what `change` makes of it.
-    pub fn change(&mut self, change: impl Fn(&KnownObstacle) -> KnownObstacle) {
-        for known in self.slots[..self.count].iter_mut().flatten() {
-            *known = change(known);
-        }
-    }
-
+    /// Keeps those that `keep` wants. Nothing is written where it wants all.
     pub fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
-        *self = self.iter().copied().filter(keep).collect();
+        if !self.iter().all(&keep) {
+            *self = self.iter().copied().filter(keep).collect();
+        }
     }
 
     /// Each obstacle where it is at `time_ns`, without those that [`KnownObstacle::at`] leaves out.

@@ -43,6 +43,8 @@ const LOOK_MAX: Duration = Duration::from_millis(20);
 pub struct Reporter {
     telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
     ends: ReporterEnds,
+    /// The newest telemetry, and where the next is written.
+    newest: Box<wire::Telemetry>,
     robot: Robot,
     has_driver: bool,
     period_ns: u64,
@@ -67,6 +69,7 @@ impl Reporter {
         Self {
             telemetry,
             ends,
+            newest: Box::default(),
             robot: validated.robot.clone(),
             has_driver: config.link.kind == LinkKind::Driver,
             period_ns: ns(config.cycle.period_ms),
@@ -106,10 +109,10 @@ impl Reporter {
             let mode = convert::mode(record.mode);
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
             self.last_mode = mode;
-            let telemetry = self.publish_telemetry(&report, scheduling, clock.now_ns());
+            self.publish_telemetry(&report, scheduling, clock.now_ns());
             // Releases that an overrun took belong to its incident.
             if matches!(blame, Blame::Own(_)) || begins_fault {
-                self.hand_incident_on(&telemetry, shared);
+                self.hand_incident_on(shared);
             }
             let sensed = [&record.tip_measurement, &record.measurement];
             self.measured_error.take(
@@ -129,33 +132,33 @@ impl Reporter {
             {
                 shared.dropped_records.add(1);
             }
+            self.ends.used.give_back(report.record);
         }
     }
 
     fn publish_telemetry(
-        &self,
+        &mut self,
         report: &CycleReport,
         scheduling: wire::SchedulingReport,
         now_ns: u64,
-    ) -> wire::Telemetry {
-        let telemetry = wire::Telemetry {
-            header: self.header(report.number, now_ns),
-            command: report.command,
-            scheduling,
-            events: report.inputs.events,
-            event_count: report.inputs.event_count as u32,
-            ..convert::telemetry(&report.record, &self.robot, self.period_ns)
-        };
+    ) {
+        let header = self.header(report.number, now_ns);
+        let telemetry = &mut *self.newest;
+        convert::fill_telemetry(telemetry, &report.record, &self.robot, self.period_ns);
+        telemetry.header = header;
+        telemetry.command = report.command;
+        telemetry.scheduling = scheduling;
+        telemetry.events = report.inputs.events;
+        telemetry.event_count = report.inputs.event_count as u32;
         services::send(&self.telemetry, telemetry);
-        telemetry
     }
 
     /// A bad cycle goes to the supervisor, which keeps it.
-    fn hand_incident_on(&mut self, telemetry: &wire::Telemetry, shared: &Shared) {
+    fn hand_incident_on(&mut self, shared: &Shared) {
         self.incidents_sent += 1;
         let incident = wire::Incident {
-            header: self.header(self.incidents_sent, telemetry.header.sent_ns),
-            telemetry: *telemetry,
+            header: self.header(self.incidents_sent, self.newest.header.sent_ns),
+            telemetry: *self.newest,
             ..wire::Incident::default()
         };
         if self.ends.incidents.push(incident).is_err() {

@@ -32,12 +32,13 @@
 //!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
 //!
 //! The messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` does that at the edge. Beside
-//! them is only what daemon and client need to meet: folders, files, locks, permissions, space in memory, and the one reader of `/proc/stat`.
+//! them is only what daemon and client need to meet: folders, files, locks, permissions, space in memory, the one reader of `/proc/stat`, and how a number of things is said.
 
 mod access;
 pub mod codes;
 mod command;
 mod control;
+mod counted;
 pub mod declared;
 mod header;
 mod incident;
@@ -57,6 +58,7 @@ mod telemetry;
 
 pub use command::Command;
 pub use control::{Request, Response};
+pub use counted::counted;
 pub use header::Header;
 pub use incident::Incident;
 pub use measurement::Measurement;

@@ -33,8 +33,6 @@ use segment::Runner;
 
 /// What is not counted at the beginning of a stretch: memory is mapped, caches fill.
 pub const WARM_UP: Duration = Duration::from_secs(1);
-/// How long a daemon that runs may take to be heard. Generous: machines stall.
-const HEARD_WITHIN: Duration = Duration::from_secs(10);
 /// What a stretch takes beside its cycles and its warm-up \[s\]: processes start and end.
 const AROUND_S: f64 = 1.2;
 

@@ -14,10 +14,10 @@ use cdcr_client::{CommandStream, Connection, Stream, TelemetryStream, monotonic_
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Incident, Location, Telemetry};
 
-use super::HEARD_WITHIN;
 use super::tally::{COMMAND, Tally};
 use crate::interrupt;
 use crate::subject::Cycle;
+use crate::subject::daemon::HEARD_WITHIN;
 use crate::subject::place::ROBOT;
 use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
 

@@ -9,14 +9,14 @@ use cdcr_shared_types::Location;
 
 use super::observer::{Counted, observe};
 use super::tally::Tally;
-use super::{DeadlineOptions, HEARD_WITHIN, Setup, WARM_UP};
+use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::benchmark::with_period;
 use crate::interrupt;
 use crate::load::{Done, Load, Running};
 use crate::named::named;
 use crate::subject::baseline::Baseline;
 use crate::subject::cyclictest::Cyclictest;
-use crate::subject::daemon::{Daemon, Launch};
+use crate::subject::daemon::{Daemon, HEARD_WITHIN, Launch};
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
 use crate::system::counts::steal_ms;

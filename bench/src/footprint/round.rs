@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::start;
 use crate::dataset::joined;
 use crate::interrupt;
-use crate::subject::daemon::{Daemon, Launch};
+use crate::subject::daemon::{Daemon, HEARD_WITHIN, Launch};
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
 use crate::system::counts::{core_share, threads};
@@ -20,8 +20,6 @@ use crate::system::counts::{core_share, threads};
 pub(super) const MB: f64 = 1e6;
 /// Between a change and what is measured after it.
 const SETTLE: Duration = Duration::from_millis(500);
-/// How long the daemon may take to send its status. Generous: machines stall.
-const STATUS_TIMEOUT: Duration = Duration::from_secs(10);
 /// Those of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
@@ -53,7 +51,7 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     // Those of the tracking client are among them.
     let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
     let (root_files, _) = files(&[daemon.location().root().to_owned()]);
-    let status = daemon.connect()?.status(STATUS_TIMEOUT)?;
+    let status = daemon.connect()?.status(HEARD_WITHIN)?;
     client.stop()?;
 
     let growth_kb =

@@ -11,12 +11,11 @@ use cdcr_shared_types::{Header, ReferencePoint};
 use super::hands::Hands;
 use super::inputs::Source;
 use crate::interrupt;
+use crate::subject::daemon::HEARD_WITHIN;
 
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
-/// How long a status, the robot of the driver and the reference may take to be there,
-const TIMEOUT: Duration = Duration::from_secs(10);
-/// and how often the robot is asked to follow it.
+/// How often the robot is asked to follow the reference.
 const ASK_AGAIN: Duration = Duration::from_millis(5);
 /// When it ends: longer than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
@@ -47,8 +46,8 @@ pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
 
 /// Measures until the daemon knows the robot behind its driver, and holds it.
 pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
-    let deadline = Instant::now() + TIMEOUT;
-    while hands.connection.status(TIMEOUT)?.mode != Mode::Holding.code() {
+    let deadline = Instant::now() + HEARD_WITHIN;
+    while hands.connection.status(HEARD_WITHIN)?.mode != Mode::Holding.code() {
         ensure!(
             Instant::now() < deadline,
             "the daemon does not see the robot of its driver"
@@ -65,7 +64,7 @@ pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<Refe
     connection.request(RequestKind::AcquireLease)?;
     let feed = connection.reference_feed()?;
     send(&feed, on_circle(0, hands.length_m()))?;
-    let deadline = Instant::now() + TIMEOUT;
+    let deadline = Instant::now() + HEARD_WITHIN;
     loop {
         interrupt::check()?;
         if let Some(source) = measurement {
@@ -79,7 +78,7 @@ pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<Refe
                 ..
             }) if Instant::now() < deadline => thread::sleep(ASK_AGAIN),
             Err(error) => {
-                let why = Reason::text_of(connection.status(TIMEOUT)?.reason);
+                let why = Reason::text_of(connection.status(HEARD_WITHIN)?.reason);
                 return Err(error).context(format!("the robot shall follow a reference ({why})"));
             }
         }

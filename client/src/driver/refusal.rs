@@ -1,4 +1,5 @@
 use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::counted;
 
 /// Why a command is not followed. The one before it stays in force until it runs out.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -8,7 +9,8 @@ pub enum CommandRefusal {
     NotFinite,
     /// The daemon controls a robot with another number of sections.
     #[error(
-        "the command is for {commanded} sections and this robot has {sections}: another robot's daemon"
+        "the command is for {} and this robot has {sections}: another robot's daemon",
+        counted(*commanded, "section")
     )]
     Sections {
         /// Of the command.

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use anstyle::{AnsiColor, Style};
 use anyhow::{Context, Result};
+use cdcr_shared_types::counted;
 use clap::{Args, ValueEnum};
 
 use super::Source;
@@ -79,10 +80,10 @@ fn write_text(out: &mut impl Write, report: &DoctorReport) -> io::Result<()> {
             writeln!(out, "         fix   {}", finding.remedy)?;
         }
     }
-    let words = ["ok", "unknown", "warnings", "faults"];
-    let counts = Severity::ALL.iter().zip(words);
-    let counts = counts.map(|(severity, word)| format!("{} {word}", report.count(*severity)));
-    let counts: Vec<_> = counts.collect();
+    let counts = Severity::ALL.map(|severity| match (report.count(severity), severity.word()) {
+        (count, word @ ("ok" | "unknown")) => format!("{count} {word}"),
+        (count, noun) => counted(count, noun),
+    });
     let color = style(report.worst);
     writeln!(out, "\n{color}{}{color:#}", counts.join(", "))
 }
@@ -114,7 +115,7 @@ mod tests {
             "         why   Because.",
             "         fix   do it",
             "",
-            "1 ok, 0 unknown, 0 warnings, 1 faults",
+            "1 ok, 0 unknown, 0 warnings, 1 fault",
         ];
         assert_eq!(text.lines().collect::<Vec<_>>(), expected);
     }

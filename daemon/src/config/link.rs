@@ -2,6 +2,7 @@ use std::collections::BTreeMap;
 
 use cdcr_controller::plant::{Flaws, Preset, true_robot};
 use cdcr_controller::robot::{Configuration, Robot};
+use cdcr_shared_types::counted;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins, ns};
@@ -130,8 +131,8 @@ impl LinkConfig {
             return Ok(None);
         }
         if given.len() != robot.section_count() {
-            let (is, should) = (given.len(), robot.section_count());
-            let message = format!("{is} sections are given, but the robot has {should}");
+            let (is, should) = (counted(given.len(), "section"), robot.section_count());
+            let message = format!("{is} given, but the robot has {should}");
             return Err(is_refused(&message));
         }
         let truth = true_robot(robot, given).map_err(|error| is_refused(&error.to_string()));
@@ -149,8 +150,9 @@ impl LinkConfig {
             return Ok(Configuration::straight(robot.section_count()));
         }
         if given.len() != robot.section_count() {
-            let (is, should) = (given.len(), robot.section_count());
-            let message = format!("{is} pairs are given, but the robot has {should} sections");
+            let is = counted(given.len(), "pair");
+            let should = counted(robot.section_count(), "section");
+            let message = format!("{is} given, but the robot has {should}");
             return Err(origins.error(&[key], &message));
         }
         for (index, (pair, section)) in given.iter().zip(robot.sections()).enumerate() {

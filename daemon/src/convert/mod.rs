@@ -13,8 +13,8 @@ pub use incoming::{
     updated_obstacles,
 };
 pub use outgoing::{
-    command, guard_flags, position_error_m, reference_position_m, robot, scheduling, telemetry,
-    text,
+    command, fill_telemetry, guard_flags, position_error_m, reference_position_m, robot,
+    scheduling, telemetry, text,
 };
 pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 

@@ -34,7 +34,7 @@ impl Cycle {
         };
         let ms = |ns: u64| ns as f64 / 1e6;
         Err(format!(
-            "a cycle does not fit into cycle.period_ms = {}: without any search it takes {:.3} ms ({} sections, \
+            "a cycle does not fit into cycle.period_ms = {}: without any search it takes {:.3} ms (sections: {}, \
              controller.horizon_steps = {}), which is {:.3} ms too much; {}",
             ms(self.period_ns),
             ms(least_ns),

@@ -74,7 +74,7 @@ impl Exchange {
         inputs.measurement = self.measurements.newest();
         inputs.tip = self.measurements.newest_tip();
         inputs.tip_sensors = self.measurements.tip_sensors();
-        inputs.obstacles = self.obstacles.handed_over(now_ns);
+        self.obstacles.hand_over(&mut inputs.obstacles, now_ns);
         inputs.obstacle_source_silent = self.obstacles.want_hold(now_ns);
         inputs.stops = self.requests.stops();
         inputs.suspends = self.suspend_watch.look(&clock.slept_ns());

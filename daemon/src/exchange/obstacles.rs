@@ -90,11 +90,10 @@ impl Obstacles {
         Ok(self.known.count() as u32)
     }
 
-    /// The obstacles as the cycles until the next gather see them.
-    pub(super) fn handed_over(&self, now_ns: u64) -> ObstacleSet {
-        let mut obstacles = self.known;
-        obstacles.change(|known| self.sources.hand_over(known, now_ns));
-        obstacles
+    /// Fills in the obstacles as the cycles until the next gather see them.
+    pub(super) fn hand_over(&self, obstacles: &mut ObstacleSet, now_ns: u64) {
+        let known = self.known.iter();
+        obstacles.fill(known.map(|known| self.sources.hand_over(known, now_ns)));
     }
 
     /// Whether the robot has to hold, because a source is silent.

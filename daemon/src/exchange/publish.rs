@@ -31,6 +31,7 @@ impl Exchange {
             // a later one.
             if self.ends.reports.is_full() {
                 shared.dropped_records.add(1);
+                self.ends.records.give_back(record);
                 continue;
             }
             let report = CycleReport {
@@ -69,7 +70,7 @@ impl Exchange {
             self.commands_sent += 1;
             command.header.sequence = self.commands_sent;
             // One that failed may have reached the driver and not another reader: it counts as the worse of both.
-            let has_left = services::send(&self.ports.command, command);
+            let has_left = services::send(&self.ports.command, &command);
             if has_left || moves(&command) {
                 shared.last_word_moves.set(moves(&command));
             }

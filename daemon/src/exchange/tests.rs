@@ -24,7 +24,8 @@ use crate::config::Config;
 use crate::convert;
 use crate::cycle::Cycle;
 use crate::handover::{
-    ChangedSettings, CycleEnds, CycleInputs, CycleRequest, ReporterEnds, Settings, channels,
+    ChangedSettings, CycleEnds, CycleInputs, CycleReport, CycleRequest, ReporterEnds, Settings,
+    channels,
 };
 use crate::link::RobotLink;
 use crate::rt::clock::ManualClock;
@@ -166,8 +167,14 @@ impl Rig {
 
     /// The cycles whose records those who watch have got since the last look.
     fn reported(&mut self) -> Vec<u64> {
-        let reports = std::iter::from_fn(|| self.reports.reports.pop().ok());
-        reports.map(|report| report.record.release.cycle).collect()
+        let ends = &mut self.reports;
+        let reports = std::iter::from_fn(|| ends.reports.pop().ok());
+        let cycle = |report: CycleReport| {
+            let cycle = report.record.release.cycle;
+            ends.used.give_back(report.record);
+            cycle
+        };
+        reports.map(cycle).collect()
     }
 
     /// When the next gather begins \[ns\].

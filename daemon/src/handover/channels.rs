@@ -5,7 +5,7 @@ use triple_buffer::{Input, Output, triple_buffer};
 use super::{
     ChangedSettings, CycleInputs, CycleRecord, CycleReport, CycleRequest, Settings, Summary,
 };
-use crate::rt::record_ring::{RecordReceiver, RecordSender, record_ring};
+use crate::rt::record_ring::{RecordReceiver, RecordSender, Used, record_ring};
 
 /// Requests that one cycle carries out; the rest waits for the next.
 pub const REQUESTS_PER_CYCLE: usize = 4;
@@ -45,6 +45,8 @@ pub struct ExchangeEnds {
 pub struct ReporterEnds {
     /// Records with what belongs to them.
     pub reports: Consumer<CycleReport>,
+    /// Their records go back to the cycle.
+    pub used: Used<CycleRecord>,
     pub summaries: Producer<Summary>,
     pub incidents: Producer<Incident>,
 }
@@ -85,7 +87,8 @@ const RELOADED: usize = 4;
 pub fn channels(settings: Settings) -> Channels {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
-    let (record_in, record_out) = record_ring(RECORDS);
+    // The reporter has one more in its hands.
+    let (record_in, record_out, record_used) = record_ring(RECORDS, REPORTS + 1);
     let (report_in, report_out) = RingBuffer::new(REPORTS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
     let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
@@ -106,6 +109,7 @@ pub fn channels(settings: Settings) -> Channels {
     };
     let reporter = ReporterEnds {
         reports: report_out,
+        used: record_used,
         summaries: summary_in,
         incidents: incident_in,
     };

@@ -4,6 +4,7 @@ use cdcr_shared_types::limits::EVENTS_MAX;
 
 use super::CycleRecord;
 use crate::rt::attribution::Scheduling;
+use crate::rt::record_ring::Sent;
 
 /// A cycle on its way to those who watch: what it did, and what the exchange knows of it.
 #[derive(Debug)]
@@ -12,7 +13,8 @@ pub struct CycleReport {
     pub number: u64,
     /// What the scheduler did to the cycle thread since the look before; none where the kernel does not tell.
     pub scheduling: Option<Scheduling>,
-    pub record: CycleRecord,
+    /// Whoever is done with it gives it back ([`ReporterEnds::used`](super::ReporterEnds)).
+    pub record: Sent<CycleRecord>,
     /// Its command as it was published, or would have been.
     pub command: wire::Command,
     /// From the hand-over of the record until the command was out \[ns\].

@@ -13,6 +13,8 @@ use tracing_subscriber::fmt::MakeWriter;
 
 /// Lines that may wait: far more than an end or a start writes, and less than a megabyte.
 pub(super) const LINES_QUEUED_MAX: usize = 4096;
+/// The writer takes bytes and writes them. All of it is resident where memory is locked.
+const STACK_BYTES: usize = 256 * 1024;
 /// How long the end waits for a reader.
 const END_MAX: Duration = Duration::from_secs(2);
 
@@ -64,6 +66,7 @@ impl Text {
         // Without the thread every line is lost, and counted.
         let _ = std::thread::Builder::new()
             .name(thread.to_owned())
+            .stack_size(STACK_BYTES)
             .spawn(move || write_all(&lines, writer, &counts, alive));
         let guard = TextGuard {
             text: text.clone(),

@@ -1,89 +1,136 @@
-//! A ring whose newest element is never lost.
+//! A ring whose newest element is never lost, and whose elements stay where they were written.
 //!
 //! ```text
-//!  sender ── ring (every element, as long as there is room) ──────────► receiver
-//!         └─ spill (triple buffer: the newest that found no room) ──► receiver
+//!  sender ── ring (every element, as long as there is room) ──────────► receiver ── (any channel) ──► last reader
+//!    ▲    └─ spill (triple buffer: the newest that found no room) ──► receiver │                          │
+//!    └───────────────────────────── memory to be used again ◄──────────────────┴──────────────────────────┘
 //! ```
 //!
 //! When the ring is full, the element goes to the spill and replaces the one that was there. So what a receiver that was
 //! held up gets is the oldest elements, as many as the ring holds, and the newest one; those between are lost. The
 //! oldest matter, too: they hold the answers to the requests that were made before the hold-up.
 //!
-//! Invariant: both ends are wait-free, and nothing here allocates after [`record_ring`].
+//! What travels is the address of an element: it is written once and read where it is. Whoever is done with it gives it back, and the
+//! memory that came back last is written first, while it is still in the caches.
+//!
+//! Invariant: all ends are wait-free, and nothing here allocates or frees after [`record_ring`].
+
+use core::ops::Deref;
 
 use rtrb::{Consumer, Producer, RingBuffer};
-use triple_buffer::{Input, Output, triple_buffer};
+use triple_buffer::{Input, Output, TripleBuffer};
 
-/// An element with its place in the order of sending, counted from 1.
-#[derive(Debug, Clone, Copy)]
-struct Numbered<T> {
+/// An element that was sent, with its place in the order of sending, counted from 1.
+#[derive(Debug)]
+pub struct Sent<T> {
     number: u64,
-    element: T,
+    memory: Box<Option<T>>,
+}
+
+impl<T> Deref for Sent<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.memory.as_ref().as_ref().expect("it was written")
+    }
 }
 
 #[derive(Debug)]
 pub struct RecordSender<T: Send> {
-    ring: Producer<Numbered<T>>,
-    spill: Input<Option<Numbered<T>>>,
+    ring: Producer<Sent<T>>,
+    spill: Input<Option<Sent<T>>>,
+    /// From the receiver and the last reader.
+    returned: [Consumer<Sent<T>>; 2],
+    /// Nobody reads these.
+    free: Vec<Box<Option<T>>>,
     sent: u64,
 }
 
 #[derive(Debug)]
 pub struct RecordReceiver<T: Send> {
-    ring: Consumer<Numbered<T>>,
-    spill: Output<Option<Numbered<T>>>,
+    ring: Consumer<Sent<T>>,
+    spill: Output<Option<Sent<T>>>,
+    used: Used<T>,
     /// Number of the newest element that was taken out.
     taken: u64,
     lost: u64,
 }
 
-pub fn record_ring<T: Copy + Send>(capacity: usize) -> (RecordSender<T>, RecordReceiver<T>) {
+/// Where elements go that were read.
+#[derive(Debug)]
+pub struct Used<T: Send>(Producer<Sent<T>>);
+
+/// A ring of `capacity` elements. So many more can be `beyond` the receiver, which hands them on.
+pub fn record_ring<T: Copy + Send>(
+    capacity: usize,
+    beyond: usize,
+) -> (RecordSender<T>, RecordReceiver<T>, Used<T>) {
+    // Those in the spill, and one in the hands of the receiver.
+    let elements = capacity + beyond + 4;
     let (ring_in, ring_out) = RingBuffer::new(capacity);
-    let (spill_in, spill_out) = triple_buffer(&None);
+    let (spill_in, spill_out) = TripleBuffer::default().split();
+    let (received, back_from_receiver) = RingBuffer::new(elements);
+    let (read, back_from_reader) = RingBuffer::new(elements);
     let sender = RecordSender {
         ring: ring_in,
         spill: spill_in,
+        returned: [back_from_receiver, back_from_reader],
+        free: (0..elements).map(|_| Box::new(None)).collect(),
         sent: 0,
     };
     let receiver = RecordReceiver {
         ring: ring_out,
         spill: spill_out,
+        used: Used(received),
         taken: 0,
         lost: 0,
     };
-    (sender, receiver)
+    (sender, receiver, Used(read))
 }
 
 impl<T: Copy + Send> RecordSender<T> {
     /// Sends `element`. Never fails: in a full ring it takes the place of the newest one before it that found no room.
     pub fn send(&mut self, element: T) {
         self.sent += 1;
-        let numbered = Numbered {
-            number: self.sent,
-            element,
+        for returned in &mut self.returned {
+            while let Ok(read) = returned.pop() {
+                self.free.push(read.memory);
+            }
+        }
+        // There are as many as all the others can hold; what a reader does not give back is missing one day.
+        let Some(mut memory) = self.free.pop() else {
+            return;
         };
-        if let Err(rtrb::PushError::Full(numbered)) = self.ring.push(numbered) {
-            *self.spill.input_buffer_mut() = Some(numbered);
+        *memory = Some(element);
+        let number = self.sent;
+        if let Err(rtrb::PushError::Full(sent)) = self.ring.push(Sent { number, memory }) {
+            let replaced = self.spill.input_buffer_mut().replace(sent);
+            self.free.extend(replaced.map(|replaced| replaced.memory));
             self.spill.publish();
         }
     }
 }
 
-impl<T: Copy + Send> RecordReceiver<T> {
+impl<T: Send> RecordReceiver<T> {
     /// The oldest element that waits. Elements come in the order in which they were sent.
-    pub fn receive(&mut self) -> Option<T> {
+    pub fn receive(&mut self) -> Option<Sent<T>> {
         // The spill first, then the ring. What is spilled between the two found the ring full, and nobody but this end
         // makes room: then the front is older. The other way round the ring could fill up in between, unseen.
         let spilled = self.spilled();
         let front = self.ring.peek().ok().map(|front| front.number);
         let next = match (spilled, front) {
             (Some(spilled), Some(front)) if front < spilled => self.ring.pop().ok()?,
-            (Some(_), _) => (*self.spill.output_buffer())?,
+            (Some(_), _) => self.spill.output_buffer_mut().take()?,
             (None, _) => self.ring.pop().ok()?,
         };
         self.lost += next.number - self.taken - 1;
         self.taken = next.number;
-        Some(next.element)
+        Some(next)
+    }
+
+    /// Gives back what was received and is not handed on.
+    pub fn give_back(&mut self, read: Sent<T>) {
+        self.used.give_back(read);
     }
 
     pub fn is_empty(&mut self) -> bool {
@@ -104,17 +151,32 @@ impl<T: Copy + Send> RecordReceiver<T> {
     }
 }
 
+impl<T: Send> Used<T> {
+    /// Gives back what was read.
+    pub fn give_back(&mut self, read: Sent<T>) {
+        // There is room for all that there are.
+        let _ = self.0.push(read);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn receive(receiver: &mut RecordReceiver<u64>) -> Option<u64> {
+        let sent = receiver.receive()?;
+        let element = *sent;
+        receiver.give_back(sent);
+        Some(element)
+    }
+
     fn all(receiver: &mut RecordReceiver<u64>) -> Vec<u64> {
-        core::iter::from_fn(|| receiver.receive()).collect()
+        core::iter::from_fn(|| receive(receiver)).collect()
     }
 
     #[test]
     fn a_full_ring_keeps_the_oldest_and_the_newest() {
-        let (mut sender, mut receiver) = record_ring(3);
+        let (mut sender, mut receiver, _) = record_ring(3, 0);
         assert!(receiver.is_empty() && receiver.receive().is_none());
         (1..=10).for_each(|number| sender.send(number));
         assert!(!receiver.is_empty());
@@ -128,16 +190,16 @@ mod tests {
 
     #[test]
     fn what_found_no_room_comes_before_what_found_room_after_it() {
-        let (mut sender, mut receiver) = record_ring(2);
+        let (mut sender, mut receiver, _) = record_ring(2, 0);
         (1..=3).for_each(|number| sender.send(number));
-        assert_eq!(receiver.receive(), Some(1));
+        assert_eq!(receive(&mut receiver), Some(1));
         sender.send(4);
         sender.send(5);
         // 3 and 5 found no room, and 5 took the place of 3.
         assert_eq!(all(&mut receiver), [2, 4, 5]);
         assert_eq!(receiver.lost(), 1);
         (6..=8).for_each(|number| sender.send(number));
-        assert_eq!(receiver.receive(), Some(6));
+        assert_eq!(receive(&mut receiver), Some(6));
         sender.send(9);
         assert_eq!(all(&mut receiver), [7, 8, 9]);
         assert_eq!(receiver.lost(), 1);
@@ -146,18 +208,61 @@ mod tests {
     #[test]
     fn two_threads_lose_neither_the_order_nor_the_last() {
         const LAST: u64 = 200_000;
-        let (mut sender, mut receiver) = record_ring(4);
+        let (mut sender, mut receiver, mut last) = record_ring(4, 1);
         let sending = std::thread::spawn(move || (1..=LAST).for_each(|number| sender.send(number)));
         let (mut newest, mut received) = (0, 0);
         while newest < LAST {
-            if let Some(number) = receiver.receive() {
-                assert!(number > newest, "{number} after {newest}");
-                newest = number;
+            if let Some(sent) = receiver.receive() {
+                assert!(*sent > newest, "{} after {newest}", *sent);
+                newest = *sent;
                 received += 1;
+                last.give_back(sent);
             }
         }
         sending.join().unwrap();
         assert!(receiver.is_empty());
         assert_eq!(received + receiver.lost(), LAST);
+    }
+
+    #[test]
+    fn no_memory_is_lost_and_the_warm_one_comes_first() {
+        let (mut sender, mut receiver, mut last) = record_ring(3, 2);
+        let mut addresses = std::collections::BTreeSet::new();
+        let mut beyond = std::collections::VecDeque::new();
+        for number in 1..=1000 {
+            sender.send(number);
+            // A receiver that is held up now and then, and a reader that lags.
+            while number % 7 < 3
+                && let Some(sent) = receiver.receive()
+            {
+                addresses.insert(&raw const *sent as usize);
+                beyond.push_back(sent);
+                match beyond.len() {
+                    1..=2 => {}
+                    _ if number % 2 == 0 => beyond.drain(..).for_each(|sent| last.give_back(sent)),
+                    _ => beyond
+                        .pop_back()
+                        .into_iter()
+                        .for_each(|sent| receiver.give_back(sent)),
+                }
+            }
+        }
+        beyond.drain(..).for_each(|sent| last.give_back(sent));
+        assert!(addresses.len() <= 9, "{addresses:?}");
+        all(&mut receiver);
+        sender.send(1001);
+        assert_eq!(all(&mut receiver), [1001], "there is memory left");
+        // With readers that keep up it is always the same.
+        let addresses = (0..9).map(|number| {
+            sender.send(number);
+            let sent = receiver.receive().unwrap();
+            let address = &raw const *sent as usize;
+            last.give_back(sent);
+            address
+        });
+        assert_eq!(
+            addresses.collect::<std::collections::BTreeSet<_>>().len(),
+            1
+        );
     }
 }

@@ -241,13 +241,13 @@ pub fn telemetry(
 
 /// Copies a message into shared memory and sends it. Readers that are full lose their oldest; when no
 /// memory can be loaned, the message is lost and its readers see a gap in the sequence. Says whether it has left.
-pub(crate) fn send<T: ZeroCopySend + Debug + 'static>(
+pub(crate) fn send<T: ZeroCopySend + Debug + Copy + 'static>(
     publisher: &Publisher<ipc::Service, T, ()>,
-    message: T,
+    message: &T,
 ) -> bool {
     publisher
         .loan_uninit()
-        .is_ok_and(|sample| sample.write_payload(message).send().is_ok())
+        .is_ok_and(|sample| sample.write_payload(*message).send().is_ok())
 }
 
 /// The publisher of the bad cycles, which late joiners still get.

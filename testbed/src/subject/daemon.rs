@@ -16,8 +16,9 @@ use crate::interrupt;
 use crate::system::cores::Cores;
 use crate::system::process::Process;
 
-/// How long a daemon may take to control its robot, and to send a status: on a machine that stalls it may wait for the processor.
-const START_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a daemon may take to be heard: to control its robot, to send a status. On a machine that stalls it may wait for the
+/// processor.
+pub const HEARD_WITHIN: Duration = Duration::from_secs(10);
 
 /// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
 /// not stop the robot, make it hold for want of inputs, or end the lease of its reference.
@@ -147,7 +148,7 @@ impl Daemon {
 
     /// Waits until it controls its robot, or, with a driver, waits for a first measurement.
     pub fn when_ready(mut self) -> Result<Self> {
-        let deadline = Instant::now() + START_TIMEOUT;
+        let deadline = Instant::now() + HEARD_WITHIN;
         let mut last = "it did not begin to control its robot".to_owned();
         while Instant::now() < deadline {
             interrupt::check()?;
@@ -165,7 +166,7 @@ impl Daemon {
         }
         bail!(
             "the daemon was not ready within {} s: {last}{}",
-            START_TIMEOUT.as_secs(),
+            HEARD_WITHIN.as_secs(),
             self.stderr_tail()
         )
     }
@@ -186,7 +187,7 @@ impl Daemon {
         Ok(Connection::open_within(
             self.location(),
             ROBOT,
-            START_TIMEOUT,
+            HEARD_WITHIN,
         )?)
     }
 

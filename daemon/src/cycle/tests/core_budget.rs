@@ -61,7 +61,7 @@ fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
     let error = check(&format!("{short}[realtime]\nspin_us = 50.0\n")).unwrap_err();
     for word in [
         "cycle.period_ms = 0.1",
-        "3 sections",
+        "sections: 3",
         "0.050 ms before the release",
         "0.040 ms of exchange",
     ] {

@@ -1,5 +1,7 @@
 //! What is rehearsed has no effect.
 
+use std::path::Path;
+
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::robot::{Obstacle, Shape};
 use cdcr_controller::safety::Request;
@@ -7,7 +9,8 @@ use nalgebra::Vector3;
 
 use super::super::*;
 use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
-use crate::config::Interface;
+use crate::config::{Config, Interface};
+use crate::convert;
 use crate::obstacles::KnownObstacle;
 
 /// Every record of a robot with a tip sensor, noise and a lag, beside a moving ball: at the start, on the way, stopped and reset.
@@ -55,6 +58,28 @@ fn a_rehearsal_changes_no_bit_of_a_record() {
                 ..*with
             };
             assert_eq!(format!("{without:?}"), format!("{with:?}"));
+        }
+    }
+}
+
+/// The reporter writes all telemetry into one message.
+#[test]
+fn a_message_that_held_another_cycle_tells_nothing_of_it() {
+    let (records, _) = records(Interface::Position, false);
+    let robot = Config::parse("", Path::new("telemetry")).unwrap().robot;
+    let mut used = Box::<cdcr_shared_types::Telemetry>::default();
+    for record in records.iter().rev().step_by(9) {
+        let without = CycleRecord {
+            measurement: None,
+            tip_measurement: None,
+            slack: None,
+            obstacles: ObstacleSet::default(),
+            ..*record
+        };
+        for record in [record, &without] {
+            convert::fill_telemetry(&mut used, record, &robot, PERIOD_NS);
+            let fresh = convert::telemetry(record, &robot, PERIOD_NS);
+            assert_eq!(format!("{used:?}"), format!("{fresh:?}"));
         }
     }
 }

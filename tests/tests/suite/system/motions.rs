@@ -171,7 +171,7 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
         "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n"
     ));
     let refused = says(&daemon, "plant --section 0.31,0.0125,0", 1);
-    assert!(refused.contains("1 sections are given"), "{refused}");
+    assert!(refused.contains("1 section given"), "{refused}");
     let mut command = daemon.place().command("cdcrctl");
     let sections = "--section 0.31,0.0125,0 --section 0.29,0.0125,0.7 --section 0.32,0.0125,1.4";
     let line = format!(
