@@ -89,7 +89,7 @@ fn driven(preset: Preset) -> Driven {
     Driven {
         flaws: preset.flaws(),
         actuator: Actuator::IDEAL,
-        time_constant_s: 0.15,
+        time_constant_s: 0.18,
         obeys_positions: false,
         sensor: if preset.measures_tip() {
             Sensor::Tip { every: 1 }

@@ -719,7 +719,7 @@ def settings_from_toml(path: str | PathLike[str]) -> Settings:
     Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
     """
 
-def simulate(robot: Robot, trajectory: Trajectory, *, plant: Plant = "ideal", flaws: Mapping[str, float] | None = None, settings: Settings | None = None, period_s: float = 0.005, start: ArrayLike | None = None, obstacles: Sequence[Obstacle] = ..., duration_s: float | None = None, seed: int = 1, sensor: Sensor | None = None, interface: Interface = "velocity", actuator_delay_s: float = 0.0, actuator_time_constant_s: float = 0.0, actuator_play_m: float = 0.0, estimator_time_constant_s: float = 0.15, acceleration_rad_s2: float | None = None) -> Simulation:
+def simulate(robot: Robot, trajectory: Trajectory, *, plant: Plant = "ideal", flaws: Mapping[str, float] | None = None, settings: Settings | None = None, period_s: float = 0.005, start: ArrayLike | None = None, obstacles: Sequence[Obstacle] = ..., duration_s: float | None = None, seed: int = 1, sensor: Sensor | None = None, interface: Interface = "velocity", actuator_delay_s: float = 0.0, actuator_time_constant_s: float = 0.0, actuator_play_m: float = 0.0, estimator_time_constant_s: float = 0.18, acceleration_rad_s2: float | None = None) -> Simulation:
     """
     A solver, safety checks and a robot in closed loop: what a daemon does, without a clock. The same arguments give the same bits.
 

@@ -68,7 +68,7 @@ struct Row {
     robot, trajectory, *, plant: "Plant" = "ideal", flaws: "Mapping[str, float] | None" = None, settings: "Settings | None" = None, period_s = 0.005,
     start = None, obstacles: "Sequence[Obstacle]" = Vec::new(), duration_s = None, seed = 1, sensor: "Sensor | None" = None,
     interface: "Interface" = "velocity", actuator_delay_s = 0.0, actuator_time_constant_s = 0.0, actuator_play_m = 0.0,
-    estimator_time_constant_s = 0.15, acceleration_rad_s2 = None,
+    estimator_time_constant_s = 0.18, acceleration_rad_s2 = None,
 ) -> "Simulation")]
 #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
 pub(crate) fn simulate(

@@ -15,7 +15,7 @@ use Figure::{AtRest, Clearance, Max, Mean, RateChange, Rms, Settled};
 const OUT_OF_REACH_MM: f64 = 34.22;
 
 /// Time constant of a daemon's estimate, by default \[s\].
-const TIME_CONSTANT_S: f64 = 0.15;
+const TIME_CONSTANT_S: f64 = 0.18;
 
 named! {
     pub(super) enum Control {

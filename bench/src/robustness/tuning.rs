@@ -49,7 +49,7 @@ const KNOBS: [Knob; 3] = [
     Knob {
         key: "estimator.time_constant_ms",
         head: "estimator.time_constant_ms [ms]",
-        values: &[0.0, 15.0, 30.0, 60.0, 100.0, 150.0, 300.0, 600.0, 1000.0],
+        values: &[0.0, 15.0, 30.0, 60.0, 100.0, 180.0, 300.0, 600.0, 1000.0],
     },
 ];
 
@@ -60,7 +60,7 @@ const PRECISE: Turned = [1e-10, 0.0, 300.0];
 
 /// The presets of a daemon, and what it has without one.
 const PRESETS: [(&str, Turned); 4] = [
-    ("none", [1e-10, 0.0, 150.0]),
+    ("none", [1e-10, 0.0, 180.0]),
     ("precise", PRECISE),
     ("smooth", [1e-10, 1e-5, 300.0]),
     ("fast", [1e-10, 0.0, 60.0]),

@@ -21,7 +21,7 @@ pub const CYCLES: u64 = 2000;
 const WARM_UP: u64 = 50;
 const CABLE_NOISE_M: f64 = 3e-5;
 const TIP_NOISE_M: f64 = 3e-4;
-const TIME_CONSTANT_S: f64 = 0.15;
+const TIME_CONSTANT_S: f64 = 0.18;
 
 named! {
     /// What is measured, and how the motors are.

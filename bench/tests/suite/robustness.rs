@@ -111,13 +111,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
     let full = rows.iter().filter(|row| row["controller"] == "full");
     assert!(full.clone().any(|row| row["plant"] == "laboratory"));
     for row in full {
-        // What docs/robustness.md says is not reached.
-        let missed = [
-            "play of 0.5 mm, taken for 0.6",
-            "30 µm of noise, standard deviation",
-        ];
-        let is_reached = missed.iter().all(|name| row["name"] != *name);
-        assert_eq!(row["ok"], is_reached, "{row}");
+        assert_eq!(row["ok"], true, "{row}");
     }
     for row in rows {
         assert!(row["limit_excess"].as_f64() <= Some(1e-9), "{row}");

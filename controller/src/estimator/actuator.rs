@@ -1,4 +1,4 @@
-use super::Slack;
+use super::slack::{Slack, Window};
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 
 /// How the motors follow a command, after a pure delay and as a first-order system, and the cables the motors. The same for motors that obey positions,
@@ -66,11 +66,16 @@ struct PlayModel {
     led: Slack,
     /// What measurements of the motors moved the cables by, but was not believed: they stand within a band.
     held: Slack,
+    /// What of the play the motors run through.
+    window: Window,
 }
 
 /// The band as a share of the play. A motor that turns round for noise of the cables runs through all of its play, and as not all cables are taken
 /// along at once, the tip swings farther than the noise.
 const HELD: f64 = 0.1;
+/// The part of the play that motors run through at rest where the tip is measured. More play than there is would move the robot beyond its point each time
+/// that they turn round, for ever; less is made up for by the sensor.
+const AT_REST: f64 = 0.75;
 
 /// Rates that were commanded for a time.
 #[derive(Debug, Clone, Copy)]
@@ -116,6 +121,7 @@ impl ActuatorModel {
             motors: middle,
             led: middle,
             held: Slack::middle(HELD * self.actuator.play_m),
+            window: Window::WHOLE,
         });
         self
     }
@@ -135,10 +141,11 @@ impl ActuatorModel {
         cables
     }
 
-    /// Measurements say that the motors are led elsewhere, by `moved`: the cables follow only beyond the band.
-    pub(super) fn hold(&mut self, moved: &Configuration) {
+    /// Measurements say that the motors are led to `to`, not to `from`: the cables follow only beyond the band.
+    pub(super) fn hold(&mut self, from: &Configuration, to: &Configuration) {
         if let Some(play) = &mut self.play {
-            play.held = play.held.moved(&play.robot, moved);
+            let moved = added(to, from.as_slice(), -1.0);
+            play.held = play.held.moved(&play.robot, &moved);
         }
     }
 
@@ -146,7 +153,34 @@ impl ActuatorModel {
     pub(super) fn let_go(&mut self) {
         if let Some(play) = &mut self.play {
             play.held = Slack::middle(play.held.play_m());
+            play.window = Window::WHOLE;
         }
+    }
+
+    /// The robot `rests` or moves while its tip is measured. Whether that places its cables elsewhere.
+    pub(super) fn rest(&mut self, rests: bool) -> bool {
+        let Some(play) = &mut self.play else {
+            return false;
+        };
+        let is_whole = play.window == Window::WHOLE;
+        if rests {
+            if is_whole {
+                play.window = Window::around(&play.motors, AT_REST);
+            }
+            return false;
+        }
+        if !is_whole {
+            let before = play.motors.bends(&play.robot);
+            let window = core::mem::replace(&mut play.window, Window::WHOLE);
+            play.motors = play.motors.widened(&window);
+            play.led = play.led.widened(&window);
+            let after = play.motors.bends(&play.robot);
+            for past in &mut self.moves {
+                add(&mut past.slack_rad, after.as_slice(), 1.0);
+                add(&mut past.slack_rad, before.as_slice(), -1.0);
+            }
+        }
+        !is_whole
     }
 
     /// What of the play is taken where the commands lead; `None`: there is none.
@@ -176,11 +210,11 @@ impl ActuatorModel {
             let mut moved = rest.advanced(rates, duration_s);
             add(moved.as_mut_slice(), &before.behind_rad, 1.0);
             add(moved.as_mut_slice(), &behind_rad, -1.0);
-            play.motors = play.motors.moved(&play.robot, &moved);
+            let window = &play.window;
+            play.motors = play.motors.moved_within(&play.robot, &moved, window);
             // What they are behind they make up for evenly, whatever way the commands went: quick turns reach no cable.
-            play.led = play
-                .motors
-                .moved(&play.robot, &added(&rest, &behind_rad, 1.0));
+            let left = added(&rest, &behind_rad, 1.0);
+            play.led = play.motors.moved_within(&play.robot, &left, window);
             add(
                 &mut slack_rad,
                 play.motors.bends(&play.robot).as_slice(),

@@ -247,11 +247,11 @@ impl Estimator {
         }
         if self.tip_offset.is_measured() {
             // The sensor of the tip makes up for what is not believed of them.
-            self.motors.hold(&moved(&led, &before));
+            self.motors.hold(&led, &before);
         }
         self.led = self.motors.cables_led(self.motors());
         if self.tip_offset.is_measured() {
-            self.tip_offset.follow(&robot.tip_position(&self.led));
+            self.follow_tip(robot);
         }
         &self.led
     }
@@ -260,22 +260,22 @@ impl Estimator {
     /// is learnt ([`Self::tip_offset_m`]), and how that changes along its way: between two positions it goes along. False, and nothing learnt, where it is more than 0.1 m beside, not finite, or in every bit the
     /// last one: a sensor that stands still while the robot moves says nothing.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
+        self.follow_tip(robot);
         let way = self.motors.way_left(age_s);
         let then = way.cables(&way.back_from(self.motors()));
         let placed_m = robot.tip_position(&then);
-        self.tip_offset.follow(&robot.tip_position(&self.led));
         let has_play = self.motors.slack_led().is_some();
         self.tip_offset.correct(position_m, &placed_m, has_play)
     }
-}
 
-/// The way from one to the other.
-fn moved(from: &Configuration, to: &Configuration) -> Configuration {
-    let mut way = *to;
-    for (way, from) in way.as_mut_slice().iter_mut().zip(from.as_slice()) {
-        *way -= from;
+    /// The offset of the tip goes along with it. Cables that begin to move are taken to be elsewhere in their play; the tip stays.
+    fn follow_tip(&mut self, robot: &Robot) {
+        self.tip_offset.follow(&robot.tip_position(&self.led));
+        if self.motors.rest(!self.tip_offset.is_moving()) {
+            self.led = self.motors.cables_led(self.motors());
+            self.tip_offset.place(&robot.tip_position(&self.led));
+        }
     }
-    way
 }
 
 /// `from`, moved by a part `gain` of the way to `to`.

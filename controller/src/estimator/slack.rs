@@ -10,6 +10,29 @@ pub struct Slack {
     slack_m: [f64; CABLES_MAX],
 }
 
+/// What of the play a motor that turns round runs through.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Window {
+    /// So much of the play.
+    part: f64,
+    /// Cable minus motor in its middle (m).
+    middle_m: [f64; CABLES_MAX],
+}
+
+impl Window {
+    /// All of the play.
+    pub(super) const WHOLE: Self = Self {
+        part: 1.0,
+        middle_m: [0.0; CABLES_MAX],
+    };
+
+    /// A `part` of the play of which `slack` has taken as much as of all of it: cables that go with their motors still do.
+    pub(super) fn around(slack: &Slack, part: f64) -> Self {
+        let middle_m = slack.slack_m.map(|slack_m| (1.0 - part) * slack_m);
+        Self { part, middle_m }
+    }
+}
+
 impl Slack {
     /// Cables in the middle of a play of `play_m` (m).
     pub(super) fn middle(play_m: f64) -> Self {
@@ -37,12 +60,32 @@ impl Slack {
     /// After the motors moved evenly by `moved` (rad).
     #[must_use]
     pub fn moved(&self, robot: &Robot, moved: &Configuration) -> Self {
+        self.moved_within(robot, moved, &Window::WHOLE)
+    }
+
+    /// The same where the motors take their cables along at the ends of `window`.
+    pub(super) fn moved_within(
+        &self,
+        robot: &Robot,
+        moved: &Configuration,
+        window: &Window,
+    ) -> Self {
         let mut next = *self;
-        let half_m = 0.5 * self.play_m;
-        for (slack_m, stroke_m) in next.slack_m.iter_mut().zip(robot.cable_strokes(moved)) {
-            *slack_m = (*slack_m - stroke_m).clamp(-half_m, half_m);
+        let half_m = 0.5 * window.part * self.play_m;
+        let cables = next.slack_m.iter_mut().zip(robot.cable_strokes(moved));
+        for ((slack_m, stroke_m), middle_m) in cables.zip(&window.middle_m) {
+            *slack_m = (*slack_m - stroke_m).clamp(middle_m - half_m, middle_m + half_m);
         }
         next
+    }
+
+    /// As far in all of the play as it is in `window`.
+    pub(super) fn widened(&self, window: &Window) -> Self {
+        let mut wide = *self;
+        for (slack_m, middle_m) in wide.slack_m.iter_mut().zip(&window.middle_m) {
+            *slack_m = (*slack_m - middle_m) / window.part;
+        }
+        wide
     }
 
     /// Whether between these two moves (rad) from here in one direction each cable either stands or goes with its motor all the time.
@@ -123,6 +166,47 @@ mod tests {
         // It follows on, and stands when that turns round.
         assert!(moved_rad(0.22, true).1 > 0.0141);
         assert!(moved_rad(0.2199, true).0 < 1e-9);
+    }
+
+    /// At rest the motors run through three quarters of the play where the tip is measured. When the robot moves on, its cables are taken to have gone
+    /// through all of it, and its tip stays where it is.
+    #[test]
+    fn at_rest_more_play_than_there_is_does_not_move_the_robot() {
+        let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+        let actuator = Actuator {
+            play_m: 5e-4,
+            ..Actuator::IDEAL
+        };
+        let start = Configuration::from_slice(&[0.3, 0.0]).unwrap();
+        let mut estimator = Estimator::new(start).with_actuator(&robot, actuator);
+        let mut go = |rate_rad_s: f64| {
+            let rates = BendRates::from_slice(&[rate_rad_s, 0.0]).unwrap();
+            let before = *estimator.configuration();
+            estimator.predict(&rates, PERIOD_S);
+            let placed_m = robot.tip_position(estimator.configuration());
+            let tip_m = placed_m + estimator.tip_offset_m();
+            estimator.correct_tip(&robot, &tip_m, 0.0);
+            let after = estimator.configuration();
+            let seen_m = robot.tip_position(after) + estimator.tip_offset_m();
+            let moved_rad = after.as_slice()[0] - before.as_slice()[0];
+            (moved_rad, (seen_m - tip_m).norm())
+        };
+        // Until all cables go with their motors.
+        for _ in 0..4000 {
+            go(5e-3);
+        }
+        // The first cable's motor goes 0.3125 µm each time.
+        let stands = (0..2000).take_while(|_| go(-5e-3).0.abs() < 1e-6).count();
+        assert!((1195..1205).contains(&stands), "{stands} periods");
+        for _ in 0..2000 {
+            go(-5e-3);
+        }
+        let (moved_rad, jumped_m) = go(-0.5);
+        // All three cables an eighth of the play farther behind: 62.5 µm, 4/3 of that as bend.
+        let farther_rad = 4.0 / 3.0 * 6.25e-5 / 0.0125;
+        let off_rad = moved_rad - (farther_rad - 2.5e-3);
+        assert!(off_rad.abs() < 2e-5, "{moved_rad}");
+        assert!(jumped_m < 1e-9, "{jumped_m} m");
     }
 
     /// Nothing is measured: where the estimate takes the robot for is where the plant is, at each release.

@@ -119,6 +119,21 @@ impl TipOffset {
         }
     }
 
+    /// Whether the bends place the tip elsewhere all the time.
+    pub(super) fn is_moving(&self) -> bool {
+        self.is_moving
+    }
+
+    /// The tip stays where it is, but the bends are taken to place it at `placed_m` (m): what it is beside them is less by that.
+    pub(super) fn place(&mut self, placed_m: &Vector3<f64>) {
+        if let Some(before_m) = self.placed_m.replace(*placed_m) {
+            let by_m = placed_m - before_m;
+            self.learnt_m -= by_m;
+            self.offset_m = (self.offset_m - by_m).cap_magnitude(OFFSET_MAX_M);
+            self.slope.place(&by_m);
+        }
+    }
+
     /// The tip was measured at `measured_m`, and the bends placed it at `placed_m` then. Whether that was believed: not what is farther
     /// beside than the largest offset, nor what is the last position in every bit. A sensor that stands still while the robot
     /// moves would lead it away from its reference, and away from where the sensor says it is.

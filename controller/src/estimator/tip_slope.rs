@@ -109,6 +109,12 @@ impl TipSlope {
             left * self.covariance * left.transpose() + noise_m2 * gain * gain.transpose();
     }
 
+    /// The bends are taken to place the tip elsewhere, by `by_m` (m), and it stays.
+    pub(super) fn place(&mut self, by_m: &Vector3<f64>) {
+        self.offset_m -= by_m;
+        self.placed_m = self.placed_m.map(|placed_m| placed_m + by_m);
+    }
+
     /// To where the tip is placed now, `since_s` (s) later.
     fn predict(&mut self, placed_m: &Vector3<f64>, since_s: f64) {
         let before_m = self.placed_m.replace(*placed_m);

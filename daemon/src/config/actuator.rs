@@ -11,8 +11,8 @@ cdcr_controller::parameters! {
         delay_ms: f64 = 0.0, in 0.0..=300.0;
         /// Time constant of their lag, of first order, {range}.
         time_constant_ms: f64 = 0.0, in 0.0..=300.0;
-        /// Play between each motor and its cable, {range}: so far a motor that turns round goes before its cable comes along. Configure four
-        /// fifths of what you measure: with more than the true play a robot with a tip sensor swings at rest.
+        /// Play between each motor and its cable, {range}: so far a motor that turns round goes before its cable comes along. Configure what
+        /// you measure. With a fifth more than the true play a robot with a tip sensor still rests, with more than a third it swings.
         play_m: f64 = 0.0, in 0.0..=0.01;
     }
 }

@@ -72,7 +72,7 @@ fn the_driver_in_c_is_short() {
 
 #[test]
 fn the_client_in_c_feeds_and_watches() {
-    let daemon = Daemon::ideal(PATIENT);
+    let daemon = Daemon::start(PATIENT);
     let program = built(daemon.place(), "examples/feed.c", Linked::Shared);
     let output = Program::start(&mut daemon.place().command_of(&program)).output();
     let said = assert_says(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);

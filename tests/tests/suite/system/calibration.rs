@@ -187,6 +187,24 @@ fn one_section() -> Daemon {
     Daemon::start(&format!("{PATIENT}{lab}{section}"))
 }
 
+/// A section that is longer than its configuration: straight, its tip is where no reference may be, and its path was refused.
+#[test]
+fn a_section_that_is_longer_than_configured_is_excited_too() {
+    let section = include_str!("../../../../configs/one-section.toml");
+    let longer = "simulated_geometry = [[0.315, 0.0125, 0.0]]\n";
+    let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{lab}{longer}{section}"));
+    let folder = daemon.place().folder();
+    let excite = "calibrate excite -o moved.csv --duration 20s";
+    let excite: Vec<&str> = excite.split(' ').collect();
+    run(daemon.place(), folder, &excite);
+    let found = geometry(daemon.place(), folder, "moved.csv");
+    let lengths = found["estimates"].as_array().unwrap();
+    let length = |estimate: &&Value| estimate["parameter"] == "length of section 1";
+    let found_m = lengths.iter().find(length).unwrap()["found"].as_f64();
+    assert!((found_m.unwrap() - 0.315).abs() < 2e-3, "{found_m:?}");
+}
+
 const EXCITE: &str = "cdcrctl calibrate excite -o moved.csv --duration 30s";
 
 #[test]

@@ -133,6 +133,8 @@ fn plan(
     options: &ExciteOptions,
 ) -> anyhow::Result<(Excitation, Demands)> {
     let mut excitation = Excitation::new(record, options)?;
+    let allowed_m = excitation.missed_m();
+    let mut missed = None;
     for _ in 0..TRIES {
         ensure!(
             excitation.rounds >= ROUNDS_MIN,
@@ -144,7 +146,7 @@ fn plan(
         let (bend_rad, rate_rad_s) = demands.bend_and_rate();
         let bend_share = IDEAL_SHARE * bounds.bend_rad / bend_rad;
         let rate_share = IDEAL_SHARE * bounds.rate_rad_s / rate_rad_s;
-        let is_reached = demands.check(MISSED_M);
+        let is_reached = demands.check(allowed_m);
         if bend_share >= 1.0 && rate_share >= 1.0 && is_reached.is_ok() {
             return Ok((excitation, demands));
         }
@@ -154,10 +156,15 @@ fn plan(
         if rate_share < 1.0 {
             excitation.rounds *= rate_share.min(SMALLER);
         }
+        missed = is_reached.err();
     }
+    let missed = missed.map_or_else(String::new, |why| {
+        let why = why.to_string();
+        format!(" ({})", why.trim_end_matches("; nothing moved"))
+    });
     bail!(
-        "no path was found on which the robot keeps within {:.3} rad and {:.3} rad/s and clear of obstacles; nothing moved: choose \
-         another --seed, or other bounds",
+        "no path was found on which the robot keeps within {:.3} rad and {:.3} rad/s and clear of obstacles{missed}; nothing moved: choose \
+         another --seed, or other bounds, or move the robot otherwise meanwhile: cdcrctl calibrate record",
         bounds.bend_rad,
         bounds.rate_rad_s
     )
@@ -210,6 +217,13 @@ impl Excitation {
             phases: [0.0, 1.0, 2.0].map(|i| (i * golden).fract()),
             robot,
         })
+    }
+
+    /// How far the tip may stay from the path \[m\]. That of one section has one distance from the base in each direction: measured beside its bends it cannot
+    /// be sent to all points, and need not, as it is the bends that tell.
+    fn missed_m(&self) -> f64 {
+        let has_one_section = self.robot.section_count() == 1;
+        MISSED_M + f64::from(u8::from(has_one_section)) * self.offset_m.norm()
     }
 
     fn begins_straight(&self) -> bool {
