@@ -16,12 +16,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let settings = NmpcSettings::default();
     let mut closed = ClosedLoop::new(&robot, 0.005, settings, bent(begin_s), &[], spiral)?;
-    let mut nmpc = closed.solver()?;
-    let mut largest_m = 0.0_f64;
-    while closed.time_s() < 4.97 {
-        closed.step(&mut nmpc);
-        largest_m = largest_m.max(closed.error_m());
-    }
+    let largest_m = closed.run(4.97)?.error_max_m;
     println!("largest error: {:.1e} mm", 1e3 * largest_m);
     if largest_m > 1e-9 {
         return Err("the spiral was lost".into());

@@ -49,6 +49,15 @@ pub struct ClosedLoop<R> {
     command: SafeCommand,
 }
 
+/// What [`ClosedLoop::run`] found after each of its periods.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClosedLoopRun {
+    /// Smallest clearance of the body (m); infinite without obstacles.
+    pub clearance_min_m: f64,
+    /// Largest distance of the tip from the reference (m).
+    pub error_max_m: f64,
+}
+
 /// How long a driver follows a command without another one (periods), and how fast it comes to rest then, as `motion.deceleration_rad_s2` is by
 /// default (rad/s²).
 const DRIVEN: (f64, f64) = (3.0, 40.0);
@@ -162,6 +171,24 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         let (desired_rates, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
         self.advance(&desired_rates);
         report
+    }
+
+    /// Periods until `until_s` (s), each as [`Self::step`], with a solver of its own.
+    ///
+    /// # Errors
+    /// As [`Self::solver`].
+    pub fn run(&mut self, until_s: f64) -> Result<ClosedLoopRun, SettingsError> {
+        let mut nmpc = self.solver()?;
+        let mut run = ClosedLoopRun {
+            clearance_min_m: f64::INFINITY,
+            error_max_m: 0.0,
+        };
+        while self.time_s() < until_s {
+            self.step(&mut nmpc);
+            run.clearance_min_m = run.clearance_min_m.min(self.clearance_m());
+            run.error_max_m = run.error_max_m.max(self.error_m());
+        }
+        Ok(run)
     }
 
     /// What a solve of this period starts from.
