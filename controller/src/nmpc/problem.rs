@@ -1,16 +1,17 @@
-use pulp::NullaryFnOnce;
+mod evaluation;
 
 use super::limits::{LIMITS, LimitRow, Limits};
-use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
+use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{Coordinates, NmpcSettings, SolveInput};
 use crate::optimizer::{
-    Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Reach, Stages, WIDTH_MAX, apart,
+    Bounds, Budget, Cost, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
+    WIDTH_MAX,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
-use crate::wide::{Wide, all};
+use crate::wide::Wide;
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {
@@ -120,76 +121,6 @@ impl<'a> TrackingProblem<'a> {
             step,
             time_s: self.motion.period_s() * (step + 1) as f64,
         }
-    }
-
-    /// Eq. 5 for W plans side by side, in the coordinates that P stands for; as far as it takes to know that all cost more than `enough`.
-    #[inline(always)]
-    fn evaluate_in<const W: usize, const P: usize>(
-        &self,
-        z: &impl Fn(usize) -> Wide<W>,
-        enough: f64,
-        budget: &mut Budget<'_>,
-        instructions: impl pulp::Simd,
-    ) -> Option<Evaluation<W>> {
-        let (step_ns, is_free) = (self.step_ns(), self.is_free());
-        let mut bends: Bends<W, P> = self.motion.start();
-        let mut evaluation = Evaluation::from_cost(self.regularisation(z));
-        for step in 0..self.steps() {
-            if !budget.spend(step_ns) {
-                return None;
-            }
-            // Nothing is copied where nobody compares with it.
-            let before = (!is_free).then_some(bends.bend_rad);
-            self.motion.advance(&mut bends, z, step);
-            if let Some(target) = self.target(step) {
-                let bend_rad = |i: usize| bends.bend_rad[i];
-                let weights = self.weights(step);
-                let error = pose_error::squared_error(self.robot, bend_rad, target, &weights);
-                evaluation.cost = evaluation.cost + error;
-            }
-            if let Some(before) = before {
-                let penalties = Penalties {
-                    problem: self,
-                    step,
-                    before: &before,
-                    after: &bends.bend_rad,
-                    evaluation: &mut evaluation,
-                    budget,
-                };
-                apart(instructions, penalties)?;
-                // No term is negative.
-                if enough < f64::INFINITY && all(Wide::splat(enough).less(evaluation.cost)) {
-                    break;
-                }
-            }
-        }
-        Some(evaluation)
-    }
-
-    /// Weights on the rates and on their change from block to block.
-    #[inline(always)]
-    fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {
-        let NmpcSettings {
-            rate_weight,
-            rate_change_weight,
-            ..
-        } = *self.settings;
-        let rate_weight = f64::from(rate_weight);
-        let mut cost = Wide::splat(0.0);
-        if rate_weight > 0.0 {
-            for i in 0..self.dimension() {
-                cost = cost + z(i) * z(i) * rate_weight;
-            }
-        }
-        if rate_change_weight > 0.0 {
-            for i in 0..self.dimension() {
-                let earlier = i.checked_sub(self.width());
-                let before = earlier.map_or_else(|| Wide::splat(self.previous[i]), z);
-                let change = z(i) - before;
-                cost = cost + change * change * rate_change_weight;
-            }
-        }
-        cost
     }
 
     fn push_regularisation_rows(&self, z: &[f64], model: &mut LinearModel) {
@@ -396,6 +327,22 @@ impl Problem for TrackingProblem<'_> {
         }
     }
 
+    fn evaluate_to_contact(
+        &self,
+        z: &mut [f64],
+        incumbent: &Incumbent,
+        budget: &mut Budget<'_>,
+    ) -> Option<(Evaluation<1>, bool)> {
+        if self.is_free() || !self.is_staged() {
+            let evaluation = self.evaluate_below(z, incumbent.cost(), budget)?;
+            return Some((evaluation, true));
+        }
+        match self.motion.coordinates() {
+            Coordinates::BendVector => self.to_contact_in::<VECTORS>(z, incumbent, budget),
+            Coordinates::BendAngles => self.to_contact_in::<ANGLES>(z, incumbent, budget),
+        }
+    }
+
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
         let is_left = self.walk(z, |_, at| {
             let is_left = budget.spend(self.linearise_step_ns(at.index));
@@ -454,44 +401,6 @@ impl<const P: usize> Cost for Searched<'_, P> {
     ) -> Option<Evaluation<W>> {
         self.0
             .evaluate_in::<W, P>(&z, f64::INFINITY, budget, instructions)
-    }
-}
-
-/// What limits and obstacles add to the cost of W plans at the end of a step. None: the budget was spent.
-///
-/// A function of its own, because the compiler's time grows faster than a function, and this is most of the code
-/// (docs/decisions/0011-build.md).
-struct Penalties<'a, 'b, const W: usize> {
-    problem: &'a TrackingProblem<'a>,
-    step: usize,
-    before: &'a [Wide<W>; COORDINATES_MAX],
-    after: &'a [Wide<W>; COORDINATES_MAX],
-    evaluation: &'a mut Evaluation<W>,
-    budget: &'a mut Budget<'b>,
-}
-
-impl<const W: usize> NullaryFnOnce for Penalties<'_, '_, W> {
-    type Output = Option<()>;
-
-    #[inline(always)]
-    fn call(self) -> Option<()> {
-        let problem = self.problem;
-        if problem.limits.matter() {
-            problem
-                .limits
-                .add_penalties(self.before, self.after, self.evaluation);
-        }
-        if problem.obstacles.matter() {
-            problem.obstacles.add_penalties(
-                problem.robot,
-                problem.settings,
-                problem.step_time(self.step),
-                self.after,
-                self.evaluation,
-                self.budget,
-            )?;
-        }
-        Some(())
     }
 }
 

@@ -17,6 +17,10 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 /// Below this error of the tip \[m\] a vanished gradient is not looked into.
 const STUCK_ERROR_M: f64 = 1e-6;
 
+/// A search that its time ends leaves the noise of a swarm in the rates, which the next cycle has to take out again. Only a plan that costs less than
+/// this share of the refined one is worth that.
+const ANOTHER_WAY: f64 = 0.5;
+
 /// What is to be solved.
 pub(super) struct Task<'a> {
     pub problem: &'a TrackingProblem<'a>,
@@ -77,6 +81,7 @@ impl Solver {
             // What is known of a long plan's derivatives costs little, so the plan is refined before anything else is tried.
             let mut is_known = false;
             if refines && task.problem.is_staged() {
+                self.rest_at_contact(task, warm_plan, budget);
                 is_known = self.incumbent.is_violated();
                 refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
             }
@@ -120,6 +125,23 @@ impl Solver {
         }
     }
 
+    /// Lets a warm start that breaks a constraint, as at the new end of its horizon, rest before that, where this is better.
+    fn rest_at_contact(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) {
+        if !self.incumbent.is_violated() {
+            return;
+        }
+        self.scratch.clear();
+        self.scratch.extend_from_slice(warm_plan);
+        self.apart.restart(warm_plan, None);
+        let rests = &mut self.scratch;
+        if let Some((evaluation, _)) = task.problem.evaluate_to_contact(rests, &self.apart, budget)
+            && evaluation.violations.iter().all(|kind| kind.0[0] == 0.0)
+        {
+            let origin = self.incumbent.origin();
+            self.incumbent.offer(|i| rests[i], &evaluation, 0, origin);
+        }
+    }
+
     /// Refines the warm start; where that breaks a constraint, as at the new end of its horizon, beside those that do less. None: one of these is
     /// better.
     fn refine_warm_start(
@@ -144,7 +166,7 @@ impl Solver {
     }
 
     /// The search from the warm start, as if nothing had been refined, where a refinement left an error: around its result a swarm finds no
-    /// other way past an obstacle. The better of both stays. Returns the iterations begun, and how the better one was refined.
+    /// other way past an obstacle. The better of both stays; of one that the budget ends, see [`ANOTHER_WAY`]. Returns the iterations begun, and how the better one was refined.
     fn search_apart(
         &mut self,
         task: &Task,
@@ -156,7 +178,13 @@ impl Solver {
         self.incumbent.restart(warm_plan, evaluation);
         let iterations = self.search(task, None, budget);
         let mut refinement = Some(self.refine(task, budget));
-        if self.incumbent.take_better(&self.apart) {
+        let is_another_way = self.incumbent.cost() < ANOTHER_WAY * self.apart.cost();
+        if budget.is_over() && !is_another_way && !self.apart.is_violated() {
+            std::mem::swap(&mut self.incumbent, &mut self.apart);
+            let evaluations = self.apart.evaluations().saturating_sub(1);
+            self.incumbent.pass_over(evaluations as usize);
+            refinement = refined;
+        } else if self.incumbent.take_better(&self.apart) {
             refinement = refined;
         }
         (iterations, refinement)

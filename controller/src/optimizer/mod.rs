@@ -107,6 +107,18 @@ pub(crate) trait Problem {
         self.evaluate_below(z, f64::INFINITY, budget)
     }
 
+    /// Evaluates one point as far as it breaks no constraint by more than the incumbent does: what would is changed in `z` so that it does not. Says
+    /// whether `z` stays as it is; None as above. A problem without constraints changes nothing.
+    fn evaluate_to_contact(
+        &self,
+        z: &mut [f64],
+        incumbent: &Incumbent,
+        budget: &mut Budget<'_>,
+    ) -> Option<(Evaluation<1>, bool)> {
+        let evaluation = self.evaluate_below(z, incumbent.cost(), budget)?;
+        Some((evaluation, true))
+    }
+
     /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when `budget` was spent on the way; the model is
     /// then not complete.
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool;

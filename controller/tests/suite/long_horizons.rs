@@ -80,6 +80,18 @@ impl Course {
         }
     }
 
+    /// The same with an upright capsule in the place of every fourth ball.
+    fn with_capsules(mut self) -> Self {
+        for obstacle in self.obstacles.iter_mut().skip(3).step_by(4) {
+            if let &Shape::Sphere { centre_m: start_m } = obstacle.shape() {
+                let end_m = start_m + Vector3::new(0.0, 0.0, 0.03);
+                let capsule = Shape::Capsule { start_m, end_m };
+                *obstacle = Obstacle::new(capsule, 0.01, Vector3::zeros()).unwrap();
+            }
+        }
+        self
+    }
+
     /// A point 15 cm beside, from the first cycle on, for 0.2 s.
     fn jump(solver: SolverKind) -> Self {
         Self {
@@ -196,6 +208,46 @@ fn more_time_is_never_worse_and_the_safe_distance_is_kept_with_any() {
     }
 }
 
+#[test]
+fn more_time_brings_the_robot_no_later_to_a_far_point() {
+    for solver in SOLVERS {
+        let course = Course::jump(solver);
+        let mut best_m = f64::INFINITY;
+        for budget_ns in [50_000, 100_000, 200_000, 300_000, 500_000] {
+            let Outcome { mean_m, .. } = course.run(quanta(budget_ns));
+            let what = format!("{solver:?}, {budget_ns} ns: {mean_m} m, {best_m} before");
+            assert!(mean_m <= 1.05 * best_m, "{what}");
+            best_m = best_m.min(mean_m);
+        }
+    }
+}
+
+#[test]
+fn a_budget_that_ends_before_the_way_round_leads_up_to_the_obstacles() {
+    for solver in SOLVERS {
+        for (speed, capsules, budget_ns) in [
+            (5.0, false, 20_000),
+            (10.0, false, 20_000),
+            (3.0, true, 30_000),
+        ] {
+            let course = Course::spiral(solver, speed, true);
+            let course = if capsules {
+                course.with_capsules()
+            } else {
+                course
+            };
+            let course = Course {
+                cycles: if capsules { 199 } else { 20 },
+                ..course
+            };
+            let (outcome, at_rest_m) = (course.run(quanta(budget_ns)), course.mean_at_rest_m());
+            let what = format!("{solver:?}, {speed} times: {outcome:?}, {at_rest_m} m at rest");
+            assert!(outcome.mean_m < 0.9 * at_rest_m, "{what}");
+            assert!(outcome.spare_m > -1e-9, "{what}");
+        }
+    }
+}
+
 const HELD: [[f64; 2]; 3] = [[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]];
 
 /// A robot whose tip is on its goal for 0.3 s. Each ball comes towards the middle of its second section from a side, ±1, from a gap beyond
@@ -284,8 +336,8 @@ fn an_interior_point_that_time_ends_leaves_what_it_found() {
     let between = |cost: &&f64| **cost < 0.5 * first && **cost > 2.0 * last;
     let mut steps: Vec<_> = costs.iter().filter(between).collect();
     steps.dedup();
-    // Parts of the first step, and two of the points of its interior point method at least.
-    assert!(steps.len() >= 4, "{steps:?}");
+    // The beginning of the first step, and two of the points of its interior point method at least.
+    assert!(steps.len() >= 3, "{steps:?}");
     assert!(last < 1e-9 * first, "{first} {last}");
 }
 

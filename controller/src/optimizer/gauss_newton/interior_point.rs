@@ -142,7 +142,7 @@ impl InteriorPoint {
                 break;
             }
             if iteration > 1 && iteration.is_power_of_two() {
-                trial.offer(step, 1.0, budget)?;
+                trial.offer_to_contact(step, budget)?;
             }
             centring = if part > 0.9 { 0.05 } else { 1.0 - 0.9 * part };
         }

@@ -63,7 +63,7 @@ impl GaussNewton {
             return Some(Found::Step);
         }
         // A step that is better and breaks nothing needs no constraints.
-        let part = trial.descend(step, 1.0, HALVINGS_FIRST, budget)?;
+        let part = trial.descend_to_contact(step, HALVINGS_FIRST, budget)?;
         if part == 1.0 && !trial.incumbent.is_violated() {
             return Some(Found::Tried);
         }
@@ -116,7 +116,7 @@ impl GaussNewton {
             }
             if round == 0 && self.model.is_staged() {
                 let step = &self.step[..dimension];
-                trial.descend(step, 1.0, HALVINGS_FIRST, budget)?;
+                trial.descend_to_contact(step, HALVINGS_FIRST, budget)?;
             }
             self.fix_leavers(bounds, z, excess);
         }

@@ -58,6 +58,41 @@ impl<P: Problem> Trial<'_, P> {
         Some(0.0)
     }
 
+    /// Offers a step as far as it breaks no constraint and, where that is not better, halves of the step. The part that was taken, 0 if none or
+    /// only its beginning was; None: the budget was spent.
+    pub(super) fn descend_to_contact(
+        &mut self,
+        step: &[f64],
+        halvings: u32,
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        match self.offer_to_contact(step, budget)? {
+            (true, is_whole) => Some(f64::from(u8::from(is_whole))),
+            (false, _) => self.descend(step, 0.5, halvings - 1, budget),
+        }
+    }
+
+    /// Evaluates a step as far as it breaks no constraint. Whether that is better than the incumbent, which takes it then, and whether it is the
+    /// whole step. None: the budget was spent.
+    pub(super) fn offer_to_contact(
+        &mut self,
+        step: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<(bool, bool)> {
+        let mut at = core::mem::take(self.at);
+        at.resize(step.len(), 0.0);
+        self.lead(step, 1.0, &mut at);
+        let evaluated = self
+            .problem
+            .evaluate_to_contact(&mut at, self.incumbent, budget);
+        let result = evaluated.map(|(evaluation, is_whole)| {
+            let better = self.incumbent.offer(|i| at[i], &evaluation, 0, self.origin);
+            (better, is_whole)
+        });
+        *self.at = at;
+        result
+    }
+
     /// Evaluates a part of a step, and says whether it is better than the incumbent, which takes it then. None: the budget was spent.
     pub(super) fn offer(
         &mut self,
