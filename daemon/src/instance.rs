@@ -123,9 +123,6 @@ pub enum InstanceError {
 
 impl Instance {
     /// Becomes the daemon of `robot` at `location`, for its user and a group.
-    ///
-    /// # Errors
-    /// [`InstanceError`] when another daemon is, or the folder cannot be used.
     pub fn claim(
         location: &Location,
         robot: &str,

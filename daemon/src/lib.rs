@@ -29,6 +29,7 @@
 
 #![allow(
     missing_docs,
+    clippy::missing_errors_doc,
     reason = "the library of a program: a comment that repeats a name helps nobody"
 )]
 

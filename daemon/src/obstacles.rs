@@ -94,10 +94,7 @@ impl Default for ObstacleSet {
 }
 
 impl ObstacleSet {
-    /// Inserts an obstacle, or replaces the one of its id.
-    ///
-    /// # Errors
-    /// [`SetIsFull`]; the set is as before.
+    /// Inserts an obstacle, or replaces the one of its id. A set that is full stays as it is.
     pub fn upsert(&mut self, obstacle: KnownObstacle) -> Result<(), SetIsFull> {
         let same = self.iter().position(|known| known.id == obstacle.id);
         let at = same.unwrap_or(self.count);

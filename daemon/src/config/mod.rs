@@ -121,25 +121,16 @@ pub fn ns(milliseconds: f64) -> u64 {
 
 impl Config {
     /// Reads and checks a file, and nothing but the file.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with file, line, key and remedy.
     pub fn load(path: &Path) -> Result<Validated, ConfigError> {
         Layers::default().file(path)?.settings()?.validate()
     }
 
     /// Checks a text; `file` is for the messages.
-    ///
-    /// # Errors
-    /// As [`Config::load`].
     pub fn parse(text: &str, file: &Path) -> Result<Validated, ConfigError> {
         Layers::default().text(text, file)?.settings()?.validate()
     }
 
     /// Checks a configuration that came from no file.
-    ///
-    /// # Errors
-    /// As [`Config::load`], without a line.
     pub fn check(self) -> Result<Validated, ConfigError> {
         Settings::from(self).validate()
     }

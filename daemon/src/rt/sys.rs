@@ -6,10 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::io;
 
-/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99).
-///
-/// # Errors
-/// What the kernel says; `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
+/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99); `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
 pub fn set_fifo(priority: i32) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: priority,
