@@ -7,6 +7,7 @@
 #![allow(
     missing_docs,
     clippy::missing_panics_doc,
+    clippy::unwrap_used,
     reason = "of tests: a comment that repeats a name helps nobody, and a panic is the report"
 )]
 
