@@ -22,7 +22,6 @@ pub struct KnownObstacle {
 }
 
 impl KnownObstacle {
-    /// Whether it is still known at `time_ns`.
     pub fn is_known_at(&self, time_ns: u64) -> bool {
         self.expires_ns
             .is_none_or(|expires_ns| time_ns < expires_ns)

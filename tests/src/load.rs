@@ -61,7 +61,6 @@ pub fn connect(place: &Place) -> Connection {
     Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap()
 }
 
-/// Runs `work` every `period` until the end.
 fn every(period: Duration, ending: &AtomicBool, mut work: impl FnMut()) {
     let is_ending = || ending.load(Ordering::Relaxed);
     let work = || {

@@ -44,7 +44,6 @@ pub enum ServiceError {
          a client of another version may hold it open: end the clients, or use another prefix; or a limit of this process is too low: ulimit -a"
     )]
     Service { service: String, cause: String },
-    /// Another process is the writer of a service that has one.
     #[error(
         "another process writes to the service {service} already\n\
          another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
