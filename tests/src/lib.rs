@@ -18,7 +18,7 @@ pub mod record;
 pub mod robot;
 pub mod system_calls;
 
-use std::ops::{ControlFlow, Deref, DerefMut};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,8 +30,9 @@ use cdcr_client::{
 };
 use cdcr_controller::plant::Preset;
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_shared_types::{Location, Obstacle, Status, Telemetry};
+use cdcr_shared_types::{Obstacle, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
+use derive_more::{Deref, DerefMut};
 pub use program::{Program, Running};
 use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
@@ -63,7 +64,7 @@ pub fn binary(name: &str) -> PathBuf {
 
 /// A place in shared memory that no other test uses, and a folder for what else it needs, which may lie on a disk. Both
 /// are removed when it is dropped.
-#[derive(Debug)]
+#[derive(Debug, Deref)]
 pub struct Place(cdcr_testbed::subject::place::Place);
 
 impl Place {
@@ -72,24 +73,10 @@ impl Place {
         Self(cdcr_testbed::subject::place::Place::new().expect("a place"))
     }
 
-    /// Where daemon and clients meet.
-    pub fn location(&self) -> &Location {
-        self.0.location()
-    }
-
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
         let path = self.folder().join(name);
         std::fs::write(&path, text).expect("the folder is writable");
         path
-    }
-
-    pub fn folder(&self) -> &Path {
-        self.0.folder()
-    }
-
-    /// Files of this place that are mapped into memory.
-    pub fn shared_memory_files(&self) -> Vec<PathBuf> {
-        self.0.memory_files()
     }
 
     /// A command of ours that looks at this place. The robot that a daemon simulates there is the
@@ -208,8 +195,10 @@ impl Default for Place {
 }
 
 /// A running `cdcrd`.
-#[derive(Debug)]
+#[derive(Debug, Deref, DerefMut)]
 pub struct Daemon {
+    #[deref]
+    #[deref_mut]
     // Ends before its place goes.
     child: Running,
     place: Place,
@@ -303,20 +292,6 @@ impl Daemon {
     pub fn kill(&mut self) {
         self.signal(Signal::KILL);
         self.stop_after_signal();
-    }
-}
-
-impl Deref for Daemon {
-    type Target = Running;
-
-    fn deref(&self) -> &Running {
-        &self.child
-    }
-}
-
-impl DerefMut for Daemon {
-    fn deref_mut(&mut self) -> &mut Running {
-        &mut self.child
     }
 }
 

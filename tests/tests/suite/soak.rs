@@ -129,7 +129,7 @@ fn soak(link: &str) {
     write_csv(link, &samples);
     assert_no_growth(&samples);
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 /// A reader that keeps up.
@@ -238,7 +238,7 @@ fn field(text: &str, key: &str) -> u64 {
 
 /// Files of this place in shared memory, and their bytes.
 fn shared_memory(place: &Place) -> (u64, u64) {
-    let names = place.shared_memory_files();
+    let names = place.memory_files();
     let sizes = names.iter().filter_map(|path| fs::metadata(path).ok());
     (names.len() as u64, sizes.map(|file| file.len()).sum())
 }
@@ -366,7 +366,7 @@ fn what_killed_clients_leave_goes_when_the_next_one_comes() {
         });
     }
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 /// iceoryx2 0.10 cannot clear away all of a client that was killed between announcing that it will open a service
@@ -378,7 +378,7 @@ fn clients_killed_while_they_connect_take_no_place_from_others() {
     let before = inventory(place);
     // Without the queues to single clients, of which the daemon keeps the last until it connects to another one.
     let memory = || {
-        let mut names = place.shared_memory_files();
+        let mut names = place.memory_files();
         names.retain(|path| path.extension().is_none_or(|end| end != "connection"));
         names.sort();
         names
@@ -414,7 +414,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     let place = daemon.place();
     let mut victim = echo(place);
     wait_until_it_reads(&mut victim);
-    let names = place.shared_memory_files();
+    let names = place.memory_files();
     let newest = names
         .iter()
         .filter(|path| path.extension().is_some_and(|end| end == "connection"))
@@ -431,7 +431,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     let mut next = Program::start(place.command("cdcrctl").arg("status"));
     wait_until("the next client is served", || !next.runs());
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -137,7 +137,7 @@ fn run(link: &str) {
     come_back(&daemon);
     drop(mended);
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 /// A run in which nothing happened proves nothing.

@@ -32,7 +32,7 @@ fn assert_refused(place: &Place, options: &[&str], status: i32, parts: &[&str]) 
         status,
         parts,
     );
-    assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
 }
 
 /// The same with this configuration.
@@ -103,7 +103,7 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
 /// Stops a client, and puts in the place of its files what is there while it makes them. Which files.
 fn stop_client_while_it_connects(daemon: &Daemon, topic: &str) -> (Vec<PathBuf>, Program) {
     let connections = || {
-        let mut names = daemon.place().shared_memory_files();
+        let mut names = daemon.place().memory_files();
         names.retain(|path| path.extension().is_some_and(|end| end == "connection"));
         names
     };
@@ -288,7 +288,7 @@ fn a_thread_that_panics_ends_with_70() {
     let error = run_until(&validated, || false, |_| panic!("a test of panics")).unwrap_err();
     assert_eq!(ExitCause::of(&error), ExitCause::Panicked);
     assert!(error.to_string().contains("cdcr-cycle panicked"), "{error}");
-    assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -100,7 +100,7 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
     daemon.restart();
     daemon.place().says("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
-    let left = daemon.place().shared_memory_files();
+    let left = daemon.place().memory_files();
     assert_eq!(left, Vec::<PathBuf>::new());
 }
 

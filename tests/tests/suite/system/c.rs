@@ -160,5 +160,5 @@ fn a_daemon_that_goes_away_is_silence_and_rest() {
     probe.go_on();
     probe.ends_well();
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }

@@ -71,7 +71,7 @@ pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Comman
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
     drop((telemetry, connection));
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -95,7 +95,7 @@ fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
     let status = daemon.stop_after_signal();
     assert_eq!(status.code(), Some(NOT_AT_REST), "{}", daemon.log());
     assert!(daemon.log().contains("motion.deceleration_rad_s2"));
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]
