@@ -29,8 +29,8 @@ use cdcr_client::{
     monotonic_ns,
 };
 use cdcr_controller::plant::Preset;
-use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_shared_types::{Obstacle, Status, Telemetry};
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
 use derive_more::{Deref, DerefMut};
 pub use program::{Program, Running};
@@ -157,7 +157,6 @@ pub fn paper_line(duration_s: f64) -> Line {
     }
 }
 
-/// Of each [`ball`].
 pub const BALL_RADIUS_M: f64 = 0.02;
 
 /// A ball that stands here, seen now.
@@ -197,9 +196,9 @@ impl Default for Place {
 /// A running `cdcrd`.
 #[derive(Debug, Deref, DerefMut)]
 pub struct Daemon {
+    // Ends before its place goes.
     #[deref]
     #[deref_mut]
-    // Ends before its place goes.
     child: Running,
     place: Place,
     log: PathBuf,
@@ -322,7 +321,6 @@ pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
     }
 }
 
-/// Waits for a record that satisfies `is_it`.
 pub fn wait_record(
     stream: &mut TelemetryStream,
     mut is_it: impl FnMut(&Telemetry) -> bool,
@@ -353,7 +351,6 @@ pub fn wait_mode(stream: &mut TelemetryStream, mode: Mode) -> Telemetry {
     wait_record(stream, |record| record.mode == mode.code())
 }
 
-/// Waits for a status that satisfies `is_it`.
 pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> Status {
     let begin = Instant::now();
     loop {
@@ -366,10 +363,19 @@ pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> 
     }
 }
 
-/// Whether the daemon refuses a request; that it does not answer is no refusal.
-pub fn is_refused(connection: &Connection, kind: RequestKind) -> bool {
-    let answer = connection.request_within(kind, TIMEOUT);
-    matches!(answer, Err(RequestError::Refused { .. }))
+/// Asks for what the daemon grants; its answer.
+#[track_caller]
+pub fn ask_for(connection: &Connection, kind: RequestKind) -> Response {
+    connection.request_within(kind, TIMEOUT).unwrap()
+}
+
+/// Asks for what the daemon refuses; why. That it does not answer is no refusal.
+#[track_caller]
+pub fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
+    match connection.request_within(kind, TIMEOUT) {
+        Err(RequestError::Refused { outcome, .. }) => outcome,
+        other => panic!("{kind} was not refused: {other:?}"),
+    }
 }
 
 /// Tries until a case could happen as it is meant. `case` returns `None` when the machine made another one of it, such as

@@ -13,7 +13,7 @@ use cdcr_shared_types::{Command, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, wait_mode, wait_record, wait_until,
+    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, ask_for, wait_mode, wait_record, wait_until,
 };
 
 /// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
@@ -68,9 +68,7 @@ fn rest(interface: Interface, mode: Mode) {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Home);
         let homing = wait_mode(&mut telemetry, Mode::Homing);
         wait_record(&mut telemetry, |record| record.cycle > homing.cycle + 40);
         bring_to(mode, &connection, &robot);
@@ -94,14 +92,8 @@ fn rest(interface: Interface, mode: Mode) {
 
 fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
     match mode {
-        Mode::Holding => connection
-            .request_within(RequestKind::Hold, TIMEOUT)
-            .map(drop)
-            .unwrap(),
-        Mode::Stopped => connection
-            .request_within(RequestKind::Stop, TIMEOUT)
-            .map(drop)
-            .unwrap(),
+        Mode::Holding => drop(ask_for(connection, RequestKind::Hold)),
+        Mode::Stopped => drop(ask_for(connection, RequestKind::Stop)),
         _ => {
             // A sensor that is out of its mind for as long as it takes.
             robot.is_mad.store(true, Ordering::Relaxed);

@@ -141,7 +141,6 @@ fn read(place: &Place, ending: &AtomicBool) {
     }
 }
 
-/// A reader that never reads.
 fn never_read(place: &Place, ending: &AtomicBool) {
     let connection = load::connect(place);
     let _telemetry = connection.telemetry().unwrap();
@@ -236,14 +235,12 @@ fn field(text: &str, key: &str) -> u64 {
     number.unwrap().parse().unwrap()
 }
 
-/// Files of this place in shared memory, and their bytes.
 fn shared_memory(place: &Place) -> (u64, u64) {
     let names = place.memory_files();
     let sizes = names.iter().filter_map(|path| fs::metadata(path).ok());
     (names.len() as u64, sizes.map(|file| file.len()).sum())
 }
 
-/// Files in a folder and all folders below it.
 fn files_below(folder: &Path) -> u64 {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     entries

@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, ball, oversleep_until, text, wait_status,
+    Daemon, EndWhenDropped, Place, ask_for, assert_says, ball, oversleep_until, text, wait_status,
     wait_until,
 };
 
@@ -76,16 +76,8 @@ impl Row {
         let connection = stage.connection;
         let feeding = (mode == Mode::Tracking).then(|| track(connection, 100, 40));
         match mode {
-            Mode::Homing => drop(
-                connection
-                    .request_within(RequestKind::Home, TIMEOUT)
-                    .unwrap(),
-            ),
-            Mode::Stopped => drop(
-                connection
-                    .request_within(RequestKind::Stop, TIMEOUT)
-                    .unwrap(),
-            ),
+            Mode::Homing => drop(ask_for(connection, RequestKind::Home)),
+            Mode::Stopped => drop(ask_for(connection, RequestKind::Stop)),
             _ => {}
         }
         stage.trail.until("the mode", is(mode));
@@ -115,9 +107,7 @@ impl Row {
         let is_late = self.note(mode, timed, stopped);
         drop(feeding);
         if !(matches!(mode, Mode::Faulted | Mode::Starting) || self.beside == Beside::EmptiedRoot) {
-            connection
-                .request_within(RequestKind::Reset, TIMEOUT)
-                .unwrap();
+            ask_for(connection, RequestKind::Reset);
             stage.trail.until("holding", is(Mode::Holding));
         }
         Some(!is_late)

@@ -6,7 +6,7 @@ use cdcr_client::{FeedOptions, Line, RequestError};
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, wait_until};
+use cdcr_tests::{Daemon, PATIENT, ask_for, wait_until};
 use rustix::process::Signal;
 
 const ASKED: i32 = 0;
@@ -21,9 +21,7 @@ fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
     let daemon = Daemon::start(&format!("{PATIENT}{motion}{bend}"));
     let connection = daemon.connect();
     let mut commands = connection.commands().unwrap();
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     wait_until("it moves", || {
         commands
             .newest()

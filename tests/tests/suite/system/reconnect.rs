@@ -17,7 +17,7 @@ use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_tests::load::connect;
 use cdcr_tests::{
-    EndWhenDropped, PATIENT, Place, ROBOT, Running, TIMEOUT, ball, paper_line, tracked,
+    EndWhenDropped, PATIENT, Place, ROBOT, Running, TIMEOUT, ask_for, ball, paper_line, tracked,
     wait_record, wait_status, wait_until,
 };
 use rustix::process::Signal;
@@ -143,10 +143,7 @@ impl<'c> Old<'c> {
 
     /// All that a client can do works with the daemon of this process, which is new.
     fn use_everything(&mut self, process: u32) {
-        let answer = self
-            .connection
-            .request_within(RequestKind::Hold, TIMEOUT)
-            .unwrap();
+        let answer = ask_for(self.connection, RequestKind::Hold);
         assert_eq!(answer.header.sender_id, self.daemon);
         wait_status(self.connection, |status| status.process_id == process);
         let far = ball(1, [5.0, 0.0, 0.0]);
@@ -338,8 +335,8 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
             thread::sleep(short);
             Life::begin(&place)
         });
-        let answer = connection.request_within(RequestKind::Stop, TIMEOUT);
-        assert_eq!(answer.unwrap().mode, Mode::Stopped.code());
+        let answer = ask_for(&connection, RequestKind::Stop);
+        assert_eq!(answer.mode, Mode::Stopped.code());
         old.wait_mode(Mode::Stopped, begin_ns);
         next.join().unwrap()
     });
