@@ -281,6 +281,12 @@ impl Daemon {
         self.stop_after_signal()
     }
 
+    /// Ends it as it should end: with success, and nothing is left in memory.
+    pub fn end_clean(&mut self) {
+        assert!(self.stop().success(), "{}", self.log());
+        assert_eq!(self.place().memory_files(), Vec::<PathBuf>::new());
+    }
+
     /// Waits for its end after a signal was sent.
     pub fn stop_after_signal(&mut self) -> ExitStatus {
         let Self { child, log, .. } = self;

@@ -128,8 +128,7 @@ fn soak(link: &str) {
     println!("{done:?}, {killed:?} clients killed\n{}", table(&samples));
     write_csv(link, &samples);
     assert_no_growth(&samples);
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 /// A reader that keeps up.
@@ -362,8 +361,7 @@ fn what_killed_clients_leave_goes_when_the_next_one_comes() {
             inventory(place) == before
         });
     }
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 /// iceoryx2 0.10 cannot clear away all of a client that was killed between announcing that it will open a service
@@ -427,8 +425,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     kill(victim);
     let mut next = Program::start(place.command("cdcrctl").arg("status"));
     wait_until("the next client is served", || !next.runs());
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 #[test]
