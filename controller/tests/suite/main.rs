@@ -52,6 +52,11 @@ fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     }
 }
 
+/// A number of the environment.
+fn number(name: &str, otherwise: u64) -> u64 {
+    std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
+}
+
 /// How often something is repeated: a part of it, so that whoever changes a line need not wait, and the whole with `CDCR_WHOLE`.
 fn repetitions(part: u32, whole: u32) -> u32 {
     match std::env::var_os("CDCR_WHOLE") {

@@ -7,17 +7,13 @@ use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
-use crate::inside;
+use crate::{inside, number, repetitions};
 
 const PERIOD_S: f64 = 0.005;
 
 /// Noises that each robot is run with: `CDCR_ROBUSTNESS_SEEDS`.
 fn seeds() -> u64 {
-    let set = std::env::var("CDCR_ROBUSTNESS_SEEDS");
-    set.map_or_else(
-        |_| crate::repetitions(1, 3).into(),
-        |seeds| seeds.parse().unwrap(),
-    )
+    number("CDCR_ROBUSTNESS_SEEDS", repetitions(1, 3).into())
 }
 
 /// The error of the tip in truth, the first second apart.

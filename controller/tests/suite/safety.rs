@@ -403,7 +403,7 @@ fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
 
 #[test]
 fn balls_on_the_way_home_are_passed() {
-    let runs = crate::oracle::number("CDCR_HOMING_RUNS", crate::repetitions(20, 40).into()) as u32;
+    let runs = crate::number("CDCR_HOMING_RUNS", crate::repetitions(20, 40).into()) as u32;
     for &(sections, balls, tenths) in crate::cases(1, &[(3, 1, 10), (3, 4, 8), (3, 8, 6)]) {
         let (blocked, arrived, stood) = homing(sections, balls, runs);
         println!(

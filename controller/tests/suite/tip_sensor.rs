@@ -11,7 +11,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::safety::command;
 
-use crate::{input, inside};
+use crate::{input, inside, number};
 
 const PERIOD_S: f64 = 0.005;
 
@@ -110,7 +110,7 @@ fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
 /// With fewer sections, and near the straight robot, where the tip tells least of the bends. `CDCR_TIP_RUNS`: runs of each.
 #[test]
 fn a_tip_sensor_alone_is_enough_with_one_to_three_sections_and_near_straight() {
-    let runs = std::env::var("CDCR_TIP_RUNS").map_or(1, |runs| runs.parse().unwrap());
+    let runs = number("CDCR_TIP_RUNS", 1);
     for sections in 1..=3 {
         for (share, noise_mm, mean_max_mm) in [(1.0, 0.1, 0.1), (1.0, 0.5, 0.25), (0.05, 0.5, 0.25)]
         {
