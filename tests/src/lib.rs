@@ -21,6 +21,7 @@ pub mod system_calls;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Output, Stdio};
+use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -115,6 +116,15 @@ impl Place {
             .output()
             .expect("cdcrctl runs")
     }
+}
+
+/// The number that an environment variable asks for.
+pub fn asked<T: FromStr>(variable: &str) -> Option<T> {
+    let text = std::env::var(variable).ok()?;
+    let Ok(number) = text.parse() else {
+        panic!("{variable} = {text:?} is no such number");
+    };
+    Some(number)
 }
 
 /// Everything that a program printed.

@@ -13,7 +13,8 @@ use cdcr_shared_types::{Command, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, ask_for, wait_mode, wait_record, wait_until,
+    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, ask_for, asked, wait_mode, wait_record,
+    wait_until,
 };
 
 /// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
@@ -45,12 +46,7 @@ fn a_velocity_driver_with_offset_is_at_rest_in_every_mode() {
 
 /// How long each rest is looked at.
 fn duration() -> Duration {
-    let asked = std::env::var("CDCR_REST_S").ok();
-    let seconds = asked.map_or(2, |text| {
-        text.parse()
-            .expect("CDCR_REST_S is a whole number of seconds")
-    });
-    Duration::from_secs(seconds)
+    Duration::from_secs(asked("CDCR_REST_S").unwrap_or(2))
 }
 
 /// Stops a robot on its way home, and looks at its rest.

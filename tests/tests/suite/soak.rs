@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::Connection;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_tests::load::{self, Busy, Done};
-use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, asked, wait_until};
 use rustix::process::Signal;
 
 /// Timing is not the subject. Everything else is as in service.
@@ -63,12 +63,7 @@ struct Sample {
 
 /// How long to soak: 8 s unless `CDCR_SOAK_S` says otherwise.
 fn duration() -> Duration {
-    let asked = std::env::var("CDCR_SOAK_S").ok();
-    let seconds = asked.map_or(8, |text| {
-        text.parse()
-            .expect("CDCR_SOAK_S is a whole number of seconds")
-    });
-    Duration::from_secs(seconds)
+    Duration::from_secs(asked("CDCR_SOAK_S").unwrap_or(8))
 }
 
 #[test]

@@ -27,7 +27,7 @@ use cdcr_client::FeedOptions;
 use cdcr_controller::plant::Preset;
 use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, paper_line, wait_mode, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, asked, paper_line, wait_mode, wait_until};
 
 use action::ROUND;
 use checker::{Checker, View};
@@ -51,15 +51,6 @@ const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_m
 
 /// A run of this length must see every kind of bad message judged.
 const KINDS_TAKE: Duration = Duration::from_secs(25);
-
-/// A number from the environment.
-fn asked(key: &str) -> Option<u64> {
-    let text = std::env::var(key).ok()?;
-    Some(
-        text.parse()
-            .unwrap_or_else(|_| panic!("{key} = {text:?} is no whole number")),
-    )
-}
 
 /// The seed of the run: given, or the time.
 fn seed() -> u64 {

@@ -9,8 +9,8 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, ask_for, assert_says, ball, oversleep_until, text, wait_status,
-    wait_until,
+    Daemon, EndWhenDropped, Place, ask_for, asked, assert_says, ball, oversleep_until, text,
+    wait_status, wait_until,
 };
 
 use super::access::{Crowd, die};
@@ -307,8 +307,7 @@ fn accepted_in(printed: &str) -> u64 {
 
 /// Rounds of stops, for a table of what they take.
 fn rounds() -> usize {
-    let asked = std::env::var("CDCR_STOP_ROUNDS").ok();
-    asked.map_or(1, |text| text.parse().expect("a whole number"))
+    asked("CDCR_STOP_ROUNDS").unwrap_or(1)
 }
 
 /// Whether each row is flooded in each mode: floods take the cores from the tests beside.
