@@ -6,7 +6,7 @@ mod checker;
 mod clearance;
 mod crowd;
 mod cycles;
-mod dice;
+pub(crate) mod dice;
 mod director;
 mod feeder;
 mod grid;
