@@ -13,7 +13,6 @@ const NAMES: [(LateCause, &str, &str); LateCause::COUNT - 1] = [
     (Compute, "compute", "compute"),
 ];
 
-/// Counts by the code of the cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Causes([u64; LateCause::COUNT]);
 

@@ -28,13 +28,6 @@
     clippy::missing_errors_doc,
     reason = "the library of a program: nobody reads its rustdoc, and a comment that repeats a name helps nobody"
 )]
-#![cfg_attr(
-    test,
-    allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )
-)]
 
 pub mod benchmark;
 pub mod budget;

@@ -255,41 +255,30 @@ pub(crate) enum OpenTrouble {
     Other(String),
 }
 
-impl From<PublishSubscribeOpenError> for OpenTrouble {
-    fn from(error: PublishSubscribeOpenError) -> Self {
-        use PublishSubscribeOpenError as E;
-        match error {
-            E::DoesNotExist
-            | E::IsMarkedForDestruction
-            | E::HangsInCreation
-            | E::ServiceInCorruptedState => Self::Missing,
-            E::IncompatibleTypes
-            | E::IncompatibleMessagingPattern
-            | E::IncompatibleAttributes
-            | E::VersionMismatch => Self::Mismatch,
-            E::ExceedsMaxNumberOfNodes => Self::Full,
-            other => Self::Other(ipc::words(&other)),
+/// The two patterns have errors of their own, with the same names but for that of other types.
+macro_rules! open_trouble {
+    ($error:ident, $other_types:ident) => {
+        impl From<$error> for OpenTrouble {
+            fn from(error: $error) -> Self {
+                match error {
+                    $error::DoesNotExist
+                    | $error::IsMarkedForDestruction
+                    | $error::HangsInCreation
+                    | $error::ServiceInCorruptedState => Self::Missing,
+                    $error::$other_types
+                    | $error::IncompatibleMessagingPattern
+                    | $error::IncompatibleAttributes
+                    | $error::VersionMismatch => Self::Mismatch,
+                    $error::ExceedsMaxNumberOfNodes => Self::Full,
+                    other => Self::Other(ipc::words(&other)),
+                }
+            }
         }
-    }
+    };
 }
 
-impl From<RequestResponseOpenError> for OpenTrouble {
-    fn from(error: RequestResponseOpenError) -> Self {
-        use RequestResponseOpenError as E;
-        match error {
-            E::DoesNotExist
-            | E::IsMarkedForDestruction
-            | E::HangsInCreation
-            | E::ServiceInCorruptedState => Self::Missing,
-            E::IncompatibleRequestOrResponseType
-            | E::IncompatibleMessagingPattern
-            | E::IncompatibleAttributes
-            | E::VersionMismatch => Self::Mismatch,
-            E::ExceedsMaxNumberOfNodes => Self::Full,
-            other => Self::Other(ipc::words(&other)),
-        }
-    }
-}
+open_trouble!(PublishSubscribeOpenError, IncompatibleTypes);
+open_trouble!(RequestResponseOpenError, IncompatibleRequestOrResponseType);
 
 #[cfg(test)]
 mod tests {

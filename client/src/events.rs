@@ -18,6 +18,16 @@ pub fn events(record: &Telemetry) -> &[InputEvent] {
     &record.events[..count]
 }
 
+/// What a record tells of the message with this header, if it does.
+pub fn event_about(record: &Telemetry, kind: EventKind, header: &Header) -> Option<InputEvent> {
+    let is_about = |event: &&InputEvent| {
+        event.kind == kind.code()
+            && event.sender_id == header.sender_id
+            && event.sequence == header.sequence
+    };
+    events(record).iter().find(is_about).copied()
+}
+
 impl TelemetryStream {
     /// Waits until the daemon has decided on the message with this header, at most `timeout`. The stream
     /// must have been opened before the message was sent.
@@ -46,34 +56,16 @@ impl TelemetryStream {
         timeout: Duration,
     ) -> Result<InputEvent, LinkError> {
         let deadline = Instant::now() + timeout;
-        loop {
-            let left = deadline.saturating_duration_since(Instant::now());
-            let Some(record) = self.next_within(left)? else {
-                return Err(LinkError::silent(
-                    Service::Telemetry,
-                    timeout,
-                    Liveness::Unknown,
-                ));
-            };
-            if let Some(event) = events(&record)
-                .iter()
-                .find(|event| is_about(event, kind, header))
-            {
-                return Ok(*event);
+        let left = || deadline.saturating_duration_since(Instant::now());
+        while let Some(record) = self.next_within(left())? {
+            if let Some(event) = event_about(&record, kind, header) {
+                return Ok(event);
             }
-            if Instant::now() >= deadline {
-                return Err(LinkError::silent(
-                    Service::Telemetry,
-                    timeout,
-                    Liveness::Unknown,
-                ));
+            if left().is_zero() {
+                break;
             }
         }
+        let service = Service::Telemetry;
+        Err(LinkError::silent(service, timeout, Liveness::Unknown))
     }
-}
-
-fn is_about(event: &InputEvent, kind: EventKind, header: &Header) -> bool {
-    event.kind == kind.code()
-        && event.sender_id == header.sender_id
-        && event.sequence == header.sequence
 }

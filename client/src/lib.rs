@@ -105,7 +105,7 @@ pub use connection::Connection;
 pub use driver::{
     CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
 };
-pub use events::{events, obstacles};
+pub use events::{event_about, events, obstacles};
 pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder};
 pub use lease::Lease;
 pub use link_error::{LinkError, Liveness};

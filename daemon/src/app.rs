@@ -43,9 +43,6 @@ use crate::supervisor::Supervisor;
 const REST_SLACK_S: f64 = 0.5;
 
 /// Runs the daemon of the configuration that `read` reads until a signal ends it. At `SIGHUP` it is read again.
-///
-/// # Errors
-/// When it cannot start, or a thread ended by itself.
 pub fn run(read: ReadConfig) -> Result<()> {
     let validated = read()?;
     let ending = end_signals()?;
@@ -58,9 +55,6 @@ pub type CycleWatch = fn(&mut dyn FnMut());
 
 /// Runs the daemon until `should_end` says so. `watch` is put around the life of the cycle thread, for
 /// tests that observe it from inside; see [`count_allocations`](crate::rt::sys::count_allocations). At `SIGHUP` nothing is read.
-///
-/// # Errors
-/// As [`run`].
 pub fn run_until(
     validated: &Validated,
     should_end: impl FnMut() -> bool,

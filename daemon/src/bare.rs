@@ -74,18 +74,12 @@ pub struct Outcome {
 }
 
 /// Runs the loop for `duration`, or until a signal ends it.
-///
-/// # Errors
-/// When it cannot start, or the duration is too short or too long for the period.
 pub fn run(validated: &Validated, duration: Duration) -> Result<Outcome> {
     let ending = end_signals()?;
     run_until(validated, duration, || ending.load(Ordering::Relaxed))
 }
 
 /// Runs the loop for `duration`, or until `should_end` says so.
-///
-/// # Errors
-/// As [`run`].
 pub fn run_until(
     validated: &Validated,
     duration: Duration,

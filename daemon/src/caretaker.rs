@@ -36,9 +36,6 @@ pub(crate) struct Caretaker {
 
 impl Caretaker {
     /// Starts it with the priority and the cores of the calling thread.
-    ///
-    /// # Errors
-    /// When the system gives no thread.
     pub(crate) fn start(
         place: PlaceWatch,
         mut reload: Reload,

@@ -56,7 +56,6 @@ pub enum InstanceError {
         prefix: String,
         root: String,
     },
-    /// The root folder belongs to another user.
     #[error(
         "the root folder {root} belongs to user id {owner}, not to {user}\nchoose another with --root"
     )]
@@ -67,7 +66,6 @@ pub enum InstanceError {
          name the folder itself with --root, or choose another"
     )]
     ForeignLink { root: String, owner: u32, user: u32 },
-    /// Other users may write to the root folder.
     #[error(
         "other users may write to the root folder {root} (mode {mode:04o}), and could keep clients from the \
          daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or choose another with --root"
@@ -87,7 +85,6 @@ pub enum InstanceError {
         /// Whom this one wants to let in.
         group: String,
     },
-    /// Other users could enter the root folder, which is not empty.
     #[error(
         "other users could enter the root folder {root} (mode {mode:04o}), and files that they have opened stay open to them\n\
          empty it, or choose another with --root"
@@ -99,13 +96,11 @@ pub enum InstanceError {
          that deletes old files (`fuser -v {root}` names it)\nstart again in a moment, or choose another folder with --root"
     )]
     RootLocked { root: String },
-    /// The root folder is not in memory.
     #[error(
         "the root folder {root} is on a disk, and writing shared memory to it would delay the daemon\n\
          choose a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
     )]
     RootOnDisk { root: String },
-    /// The members of a group could lead this daemon to change files elsewhere, and it may change all.
     #[error(
         "a daemon that runs as root shares {root} with no group: by links in it the members could change files that are root's\n\
          run it as a user of its own, or leave transport.group empty"
@@ -123,9 +118,6 @@ pub enum InstanceError {
 
 impl Instance {
     /// Becomes the daemon of `robot` at `location`, for its user and a group.
-    ///
-    /// # Errors
-    /// [`InstanceError`] when another daemon is, or the folder cannot be used.
     pub fn claim(
         location: &Location,
         robot: &str,

@@ -29,14 +29,8 @@
 
 #![allow(
     missing_docs,
+    clippy::missing_errors_doc,
     reason = "the library of a program: a comment that repeats a name helps nobody"
-)]
-#![cfg_attr(
-    test,
-    allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )
 )]
 
 pub mod accounting;

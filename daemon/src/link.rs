@@ -20,9 +20,6 @@ pub enum RobotLink {
 
 impl RobotLink {
     /// The robot of a configuration. An ideal one moves on for as long as its newest command lets it.
-    ///
-    /// # Errors
-    /// When its flaws make it no robot.
     pub fn new(validated: &Validated) -> Result<Self, RobotError> {
         let Validated {
             config,

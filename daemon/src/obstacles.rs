@@ -22,7 +22,6 @@ pub struct KnownObstacle {
 }
 
 impl KnownObstacle {
-    /// Whether it is still known at `time_ns`.
     pub fn is_known_at(&self, time_ns: u64) -> bool {
         self.expires_ns
             .is_none_or(|expires_ns| time_ns < expires_ns)
@@ -94,10 +93,7 @@ impl Default for ObstacleSet {
 }
 
 impl ObstacleSet {
-    /// Inserts an obstacle, or replaces the one of its id.
-    ///
-    /// # Errors
-    /// [`SetIsFull`]; the set is as before.
+    /// Inserts an obstacle, or replaces the one of its id. A set that is full stays as it is.
     pub fn upsert(&mut self, obstacle: KnownObstacle) -> Result<(), SetIsFull> {
         let same = self.iter().position(|known| known.id == obstacle.id);
         let at = same.unwrap_or(self.count);

@@ -115,9 +115,6 @@ impl ServiceManager {
 
     /// One that listens at `socket` (a path, or `@name` for a name in the abstract space) and expects a
     /// sign of life every `watchdog_period`.
-    ///
-    /// # Errors
-    /// When `socket` is no address of a socket, or the process has no socket left.
     pub fn at(socket: &OsStr, watchdog_period: Option<Duration>) -> io::Result<Self> {
         let watchdog = watchdog_period
             .filter(|period| !period.is_zero())

@@ -37,9 +37,6 @@ const OPEN_FILES_MIN: u64 = 64;
 const OPEN_FILES: u64 = 1024;
 
 /// Has the system let this process open as many files as clients may need, as far as it may.
-///
-/// # Errors
-/// When they are too few for a daemon, which would fail somewhere in the middle, with another reason.
 pub(crate) fn raise_open_files() -> Result<()> {
     let limit = getrlimit(Resource::Nofile);
     let mut granted = limit.current.unwrap_or(u64::MAX);
@@ -89,9 +86,6 @@ pub(crate) struct Armed {
 
 /// Waits until the threads are ready, locks memory, makes the threads real-time, and keeps the calling thread
 /// off their core.
-///
-/// # Errors
-/// A thread did not get ready, or the configuration requires what the system does not grant.
 pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result<Armed> {
     for thread in threads {
         thread.wait_ready()?;
@@ -224,9 +218,6 @@ impl<T: Send + 'static> Started<T> {
 
 impl<T> Started<T> {
     /// Waits until it is ready; at once when it was waited for before.
-    ///
-    /// # Errors
-    /// It does not get ready, or cannot.
     pub(crate) fn wait_ready(&self) -> Result<()> {
         if !self.starter.is_ready.get() {
             let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
@@ -260,9 +251,6 @@ impl<T> Started<T> {
     }
 
     /// Waits for its end. A thread that was not told to go gives up when its starter goes.
-    ///
-    /// # Errors
-    /// It panicked.
     pub(crate) fn join(self) -> Result<T> {
         drop(self.starter);
         self.handle.join().map_err(|_| {

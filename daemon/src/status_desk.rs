@@ -36,9 +36,6 @@ pub(crate) struct StatusDesk {
 
 impl StatusDesk {
     /// Starts it with the priority and the cores of the calling thread, and waits until its services are there.
-    ///
-    /// # Errors
-    /// When a service cannot be created, or the system gives no thread.
     pub(crate) fn start(
         validated: &Validated,
         ends: StatusDeskEnds,

@@ -162,11 +162,6 @@ fn pages_of(folder: &Path, program: &str) -> Result<Vec<PathBuf>> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use cdcr_scratch::Scratch;
     use clap::Arg;
 

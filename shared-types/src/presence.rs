@@ -173,11 +173,6 @@ fn peer_of(name: &str) -> Result<(u32, Option<u32>), Errno> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::os::linux::net::SocketAddrExt;
     use std::os::unix::net::{SocketAddr, UnixListener};
     use std::path::Path;

@@ -14,13 +14,6 @@
     clippy::missing_errors_doc,
     reason = "a library of this workspace: a comment that repeats a name helps nobody"
 )]
-#![cfg_attr(
-    test,
-    allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )
-)]
 
 pub mod interrupt;
 pub mod load;

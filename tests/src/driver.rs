@@ -1,11 +1,11 @@
 //! A driver in a process of its own, which can be faulty, and be killed.
 
 use std::io::Write as _;
-use std::ops::{Deref, DerefMut};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use cdcr_controller::plant::{Flaws, Preset};
+use derive_more::{Deref, DerefMut};
 
 use crate::{Place, Running, binary};
 
@@ -29,7 +29,7 @@ pub fn told_flaws() -> Flaws {
 }
 
 /// A driver process: `cdcr-test-driver`. Dropping it kills it.
-#[derive(Debug)]
+#[derive(Debug, Deref, DerefMut)]
 pub struct DriverProcess(Running);
 
 impl DriverProcess {
@@ -72,19 +72,5 @@ impl DriverProcess {
         let pipe = self.0.0.stdin.as_mut().expect("its input is a pipe");
         // A driver that is just being killed does not hear it.
         let _ = writeln!(pipe, "{fault} {}", duration.as_millis());
-    }
-}
-
-impl Deref for DriverProcess {
-    type Target = Running;
-
-    fn deref(&self) -> &Running {
-        &self.0
-    }
-}
-
-impl DerefMut for DriverProcess {
-    fn deref_mut(&mut self) -> &mut Running {
-        &mut self.0
     }
 }

@@ -7,6 +7,7 @@
 #![allow(
     missing_docs,
     clippy::missing_panics_doc,
+    clippy::unwrap_used,
     reason = "of tests: a comment that repeats a name helps nobody, and a panic is the report"
 )]
 
@@ -17,9 +18,10 @@ pub mod record;
 pub mod robot;
 pub mod system_calls;
 
-use std::ops::{ControlFlow, Deref, DerefMut};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Output, Stdio};
+use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -28,9 +30,10 @@ use cdcr_client::{
     monotonic_ns,
 };
 use cdcr_controller::plant::Preset;
-use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_shared_types::{Location, Obstacle, Status, Telemetry};
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
+use derive_more::{Deref, DerefMut};
 pub use program::{Program, Running};
 use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
@@ -62,7 +65,7 @@ pub fn binary(name: &str) -> PathBuf {
 
 /// A place in shared memory that no other test uses, and a folder for what else it needs, which may lie on a disk. Both
 /// are removed when it is dropped.
-#[derive(Debug)]
+#[derive(Debug, Deref)]
 pub struct Place(cdcr_testbed::subject::place::Place);
 
 impl Place {
@@ -71,24 +74,10 @@ impl Place {
         Self(cdcr_testbed::subject::place::Place::new().expect("a place"))
     }
 
-    /// Where daemon and clients meet.
-    pub fn location(&self) -> &Location {
-        self.0.location()
-    }
-
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
         let path = self.folder().join(name);
         std::fs::write(&path, text).expect("the folder is writable");
         path
-    }
-
-    pub fn folder(&self) -> &Path {
-        self.0.folder()
-    }
-
-    /// Files of this place that are mapped into memory.
-    pub fn shared_memory_files(&self) -> Vec<PathBuf> {
-        self.0.memory_files()
     }
 
     /// A command of ours that looks at this place. The robot that a daemon simulates there is the
@@ -127,6 +116,15 @@ impl Place {
             .output()
             .expect("cdcrctl runs")
     }
+}
+
+/// The number that an environment variable asks for.
+pub fn asked<T: FromStr>(variable: &str) -> Option<T> {
+    let text = std::env::var(variable).ok()?;
+    let Ok(number) = text.parse() else {
+        panic!("{variable} = {text:?} is no such number");
+    };
+    Some(number)
 }
 
 /// Everything that a program printed.
@@ -169,7 +167,6 @@ pub fn paper_line(duration_s: f64) -> Line {
     }
 }
 
-/// Of each [`ball`].
 pub const BALL_RADIUS_M: f64 = 0.02;
 
 /// A ball that stands here, seen now.
@@ -207,9 +204,11 @@ impl Default for Place {
 }
 
 /// A running `cdcrd`.
-#[derive(Debug)]
+#[derive(Debug, Deref, DerefMut)]
 pub struct Daemon {
     // Ends before its place goes.
+    #[deref]
+    #[deref_mut]
     child: Running,
     place: Place,
     log: PathBuf,
@@ -292,6 +291,12 @@ impl Daemon {
         self.stop_after_signal()
     }
 
+    /// Ends it as it should end: with success, and nothing is left in memory.
+    pub fn end_clean(&mut self) {
+        assert!(self.stop().success(), "{}", self.log());
+        assert_eq!(self.place().memory_files(), Vec::<PathBuf>::new());
+    }
+
     /// Waits for its end after a signal was sent.
     pub fn stop_after_signal(&mut self) -> ExitStatus {
         let Self { child, log, .. } = self;
@@ -302,20 +307,6 @@ impl Daemon {
     pub fn kill(&mut self) {
         self.signal(Signal::KILL);
         self.stop_after_signal();
-    }
-}
-
-impl Deref for Daemon {
-    type Target = Running;
-
-    fn deref(&self) -> &Running {
-        &self.child
-    }
-}
-
-impl DerefMut for Daemon {
-    fn deref_mut(&mut self) -> &mut Running {
-        &mut self.child
     }
 }
 
@@ -346,7 +337,6 @@ pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
     }
 }
 
-/// Waits for a record that satisfies `is_it`.
 pub fn wait_record(
     stream: &mut TelemetryStream,
     mut is_it: impl FnMut(&Telemetry) -> bool,
@@ -377,7 +367,6 @@ pub fn wait_mode(stream: &mut TelemetryStream, mode: Mode) -> Telemetry {
     wait_record(stream, |record| record.mode == mode.code())
 }
 
-/// Waits for a status that satisfies `is_it`.
 pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> Status {
     let begin = Instant::now();
     loop {
@@ -390,10 +379,19 @@ pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> 
     }
 }
 
-/// Whether the daemon refuses a request; that it does not answer is no refusal.
-pub fn is_refused(connection: &Connection, kind: RequestKind) -> bool {
-    let answer = connection.request_within(kind, TIMEOUT);
-    matches!(answer, Err(RequestError::Refused { .. }))
+/// Asks for what the daemon grants; its answer.
+#[track_caller]
+pub fn ask_for(connection: &Connection, kind: RequestKind) -> Response {
+    connection.request_within(kind, TIMEOUT).unwrap()
+}
+
+/// Asks for what the daemon refuses; why. That it does not answer is no refusal.
+#[track_caller]
+pub fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
+    match connection.request_within(kind, TIMEOUT) {
+        Err(RequestError::Refused { outcome, .. }) => outcome,
+        other => panic!("{kind} was not refused: {other:?}"),
+    }
 }
 
 /// Tries until a case could happen as it is meant. `case` returns `None` when the machine made another one of it, such as

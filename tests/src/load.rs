@@ -1,10 +1,5 @@
 //! What a daemon has to bear: clients that come and go, floods, changing settings, a driver with faults.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
-
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{PoisonError, RwLock};
@@ -66,7 +61,6 @@ pub fn connect(place: &Place) -> Connection {
     Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap()
 }
 
-/// Runs `work` every `period` until the end.
 fn every(period: Duration, ending: &AtomicBool, mut work: impl FnMut()) {
     let is_ending = || ending.load(Ordering::Relaxed);
     let work = || {

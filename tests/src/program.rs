@@ -1,12 +1,12 @@
 //! A program that runs beside a test.
 
 use std::io::{ErrorKind, Read};
-use std::ops::{Deref, DerefMut};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use derive_more::{Deref, DerefMut};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::TIMEOUT;
@@ -61,8 +61,10 @@ impl Drop for Running {
 }
 
 /// A program that runs beside the test, and what it prints. Killed when dropped.
-#[derive(Debug)]
+#[derive(Debug, Deref, DerefMut)]
 pub struct Program {
+    #[deref]
+    #[deref_mut]
     child: Running,
     out: Printed,
     err: Printed,
@@ -98,20 +100,6 @@ impl Program {
             stdout: self.out.finish(),
             stderr: self.err.finish(),
         }
-    }
-}
-
-impl Deref for Program {
-    type Target = Running;
-
-    fn deref(&self) -> &Running {
-        &self.child
-    }
-}
-
-impl DerefMut for Program {
-    fn deref_mut(&mut self) -> &mut Running {
-        &mut self.child
     }
 }
 

@@ -1,10 +1,5 @@
 //! A robot behind a driver, played by a test.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
-
 use cdcr_client::{CommandRefusal, Connection, PlantDriver, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::robot::{Configuration, Robot};

@@ -17,7 +17,7 @@ use cdcr_shared_types::codes::{LateCause, ObstacleShape, timing};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, ball, wait_status};
+use cdcr_tests::{Daemon, PATIENT, asked, ball, wait_status};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Two daemons on one core would be each other's load.
@@ -25,10 +25,7 @@ static ALONE: Mutex<()> = Mutex::new(());
 
 /// How long it tracks: `CDCR_CORE_BUDGET_S`, or 8 s, in which the kernel would halt it six times.
 fn duration_s() -> f64 {
-    let asked = std::env::var("CDCR_CORE_BUDGET_S").ok();
-    asked.map_or(8.0, |text| {
-        text.parse().expect("CDCR_CORE_BUDGET_S is a number")
-    })
+    asked("CDCR_CORE_BUDGET_S").unwrap_or(8.0)
 }
 
 /// Six sections and the longest horizon.

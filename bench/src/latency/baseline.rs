@@ -113,7 +113,6 @@ pub fn peer(options: &PeerOptions) -> Result<()> {
     answered
 }
 
-/// Whether this is the root of a [`Place`].
 fn is_root_of_place(root: &Path) -> bool {
     let name = root.file_name().unwrap_or_default().to_string_lossy();
     root.parent() == Some(Path::new(Location::MEMORY))

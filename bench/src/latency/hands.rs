@@ -13,9 +13,9 @@ use cdcr_client::{CommandStream, Connection, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::timing;
 use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
-use super::asker::{Answer, Asker};
 use crate::interrupt;
 use crate::metric::median;
+use crate::subject::asker::{Answer, Asker};
 use crate::subject::place::ROBOT;
 use crate::system::thread::sleep_until;
 
@@ -127,7 +127,7 @@ impl Hands {
     }
 
     pub(super) fn open_asker(&mut self, location: &Location) -> Result<()> {
-        self.asker = Some(Asker::open(location, self.connection.sender_id())?);
+        self.asker = Some(Asker::open(location, ROBOT, self.connection.sender_id())?);
         Ok(())
     }
 

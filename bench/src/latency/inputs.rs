@@ -12,11 +12,11 @@ use cdcr_shared_types::codes::{
 };
 use cdcr_shared_types::{Command, Measurement, Obstacle, Telemetry};
 
-use super::asker::Asker;
 use super::hands::{Hands, Seen};
 use super::leg::Leg;
 use super::round::{Passage, Round};
 use super::scene;
+use crate::subject::asker::Asker;
 
 /// So many of each kind are sent before one counts: ports map memory, caches fill.
 pub(super) const WARM_UP: usize = 10;

@@ -9,7 +9,6 @@
 
 pub mod baseline;
 
-mod asker;
 mod hands;
 mod inputs;
 mod leg;

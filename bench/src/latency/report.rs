@@ -36,7 +36,6 @@ const RATIOS: [(Leg, Leg); 3] = [
     (Leg::LeaseMachinery, Leg::BareRequest),
 ];
 
-/// The legs that a stop's bound is asked of.
 const BOUND: [Leg; 2] = [Leg::StopZeroHandover, Leg::StopZeroCommand];
 
 const COLUMNS: [Column; 9] = [

@@ -83,7 +83,7 @@ fn ask(hands: &mut Hands, kind: RequestKind, expected: Outcome) -> Result<Outcom
     loop {
         let turn = turn(hands, &mut due_ns, kind)?.0;
         if let Some(answer) = turn.answers.first() {
-            match Outcome::try_from(answer.outcome) {
+            match Outcome::try_from(answer.response.outcome) {
                 Ok(outcome) if outcome == expected => return Ok(expected),
                 _ => answer.accepted()?,
             }

@@ -198,7 +198,6 @@ pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::subject::daemon::Launch;

@@ -56,10 +56,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     assert!(in_public_memory(&format!("cdcrbed_{process}_")).is_empty());
 
     if counts::threads(std::process::id()).is_empty() {
-        skip(
-            Need::Kernel,
-            "it does not count what a thread ran (schedstat)",
-        );
+        skip(Need::Kernel, "it counts no time of threads (schedstat)");
         return;
     }
     let threads = list(&document, "threads");

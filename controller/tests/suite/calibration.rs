@@ -117,10 +117,7 @@ impl Trial {
 /// Lengths and radii to 0.2 %, zeros to 0.05 mm, angles to 0.2°, and the truth inside the stated 95 %.
 #[test]
 fn lengths_radii_zeros_and_angles_are_found_and_the_bounds_are_honest() {
-    let seeds: u64 = std::env::var("CDCR_CALIBRATION_SEEDS").map_or_else(
-        |_| crate::repetitions(1, 4).into(),
-        |seeds| seeds.parse().unwrap(),
-    );
+    let seeds = crate::number("CDCR_CALIBRATION_SEEDS", crate::repetitions(1, 4).into());
     let mut worst = [0.0_f64; 4];
     let mut inside = BTreeMap::<String, u64>::new();
     for seed in 1..=seeds {

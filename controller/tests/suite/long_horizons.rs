@@ -2,9 +2,11 @@
 
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS};
-use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
+
+use crate::{input, inside};
 
 const PERIOD_S: f64 = 0.005;
 const STEPS: u32 = 20;
@@ -18,15 +20,11 @@ fn spiral(robot: &Robot, time_s: f64) -> ReferenceSample {
     let (sin, cos) = t.sin_cos();
     let (sin_part, cos_part) = (t / 15.0).sin_cos();
     let h = 15.0 * lengths_m[2] * sin_part / t;
-    ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m: Vector3::new(
-            h * sin_part * cos,
-            h * sin_part * sin,
-            lengths_m[0] + lengths_m[1] + h * cos_part,
-        ),
-        ..ReferenceSample::default()
-    }
+    inside(Vector3::new(
+        h * sin_part * cos,
+        h * sin_part * sin,
+        lengths_m[0] + lengths_m[1] + h * cos_part,
+    ))
 }
 
 /// Sixteen balls around the foot of the last section, 16 mm beyond the safe distance.
@@ -98,11 +96,7 @@ impl Course {
             at: Configuration::from_bend_angles(&[[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]]),
             reference: |robot, _| {
                 let start = Configuration::from_bend_angles(&[[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]]);
-                ReferenceSample {
-                    state: ReferenceState::Inside,
-                    position_m: robot.tip_position(&start) + Vector3::new(-0.1, 0.1, -0.05),
-                    ..ReferenceSample::default()
-                }
+                inside(robot.tip_position(&start) + Vector3::new(-0.1, 0.1, -0.05))
             },
             cycles: 40,
             ..Self::spiral(solver, 1.0, false)
@@ -136,13 +130,9 @@ impl Course {
                 .map(|step| (self.reference)(&self.robot, at_s(step)))
                 .collect();
             let input = SolveInput {
-                configuration: &at,
-                previous_rates: &previous_rates,
-                reference: &window,
                 obstacles: &self.obstacles_at(cycle),
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
                 seed: cycle.into(),
+                ..input(&at, &previous_rates, &window)
             };
             let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
             assert!(report.cost <= report.warm_cost, "{report:?}");
@@ -265,11 +255,7 @@ fn hold(solver: SolverKind, balls: &[(f64, f64, f64)]) -> Course {
     Course {
         obstacles: balls.iter().map(ball).collect(),
         at,
-        reference: |robot, _| ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: robot.tip_position(&Configuration::from_bend_angles(&HELD)),
-            ..ReferenceSample::default()
-        },
+        reference: |robot, _| inside(robot.tip_position(&Configuration::from_bend_angles(&HELD))),
         cycles: 60,
         ..course
     }
@@ -347,16 +333,13 @@ fn a_solve_that_its_budget_ends_anywhere_repeats_to_the_bit() {
     let window: Vec<_> = (1..=STEPS)
         .map(|step| spiral(&course.robot, 5.0 * f64::from(step) * PERIOD_S))
         .collect();
+    let rest = BendRates::zero(3);
     let solved = |budget: &mut Budget<'_>| {
         let mut nmpc = Nmpc::new(course.robot.clone(), PERIOD_S, course.settings).unwrap();
         let input = SolveInput {
-            configuration: &course.at,
-            previous_rates: &BendRates::zero(3),
-            reference: &window,
             obstacles: &course.obstacles,
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
             seed: 0,
+            ..input(&course.at, &rest, &window)
         };
         let (_, report) = nmpc.solve(&input, budget);
         let bits: Vec<_> = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();

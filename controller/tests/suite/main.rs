@@ -21,6 +21,42 @@ mod scenes;
 mod subnormal;
 mod tip_sensor;
 
+use cdcr_controller::nmpc::SolveInput;
+use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration};
+use nalgebra::Vector3;
+
+/// One period after the last plan, without obstacles, with the tip where the bends say.
+fn input<'a>(
+    configuration: &'a Configuration,
+    previous_rates: &'a BendRates,
+    reference: &'a [ReferenceSample],
+) -> SolveInput<'a> {
+    SolveInput {
+        configuration,
+        previous_rates,
+        reference,
+        obstacles: &[],
+        tip_offset_m: 0.0,
+        elapsed_periods: 1,
+        seed: 1,
+    }
+}
+
+/// Where a reference wants the tip, in any orientation.
+fn inside(position_m: Vector3<f64>) -> ReferenceSample {
+    ReferenceSample {
+        state: ReferenceState::Inside,
+        position_m,
+        ..ReferenceSample::default()
+    }
+}
+
+/// A number of the environment.
+fn number(name: &str, otherwise: u64) -> u64 {
+    std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
+}
+
 /// How often something is repeated: a part of it, so that whoever changes a line need not wait, and the whole with `CDCR_WHOLE`.
 fn repetitions(part: u32, whole: u32) -> u32 {
     match std::env::var_os("CDCR_WHOLE") {

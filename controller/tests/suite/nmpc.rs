@@ -4,10 +4,12 @@ use cdcr_controller::nmpc::{
     Coordinates, Nmpc, NmpcSettings, RateWeight, SolveInput, SolveStatus, SolverKind,
 };
 use cdcr_controller::optimizer::{Budget, VelocityRule, cycle_seed};
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::reference::{Orientation, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
+
+use crate::{input, inside};
 
 const PERIOD_S: f64 = 0.005;
 const SOLVERS: [SolverKind; 3] = [
@@ -24,14 +26,6 @@ const RULES: [VelocityRule; 3] = [
 
 fn paper(sections: usize) -> Robot {
     Robot::new(&RobotParameters::paper(sections)).unwrap()
-}
-
-fn inside(position_m: Vector3<f64>) -> ReferenceSample {
-    ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m,
-        ..ReferenceSample::default()
-    }
 }
 
 fn solver(robot: &Robot, kind: SolverKind, horizon_steps: u32) -> Nmpc {
@@ -56,13 +50,8 @@ fn track(
         .map(|cycle| {
             let reference = [1, 2].map(|step| inside(target(cycle + step)));
             let input = SolveInput {
-                configuration: &at,
-                previous_rates: &rates,
-                reference: &reference,
-                obstacles: &[],
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
                 seed: cycle_seed(1, cycle),
+                ..input(&at, &rates, &reference)
             };
             rates = nmpc.solve(&input, &mut Budget::unlimited()).0;
             at = at.advanced(&rates, PERIOD_S);
@@ -127,15 +116,9 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
     let robot = paper(1);
     for kind in SOLVERS {
         let mut nmpc = solver(&robot, kind, 2);
-        let input = SolveInput {
-            configuration: &Configuration::from_slice(&[f64::NAN, 0.0]).unwrap(),
-            previous_rates: &BendRates::zero(1),
-            reference: &[inside(Vector3::new(0.0, 0.0, 0.3))],
-            obstacles: &[],
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
-            seed: 1,
-        };
+        let nowhere = Configuration::from_slice(&[f64::NAN, 0.0]).unwrap();
+        let (rest, goal) = (BendRates::zero(1), [inside(Vector3::new(0.0, 0.0, 0.3))]);
+        let input = input(&nowhere, &rest, &goal);
         let (rates, report) = nmpc.solve(&input, &mut Budget::unlimited());
         assert_eq!(
             (rates, report.status),
@@ -164,17 +147,14 @@ fn a_plan_keeps_the_offset_of_the_tip_as_distance() {
     let tip_m = robot.tip_position(&at);
     let centre_m = tip_m + Vector3::new(0.05, 0.0, -0.02);
     let ball = [Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()];
-    let goal = inside(tip_m + Vector3::new(0.01, 0.0, 0.0));
+    let goal = [inside(tip_m + Vector3::new(0.01, 0.0, 0.0)); 2];
+    let rest = BendRates::zero(3);
     for kind in SOLVERS {
         let nearness_m = [0.0, 0.03].map(|tip_offset_m| {
             let input = SolveInput {
-                configuration: &at,
-                previous_rates: &BendRates::zero(3),
-                reference: &[goal, goal],
                 obstacles: &ball,
                 tip_offset_m,
-                elapsed_periods: 1,
-                seed: 1,
+                ..input(&at, &rest, &goal)
             };
             let mut nmpc = solver(&robot, kind, 2);
             let (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
@@ -190,20 +170,16 @@ fn a_plan_keeps_the_offset_of_the_tip_as_distance() {
 #[test]
 fn a_state_of_another_robot_gives_zero_rates() {
     let robot = paper(2);
-    let goal =
-        inside(robot.tip_position(&Configuration::from_bend_angles(&[[0.3, 0.1], [-0.2, 0.4]])));
+    let bent = Configuration::from_bend_angles(&[[0.3, 0.1], [-0.2, 0.4]]);
+    let goal = [inside(robot.tip_position(&bent))];
     for kind in SOLVERS {
         for counts in [[1, 2], [3, 2], [2, 1], [2, 6]] {
             let mut nmpc = solver(&robot, kind, 2);
-            let input = SolveInput {
-                configuration: &Configuration::straight(counts[0]),
-                previous_rates: &BendRates::zero(counts[1]),
-                reference: &[goal],
-                obstacles: &[],
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
-                seed: 1,
-            };
+            let (at, rates) = (
+                Configuration::straight(counts[0]),
+                BendRates::zero(counts[1]),
+            );
+            let input = input(&at, &rates, &goal);
             let (rates, report) = nmpc.solve(&input, &mut Budget::unlimited());
             assert_eq!(rates, BendRates::zero(2), "{counts:?}");
             assert_eq!(report.status, SolveStatus::Idle);
@@ -223,15 +199,8 @@ fn a_period_that_is_none_is_refused() {
 fn without_a_reference_the_rates_are_zero() {
     let robot = paper(1);
     let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
-    let input = SolveInput {
-        configuration: &Configuration::straight(1),
-        previous_rates: &BendRates::zero(1),
-        reference: &[],
-        obstacles: &[],
-        tip_offset_m: 0.0,
-        elapsed_periods: 1,
-        seed: 1,
-    };
+    let (at, rest) = (Configuration::straight(1), BendRates::zero(1));
+    let input = input(&at, &rest, &[]);
     // A plan from before counts for nothing.
     let goal = [inside(Vector3::new(0.1, 0.0, 0.25))];
     let tracking = SolveInput {
@@ -252,6 +221,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
     // and a budget of some quanta ends it with little more work than one of none.
     let robot = paper(6);
     let at = Configuration::from_slice(&[0.1; 12]).unwrap();
+    let (rest, goal) = (BendRates::zero(6), [inside(Vector3::new(0.3, 0.0, 1.5))]);
     for solver in SOLVERS {
         let settings = NmpcSettings {
             solver,
@@ -265,15 +235,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
             ..NmpcSettings::default()
         };
         let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-        let input = SolveInput {
-            configuration: &at,
-            previous_rates: &BendRates::zero(6),
-            reference: &[inside(Vector3::new(0.3, 0.0, 1.5))],
-            obstacles: &[],
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
-            seed: 1,
-        };
+        let input = input(&at, &rest, &goal);
         let (_, whole) = nmpc.solve(&input, &mut Budget::unlimited());
         let least = if solver == SolverKind::Kpso {
             100
@@ -435,14 +397,13 @@ fn solve_case(
     quanta: u32,
 ) -> (BendRates, cdcr_controller::nmpc::SolveReport, Vec<u64>) {
     let mut nmpc = Nmpc::new(case.robot.clone(), PERIOD_S, case.settings).unwrap();
+    let at = Configuration::from_slice(&case.bends).unwrap();
+    let rates = BendRates::from_slice(&case.rates).unwrap();
+    let goal = [case.target];
     let input = SolveInput {
-        configuration: &Configuration::from_slice(&case.bends).unwrap(),
-        previous_rates: &BendRates::from_slice(&case.rates).unwrap(),
-        reference: &[case.target],
         obstacles: &case.obstacles,
-        tip_offset_m: 0.0,
-        elapsed_periods: 1,
         seed: case.seed,
+        ..input(&at, &rates, &goal)
     };
     let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
     let bits = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();

@@ -4,19 +4,16 @@ use cdcr_controller::closed_loop::{ClosedLoop, Driven, FigureEight, FigureEightR
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, RateWeight};
 use cdcr_controller::plant::Flaws;
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
+
+use crate::{inside, number, repetitions};
 
 const PERIOD_S: f64 = 0.005;
 
 /// Noises that each robot is run with: `CDCR_ROBUSTNESS_SEEDS`.
 fn seeds() -> u64 {
-    let set = std::env::var("CDCR_ROBUSTNESS_SEEDS");
-    set.map_or_else(
-        |_| crate::repetitions(1, 3).into(),
-        |seeds| seeds.parse().unwrap(),
-    )
+    number("CDCR_ROBUSTNESS_SEEDS", repetitions(1, 3).into())
 }
 
 /// The error of the tip in truth, the first second apart.
@@ -194,11 +191,7 @@ fn motors_need_not_be_known_exactly() {
 fn motors_with_a_lag_give_way_to_what_moves() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let rest = Configuration::from_bend_angles(&[[1.3, 0.0]]);
-    let goal = ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m: robot.tip_position(&rest),
-        orientation: Orientation::Free,
-    };
+    let goal = inside(robot.tip_position(&rest));
     let velocity_m_s = Vector3::new(0.0, 0.1, 0.0);
     let centre_m = goal.position_m + Vector3::new(0.002, 0.0, 0.0) - velocity_m_s;
     let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.005, velocity_m_s).unwrap();

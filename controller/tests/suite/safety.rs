@@ -3,12 +3,13 @@
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use cdcr_controller::safety::{Situation, homing_rates, ramp_to_zero, safe_command};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::{input, inside};
 
 const PERIOD_S: f64 = 0.005;
 const SAFE_M: f64 = 0.01;
@@ -131,19 +132,10 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
     for goal in 0..10 {
         let goal_m = robot.tip_position(&inside_strokes(&robot, &mut random, 0.95));
         for cycle in 0..200 {
-            let sample = ReferenceSample {
-                state: ReferenceState::Inside,
-                position_m: goal_m,
-                orientation: Orientation::Free,
-            };
+            let reference = [inside(goal_m); 2];
             let input = SolveInput {
-                configuration: &at,
-                previous_rates: &rates,
-                reference: &[sample; 2],
-                obstacles: &[],
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
                 seed: cycle_seed(1, 1000 * goal + cycle),
+                ..input(&at, &rates, &reference)
             };
             let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
             rates = command(&robot, &at, &rates, &[], &desired_rates);
@@ -191,11 +183,7 @@ fn a_plan_that_rests_at_a_limit_is_not_cut() {
         let robot = Robot::new(&parameters).unwrap();
         let settings = NmpcSettings::default();
         let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-        let goal = |_| ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: Vector3::new(0.25, 0.0, 0.0),
-            orientation: Orientation::Free,
-        };
+        let goal = |_| inside(Vector3::new(0.25, 0.0, 0.0));
         let start = Configuration::from_slice(&[0.1, 0.0, 0.1, 0.0]).unwrap();
         let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], goal).unwrap();
         for cycle in 0..600 {
@@ -415,7 +403,7 @@ fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
 
 #[test]
 fn balls_on_the_way_home_are_passed() {
-    let runs = crate::oracle::number("CDCR_HOMING_RUNS", crate::repetitions(20, 40).into()) as u32;
+    let runs = crate::number("CDCR_HOMING_RUNS", crate::repetitions(20, 40).into()) as u32;
     for &(sections, balls, tenths) in crate::cases(1, &[(3, 1, 10), (3, 4, 8), (3, 8, 6)]) {
         let (blocked, arrived, stood) = homing(sections, balls, runs);
         println!(

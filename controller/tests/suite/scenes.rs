@@ -4,21 +4,22 @@ use cdcr_controller::nmpc::{
     Constraint, Coordinates, Nmpc, NmpcSettings, SolveInput, SolveReport, SolveStatus, SolverKind,
 };
 use cdcr_controller::optimizer::{Budget, Candidate, Simd, cycle_seed};
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::reference::{Orientation, ReferenceSample};
 use cdcr_controller::robot::{
     BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape, ZyxAngles,
 };
 use cdcr_test_skip::{Need, skip};
 use nalgebra::{UnitQuaternion, Vector3};
 
+use crate::{input, inside};
+
 const PERIOD_S: f64 = 0.005;
 const COORDINATES: [Coordinates; 2] = [Coordinates::BendVector, Coordinates::BendAngles];
 
 fn sample(position_m: Vector3<f64>, orientation: Orientation) -> ReferenceSample {
     ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m,
         orientation,
+        ..inside(position_m)
     }
 }
 
@@ -52,13 +53,9 @@ impl Loop {
         let steps = u64::from(self.nmpc.settings().horizon_steps);
         let window: Vec<_> = (1..=steps).map(|step| reference(time_s(step))).collect();
         let input = SolveInput {
-            configuration: &self.at,
-            previous_rates: &self.rates,
-            reference: &window,
             obstacles: &obstacles(time_s(0)),
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
             seed: cycle_seed(self.seed, self.cycle),
+            ..input(&self.at, &self.rates, &window)
         };
         let (rates, report) = self.nmpc.solve(&input, &mut Budget::unlimited());
         self.at = self.at.advanced(&rates, PERIOD_S);
@@ -120,7 +117,7 @@ fn the_line_is_followed_with_its_orientation_from_the_singular_start() {
 fn a_stuck_robot_leaves_along_an_eigenvector() {
     // The goal lies straight below the tip: without the Hessian no direction is better than another.
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-    let goal = sample(Vector3::new(0.0, 0.0, 0.85), Orientation::Free);
+    let goal = inside(Vector3::new(0.0, 0.0, 0.85));
     for solver in [SolverKind::GaussNewton, SolverKind::KpsoRefined] {
         let settings = NmpcSettings {
             solver,
@@ -143,7 +140,7 @@ fn bend_angles_leave_straight_in_any_direction() {
     // A straight section has no direction φ, and no rate of φ gives it one: it bends towards its goal.
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let there = Configuration::from_bend_angles(&[[0.4, 1.9]]);
-    let goal = sample(robot.tip_position(&there), Orientation::Free);
+    let goal = inside(robot.tip_position(&there));
     for solver in [
         SolverKind::GaussNewton,
         SolverKind::Kpso,
@@ -194,7 +191,7 @@ fn a_full_orientation_is_reached_and_kept() {
 fn circle(t: f64) -> ReferenceSample {
     let (sin, cos) = t.sin_cos();
     let position_m = Vector3::new(0.169_86 * cos, 0.169_86 * sin, 0.221_37);
-    sample(position_m, Orientation::Free)
+    inside(position_m)
 }
 
 fn line_robot() -> Robot {
@@ -253,7 +250,7 @@ fn what_is_too_near_to_the_base_keeps_its_distance_from_the_tip() {
         end_m: Vector3::new(0.25, 0.0, 0.6),
     };
     let post = Obstacle::new(shape, 0.01, Vector3::zeros()).unwrap();
-    let goal = sample(Vector3::new(0.213, 0.0, 0.5), Orientation::Free);
+    let goal = inside(Vector3::new(0.213, 0.0, 0.5));
     for solver in [SolverKind::GaussNewton, SolverKind::KpsoRefined] {
         let settings = NmpcSettings {
             solver,
@@ -277,7 +274,7 @@ fn a_moving_obstacle_is_seen_coming() {
     // It crosses the resting robot's tip at 0.1 m/s: the robot gives way before, and comes back.
     let robot = line_robot();
     let rest = on_the_circle(0.0);
-    let goal = sample(robot.tip_position(&rest), Orientation::Free);
+    let goal = inside(robot.tip_position(&rest));
     let velocity_m_s = Vector3::new(0.0, 0.1, 0.0);
     let path = |t: f64| {
         let centre_m = goal.position_m + Vector3::new(0.002, 0.0, 0.0) + velocity_m_s * (t - 1.0);
@@ -305,7 +302,7 @@ fn a_constraint_that_no_plan_keeps_is_named_with_its_amount() {
     let at = on_the_circle(0.0);
     let centre_m = robot.body_point(&at, 0, 0.5);
     let inside = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
-    let goal = sample(robot.tip_position(&at), Orientation::Free);
+    let goal = inside(robot.tip_position(&at));
     let mut control = Loop::new(&robot, at, NmpcSettings::default());
     let report = control.step(|_| goal, |_| vec![inside]);
     let SolveStatus::ConstraintViolated { constraint, amount } = report.status else {
@@ -318,7 +315,7 @@ fn a_constraint_that_no_plan_keeps_is_named_with_its_amount() {
 
 #[test]
 fn limits_on_bend_stroke_and_cable_speed_shape_the_plan() {
-    let goal = sample(Vector3::new(0.25, 0.0, 0.0), Orientation::Free);
+    let goal = inside(Vector3::new(0.25, 0.0, 0.0));
     let limited: [fn(&mut RobotParameters); 3] = [
         |p| p.sections.iter_mut().for_each(|s| s.bend_max_rad = 0.5),
         |p| p.cable_stroke_max_m = 0.006,
@@ -385,7 +382,7 @@ fn culling_leaves_the_cost_as_it_is() {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let at = Configuration::from_slice(&[0.5, 0.1, -0.4, 0.3, 0.2, 0.6]).unwrap();
     let obstacles = crowd(&robot, &at);
-    let goal = sample(robot.tip_position(&at), Orientation::Free);
+    let (goal, rest) = (inside(robot.tip_position(&at)), BendRates::zero(3));
     let settings = NmpcSettings {
         solver: SolverKind::Kpso,
         horizon_steps: 12,
@@ -402,13 +399,9 @@ fn culling_leaves_the_cost_as_it_is() {
         let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
         assert!(nmpc.restore_plan(&plan));
         let input = SolveInput {
-            configuration: &at,
-            previous_rates: &BendRates::zero(3),
-            reference: &[goal],
             obstacles: &obstacles,
-            tip_offset_m: 0.0,
             elapsed_periods: 0,
-            seed: 1,
+            ..input(&at, &rest, std::slice::from_ref(&goal))
         };
         let (_, report) = nmpc.solve(&input, &mut Budget::unlimited());
 
@@ -454,6 +447,7 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
         .map(|shape| Obstacle::new(shape, 0.004, Vector3::new(-0.1, 0.0, 0.05)).unwrap());
     let wanted = Orientation::Full(UnitQuaternion::from_matrix(&tip.rotation));
     let goal = sample(tip.position_m + Vector3::new(0.004, 0.002, -0.003), wanted);
+    let rest = BendRates::zero(3);
     for coordinates in COORDINATES {
         let settings = NmpcSettings {
             coordinates,
@@ -469,13 +463,9 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
         let mut plans = Simd::available().map(|simd| {
             let mut nmpc = Nmpc::with_simd(simd, robot.clone(), PERIOD_S, settings).unwrap();
             let input = SolveInput {
-                configuration: &at,
-                previous_rates: &BendRates::zero(3),
-                reference: &[goal],
                 obstacles: &obstacles,
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
                 seed: 5,
+                ..input(&at, &rest, std::slice::from_ref(&goal))
             };
             let (_, report) = nmpc.solve(&input, &mut Budget::unlimited());
             let bits: Vec<_> = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();

@@ -5,9 +5,11 @@ use std::time::{Duration, Instant};
 
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::Budget;
-use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use nalgebra::Vector3;
+
+use crate::{input, inside};
 
 /// A solve at a configuration of about `bend_rad` with a tip that is off by about `error_m`.
 struct Scene {
@@ -23,11 +25,7 @@ impl Scene {
         let shape = [1.0, -0.5, 0.3, 1.0, 0.2, 0.7].map(|part| part * bend_rad);
         let configuration = Configuration::from_slice(&shape).unwrap();
         let tip_m = robot.tip_position(&configuration);
-        let sample = |step: f64| ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: tip_m + Vector3::new(step, -0.5 * step, -0.1) * error_m,
-            ..ReferenceSample::default()
-        };
+        let sample = |step: f64| inside(tip_m + Vector3::new(step, -0.5 * step, -0.1) * error_m);
         Self {
             nmpc: Nmpc::new(robot, 0.005, NmpcSettings::default()).unwrap(),
             configuration,
@@ -38,13 +36,8 @@ impl Scene {
 
     fn solve(&mut self, seed: u64) -> Duration {
         let input = SolveInput {
-            configuration: &self.configuration,
-            previous_rates: &self.rates,
-            reference: &self.reference,
-            obstacles: &[],
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
             seed,
+            ..input(&self.configuration, &self.rates, &self.reference)
         };
         let begin = Instant::now();
         std::hint::black_box(self.nmpc.solve(&input, &mut Budget::unlimited()));

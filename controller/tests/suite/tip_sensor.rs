@@ -4,13 +4,14 @@
 use cdcr_controller::estimator::{Estimator, Measurement};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::safety::command;
+
+use crate::{input, inside, number};
 
 const PERIOD_S: f64 = 0.005;
 
@@ -57,20 +58,11 @@ fn follow_the_spiral(
         let measured = Measurement::TipPosition(robot.tip_position(&truth) + noise);
         let estimate = *estimator.correct(&robot, &measured, 0.0);
         let reference: Vec<_> = (1..=u64::from(settings.horizon_steps))
-            .map(|step| ReferenceSample {
-                state: ReferenceState::Inside,
-                position_m: goal(cycle + step),
-                ..ReferenceSample::default()
-            })
+            .map(|step| inside(goal(cycle + step)))
             .collect();
         let input = SolveInput {
-            configuration: &estimate,
-            previous_rates: &rates,
-            reference: &reference,
-            obstacles: &[],
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
             seed: cycle_seed(settings.seed, cycle),
+            ..input(&estimate, &rates, &reference)
         };
         let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
         rates = command(&robot, &estimate, &rates, &[], &desired_rates);
@@ -118,7 +110,7 @@ fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
 /// With fewer sections, and near the straight robot, where the tip tells least of the bends. `CDCR_TIP_RUNS`: runs of each.
 #[test]
 fn a_tip_sensor_alone_is_enough_with_one_to_three_sections_and_near_straight() {
-    let runs = std::env::var("CDCR_TIP_RUNS").map_or(1, |runs| runs.parse().unwrap());
+    let runs = number("CDCR_TIP_RUNS", 1);
     for sections in 1..=3 {
         for (share, noise_mm, mean_max_mm) in [(1.0, 0.1, 0.1), (1.0, 0.5, 0.25), (0.05, 0.5, 0.25)]
         {

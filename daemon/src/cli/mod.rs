@@ -59,9 +59,6 @@ enum Command {
 }
 
 /// Carries a command line out, and returns the exit status.
-///
-/// # Errors
-/// What went wrong; [`ExitCause::of`](crate::exit::ExitCause::of) tells its exit status.
 pub fn execute(cli: Cli) -> Result<ExitCode> {
     let done = |()| ExitCause::Asked.into();
     match cli.command {

@@ -1,11 +1,7 @@
 use cdcr_controller::estimator::Actuator;
-use serde::{Deserialize, Serialize};
 
-cdcr_controller::parameters! {
+table! {
     /// How the robot's motors follow their commands, and the cables the motors.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct ActuatorConfig {
         /// From the release of a command until the motors begin to follow it, {range}.
         delay_ms: f64 = 0.0, in 0.0..=300.0;

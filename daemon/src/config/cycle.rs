@@ -1,12 +1,7 @@
-use serde::{Deserialize, Serialize};
-
 use super::ns;
 
-cdcr_controller::parameters! {
+table! {
     /// The period and what counts as late.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct CycleConfig {
         /// Period of the loop, {range}, and at least twice gather_lead_ms.
         period_ms: f64 = 5.0, in 0.1..=100.0, "at least twice cycle.gather_lead_ms";

@@ -1,10 +1,5 @@
-use serde::{Deserialize, Serialize};
-
-cdcr_controller::parameters! {
+table! {
     /// How the configuration of the robot is estimated.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct EstimatorConfig {
         /// By how much the estimate follows later what is measured, {range}; 0: at once. Three filters of first order, each with a third of it as
         /// time constant: twice as long, noise of the sensors changes the rates a sixth as much. At least four times the lag of the motors

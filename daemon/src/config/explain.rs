@@ -5,9 +5,6 @@ use super::{Config, ConfigError, Origin, Settings, keys, schema};
 
 /// Says all about a key, like `cycle.period_ms`, or about a table and its keys: what it is, its type, range and
 /// default, and the value in force and where that comes from.
-///
-/// # Errors
-/// [`ConfigError::Unknown`] with the nearest key.
 pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
     let key = keys::without_indices(key);
     if keys::declared(&key).is_none() {

@@ -23,9 +23,6 @@ pub struct Layers {
 
 impl Layers {
     /// Takes over what a file sets.
-    ///
-    /// # Errors
-    /// [`ConfigError`] when it cannot be read, is no TOML, has unknown keys or wrong types.
     pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
         let text = read(path).map_err(|cause| ConfigError::Unreadable {
             file: path.to_owned(),
@@ -35,9 +32,6 @@ impl Layers {
     }
 
     /// Takes over what the text of a file sets; `file` is for the messages.
-    ///
-    /// # Errors
-    /// As [`Layers::file`].
     pub fn text(mut self, text: &str, file: &Path) -> Result<Self, ConfigError> {
         let document = Document::parse(text.to_owned()).map_err(|error| ConfigError::Syntax {
             file: file.to_owned(),
@@ -63,9 +57,6 @@ impl Layers {
     /// Takes over what the environment sets: `CDCR_CYCLE_PERIOD_MS` is `cycle.period_ms`. Empty variables
     /// count as not set. Others that begin with `CDCR_` may belong to another program: one whose name is near
     /// to that of a key comes back as a warning.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with the name of the variable, when its value is no TOML or of a wrong type.
     pub fn variables(
         mut self,
         variables: impl IntoIterator<Item = (OsString, OsString)>,
@@ -91,9 +82,6 @@ impl Layers {
     }
 
     /// Sets one key, as TOML; a string needs no quotes.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with `origin`, when the key is unknown or the value is no TOML or of a wrong type.
     pub fn key(self, key: &str, text: &str, origin: Origin) -> Result<Self, ConfigError> {
         let Some(default) = keys::settable().get(key) else {
             return Err(not_settable(key, origin));
@@ -103,9 +91,6 @@ impl Layers {
     }
 
     /// Sets one key to a string, whatever is in it.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with `origin`, when the key is unknown or is no string.
     pub fn string(self, key: &str, text: &str, origin: Origin) -> Result<Self, ConfigError> {
         self.put(key, text.into(), origin)
     }
@@ -132,9 +117,6 @@ impl Layers {
     }
 
     /// All layers as one typed configuration.
-    ///
-    /// # Errors
-    /// None that a layer did not report before.
     pub fn settings(self) -> Result<Settings, ConfigError> {
         let Self { values, origins } = self;
         // By way of the text that each layer was checked as: a second way would be compiled, too.

@@ -41,11 +41,8 @@ pub enum TipSensor {
     Separate,
 }
 
-cdcr_controller::parameters! {
+table! {
     /// Where measurements come from and commands go to.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct LinkConfig {
         /// "simulated": a robot inside the daemon. "driver": a process that publishes measurements and follows commands.
         kind: LinkKind = LinkKind::Simulated;

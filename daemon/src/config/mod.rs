@@ -4,9 +4,22 @@
 //! the file, over the file the environment, over that the options ([`Layers`]). A mistake is reported with its
 //! place, its key and what is allowed; nothing is silently corrected.
 //!
-//! A key is declared once, in the struct of its table (`cdcr_controller::parameters!`): name, type, default, range and
+//! A key is declared once, in the struct of its table (`table!`): name, type, default, range and
 //! words. The default file, the schema, explanations and error messages are made of that, and tests compare the files that
 //! are committed. Rules between keys are in `rules`.
+
+/// A table of the configuration: parameters that are read from TOML, each with a default.
+macro_rules! table {
+    ($(#[$doc:meta])* pub struct $($table:tt)+) => {
+        cdcr_controller::parameters! {
+            $(#[$doc])*
+            #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+            #[cfg_attr(test, derive(schemars::JsonSchema))]
+            #[serde(default, deny_unknown_fields)]
+            pub struct $($table)+
+        }
+    };
+}
 
 mod actuator;
 mod cycle;
@@ -37,7 +50,6 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Location;
-use serde::{Deserialize, Serialize};
 
 pub use actuator::ActuatorConfig;
 pub use cycle::CycleConfig;
@@ -61,11 +73,8 @@ pub use transport::TransportConfig;
 /// The default configuration as a commented file: what `cdcrd config default` prints.
 pub const DEFAULT_TEXT: &str = include_str!("../../../configs/default.toml");
 
-cdcr_controller::parameters! {
+table! {
     /// Everything a user can set.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct Config {
         /// What the robot is.
         robot: RobotConfig = RobotConfig::default();
@@ -121,25 +130,16 @@ pub fn ns(milliseconds: f64) -> u64 {
 
 impl Config {
     /// Reads and checks a file, and nothing but the file.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with file, line, key and remedy.
     pub fn load(path: &Path) -> Result<Validated, ConfigError> {
         Layers::default().file(path)?.settings()?.validate()
     }
 
     /// Checks a text; `file` is for the messages.
-    ///
-    /// # Errors
-    /// As [`Config::load`].
     pub fn parse(text: &str, file: &Path) -> Result<Validated, ConfigError> {
         Layers::default().text(text, file)?.settings()?.validate()
     }
 
     /// Checks a configuration that came from no file.
-    ///
-    /// # Errors
-    /// As [`Config::load`], without a line.
     pub fn check(self) -> Result<Validated, ConfigError> {
         Settings::from(self).validate()
     }

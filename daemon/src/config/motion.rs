@@ -20,11 +20,8 @@ pub enum ApproachKind {
     Refuse,
 }
 
-cdcr_controller::parameters! {
+table! {
     /// Motions that the daemon makes by itself.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct MotionConfig {
         /// How fast the rates shrink when holding or stopping, {range}.
         deceleration_rad_s2: f64 = 40.0, in 0.01..=1e6;

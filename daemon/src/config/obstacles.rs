@@ -14,11 +14,8 @@ pub enum SourceSilent {
     Keep,
 }
 
-cdcr_controller::parameters! {
+table! {
     /// Supervision of the sources of obstacles.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct ObstaclesConfig {
         /// A client that has sent an obstacle with a limited lifetime is a source. A source that sends nothing for this long is
         /// silent, {range}; -1: 500 with link.kind = "driver", 0 with "simulated"; 0: sources are not supervised, and obstacles

@@ -31,11 +31,8 @@ impl RealtimeMode {
     }
 }
 
-cdcr_controller::parameters! {
+table! {
     /// Threads, priorities, memory.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct RealtimeConfig {
         /// "require": refuse to start without SCHED_FIFO, a core and locked memory. "prefer": take what the system
         /// grants and report what is missing. "off": ordinary threads. "auto": "require" with link.kind = "driver", "prefer" with

@@ -1,14 +1,10 @@
 use cdcr_controller::robot::{self, Robot, RobotError, RobotParameters, SectionParameters};
 use cdcr_shared_types::Service;
-use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
-cdcr_controller::parameters! {
+table! {
     /// What the robot is.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct RobotConfig {
         /// Name of the robot in the service names: 1 to 40 letters, digits, '-' and '_'.
         name: String = "cdcr".to_owned();

@@ -1,10 +1,5 @@
-use serde::{Deserialize, Serialize};
-
-cdcr_controller::parameters! {
+table! {
     /// What counts as a fault of the robot, its sensors or its surroundings.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct SafetyConfig {
         /// A smaller clearance between body and obstacles than this is a fault, {range}; 0: contact.
         clearance_fault_m: f64 = 0.0, in -10.0..=10.0;

@@ -10,7 +10,6 @@ pub(super) fn committed() -> Value {
     serde_json::from_str(SCHEMA_TEXT).expect("a test compares it with what it is made from")
 }
 
-/// The schema of one key or table.
 pub(super) fn node<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
     key.split('.').try_fold(schema, |node, part| {
         let node = node.get("items").unwrap_or(node);

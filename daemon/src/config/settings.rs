@@ -27,9 +27,6 @@ impl Settings {
     }
 
     /// Checks every value and every rule between values.
-    ///
-    /// # Errors
-    /// [`ConfigError`] for the first that is not allowed.
     pub fn validate(self) -> Result<Validated, ConfigError> {
         let Self {
             mut config,

@@ -1,15 +1,11 @@
 use std::path::PathBuf;
 
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, LocationError};
-use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
-cdcr_controller::parameters! {
+table! {
     /// Where in shared memory daemon and clients meet.
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[cfg_attr(test, derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
     pub struct TransportConfig {
         /// Prefix of the shared-memory files: 1 to 40 letters, digits, '-' and '_'.
         prefix: String = DEFAULT_PREFIX.to_owned();

@@ -47,9 +47,6 @@ const MEASURED_MAX: f64 = 1e3;
 
 /// The points of a chunk, all checked: finite, ahead of `now_ns` by at most a day, inside the
 /// reachable ball, with unit orientations. The trajectory checks that their times increase.
-///
-/// # Errors
-/// The first point that is wrong, and what is wrong with it.
 pub fn reference_points<'a>(
     chunk: &'a wire::ReferenceChunk,
     robot: &Robot,
@@ -140,9 +137,6 @@ pub fn trajectory_refusal(error: &TrajectoryError) -> Refused {
 }
 
 /// A driver's measurement, checked against the robot and the clock.
-///
-/// # Errors
-/// What is wrong with it.
 pub fn measurement(
     message: &wire::Measurement,
     robot: &Robot,
@@ -201,10 +195,7 @@ pub fn measurement(
     })
 }
 
-/// The obstacles that are known after `update`, all of it checked.
-///
-/// # Errors
-/// The first obstacle that is wrong or does not fit; then nothing of the update counts.
+/// The obstacles that are known after `update`, all of it checked. One that is wrong or does not fit: nothing of it counts.
 pub fn updated_obstacles(
     update: &wire::ObstacleUpdate,
     known: &ObstacleSet,
@@ -233,9 +224,6 @@ pub fn updated_obstacles(
 }
 
 /// One obstacle, of no source yet: finite numbers in range, seen no later than now, not forgotten already.
-///
-/// # Errors
-/// What is wrong with it.
 pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, Outcome> {
     let [start_m, end_m] = [message.start_m, message.end_m].map(Vector3::from);
     let velocity_m_s = Vector3::from(message.velocity_m_s);

@@ -62,9 +62,6 @@ both_ways! {
 }
 
 /// Settings from the wire, checked for a daemon of this period.
-///
-/// # Errors
-/// `UnknownCode` or `OutOfRange`.
 pub fn settings_from_wire(
     message: &wire::SolverSettings,
     period_ns: u64,

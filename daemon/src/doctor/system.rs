@@ -93,7 +93,6 @@ impl System {
         Ok(values.next_back())
     }
 
-    /// A field of `/proc/self/status`.
     pub(super) fn own_status(&self, field: &str) -> Assessed {
         let path = "/proc/self/status";
         field_of(&self.read(path)?, field)

@@ -20,7 +20,6 @@ const SUMMARIES: usize = 1024;
 /// Bad cycles between reporter and supervisor.
 const INCIDENTS: usize = 16;
 
-/// Ends of the cycle thread.
 #[derive(Debug)]
 pub struct CycleEnds {
     pub inputs: Output<CycleInputs>,
@@ -28,7 +27,6 @@ pub struct CycleEnds {
     pub records: RecordSender<CycleRecord>,
 }
 
-/// Ends of the exchange thread.
 #[derive(Debug)]
 pub struct ExchangeEnds {
     pub inputs: Input<CycleInputs>,
@@ -40,7 +38,6 @@ pub struct ExchangeEnds {
     pub reloaded: Consumer<ChangedSettings>,
 }
 
-/// Ends of the reporter thread.
 #[derive(Debug)]
 pub struct ReporterEnds {
     /// Records with what belongs to them.

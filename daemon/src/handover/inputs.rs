@@ -74,7 +74,6 @@ impl CycleInputs {
     }
 }
 
-/// A request on its way to the cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleRequest {
     /// Its ticket: the exchange finds the waiting client by it.

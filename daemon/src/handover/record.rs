@@ -64,7 +64,6 @@ pub struct CycleRecord {
     pub gather: u64,
     /// Its time \[ns\].
     pub gather_ns: u64,
-    /// First cycle of the reference window.
     pub window_first_cycle: u64,
     pub lease: LeaseState,
     pub lease_number: u32,
@@ -87,13 +86,11 @@ pub struct CycleRecord {
     pub slack: Option<Slack>,
     /// Where it is at the release.
     pub present: Configuration,
-    /// Commanded configuration at the release.
     pub commanded: Configuration,
     /// How far the robot was from it at its last measurement.
     pub following: FollowingError,
     /// Tip at the release.
     pub tip: Pose,
-    /// Rates of the previous command.
     pub previous_rates: BendRates,
     /// Reference at the release.
     pub reference: ReferenceSample,

@@ -41,6 +41,5 @@ pub struct InputReport {
     pub reference_end_ns: u64,
     /// Points of the reference that are still ahead.
     pub reference_points: u32,
-    /// Obstacles refused so far.
     pub obstacles_refused: u64,
 }

@@ -237,9 +237,6 @@ fn open_folders(root: &Path) -> std::io::Result<()> {
 }
 
 /// Whether files in `folder` have no disk behind them.
-///
-/// # Errors
-/// When the system does not tell, because there is no such folder, for example.
 pub fn is_in_memory(folder: &Path) -> std::io::Result<bool> {
     Ok(is_memory(statfs(folder)?))
 }

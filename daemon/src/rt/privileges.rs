@@ -174,11 +174,6 @@ fn touch_stack() {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use cdcr_test_skip::{Need, skip};
     use rustix::thread::{current_timer_slack, transparent_huge_pages_are_disabled};
 

@@ -134,10 +134,7 @@ mod tests {
     fn the_first_look_has_none_before_it() {
         let mut looks = SchedulerLooks::at(Some(this_thread()));
         if looks.reader.is_none() {
-            skip(
-                Need::Kernel,
-                "it does not count what a thread ran (schedstat)",
-            );
+            skip(Need::Kernel, "it counts no time of threads (schedstat)");
             return;
         }
         assert_eq!(looks.look(), None);
@@ -152,10 +149,7 @@ mod tests {
     #[test]
     fn a_thread_that_works_is_seen_to_run() {
         let Some(reader) = SchedulerReader::open(this_thread()) else {
-            skip(
-                Need::Kernel,
-                "it does not count what a thread ran (schedstat)",
-            );
+            skip(Need::Kernel, "it counts no time of threads (schedstat)");
             return;
         };
         let before = reader.read().expect("the thread lives");

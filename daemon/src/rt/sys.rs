@@ -7,10 +7,7 @@ use std::cell::Cell;
 use std::io;
 use std::mem::MaybeUninit;
 
-/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99).
-///
-/// # Errors
-/// What the kernel says; `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
+/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99); `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
 pub fn set_fifo(priority: i32) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: priority,

@@ -44,7 +44,6 @@ pub enum ServiceError {
          a client of another version may hold it open: end the clients, or use another prefix; or a limit of this process is too low: ulimit -a"
     )]
     Service { service: String, cause: String },
-    /// Another process is the writer of a service that has one.
     #[error(
         "another process writes to the service {service} already\n\
          another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
@@ -63,9 +62,6 @@ pub enum ServiceError {
 }
 
 /// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
-///
-/// # Errors
-/// [`ServiceError::Node`], and [`ServiceError::Full`] when shared memory has no room for a daemon.
 pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     let error = |cause: String| ServiceError::Node {
         prefix: location.prefix().to_owned(),
@@ -107,9 +103,6 @@ pub struct Ports {
 
 impl Ports {
     /// Creates the services of `robot` by which clients and driver take part, and our ends.
-    ///
-    /// # Errors
-    /// [`ServiceError::Service`] or [`ServiceError::Full`] with the name of the service.
     pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
         Ok(Self {
             reference: inlet(
@@ -193,9 +186,6 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
 }
 
 /// A publisher that never waits for a reader, and whose memory is there.
-///
-/// # Errors
-/// [`ServiceError::Service`], [`ServiceError::Full`].
 pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     node: &Node<ipc::Service>,
     service: Service,
@@ -229,9 +219,6 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
 }
 
 /// The publisher of the telemetry.
-///
-/// # Errors
-/// As [`publisher`].
 pub fn telemetry(
     node: &Node<ipc::Service>,
     robot: &str,
@@ -251,9 +238,6 @@ pub(crate) fn send<T: ZeroCopySend + Debug + Copy + 'static>(
 }
 
 /// The publisher of the bad cycles, which late joiners still get.
-///
-/// # Errors
-/// As [`publisher`].
 pub fn incidents(
     node: &Node<ipc::Service>,
     robot: &str,

@@ -6,7 +6,7 @@ use std::io::Read;
 use std::os::fd::OwnedFd;
 use std::os::unix::net::{UnixDatagram, UnixStream};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use cdcr_scratch::Scratch;
@@ -69,7 +69,24 @@ fn may_have_a_journal(folder: &Path) -> bool {
     }
 }
 
-/// The program, logging to a standard error that `JOURNAL_STREAM` names if `named`. Returns the fields of
+/// The program, logging to the standard error `theirs`, which `JOURNAL_STREAM` names if `named`.
+fn start(place: &Scratch, theirs: UnixStream, named: bool) -> Child {
+    let file = rustix::fs::fstat(&theirs).unwrap();
+    let inode = if named { file.st_ino } else { file.st_ino + 1 };
+    with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
+        .args(["run", "--robot", "journal", "--root"])
+        .arg(place.path().join("root"))
+        .env("CDCR_PREFIX", place.prefix())
+        .env("JOURNAL_STREAM", format!("{}:{inode}", file.st_dev))
+        .env_remove("RUST_LOG")
+        .env_remove("CDCR_CONFIG")
+        .stdin(Stdio::null())
+        .stderr(OwnedFd::from(theirs))
+        .spawn()
+        .unwrap()
+}
+
+/// Runs it until it controls the robot. Returns the fields of
 /// what came to the journal, and the text that came to the standard error.
 fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
     let place = Scratch::in_memory().unwrap();
@@ -80,19 +97,7 @@ fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
     journal.set_read_timeout(Some(TIMEOUT)).unwrap();
     let (theirs, mut ours) = UnixStream::pair().unwrap();
     ours.set_read_timeout(Some(TIMEOUT)).unwrap();
-    let file = rustix::fs::fstat(&theirs).unwrap();
-    let inode = if named { file.st_ino } else { file.st_ino + 1 };
-    let mut child = with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
-        .args(["run", "--robot", "journal", "--root"])
-        .arg(place.path().join("root"))
-        .env("CDCR_PREFIX", place.prefix())
-        .env("JOURNAL_STREAM", format!("{}:{inode}", file.st_dev))
-        .env_remove("RUST_LOG")
-        .env_remove("CDCR_CONFIG")
-        .stdin(Stdio::null())
-        .stderr(OwnedFd::from(theirs))
-        .spawn()
-        .unwrap();
+    let mut child = start(&place, theirs, named);
     let (mut entries, mut text) = (Vec::new(), String::new());
     let mut buffer = vec![0; 65536];
     while !entries.iter().any(is_running) && !text.contains("running") {
@@ -162,18 +167,7 @@ fn a_journal_that_stands_still_holds_nobody_up() {
     }
     journal.set_read_timeout(Some(TIMEOUT)).unwrap();
     let (theirs, _ours) = UnixStream::pair().unwrap();
-    let file = rustix::fs::fstat(&theirs).unwrap();
-    let mut child = with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
-        .args(["run", "--robot", "journal", "--root"])
-        .arg(place.path().join("root"))
-        .env("CDCR_PREFIX", place.prefix())
-        .env("JOURNAL_STREAM", format!("{}:{}", file.st_dev, file.st_ino))
-        .env_remove("RUST_LOG")
-        .env_remove("CDCR_CONFIG")
-        .stdin(Stdio::null())
-        .stderr(OwnedFd::from(theirs))
-        .spawn()
-        .unwrap();
+    let mut child = start(&place, theirs, true);
     let mut buffer = vec![0; 65536];
     loop {
         let length = journal.recv(&mut buffer).unwrap();

@@ -3,14 +3,6 @@
 //!
 //! Invariant: nothing here knows a daemon, a robot or iceoryx2, so that every crate can use it for its tests.
 
-#![cfg_attr(
-    test,
-    allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )
-)]
-
 mod sweep;
 
 use std::fs::{self, File};

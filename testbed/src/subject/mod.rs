@@ -1,5 +1,6 @@
 //! What is measured: a daemon as a real process, in a place of its own.
 
+pub mod asker;
 pub mod baseline;
 pub mod cyclictest;
 pub mod daemon;

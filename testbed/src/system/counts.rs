@@ -101,10 +101,7 @@ mod tests {
     fn our_own_threads_are_counted() {
         let all = threads(std::process::id());
         if all.is_empty() {
-            skip(
-                Need::Kernel,
-                "it does not count what a thread ran (schedstat)",
-            );
+            skip(Need::Kernel, "it counts no time of threads (schedstat)");
             return;
         }
         assert!(all.iter().any(|thread| thread.id == std::process::id()));

@@ -61,7 +61,6 @@ fn orders() -> Receiver<(String, Instant)> {
     receiver
 }
 
-/// A robot and the faults of its driver.
 struct RobotBehindDriver {
     robot: DrivenRobot,
     measured: Measurement,

@@ -19,17 +19,14 @@ use cdcr_daemon::config::Config;
 use cdcr_daemon::rt::sys::{WatchedAllocator, count_allocations, forbid_allocations};
 use cdcr_tests::load::{self, Done};
 use cdcr_tests::system_calls::forbid_system_calls;
-use cdcr_tests::{Place, binary};
+use cdcr_tests::{Place, asked, binary};
 
 #[global_allocator]
 static ALLOCATOR: WatchedAllocator = WatchedAllocator;
 
 /// Cycles under guard: 5 000 unless `CDCR_GUARD_CYCLES` says otherwise.
 fn guarded_cycles() -> u64 {
-    let asked = std::env::var("CDCR_GUARD_CYCLES").ok();
-    asked.map_or(5_000, |text| {
-        text.parse().expect("CDCR_GUARD_CYCLES is a whole number")
-    })
+    asked("CDCR_GUARD_CYCLES").unwrap_or(5_000)
 }
 
 /// Two daemons on one core would be each other's load.

@@ -58,7 +58,6 @@ pub(crate) fn mount(script: &str) -> bool {
     output.status.success()
 }
 
-/// Mounts a shared memory with these options.
 pub(crate) fn mount_memory(options: &str) -> bool {
     let memory = Location::MEMORY;
     mount(&format!("mount -t tmpfs -o {options} tmpfs {memory}"))

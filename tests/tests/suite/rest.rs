@@ -13,7 +13,8 @@ use cdcr_shared_types::{Command, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, wait_mode, wait_record, wait_until,
+    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, ask_for, asked, wait_mode, wait_record,
+    wait_until,
 };
 
 /// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
@@ -45,12 +46,7 @@ fn a_velocity_driver_with_offset_is_at_rest_in_every_mode() {
 
 /// How long each rest is looked at.
 fn duration() -> Duration {
-    let asked = std::env::var("CDCR_REST_S").ok();
-    let seconds = asked.map_or(2, |text| {
-        text.parse()
-            .expect("CDCR_REST_S is a whole number of seconds")
-    });
-    Duration::from_secs(seconds)
+    Duration::from_secs(asked("CDCR_REST_S").unwrap_or(2))
 }
 
 /// Stops a robot on its way home, and looks at its rest.
@@ -68,9 +64,7 @@ fn rest(interface: Interface, mode: Mode) {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Home);
         let homing = wait_mode(&mut telemetry, Mode::Homing);
         wait_record(&mut telemetry, |record| record.cycle > homing.cycle + 40);
         bring_to(mode, &connection, &robot);
@@ -94,14 +88,8 @@ fn rest(interface: Interface, mode: Mode) {
 
 fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
     match mode {
-        Mode::Holding => connection
-            .request_within(RequestKind::Hold, TIMEOUT)
-            .map(drop)
-            .unwrap(),
-        Mode::Stopped => connection
-            .request_within(RequestKind::Stop, TIMEOUT)
-            .map(drop)
-            .unwrap(),
+        Mode::Holding => drop(ask_for(connection, RequestKind::Hold)),
+        Mode::Stopped => drop(ask_for(connection, RequestKind::Stop)),
         _ => {
             // A sensor that is out of its mind for as long as it takes.
             robot.is_mad.store(true, Ordering::Relaxed);

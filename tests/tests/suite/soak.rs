@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::Connection;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_tests::load::{self, Busy, Done};
-use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, asked, wait_until};
 use rustix::process::Signal;
 
 /// Timing is not the subject. Everything else is as in service.
@@ -63,12 +63,7 @@ struct Sample {
 
 /// How long to soak: 8 s unless `CDCR_SOAK_S` says otherwise.
 fn duration() -> Duration {
-    let asked = std::env::var("CDCR_SOAK_S").ok();
-    let seconds = asked.map_or(8, |text| {
-        text.parse()
-            .expect("CDCR_SOAK_S is a whole number of seconds")
-    });
-    Duration::from_secs(seconds)
+    Duration::from_secs(asked("CDCR_SOAK_S").unwrap_or(8))
 }
 
 #[test]
@@ -128,8 +123,7 @@ fn soak(link: &str) {
     println!("{done:?}, {killed:?} clients killed\n{}", table(&samples));
     write_csv(link, &samples);
     assert_no_growth(&samples);
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 /// A reader that keeps up.
@@ -141,7 +135,6 @@ fn read(place: &Place, ending: &AtomicBool) {
     }
 }
 
-/// A reader that never reads.
 fn never_read(place: &Place, ending: &AtomicBool) {
     let connection = load::connect(place);
     let _telemetry = connection.telemetry().unwrap();
@@ -236,14 +229,12 @@ fn field(text: &str, key: &str) -> u64 {
     number.unwrap().parse().unwrap()
 }
 
-/// Files of this place in shared memory, and their bytes.
 fn shared_memory(place: &Place) -> (u64, u64) {
-    let names = place.shared_memory_files();
+    let names = place.memory_files();
     let sizes = names.iter().filter_map(|path| fs::metadata(path).ok());
     (names.len() as u64, sizes.map(|file| file.len()).sum())
 }
 
-/// Files in a folder and all folders below it.
 fn files_below(folder: &Path) -> u64 {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     entries
@@ -365,8 +356,7 @@ fn what_killed_clients_leave_goes_when_the_next_one_comes() {
             inventory(place) == before
         });
     }
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 /// iceoryx2 0.10 cannot clear away all of a client that was killed between announcing that it will open a service
@@ -378,7 +368,7 @@ fn clients_killed_while_they_connect_take_no_place_from_others() {
     let before = inventory(place);
     // Without the queues to single clients, of which the daemon keeps the last until it connects to another one.
     let memory = || {
-        let mut names = place.shared_memory_files();
+        let mut names = place.memory_files();
         names.retain(|path| path.extension().is_none_or(|end| end != "connection"));
         names.sort();
         names
@@ -414,7 +404,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     let place = daemon.place();
     let mut victim = echo(place);
     wait_until_it_reads(&mut victim);
-    let names = place.shared_memory_files();
+    let names = place.memory_files();
     let newest = names
         .iter()
         .filter(|path| path.extension().is_some_and(|end| end == "connection"))
@@ -430,8 +420,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     kill(victim);
     let mut next = Program::start(place.command("cdcrctl").arg("status"));
     wait_until("the next client is served", || !next.runs());
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 #[test]

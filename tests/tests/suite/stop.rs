@@ -13,7 +13,7 @@ mod signal;
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use cdcr_client::{
     Connection, FeedEvent, FeedOptions, Line, TelemetryStream, events, monotonic_ns,
@@ -21,12 +21,11 @@ use cdcr_client::{
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use cdcr_controller::safety::{ramp_to_zero, shorten};
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard};
-use cdcr_shared_types::{Header, Request, Response, Service, Telemetry, ipc};
+use cdcr_shared_types::{Response, Telemetry};
+use cdcr_testbed::subject::asker::Asker;
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, TIMEOUT, wait_record};
-use iceoryx2::port::client::Client;
-use iceoryx2::prelude::Node;
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
 
 /// Stops that are measured.
 const STOPS: usize = 20;
@@ -84,13 +83,6 @@ fn drive(place: &Place, interface: Interface, ending: &AtomicBool) {
     }
 }
 
-/// Asks for a stop and knows when: the client of the library does not tell.
-struct Stopper {
-    control: Client<ipc::Service, Request, (), Response, ()>,
-    sequence: u64,
-    _node: Node<ipc::Service>,
-}
-
 /// A stop that was asked for and carried out.
 #[derive(Debug, Clone, Copy)]
 struct Asked {
@@ -103,50 +95,21 @@ struct Asked {
 /// Who asks.
 const STOPPER: u64 = 0x5709;
 
-impl Stopper {
-    fn new(place: &Place) -> Self {
-        let node = place.location().node_builder().unwrap();
-        let node = node.create::<ipc::Service>().unwrap();
-        let name = Service::Control.name(ROBOT).unwrap();
-        let service = node.service_builder(&name);
-        let service = service.request_response::<Request, Response>();
-        let opened = service.open().unwrap();
-        Self {
-            control: opened.client_builder().create().unwrap(),
-            sequence: 0,
-            _node: node,
+/// Asks for a stop and knows when: the client of the library does not tell.
+fn stop(asker: &mut Asker) -> Asked {
+    let (_, begun_ns) = asker.ask(RequestKind::Stop).unwrap();
+    let sent_ns = monotonic_ns();
+    loop {
+        if let Some(answer) = asker.look().unwrap() {
+            answer.accepted().unwrap();
+            assert_eq!(answer.response.request_sequence, answer.sequence);
+            return Asked {
+                begun_ns,
+                sent_ns,
+                response: answer.response,
+            };
         }
-    }
-
-    fn stop(&mut self) -> Asked {
-        self.sequence += 1;
-        let begun_ns = monotonic_ns();
-        let request = Request {
-            header: Header {
-                sender_id: STOPPER,
-                sequence: self.sequence,
-                sent_ns: begun_ns,
-            },
-            kind: RequestKind::Stop.code(),
-            ..Request::default()
-        };
-        let pending = self.control.send_copy(request).unwrap();
-        let sent_ns = monotonic_ns();
-        let begin = Instant::now();
-        loop {
-            if let Some(response) = pending.receive().unwrap() {
-                let response = *response.payload();
-                assert_eq!(response.outcome, Outcome::Accepted.code());
-                assert_eq!(response.request_sequence, self.sequence);
-                return Asked {
-                    begun_ns,
-                    sent_ns,
-                    response,
-                };
-            }
-            assert!(begin.elapsed() < TIMEOUT, "a stop was not answered");
-            std::thread::sleep(Duration::from_micros(200));
-        }
+        std::thread::sleep(Duration::from_micros(200));
     }
 }
 
@@ -164,7 +127,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
-    let mut stopper = Stopper::new(daemon.place());
+    let mut stopper = Asker::open(daemon.place().location(), ROBOT, STOPPER).unwrap();
     let mut taken = Vec::new();
     let mut turns = 0_usize;
     while taken.len() < STOPS {
@@ -174,9 +137,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
             "only {} stops in {turns} turns",
             taken.len()
         );
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         // The golden ratio spreads the moments evenly over the period.
         let phase = (turns as f64 * 0.618_034).fract();
         let mut records = Vec::new();
@@ -194,7 +155,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
 /// Lets the robot go to a far place and stops it on the way. None when it never came to speed.
 fn stop_at_speed(
     connection: &Connection,
-    stopper: &mut Stopper,
+    stopper: &mut Asker,
     turn: usize,
     phase: f64,
     mut seen: impl FnMut(&Telemetry),
@@ -222,7 +183,7 @@ fn stop_at_speed(
         if asked.is_none() && record.mode == Mode::Tracking.code() && at_speed {
             let later = phase * record.period_ns as f64;
             std::thread::sleep(Duration::from_nanos(later as u64));
-            asked = Some(stopper.stop());
+            asked = Some(stop(stopper));
         }
         ControlFlow::Continue(())
     });

@@ -1,7 +1,6 @@
 //! How often messages come.
 
 use std::io::Write;
-use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Message, Stream};
@@ -42,11 +41,7 @@ impl Watch for HzOptions {
                     }
                     last = Some((header.sender_id, header.sent_ns));
                 }
-                Ok(if begin.elapsed() >= LINE {
-                    ControlFlow::Break(())
-                } else {
-                    ControlFlow::Continue(())
-                })
+                Ok(begin.elapsed() < LINE)
             })?;
             let span = begin.elapsed();
             if span < LINE {

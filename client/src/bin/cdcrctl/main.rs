@@ -27,6 +27,7 @@ mod request;
 mod setting;
 mod settings;
 mod show_status;
+mod spread;
 mod standstill;
 mod tip_error;
 mod top;

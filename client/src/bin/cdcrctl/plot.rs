@@ -1,8 +1,6 @@
 //! Messages as JSON datagrams, for plotters that listen.
 
 use std::net::{ToSocketAddrs, UdpSocket};
-use std::ops::ControlFlow;
-use std::time::Instant;
 
 use anyhow::{Context, bail};
 use cdcr_client::{Connection, Message, Stream};
@@ -12,7 +10,7 @@ use serde_json::{Value, json};
 use crate::Done;
 use crate::args::{PlotOptions, Target, Topic};
 use crate::echo::field::{of, without_null};
-use crate::echo::{Look, Pace, Watch, each, json, watch};
+use crate::echo::{Look, Watch, json, paced, watch};
 
 /// A datagram is smaller than this, so that no listener cuts it off.
 const BYTES_MAX: usize = 2000;
@@ -48,21 +46,12 @@ impl Watch for PlotOptions {
             (Topic::Telemetry, []) => TELEMETRY.map(str::to_owned).to_vec(),
             (_, fields) => fields.to_vec(),
         };
-        let mut pace = Pace::new(self.rate);
-        let mut sent = 0;
-        each(connection, &mut stream, |message| {
-            let Some(message) = message.filter(|_| pace.is_due(Instant::now())) else {
-                return Ok(ControlFlow::Continue(()));
-            };
+        let limits = (self.rate, self.count);
+        paced(connection, &mut stream, limits, |message| {
             let packet = packet(message.header().sent_ns, json::message(message), &fields)?;
             // A plotter that does not listen yet is no error: there is nobody who answers.
             let _ = socket.send_to(packet.as_bytes(), to);
-            sent += 1;
-            Ok(if self.count == Some(sent) {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            })
+            Ok(())
         })?;
         Ok(Done::Good)
     }

@@ -3,7 +3,7 @@
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters};
 use nalgebra::Vector3;
 
@@ -11,6 +11,8 @@ use super::Account;
 use super::body::{Ball, arcs};
 use super::moment::{Draw, Moment};
 use super::rule::{DIP_M, ROUNDING, Way, moved};
+
+use crate::{input, inside};
 
 const PERIOD_S: f64 = 0.005;
 const CYCLES: u32 = 120;
@@ -101,11 +103,7 @@ impl Scene {
 
     fn reference(&self, time_s: f64) -> ReferenceSample {
         let goal = (time_s / PERIOD_S) as usize / GOAL_CYCLES as usize;
-        ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: self.goals_m[goal.min(self.goals_m.len() - 1)],
-            orientation: Orientation::Free,
-        }
+        inside(self.goals_m[goal.min(self.goals_m.len() - 1)])
     }
 
     /// The moment of a cycle, for a robot that stops at once when no command follows.
@@ -179,14 +177,11 @@ impl Scene {
                 .collect();
             let mut moment = self.moment(time_s, &at, rates.as_slice(), &rates);
             let obstacles: Vec<Obstacle> = moment.balls.iter().map(Ball::obstacle).collect();
+            let bends = Configuration::from_slice(&at).unwrap();
             let input = SolveInput {
-                configuration: &Configuration::from_slice(&at).unwrap(),
-                previous_rates: &rates,
-                reference: &reference,
                 obstacles: &obstacles,
-                tip_offset_m: 0.0,
-                elapsed_periods: 1,
                 seed: cycle_seed(1, u64::from(cycle)),
+                ..input(&bends, &rates, &reference)
             };
             let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
             moment.desired_rates = desired_rates.as_slice().to_vec();
@@ -225,14 +220,12 @@ impl Scene {
                 let mut moment = self.moment(f64::from(cycle) * PERIOD_S, &at, &rates, &previous);
                 (moment.moving_s, moment.deceleration_rad_s2) = (3.0 * PERIOD_S, 40.0);
                 let obstacles: Vec<Obstacle> = moment.balls.iter().map(Ball::obstacle).collect();
+                let bends = Configuration::from_slice(&at).unwrap();
+                let reference = [self.reference(f64::from(cycle) * PERIOD_S); 2];
                 let input = SolveInput {
-                    configuration: &Configuration::from_slice(&at).unwrap(),
-                    previous_rates: &previous,
-                    reference: &[self.reference(f64::from(cycle) * PERIOD_S); 2],
                     obstacles: &obstacles,
-                    tip_offset_m: 0.0,
-                    elapsed_periods: 1,
                     seed: cycle_seed(1, u64::from(cycle)),
+                    ..input(&bends, &previous, &reference)
                 };
                 let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
                 moment.desired_rates = desired_rates.as_slice().to_vec();

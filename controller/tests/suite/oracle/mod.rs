@@ -16,6 +16,8 @@ use moment::{Moment, stands};
 use qp::Motion;
 use rule::{Margins, ROUNDING, moved, norm};
 
+use crate::number;
+
 /// The share of all commands that may stand still where the oracle finds a motion: the first of few, of which the 300 moments of the test have 2 and one
 /// more may, the second of many.
 const STANDS_MAX: [f64; 2] = [3.0 / 300.0, 0.0005];
@@ -24,11 +26,6 @@ const LOOPS: [u64; 12] = [6, 3, 0, 1, 2, 4, 5, 7, 8, 9, 10, 11];
 
 /// Decelerations at which the nearest rates inside the limits are compared (rad/s²): at once, where the limits are convex, and that of a daemon.
 const DECELERATIONS_RAD_S2: [f64; 2] = [f64::INFINITY, 40.0];
-
-/// A count, or where it begins, from the environment.
-pub(crate) fn number(name: &str, otherwise: u64) -> u64 {
-    std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
-}
 
 /// What was seen of many commands.
 struct Account {

@@ -6,7 +6,7 @@ mod checker;
 mod clearance;
 mod crowd;
 mod cycles;
-mod dice;
+pub(crate) mod dice;
 mod director;
 mod feeder;
 mod grid;
@@ -20,7 +20,6 @@ mod tally;
 mod unfinished;
 
 use std::ops::ControlFlow;
-use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -28,7 +27,7 @@ use cdcr_client::FeedOptions;
 use cdcr_controller::plant::Preset;
 use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, paper_line, wait_mode, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, asked, paper_line, wait_mode, wait_until};
 
 use action::ROUND;
 use checker::{Checker, View};
@@ -52,15 +51,6 @@ const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_m
 
 /// A run of this length must see every kind of bad message judged.
 const KINDS_TAKE: Duration = Duration::from_secs(25);
-
-/// A number from the environment.
-fn asked(key: &str) -> Option<u64> {
-    let text = std::env::var(key).ok()?;
-    Some(
-        text.parse()
-            .unwrap_or_else(|_| panic!("{key} = {text:?} is no whole number")),
-    )
-}
 
 /// The seed of the run: given, or the time.
 fn seed() -> u64 {
@@ -136,8 +126,7 @@ fn run(link: &str) {
     let mended = has_driver.then(|| DriverProcess::start(daemon.place()));
     come_back(&daemon);
     drop(mended);
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 /// A run in which nothing happened proves nothing.

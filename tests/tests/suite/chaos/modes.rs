@@ -102,7 +102,6 @@ const ARROWS: &[Arrow] = &[
     ),
 ];
 
-/// Mode and reason of a record.
 pub(crate) type Place = (Mode, Reason);
 
 pub(crate) fn place(record: &Telemetry) -> Result<Place, String> {

@@ -19,7 +19,7 @@ const AGE_MAX: Duration = Duration::from_secs(10);
 /// that those who wait for it can end.
 pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> CheckResult {
     while !ending.load(Ordering::Relaxed) {
-        for path in place.shared_memory_files() {
+        for path in place.memory_files() {
             if is_unfinished(&path) {
                 ending.store(true, Ordering::Relaxed);
                 // Somebody may have been faster.

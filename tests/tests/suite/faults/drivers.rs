@@ -2,7 +2,7 @@
 
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{TIMEOUT, wait_status};
+use cdcr_tests::{ask_for, wait_status};
 use rustix::process::Signal;
 
 use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
@@ -27,9 +27,7 @@ fn a_killed_driver_is_a_lost_measurement() {
         // Another driver takes its place.
         let _driver = DriverProcess::start_at(daemon.place(), 1.0);
         trail.until("measured", |record| state(record) == MeasurementState::Used);
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         trail.until("holding", is(Mode::Holding));
         Some(())
     });

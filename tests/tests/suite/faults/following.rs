@@ -3,7 +3,7 @@
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, TIMEOUT};
+use cdcr_tests::{Daemon, ask_for};
 
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is};
@@ -26,9 +26,7 @@ fn a_robot_that_does_not_follow_is_a_fault() {
         let mut trail = Trail::new(&connection);
         let mut robot = Robot::with_flaws(&connection, 1.0, held);
         robot.until_held(&mut trail);
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Home);
         let turn = || robot.turn();
         let (_, now) = trail.until_while("the fault", turn, |record| {
             record.mode == Mode::Faulted.code() || is_held_by_a_stall(record)
@@ -43,9 +41,7 @@ fn a_robot_that_does_not_follow_is_a_fault() {
         );
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
         // Control begins anew where it is.
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
         Some(())
     });

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{CommandStream, Connection, monotonic_ns};
 use cdcr_shared_types::Command;
-use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::record::largest;
 use cdcr_tests::{Daemon, TIMEOUT, until_undisturbed, wait_record, wait_until};
 use rustix::process::Signal;
@@ -12,7 +12,6 @@ use rustix::process::Signal;
 use crate::faults::reference::{POINTS_MAX, WINDOW_PERIODS, track};
 use crate::faults::robot::Robot;
 use crate::faults::threads::{Hung, VALID_FOR_NS, find_thread};
-use crate::faults::trail::{Trail, rests};
 
 /// An exchange that is held up for `held_up` beside a client that renews its lease as often as it should: the robot
 /// follows its reference all the time.
@@ -93,12 +92,7 @@ impl Commanded {
         );
         let connection = daemon.connect();
         let commands = connection.commands().unwrap();
-        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-        robot.until_held(&mut trail);
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
-        trail.until_while("moving", || robot.turn(), |record| !rests(record));
+        let (_, robot) = Robot::moving(&connection);
         Self {
             daemon,
             connection,

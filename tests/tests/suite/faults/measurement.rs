@@ -7,7 +7,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
-use cdcr_tests::{Daemon, TIMEOUT, is_refused, wait_status, wait_until};
+use cdcr_tests::{Daemon, TIMEOUT, ask_for, refused, wait_status, wait_until};
 
 use crate::faults::history::moved_ns;
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
@@ -51,9 +51,7 @@ pub(super) fn go_home(
     trail: &mut Trail,
     mut turn: impl FnMut(),
 ) -> Option<()> {
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(connection, RequestKind::Home);
     let mut homing = 0;
     let (_, record) = trail.until_while("homing", &mut turn, |record| {
         homing += u64::from(record.mode == Mode::Homing.code());
@@ -149,19 +147,13 @@ fn a_lost_measurement_is_a_fault_after_the_timeout() {
     behind_both(|interface| {
         let daemon = daemon(interface);
         let connection = daemon.connect();
-        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-        robot.until_held(&mut trail);
+        let (mut trail, mut robot) = Robot::held(&connection, 1.0);
         go_home(&connection, &mut trail, || robot.turn())?;
         assert_lost(&mut trail, "measurement lost", || {});
-        assert!(
-            is_refused(&connection, RequestKind::Reset),
-            "it still stands"
-        );
+        refused(&connection, RequestKind::Reset);
         // Back again: the reset is granted.
         until_used(&mut trail, &mut robot);
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         Some(())
     });
 }
@@ -171,8 +163,7 @@ fn measurements_that_are_no_numbers_are_refused_until_the_last_good_one_is_lost(
     behind_both(|interface| {
         let daemon = daemon(interface);
         let connection = daemon.connect();
-        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
-        robot.until_held(&mut trail);
+        let (mut trail, mut robot) = Robot::held(&connection, 0.0);
         let mut bad = robot.sensed_rad();
         bad[1] = f64::NAN;
         assert_lost(&mut trail, "measurement not finite, then lost", || {
@@ -189,12 +180,9 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
     behind_both(|interface| {
         let daemon = daemon(interface);
         let connection = daemon.connect();
-        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-        robot.until_held(&mut trail);
+        let (mut trail, mut robot) = Robot::held(&connection, 1.0);
         trail.catch_up();
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Home);
         // One sensor says the same for ever, with new stamps. The others live.
         let mut measured = robot.sensed_rad();
         let frozen_rad = measured[0];
@@ -240,9 +228,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         });
         // At rest nobody sees that the sensor is still frozen: the reset is granted.
         robot.measure(measured);
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         Some(())
     });
 }
@@ -282,8 +268,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
     behind_both(|interface| {
         let daemon = daemon(interface);
         let connection = daemon.connect();
-        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
-        robot.until_held(&mut trail);
+        let (mut trail, mut robot) = Robot::held(&connection, 0.0);
         // Two are left out, and nothing else happens.
         let (_, two) = jump_until(&mut trail, &mut robot, |_, jumps| jumps == 2);
         assert_eq!(two.mode, Mode::Holding.code());
@@ -305,9 +290,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
         // The next measurement is believed.
         until_used(&mut trail, &mut robot);
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
         Some(())
     });
@@ -395,7 +378,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
         // Rest is rest: it is not driven back from beyond its limit, neither by itself nor by a stop.
         for kind in [None, Some(RequestKind::Stop)] {
             if let Some(kind) = kind {
-                connection.request_within(kind, TIMEOUT).unwrap();
+                ask_for(&connection, kind);
             }
             let mut records = 0;
             measured_at(&mut trail, &robot, 3.0, |record| {
@@ -405,10 +388,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
                 records > 50
             });
         }
-        assert!(
-            is_refused(&connection, RequestKind::Reset),
-            "it still stands"
-        );
+        refused(&connection, RequestKind::Reset);
         // Bent back, as far as a robot can in a cycle.
         let mut bend_rad = 3.0_f64;
         while bend_rad > 2.7 {
@@ -417,9 +397,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
                 (r.measurement.bend_rad[0] - bend_rad).abs() < 1e-9
             });
         }
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         trail.until("holding", is(Mode::Holding));
         Some(())
     });

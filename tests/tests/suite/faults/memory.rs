@@ -38,7 +38,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
         ];
         let place = Place::new();
         place.says("cdcrd run", 71, &parts);
-        let files = || place.shared_memory_files();
+        let files = || place.memory_files();
         assert_eq!(files(), Vec::<PathBuf>::new(), "nothing stays behind");
     }
 }

@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns};
+use cdcr_client::{Connection, ObstacleSender, event_about, events, monotonic_ns};
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
-use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
+use cdcr_shared_types::{InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
-use cdcr_tests::{BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, wait_status};
+use cdcr_tests::{
+    BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, ask_for, ball, refused, wait_status,
+};
 
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, say};
@@ -16,22 +18,12 @@ use crate::faults::trail::{Trail, is, say};
 const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
 
-/// What became of an update, in its record.
-fn event(record: &Telemetry, header: &Header) -> Option<InputEvent> {
-    let found = events(record).iter().find(|event| {
-        event.kind == EventKind::Obstacles.code()
-            && event.sender_id == header.sender_id
-            && event.sequence == header.sequence
-    });
-    found.copied()
-}
-
 /// Sends obstacles; the record that tells what became of them, and the event.
 fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
     let header = sender.upsert(balls).unwrap();
     let mut answer = None;
     let (_, record) = trail.until("the verdict", |record| {
-        answer = event(record, &header);
+        answer = event_about(record, EventKind::Obstacles, &header);
         answer.is_some()
     });
     (record, answer.unwrap())
@@ -58,9 +50,7 @@ fn tell_alive(
 
 /// A robot that goes slowly home, sideways, and what it would touch next.
 fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(connection, RequestKind::Home);
     let mut tips = Vec::new();
     trail.until("homing", |record| {
         if record.mode == Mode::Homing.code() {
@@ -134,15 +124,11 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(answer.judged_ns);
     say("contact", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
-    match connection.request_within(RequestKind::Reset, TIMEOUT) {
-        Err(RequestError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::CauseStands),
-        other => panic!("{other:?}"),
-    }
+    let outcome = refused(&connection, RequestKind::Reset);
+    assert_eq!(outcome, Outcome::CauseStands);
     sender.clear().unwrap();
     trail.until("gone", |record| record.obstacle_count == 0);
-    connection
-        .request_within(RequestKind::Reset, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Reset);
     trail.until("holding", is(Mode::Holding));
 }
 
@@ -261,10 +247,7 @@ fn lose_source(rule: &str) {
         say("source of obstacles silent", detected_ns, bound_ns);
         assert!((200_000_000..=bound_ns).contains(&detected_ns));
         // It is still silent.
-        match connection.request_within(RequestKind::Home, TIMEOUT) {
-            Err(RequestError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::Waits),
-            other => panic!("{other:?}"),
-        }
+        assert_eq!(refused(&connection, RequestKind::Home), Outcome::Waits);
     }
     // It lives, and sees the obstacle no more.
     sender.upsert(&[]).unwrap();
@@ -304,9 +287,7 @@ fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     let sender = connection.obstacle_sender().unwrap();
     robot.until_held(&mut trail);
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     trail.until_while("homing", || robot.turn(), is(Mode::Homing));
     let (seen, first, _) = tell_alive(&mut trail, &sender, 300_000_000);
     assert_eq!(first.obstacle_count, 1);

@@ -11,7 +11,6 @@ use cdcr_daemon::config::Config;
 use cdcr_daemon::exit::ExitCause;
 use cdcr_daemon::instance::is_in_memory;
 use cdcr_scratch::Scratch;
-use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, assert_says, wait_status, wait_until};
@@ -19,7 +18,6 @@ use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
-use crate::faults::trail::{Trail, rests};
 
 /// User and group `nobody`.
 const NOBODY: u32 = 65_534;
@@ -32,7 +30,7 @@ fn assert_refused(place: &Place, options: &[&str], status: i32, parts: &[&str]) 
         status,
         parts,
     );
-    assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
 }
 
 /// The same with this configuration.
@@ -66,12 +64,7 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
          [cycle]\nmiss_limit = 1000000\n",
     );
     let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
-    trail.until_while("moving", || robot.turn(), |record| !rests(record));
+    let (_, mut robot) = Robot::moving(&connection);
     daemon.kill();
     let killed_ns = monotonic_ns();
     wait_until("the last command runs out", || {
@@ -96,14 +89,13 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
     });
     daemon.restart();
     let connection = daemon.connect();
-    let mut trail = Trail::new(&connection);
-    Robot::new(&connection, 0.9).until_held(&mut trail);
+    Robot::held(&connection, 0.9);
 }
 
 /// Stops a client, and puts in the place of its files what is there while it makes them. Which files.
 fn stop_client_while_it_connects(daemon: &Daemon, topic: &str) -> (Vec<PathBuf>, Program) {
     let connections = || {
-        let mut names = daemon.place().shared_memory_files();
+        let mut names = daemon.place().memory_files();
         names.retain(|path| path.extension().is_some_and(|end| end == "connection"));
         names
     };
@@ -131,7 +123,6 @@ fn stop_client_while_it_connects(daemon: &Daemon, topic: &str) -> (Vec<PathBuf>,
     (left, client)
 }
 
-/// As [`stop_client_while_it_connects`], and then kills it.
 fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) {
     let (_, mut client) = stop_client_while_it_connects(daemon, topic);
     client.signal(Signal::KILL);
@@ -288,7 +279,7 @@ fn a_thread_that_panics_ends_with_70() {
     let error = run_until(&validated, || false, |_| panic!("a test of panics")).unwrap_err();
     assert_eq!(ExitCause::of(&error), ExitCause::Panicked);
     assert!(error.to_string().contains("cdcr-cycle panicked"), "{error}");
-    assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

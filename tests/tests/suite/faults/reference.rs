@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::os::unix::process::ExitStatusExt as _;
 
-use cdcr_client::{Connection, Lease, ReferenceFeed, events, monotonic_ns};
+use cdcr_client::{Connection, Lease, ReferenceFeed, event_about, events, monotonic_ns};
 use cdcr_controller::reference::ReferenceWindow;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, LeaseState, Mode, Outcome, Reason, RequestKind,
@@ -107,11 +107,7 @@ fn a_reference_that_ends_is_held_at_the_next_release() {
 
 /// The event that tells what became of a chunk, in its record.
 fn verdict(record: &Telemetry, header: &Header) -> Option<(Outcome, u64)> {
-    let event = events(record).iter().find(|event| {
-        event.kind == EventKind::Reference.code()
-            && event.sender_id == header.sender_id
-            && event.sequence == header.sequence
-    })?;
+    let event = event_about(record, EventKind::Reference, header)?;
     Some((Outcome::try_from(event.outcome).unwrap(), event.judged_ns))
 }
 

@@ -4,12 +4,12 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason, RequestKind};
 use cdcr_shared_types::{Command, Measurement, Telemetry};
 use cdcr_tests::robot::{DrivenRobot, interface_of};
-use cdcr_tests::until_undisturbed;
+use cdcr_tests::{ask_for, until_undisturbed};
 
-use crate::faults::trail::{Trail, is};
+use crate::faults::trail::{Trail, is, rests};
 
 /// Runs a case behind a driver of each interface, and once more where a stall of the machine made another case of it.
 pub(crate) fn behind_both(case: impl Fn(Interface) -> Option<()>) {
@@ -49,6 +49,21 @@ impl Robot {
             robot: DrivenRobot::with_flaws(connection, interface, bends, flaws),
             measured: Instant::now(),
         }
+    }
+
+    /// A robot that its daemon has heard of and holds, and its records.
+    pub(crate) fn held(connection: &Connection, bend_rad: f64) -> (Trail, Self) {
+        let (mut trail, mut robot) = (Trail::new(connection), Self::new(connection, bend_rad));
+        robot.until_held(&mut trail);
+        (trail, robot)
+    }
+
+    /// The same on its way home.
+    pub(crate) fn moving(connection: &Connection) -> (Trail, Self) {
+        let (mut trail, mut robot) = Self::held(connection, 1.0);
+        ask_for(connection, RequestKind::Home);
+        trail.until_while("moving", || robot.turn(), |record| !rests(record));
+        (trail, robot)
     }
 
     /// Follows the newest command, and measures once a millisecond.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, wait_status, wait_until};
+use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, ask_for, wait_status, wait_until};
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
 use nix::unistd::Pid;
@@ -107,12 +107,9 @@ fn drive_until_end(daemon: &mut Daemon, robot: &mut Robot, hung: &Hung) {
 fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let mut daemon = with_driver();
     let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
+    let (mut trail, mut robot) = Robot::held(&connection, 1.0);
     let mut statuses = connection.statuses().unwrap();
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     trail.until_while("moving", || robot.turn(), |record| !rests(record));
 
     let Some(hung) = Hung::new(daemon.id(), thread) else {
@@ -141,8 +138,7 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
 
     daemon.restart();
     let connection = daemon.connect();
-    let mut trail = Trail::new(&connection);
-    Robot::new(&connection, 0.9).until_held(&mut trail);
+    Robot::held(&connection, 0.9);
 }
 
 #[test]
@@ -170,12 +166,7 @@ fn assert_says_it_runs(error: &LinkError, process: u32) {
 fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     let mut daemon = with_driver();
     let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
-    trail.until_while("moving", || robot.turn(), |record| !rests(record));
+    let (mut trail, mut robot) = Robot::moving(&connection);
 
     let Some(hung) = Hung::new(daemon.id(), "cdcr-reporter") else {
         return;
@@ -186,9 +177,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     while let Some(record) = trail.next_waiting() {
         last_sent_ns = record.header.sent_ns;
     }
-    connection
-        .request_within(RequestKind::Stop, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Stop);
     wait_until("the commands stop the robot", || {
         robot.turn();
         let last = robot.last_command().unwrap();
@@ -196,7 +185,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     });
     // Another one may still come, and be answered.
     let other = daemon.connect();
-    other.request_within(RequestKind::Stop, TIMEOUT).unwrap();
+    ask_for(&other, RequestKind::Stop);
     drop(other);
     // It is not taken for one that has ended.
     let silent = connection.settings().expect_err("no telemetry");
@@ -216,8 +205,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
 fn a_status_thread_that_hangs_for_good_ends_the_process_at_last() {
     let mut daemon = with_driver();
     let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
+    let (_, mut robot) = Robot::held(&connection, 1.0);
     let Some(hung) = Hung::new(daemon.id(), "cdcr-status") else {
         return;
     };
@@ -311,9 +299,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     assert!(matches!(error, ConnectError::Silent { .. }), "{error:?}");
     managed.place.says("cdcrctl stop", 0, &[]);
     trail.until("stopped", is(Mode::Stopped));
-    connection
-        .request_within(RequestKind::Reset, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Reset);
     trail.until("holding again", is(Mode::Holding));
     managed.daemon.signal(Signal::USR1);
     trail.until("stopped by a signal", is(Mode::Stopped));

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
 use cdcr_controller::safety::{LeaseState, Mode as InnerMode, Reason as InnerReason, Request};
-use cdcr_daemon::config::Config;
+use cdcr_daemon::config::{Config, Validated};
 use cdcr_daemon::cycle::Cycle;
-use cdcr_daemon::handover::{CycleInputs, CycleRequest, Settings, TimedMeasurement};
+use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings, TimedMeasurement};
 use cdcr_daemon::link::RobotLink;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
@@ -245,6 +245,34 @@ fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
     inputs
 }
 
+/// Runs the cycle of this number on time. In the first one the robot is asked to track.
+fn run(
+    cycle: &mut Cycle,
+    number: u64,
+    inputs: &mut CycleInputs,
+    validated: &Validated,
+) -> CycleRecord {
+    let release_ns = number * PERIOD_NS;
+    inputs.measurement = Some(TimedMeasurement {
+        measurement: cdcr_controller::estimator::Measurement::Configuration(validated.initial),
+        measured_ns: release_ns - 1,
+    });
+    let release = Release {
+        cycle: number,
+        release_ns,
+        due_ns: release_ns,
+        start_ns: release_ns,
+        skipped: 0,
+    };
+    let mut request = (number == 1).then_some(CycleRequest {
+        ticket: 1,
+        request: Request::Track { lease_number: 0 },
+        asked_ns: release_ns,
+    });
+    let clock = ManualClock::new(release_ns);
+    cycle.run(release, inputs, || request.take(), &clock)
+}
+
 #[test]
 fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp() {
     let validated = Config::parse("[link]\nkind = \"driver\"\n", Path::new("robot.toml")).unwrap();
@@ -259,28 +287,7 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
     ] {
         let mut cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
         let mut inputs = unchecked_inputs(Settings::new(&validated.config), position_m);
-        inputs.measurement = Some(TimedMeasurement {
-            measurement: cdcr_controller::estimator::Measurement::Configuration(validated.initial),
-            measured_ns: PERIOD_NS - 1,
-        });
-        let release = Release {
-            cycle: 1,
-            release_ns: PERIOD_NS,
-            due_ns: PERIOD_NS,
-            start_ns: PERIOD_NS,
-            skipped: 0,
-        };
-        let mut requests = vec![CycleRequest {
-            ticket: 1,
-            request: Request::Track { lease_number: 0 },
-            asked_ns: PERIOD_NS,
-        }];
-        let record = cycle.run(
-            release,
-            &inputs,
-            || requests.pop(),
-            &ManualClock::new(PERIOD_NS),
-        );
+        let record = run(&mut cycle, 1, &mut inputs, &validated);
         assert_eq!(record.mode, expected);
         assert!(record.rates.as_slice().iter().all(|rate| rate.is_finite()));
         let is_fault = matches!(record.mode, InnerMode::Faulted { .. });
@@ -306,32 +313,9 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
             },
         ),
     ] {
-        let release_ns = number * PERIOD_NS;
         inputs.gather = number;
         inputs.suspends = watch.look(&(slept_ns..=slept_ns));
-        inputs.measurement = Some(TimedMeasurement {
-            measurement: cdcr_controller::estimator::Measurement::Configuration(validated.initial),
-            measured_ns: release_ns - 1,
-        });
-        let release = Release {
-            cycle: number,
-            release_ns,
-            due_ns: release_ns,
-            start_ns: release_ns,
-            skipped: 0,
-        };
-        let mut requests = vec![CycleRequest {
-            ticket: 1,
-            request: Request::Track { lease_number: 0 },
-            asked_ns: release_ns,
-        }];
-        requests.truncate(usize::from(number == 1));
-        let record = cycle.run(
-            release,
-            &inputs,
-            || requests.pop(),
-            &ManualClock::new(release_ns),
-        );
+        let record = run(&mut cycle, number, &mut inputs, &validated);
         assert_eq!(record.mode, expected, "cycle {number}");
     }
 }

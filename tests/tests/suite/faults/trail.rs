@@ -66,7 +66,6 @@ impl Trail {
         }
     }
 
-    /// The next record if one waits.
     pub(crate) fn next_waiting(&mut self) -> Option<Telemetry> {
         let record = match self.read.pop_front() {
             Some(record) => record,

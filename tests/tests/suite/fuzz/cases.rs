@@ -57,11 +57,7 @@ fn quietly<R>(work: impl FnOnce() -> R) -> R {
 /// How many cases the environment asks for.
 pub(crate) fn asked() -> Option<u32> {
     let names = ["CDCR_FUZZ_CASES", "PROPTEST_CASES"];
-    names.iter().find_map(|name| {
-        let text = std::env::var(name).ok()?;
-        let wrong = |_| panic!("{name} is {text:?}; it must be a whole number of cases");
-        Some(text.parse().unwrap_or_else(wrong))
-    })
+    names.into_iter().find_map(cdcr_tests::asked)
 }
 
 /// Counts what became of the cases, so that a target that refuses everything at the first check fails.

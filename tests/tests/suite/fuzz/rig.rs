@@ -51,7 +51,6 @@ pub(crate) fn play(script: &Script, tally: &Tally) {
     }
 }
 
-/// The simulated robot of a configuration.
 pub(crate) fn simulated(validated: &Validated) -> RobotLink {
     RobotLink::ideal(KinematicPlant::new(&validated.robot, validated.initial))
 }

@@ -7,8 +7,8 @@ use cdcr_client::{ConnectError, Connection, Driver, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{Location, Measurement, Service, ipc};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, Place, Program, ROBOT, TIMEOUT, wait_mode, wait_record,
-    wait_until,
+    Daemon, EndWhenDropped, PATIENT, Place, Program, ROBOT, TIMEOUT, ask_for, wait_mode,
+    wait_record, wait_until,
 };
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node};
@@ -67,9 +67,7 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
         // Of the others, only who has a place can ask for anything.
         let place = daemon.place();
         place.says("cdcrctl reset", 1, &["close one of them"]);
-        crowd.connections[0]
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&crowd.connections[0], RequestKind::Reset);
         wait_mode(&mut telemetry, Mode::Holding);
     }
 }

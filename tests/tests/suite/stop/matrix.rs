@@ -9,8 +9,8 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, ball, oversleep_until, text, wait_status,
-    wait_until,
+    Daemon, EndWhenDropped, Place, ask_for, asked, assert_says, ball, oversleep_until, text,
+    wait_status, wait_until,
 };
 
 use super::access::{Crowd, die};
@@ -76,16 +76,8 @@ impl Row {
         let connection = stage.connection;
         let feeding = (mode == Mode::Tracking).then(|| track(connection, 100, 40));
         match mode {
-            Mode::Homing => drop(
-                connection
-                    .request_within(RequestKind::Home, TIMEOUT)
-                    .unwrap(),
-            ),
-            Mode::Stopped => drop(
-                connection
-                    .request_within(RequestKind::Stop, TIMEOUT)
-                    .unwrap(),
-            ),
+            Mode::Homing => drop(ask_for(connection, RequestKind::Home)),
+            Mode::Stopped => drop(ask_for(connection, RequestKind::Stop)),
             _ => {}
         }
         stage.trail.until("the mode", is(mode));
@@ -115,9 +107,7 @@ impl Row {
         let is_late = self.note(mode, timed, stopped);
         drop(feeding);
         if !(matches!(mode, Mode::Faulted | Mode::Starting) || self.beside == Beside::EmptiedRoot) {
-            connection
-                .request_within(RequestKind::Reset, TIMEOUT)
-                .unwrap();
+            ask_for(connection, RequestKind::Reset);
             stage.trail.until("holding", is(Mode::Holding));
         }
         Some(!is_late)
@@ -317,8 +307,7 @@ fn accepted_in(printed: &str) -> u64 {
 
 /// Rounds of stops, for a table of what they take.
 fn rounds() -> usize {
-    let asked = std::env::var("CDCR_STOP_ROUNDS").ok();
-    asked.map_or(1, |text| text.parse().expect("a whole number"))
+    asked("CDCR_STOP_ROUNDS").unwrap_or(1)
 }
 
 /// Whether each row is flooded in each mode: floods take the cores from the tests beside.

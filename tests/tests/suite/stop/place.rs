@@ -17,7 +17,7 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, ROBOT, TIMEOUT, assert_says, text, wait_mode, wait_until,
+    Daemon, PATIENT, Program, ROBOT, TIMEOUT, ask_for, assert_says, text, wait_mode, wait_until,
 };
 use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Signal, geteuid};
@@ -68,9 +68,7 @@ fn assert_none_starts_beside(daemon: &mut Daemon) {
 fn follow_to_rest(location: &Location, moves: &Sender<()>) {
     let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
     let mut trail = Trail::new(&connection);
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     trail.until("moving", |record| !rests(record));
     moves.send(()).unwrap();
     let (before, stopped) = trail.until("stopped", is(Mode::Stopped));
@@ -100,7 +98,7 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
     daemon.restart();
     daemon.place().says("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
-    let left = daemon.place().shared_memory_files();
+    let left = daemon.place().memory_files();
     assert_eq!(left, Vec::<PathBuf>::new());
 }
 

@@ -6,13 +6,14 @@ use cdcr_client::RequestError;
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, text, until_undisturbed, wait_status, wait_until,
+    Daemon, PATIENT, Program, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status,
+    wait_until,
 };
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
 use crate::faults::threads::{Hung, find_thread};
-use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
+use crate::faults::trail::{assert_ramps_to_rest, is, rests};
 
 #[test]
 fn a_signal_stops_a_moving_robot_and_latches() {
@@ -21,12 +22,9 @@ fn a_signal_stops_a_moving_robot_and_latches() {
          [cycle]\nmiss_limit = 1000000\n",
     );
     let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
+    let (mut trail, mut robot) = Robot::held(&connection, 1.0);
     for _ in 0..3 {
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Home);
         trail.until_while("moving", || robot.turn(), |record| !rests(record));
         daemon.signal(Signal::USR1);
         let (before, stopped) = trail.until_while("stopped", || robot.turn(), is(Mode::Stopped));
@@ -35,15 +33,11 @@ fn a_signal_stops_a_moving_robot_and_latches() {
         assert_ramps_to_rest(&mut trail, &stopped, || robot.turn());
         // Once more changes nothing, and nothing but a reset leaves it.
         daemon.signal(Signal::USR1);
-        let refused = connection.request_within(RequestKind::Home, TIMEOUT);
-        assert!(matches!(refused, Err(RequestError::Refused { .. })));
+        refused(&connection, RequestKind::Home);
         let (_, later) = trail.until_while("later", || robot.turn(), |_| true);
         assert_eq!(later.mode, Mode::Stopped.code());
         // The second signal has been taken, too, or it would stop the robot again.
-        let seen = connection
-            .request_within(RequestKind::Stop, TIMEOUT)
-            .unwrap()
-            .cycle;
+        let seen = ask_for(&connection, RequestKind::Stop).cycle;
         trail.until_while("a cycle later", || robot.turn(), |now| now.cycle > seen);
         // Where a stall delayed the signal, its stop comes in the cycle of the reset.
         wait_until("a reset", || {
@@ -90,9 +84,7 @@ fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
         let is_asking = stop.runs();
         drop(hung);
         let output = stop.output();
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Reset);
         let printed = text(&output);
         let is_confirmed = output.status.success() && printed.contains("the daemon is stopped");
         assert!(

@@ -14,7 +14,7 @@ use cdcr_interchange::mcap::{Item, Reader};
 use cdcr_interchange::standard::{Log, MarkerArray};
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, text, track, until_undisturbed, wait_until,
+    Daemon, PATIENT, Program, ask_for, assert_says, text, track, until_undisturbed, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -123,9 +123,7 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
         std::thread::sleep(Duration::from_secs(2));
         assert!(!file.exists());
         let connection = daemon.connect();
-        connection
-            .request_within(RequestKind::Stop, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Stop);
         // One that the machine held up for longer sees no change.
         assert_says(&output_of_one_that_ends(recorder)?, 0, &["mode.mcap"]);
         let found = info(&daemon, "mode.mcap");
@@ -151,9 +149,7 @@ fn the_scope_waits_draws_and_records() {
         let scope = start(&daemon, &words);
         std::thread::sleep(Duration::from_secs(1));
         let connection = daemon.connect();
-        connection
-            .request_within(RequestKind::Stop, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Stop);
         Some((daemon, output_of_one_that_ends(scope)?))
     });
     let said = assert_says(&output, 0, &["mode in cycle", "stopped", "response [us]"]);

@@ -70,7 +70,7 @@ fn every_cycle_lies_on_the_grid_and_nothing_in_shared_memory() {
         &["--duration", "0.5s", "--format", "csv"],
     ));
     while program.runs() {
-        assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
+        assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
         std::thread::sleep(Duration::from_millis(10));
     }
     let output = program.output();

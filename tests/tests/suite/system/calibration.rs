@@ -9,8 +9,8 @@ use cdcr_client::Connection;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, TIMEOUT, assert_says, binary, text, until_undisturbed,
-    wait_mode, wait_until,
+    Daemon, PATIENT, Place, Program, TIMEOUT, ask_for, assert_says, binary, text,
+    until_undisturbed, wait_mode, wait_until,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::Value;
@@ -292,10 +292,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     daemon.place().says("cdcrctl home --wait", 0, &[]);
 
     let program = excited(&daemon, "held.csv");
-    daemon
-        .connect()
-        .request_within(RequestKind::Hold, TIMEOUT)
-        .unwrap();
+    ask_for(&daemon.connect(), RequestKind::Hold);
     ends(
         program,
         1,

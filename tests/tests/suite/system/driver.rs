@@ -12,8 +12,8 @@ use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, TIMEOUT, is_refused, paper_line, tracked, until_undisturbed, wait_record, wait_status,
-    wait_until,
+    Daemon, TIMEOUT, ask_for, paper_line, refused, tracked, until_undisturbed, wait_record,
+    wait_status, wait_until,
 };
 
 use super::freeze;
@@ -133,16 +133,12 @@ fn no_command_comes_before_the_first_measurement() {
         "nobody knows where the robot is"
     );
     // A stop before that is taken, and is no fault; a reset has to wait.
-    connection
-        .request_within(RequestKind::Stop, TIMEOUT)
-        .unwrap();
-    assert!(is_refused(&connection, RequestKind::Reset));
+    ask_for(&connection, RequestKind::Stop);
+    refused(&connection, RequestKind::Reset);
     assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
     let mut robot = Robot::new(&connection);
     robot.run_until(|| commands.try_next().unwrap().is_some());
-    connection
-        .request_within(RequestKind::Reset, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Reset);
 }
 
 #[test]

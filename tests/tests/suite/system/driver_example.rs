@@ -1,6 +1,5 @@
 //! The example of the client library, `client/examples/driver.rs`, as somebody runs it who writes a driver.
 
-use std::path::PathBuf;
 use std::process::Command;
 
 use cdcr_shared_types::Telemetry;
@@ -70,8 +69,7 @@ pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Comman
     let output = example.output();
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
     drop((telemetry, connection));
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    daemon.end_clean();
 }
 
 /// Its robot is straight again then, and the daemon commands the old position until a reset.

@@ -6,7 +6,7 @@ use cdcr_client::{FeedOptions, Line, RequestError};
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, wait_until};
+use cdcr_tests::{Daemon, PATIENT, ask_for, wait_until};
 use rustix::process::Signal;
 
 const ASKED: i32 = 0;
@@ -21,9 +21,7 @@ fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
     let daemon = Daemon::start(&format!("{PATIENT}{motion}{bend}"));
     let connection = daemon.connect();
     let mut commands = connection.commands().unwrap();
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     wait_until("it moves", || {
         commands
             .newest()
@@ -95,7 +93,7 @@ fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
     let status = daemon.stop_after_signal();
     assert_eq!(status.code(), Some(NOT_AT_REST), "{}", daemon.log());
     assert!(daemon.log().contains("motion.deceleration_rad_s2"));
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+    assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, FeedReport, Line};
 use cdcr_shared_types::codes::{LeaseState, Outcome, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, paper_line, tracked, wait_status};
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, ask_for, paper_line, tracked, wait_status};
 
 fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
     let options = FeedOptions { track, ..tracked() };
@@ -79,9 +79,7 @@ fn a_refused_request_tells_the_remedy() {
     let _lease = connection.acquire_lease_within(TIMEOUT).unwrap();
     let message = refused(RequestKind::Track);
     assert!(message.contains("cdcrctl ref spiral --track"), "{message}");
-    connection
-        .request_within(RequestKind::Stop, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Stop);
     let message = refused(RequestKind::Home);
     assert!(message.contains("cdcrctl reset"), "{message}");
 }

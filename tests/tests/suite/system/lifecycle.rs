@@ -34,12 +34,12 @@ fn a_clean_end_leaves_nothing_behind() {
         let mut daemon = Daemon::start(PATIENT);
         let connection = daemon.connect();
         wait_status(&connection, |status| status.cycles > 5);
-        assert!(!daemon.place().shared_memory_files().is_empty());
+        assert!(!daemon.place().memory_files().is_empty());
         drop(connection);
         daemon.signal(signal);
         let status = daemon.stop_after_signal();
         assert!(status.success(), "{status}: {}", daemon.log());
-        assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+        assert_eq!(daemon.place().memory_files(), Vec::<PathBuf>::new());
         let root = daemon.place().location().root();
         let left: Vec<_> = walk(root)
             .into_iter()

@@ -2,25 +2,19 @@
 
 use std::ops::ControlFlow;
 
-use cdcr_client::{Connection, FeedEnd, FeedEvent, RequestError, Spiral};
+use cdcr_client::{FeedEnd, FeedEvent, RequestError, Spiral};
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, ReferenceState, RequestKind, SolverStatus};
 use cdcr_shared_types::{SolverSettings, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, paper_line, track, tracked, wait_mode, wait_record, wait_status,
+    Daemon, PATIENT, TIMEOUT, ask_for, paper_line, refused, track, tracked, wait_mode, wait_record,
+    wait_status,
 };
 
 use super::error_max_m;
 
 /// `motion.home_tolerance_rad` of the default configuration.
 const HOME_TOLERANCE_RAD: f64 = 0.01;
-
-fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
-    match connection.request_within(kind, TIMEOUT) {
-        Err(RequestError::Refused { outcome, .. }) => outcome,
-        other => panic!("{kind} was not refused: {other:?}"),
-    }
-}
 
 fn is_at_rest(record: &Telemetry) -> bool {
     largest_rate(record) == 0.0
@@ -62,9 +56,7 @@ fn feed_track_hold_stop_reset() {
         r.mode == Mode::Holding.code() && is_at_rest(r)
     });
 
-    connection
-        .request_within(RequestKind::Stop, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Stop);
     assert_eq!(
         wait_mode(&mut telemetry, Mode::Stopped).reason,
         Reason::Request.code()
@@ -72,9 +64,7 @@ fn feed_track_hold_stop_reset() {
     for kind in [RequestKind::Track, RequestKind::Hold, RequestKind::Home] {
         assert_eq!(refused(&connection, kind), Outcome::WrongMode);
     }
-    connection
-        .request_within(RequestKind::Reset, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Reset);
     let after = wait_record(&mut telemetry, |r| {
         r.cycle > record.cycle && r.mode == Mode::Holding.code()
     });
@@ -119,9 +109,7 @@ fn a_stop_ramps_within_the_limits_and_wins() {
         if let FeedEvent::Record(record) = event
             && largest_rate(record) > 0.05
         {
-            connection
-                .request_within(RequestKind::Stop, TIMEOUT)
-                .unwrap();
+            ask_for(&connection, RequestKind::Stop);
         }
         ControlFlow::Continue(())
     });
@@ -158,9 +146,7 @@ fn home_moves_to_the_straight_robot() {
     ] {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
-        connection
-            .request_within(RequestKind::Home, TIMEOUT)
-            .unwrap();
+        ask_for(&connection, RequestKind::Home);
         let record = wait_record(&mut telemetry, |r| r.reason == Reason::HomeReached.code());
         let bends = record.present_rad;
         assert!(largest(&bends) < straight_rad, "{bends:?}");

@@ -5,7 +5,9 @@ use std::ops::ControlFlow;
 use cdcr_client::{Connection, FeedEvent, Line, ObstacleSender, TelemetryStream, obstacles};
 use cdcr_shared_types::codes::{EventKind, Mode, ObstacleShape, Outcome, RequestKind, guard};
 use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, Service, Telemetry, ipc};
-use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, ball, tracked, wait_record, wait_status};
+use cdcr_tests::{
+    Daemon, PATIENT, ROBOT, TIMEOUT, ask_for, ball, tracked, wait_record, wait_status,
+};
 use iceoryx2::prelude::Node;
 
 /// The safe distance of the default configuration.
@@ -333,9 +335,7 @@ fn the_way_home_is_guarded_too() {
     let between = ball(1, [0.15, 0.0, 0.7]);
     assert_eq!(client.upsert(&[between]).0, Outcome::Accepted);
     client.wait_ids(&[1]);
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     let mut watch = Watch::default();
     wait_record(&mut client.telemetry, |record| {
         watch.look(record);

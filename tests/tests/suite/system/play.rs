@@ -6,8 +6,8 @@ use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, text, track, wait_record, wait_status,
-    wait_until,
+    Daemon, PATIENT, Program, TIMEOUT, ask_for, assert_says, ball, text, track, wait_record,
+    wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -124,9 +124,6 @@ fn what_cannot_be_fed_again_is_refused_before_anything_moves() {
         2,
         &["--verify"],
     );
-    daemon
-        .connect()
-        .request_within(RequestKind::Stop, TIMEOUT)
-        .unwrap();
+    ask_for(&daemon.connect(), RequestKind::Stop);
     place.says("cdcrctl replay run.mcap", 1, &["cdcrctl reset"]);
 }

@@ -122,7 +122,7 @@ fn whoever_leaves_last_leaves_nothing() {
     let telemetry = connection.telemetry().unwrap();
     assert!(daemon.stop().success());
     drop((telemetry, connection));
-    let files = || daemon.place().shared_memory_files();
+    let files = || daemon.place().memory_files();
     assert_eq!(files(), Vec::<PathBuf>::new());
     // A client that finds nobody.
     assert!(!daemon.place().cdcrctl(&["status"]).status.success());

@@ -17,10 +17,12 @@ use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_tests::load::connect;
 use cdcr_tests::{
-    EndWhenDropped, PATIENT, Place, ROBOT, Running, TIMEOUT, ball, paper_line, tracked,
+    EndWhenDropped, PATIENT, Place, ROBOT, Running, TIMEOUT, ask_for, ball, paper_line, tracked,
     wait_record, wait_status, wait_until,
 };
 use rustix::process::Signal;
+
+use crate::chaos::dice::Dice;
 
 /// Kills of a daemon that held; others are killed while they start.
 const KILLS: usize = 50;
@@ -101,18 +103,6 @@ fn place(configuration: &str) -> Place {
     place
 }
 
-/// Numbers that look random and are the same in every run (SplitMix64).
-struct Chance(u64);
-
-impl Chance {
-    fn up_to(&mut self, most: Duration) -> Duration {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        most.mul_f64((z ^ (z >> 31)) as f64 / u64::MAX as f64)
-    }
-}
-
 /// A client that stays through all lives of the daemon.
 struct Old<'c> {
     connection: &'c Connection,
@@ -143,10 +133,7 @@ impl<'c> Old<'c> {
 
     /// All that a client can do works with the daemon of this process, which is new.
     fn use_everything(&mut self, process: u32) {
-        let answer = self
-            .connection
-            .request_within(RequestKind::Hold, TIMEOUT)
-            .unwrap();
+        let answer = ask_for(self.connection, RequestKind::Hold);
         assert_eq!(answer.header.sender_id, self.daemon);
         wait_status(self.connection, |status| status.process_id == process);
         let far = ball(1, [5.0, 0.0, 0.0]);
@@ -178,7 +165,7 @@ fn keep_asking(connection: &Connection, over: &AtomicBool, answered: &AtomicU64)
 fn fifty_kills_at_any_moment() {
     let place = place(PATIENT);
     let _log = LogOfFailure(&place);
-    let mut chance = Chance(1);
+    let mut dice = Dice::new(1);
     let mut daemon = Life::begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
@@ -198,11 +185,11 @@ fn fifty_kills_at_any_moment() {
             // The busy client is not lost, either: each daemon answers it.
             let before = answers();
             wait_until("an answer to the busy client", || answers() > before);
-            thread::sleep(chance.up_to(Duration::from_millis(100)));
+            thread::sleep(dice.duration_ms(0, 100));
             drop(daemon);
             if kill % 2 == 0 {
                 let starting = Life::begin(&place);
-                thread::sleep(chance.up_to(Duration::from_millis(60)));
+                thread::sleep(dice.duration_ms(0, 60));
                 drop(starting);
             }
             let took;
@@ -338,8 +325,8 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
             thread::sleep(short);
             Life::begin(&place)
         });
-        let answer = connection.request_within(RequestKind::Stop, TIMEOUT);
-        assert_eq!(answer.unwrap().mode, Mode::Stopped.code());
+        let answer = ask_for(&connection, RequestKind::Stop);
+        assert_eq!(answer.mode, Mode::Stopped.code());
         old.wait_mode(Mode::Stopped, begin_ns);
         next.join().unwrap()
     });
@@ -427,13 +414,13 @@ fn a_driver_serves_every_daemon() {
 #[test]
 fn kills_in_the_middle_of_the_start_leave_nothing_that_hinders_the_next_one() {
     let place = place(PATIENT);
-    let mut chance = Chance(2);
+    let mut dice = Dice::new(2);
     let mut starts = Vec::new();
     for _ in 0..5 {
         // Nobody else keeps the services: each of these begins to make them.
         for _ in 0..20 {
             let starting = Life::begin(&place);
-            thread::sleep(chance.up_to(Duration::from_millis(60)));
+            thread::sleep(dice.duration_ms(0, 60));
             drop(starting);
         }
         let begin_ns = monotonic_ns();

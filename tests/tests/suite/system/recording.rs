@@ -13,8 +13,8 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_shared_types::message::Struct;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, is_refused, text, track,
-    until_undisturbed, wait_mode, wait_until,
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, refused, text, track, until_undisturbed,
+    wait_mode, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -182,7 +182,7 @@ fn every_cycle_of_a_recording_is_computed_again() {
     let _sender = know_an_obstacle(&connection);
     track(&connection, &curve());
     // Refused: nobody feeds.
-    assert!(is_refused(&connection, RequestKind::Track));
+    refused(&connection, RequestKind::Track);
     let mut telemetry = connection.telemetry().unwrap();
     for (request, mode) in [
         (RequestKind::Home, Mode::Homing),
@@ -354,7 +354,6 @@ fn rewrite(
     writer.finish().unwrap();
 }
 
-/// A recording of a curve that was tracked.
 fn tracked_curve() -> Recorded {
     let mut run = Recorded::start(PATIENT);
     track(&run.daemon.connect(), &curve());

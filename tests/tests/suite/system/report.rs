@@ -6,7 +6,7 @@ use std::process::Command;
 
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, Program, is_refused};
+use cdcr_tests::{Daemon, PATIENT, Program, refused};
 use serde_json::Value;
 
 use super::play::record_beside;
@@ -16,7 +16,7 @@ fn page() -> (Daemon, String) {
     let daemon = Daemon::start(PATIENT);
     record_beside(&daemon, 1, [0.3, 0.0, 0.5], |connection| {
         // Refused: nobody feeds.
-        assert!(is_refused(connection, RequestKind::Track));
+        refused(connection, RequestKind::Track);
     });
     let place = daemon.place();
     place.says(

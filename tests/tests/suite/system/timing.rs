@@ -9,7 +9,8 @@ use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, paper_line, track, wait_mode, wait_record, wait_status, wait_until,
+    Daemon, PATIENT, TIMEOUT, ask_for, paper_line, track, wait_mode, wait_record, wait_status,
+    wait_until,
 };
 
 use super::{error_max_m, freeze};
@@ -112,9 +113,7 @@ fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
         let bad: u64 = window.causes.iter().sum();
         assert!(bad >= window.deadline_misses.max(window.late_starts));
     }
-    connection
-        .request_within(RequestKind::ResetStatistics, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::ResetStatistics);
     let after = wait_status(&connection, |status| {
         status.statistics_since_ns > before.statistics_since_ns
     });

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, Running, TIMEOUT, wait_status};
+use cdcr_tests::{Daemon, Running, TIMEOUT, ask_for, wait_status};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
@@ -107,9 +107,7 @@ fn shown(daemon: &Daemon, theirs: &File, arguments: &[&str]) -> Running {
 fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
     let daemon = Daemon::start("");
     let connection = daemon.connect();
-    connection
-        .request_within(RequestKind::Home, TIMEOUT)
-        .unwrap();
+    ask_for(&connection, RequestKind::Home);
     for signal in [None, Some(Signal::TERM), Some(Signal::HUP)] {
         let (mut terminal, theirs) = Terminal::new(100, 30);
         let before = tcgetattr(&theirs).unwrap().local_modes;
@@ -197,9 +195,7 @@ fn the_scope_draws_while_it_waits_and_gives_the_terminal_back() {
         terminal.wait_for("waiting for mode");
         terminal.wait_for("clearance [mm]");
         if fires {
-            connection
-                .request_within(RequestKind::Home, TIMEOUT)
-                .unwrap();
+            ask_for(&connection, RequestKind::Home);
         } else {
             terminal.press("q");
         }

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::daemon::{beside_ourselves, explained};
 use super::place::PrivatePlace;
-use super::report::Spread;
 use crate::interrupt::Interrupt;
+use crate::spread::Spread;
 
 /// How long the loop runs, as its option.
 const DURATION: &str = "1s";

@@ -9,6 +9,7 @@ use super::cycle::Cycle;
 use super::steal::Steal;
 use super::verdict::Verdict;
 use crate::args::DemoOptions;
+use crate::spread::Spread;
 
 /// Mean errors that the paper claims for 1, 2 and 3 sections \[mm\].
 const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
@@ -59,14 +60,6 @@ pub(super) struct DemoReport {
     pub(super) out: Option<String>,
 }
 
-/// How a time is spread, exact from all its values.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(super) struct Spread {
-    pub(super) p50: f64,
-    pub(super) p99: f64,
-    pub(super) max: f64,
-}
-
 impl DemoReport {
     pub(super) fn new(options: &DemoOptions, run: &Run) -> anyhow::Result<Self> {
         let Run { cycles, status, .. } = run;
@@ -79,6 +72,7 @@ impl DemoReport {
         let duration_s = options.duration.as_secs_f64();
         let count = |is: fn(&Cycle) -> bool| cycles.iter().filter(|cycle| is(cycle)).count();
         let (deadline_misses, late_starts) = (count(|c| c.deadline_miss), count(|c| c.late_start));
+        let spread = |of: fn(&Cycle) -> f64| Spread::of(cycles.iter().map(of)).unwrap_or_default();
         let causes = MissCauses::new(cycles, &run.incidents);
         let baseline = run.baseline.as_ref().ok();
         let verdict = Verdict::new(&causes, baseline, run.steal, status.realtime_missing);
@@ -100,33 +94,15 @@ impl DemoReport {
             skipped_periods: cycles.iter().map(|c| u64::from(c.skipped_periods)).sum(),
             realtime: missing.is_empty(),
             realtime_missing: missing.iter().map(|&(name, _)| name).collect(),
-            wake_us: Spread::of(cycles.iter().map(|cycle| cycle.wake_us)),
-            solve_us: Spread::of(cycles.iter().map(|cycle| cycle.solve_us)),
-            response_us: Spread::of(cycles.iter().map(|cycle| cycle.response_us)),
+            wake_us: spread(|cycle| cycle.wake_us),
+            solve_us: spread(|cycle| cycle.solve_us),
+            response_us: spread(|cycle| cycle.response_us),
             paper_mean_error_mm: PAPER_MEAN_ERROR_MM[options.sections as usize - 1],
             lost_records,
             duration_s,
             out: options.out.as_ref().map(|out| out.display().to_string()),
         })
     }
-}
-
-impl Spread {
-    fn of(values: impl Iterator<Item = f64>) -> Self {
-        let mut sorted: Vec<f64> = values.collect();
-        sorted.sort_by(f64::total_cmp);
-        Self {
-            p50: nearest_rank(&sorted, 0.5),
-            p99: nearest_rank(&sorted, 0.99),
-            max: sorted.last().copied().unwrap_or(0.0),
-        }
-    }
-}
-
-/// The smallest value that at least this share of all values does not exceed.
-fn nearest_rank(sorted: &[f64], share: f64) -> f64 {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -164,25 +140,6 @@ pub(super) mod tests {
 
     pub(in crate::demo) fn report(cycles: &[Cycle], status: &Status) -> DemoReport {
         DemoReport::new(&options(), &run(cycles, status)).expect("cycles were tracked")
-    }
-
-    #[test]
-    fn percentiles_are_exact() {
-        let spread = Spread::of((1..=200).rev().map(f64::from));
-        assert_eq!(
-            spread,
-            Spread {
-                p50: 100.0,
-                p99: 198.0,
-                max: 200.0
-            }
-        );
-        let one = Spread {
-            p50: 7.0,
-            p99: 7.0,
-            max: 7.0,
-        };
-        assert_eq!(Spread::of([7.0].into_iter()), one);
     }
 
     #[test]

@@ -4,8 +4,9 @@ use cdcr_client::{counted, realtime_missing};
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::LateCause;
 
-use super::report::{DemoReport, Spread};
+use super::report::DemoReport;
 use super::verdict::Verdict;
+use crate::spread::Spread;
 
 const WIDTH: usize = 80;
 

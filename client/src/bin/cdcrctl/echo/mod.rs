@@ -5,7 +5,6 @@ pub(crate) mod json;
 pub(crate) mod line;
 
 use std::io::Write;
-use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Message, Stream, counted};
@@ -69,11 +68,12 @@ pub(crate) fn watch(target: &Target, topic: Topic, watch: &impl Watch) -> anyhow
     }
 }
 
-/// Gives each message to `take`, and `None` now and then where none comes, until that says that it is enough, or an interrupt.
+/// Gives each message to `take`, and `None` now and then where none comes, until that wants no more, or an
+/// interrupt.
 pub(crate) fn each<T: Message>(
     connection: &Connection,
     stream: &mut Stream<T>,
-    mut take: impl FnMut(Option<&T>) -> anyhow::Result<ControlFlow<()>>,
+    mut take: impl FnMut(Option<&T>) -> anyhow::Result<bool>,
 ) -> anyhow::Result<()> {
     let interrupt = Interrupt::catch()?;
     let mut heard = Instant::now();
@@ -85,11 +85,28 @@ pub(crate) fn each<T: Message>(
             connection.status(QUIET)?;
             heard = Instant::now();
         }
-        if take(message.as_ref())?.is_break() {
+        if !take(message.as_ref())? {
             break;
         }
     }
     Ok(())
+}
+
+/// Gives so many messages to `take`, all of them without a count, at this rate \[Hz\] or less.
+pub(crate) fn paced<T: Message>(
+    connection: &Connection,
+    stream: &mut Stream<T>,
+    (rate, count): (Option<f64>, Option<u64>),
+    mut take: impl FnMut(&T) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let (mut pace, mut taken) = (Pace::new(rate), 0);
+    each(connection, stream, |message| {
+        if let Some(message) = message.filter(|_| pace.is_due(Instant::now())) {
+            take(message)?;
+            taken += 1;
+        }
+        Ok(count != Some(taken))
+    })
 }
 
 pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done> {
@@ -113,12 +130,8 @@ impl Watch for EchoOptions {
             };
             writeln!(out, "{heading}")?;
         }
-        let mut pace = Pace::new(self.rate);
-        let mut printed = 0;
-        each(connection, &mut stream, |message| {
-            let Some(message) = message.filter(|_| pace.is_due(Instant::now())) else {
-                return Ok(ControlFlow::Continue(()));
-            };
+        let limits = (self.rate, self.count);
+        paced(connection, &mut stream, limits, |message| {
             let shown = match (self.format, &*self.field) {
                 (Format::Text, []) => (look.line)(message),
                 (Format::Text, fields) => field::line(&json::message(message), fields)?,
@@ -126,13 +139,7 @@ impl Watch for EchoOptions {
                 (Format::Json, fields) => field::of(&json::message(message), fields)?.to_string(),
             };
             writeln!(out, "{shown}")?;
-            out.flush()?;
-            printed += 1;
-            Ok(if self.count == Some(printed) {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            })
+            Ok(out.flush()?)
         })?;
         warn_of_loss(T::SERVICE, stream.lost());
         Ok(Done::Good)
@@ -156,7 +163,7 @@ fn warn_of_loss(service: Service, lost: u64) {
 }
 
 /// Lets at most so many messages a second through.
-pub(crate) struct Pace {
+struct Pace {
     every: Duration,
     next: Option<Instant>,
 }

@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use crate::spread::Spread;
+
 #[derive(Debug, Clone, Default)]
 pub(super) struct Recent {
     /// Oldest first; NaN where there was none.
@@ -9,14 +11,6 @@ pub(super) struct Recent {
     kept: usize,
     /// Values so far, also those that are forgotten.
     total: u64,
-}
-
-/// Of the values that are kept.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Percentiles {
-    pub(super) p50: f64,
-    pub(super) p99: f64,
-    pub(super) max: f64,
 }
 
 impl Recent {
@@ -37,19 +31,10 @@ impl Recent {
         self.total += 1;
     }
 
-    pub(super) fn percentiles(&self) -> Option<Percentiles> {
-        let mut sorted: Vec<f64> = self.values.iter().copied().collect();
-        sorted.retain(|value| value.is_finite());
-        sorted.sort_unstable_by(f64::total_cmp);
-        let at = |share: f64| {
-            let rank = (share * sorted.len() as f64).ceil() as usize;
-            sorted.get(rank.saturating_sub(1)).copied()
-        };
-        Some(Percentiles {
-            p50: at(0.5)?,
-            p99: at(0.99)?,
-            max: at(1.0)?,
-        })
+    /// Of the values that are kept and finite.
+    pub(super) fn percentiles(&self) -> Option<Spread> {
+        let values = self.values.iter().copied();
+        Spread::of(values.filter(|value| value.is_finite()))
     }
 
     /// The largest value of each of `count` stretches of equal length, the newest last; None where there was none. A stretch begins with

@@ -9,8 +9,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use cdcr_shared_types::codes::{Mode, Reason};
+use cdcr_tests::asked;
 
-use crate::chaos::asked;
 use crate::chaos::records::Seen;
 use world::World;
 
@@ -96,7 +96,7 @@ impl Sum {
 #[test]
 fn whatever_a_misbehaving_robot_does_the_invariants_hold_in_every_cycle() {
     // The same runs each time, unless others are asked for: what they must have seen is no matter of luck.
-    let (first, runs) = (
+    let (first, runs): (u64, u64) = (
         asked("CDCR_CHAOS_SEED").unwrap_or(1),
         asked("CDCR_CHAOS_RUNS").unwrap_or(100),
     );

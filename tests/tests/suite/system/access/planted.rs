@@ -94,7 +94,7 @@ fn assert_serves(daemon: &Daemon) {
 /// The first eight bytes of a connection, by which iceoryx2 knows its version, for `printf`.
 fn version_of_connection(place: &Place) -> String {
     let is_connection = |path: &PathBuf| path.extension().is_some_and(|end| end == "connection");
-    let connection = place.shared_memory_files().into_iter().find(is_connection);
+    let connection = place.memory_files().into_iter().find(is_connection);
     let bytes = fs::read(connection.expect("a client is connected")).unwrap();
     let version: [u8; 8] = bytes[..8].try_into().unwrap();
     assert_ne!(version, [0; 8]);
@@ -115,7 +115,7 @@ fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
     // The very names that the daemon and its clients use, and the one that iceoryx2 gives to its management.
     let mut names: Vec<_> = daemon
         .place()
-        .shared_memory_files()
+        .memory_files()
         .iter()
         .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
         .collect();
@@ -244,7 +244,7 @@ fn no_umask_opens_a_file_to_others() {
         &["echo", "telemetry", "--rate", "1"],
     ));
     wait_until("files of all three", || {
-        let connections = place.shared_memory_files();
+        let connections = place.memory_files();
         nodes().count() >= before + 2
             && connections
                 .iter()

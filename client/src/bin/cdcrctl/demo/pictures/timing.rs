@@ -7,7 +7,8 @@ use plotters::prelude::*;
 
 use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, TICK, TITLE};
 use crate::demo::cycle::Cycle;
-use crate::demo::report::{DemoReport, Spread};
+use crate::demo::report::DemoReport;
+use crate::spread::Spread;
 
 /// Bars in each factor of ten.
 const BARS_PER_DECADE: f64 = 10.0;

@@ -9,11 +9,11 @@ use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, Node};
 
-use crate::subject::place::ROBOT;
+/// Generous: machines stall.
+const ANSWER_TIMEOUT_NS: u64 = 20_000_000_000;
 
-const ANSWER_TIMEOUT_NS: u64 = 2_000_000_000;
-
-pub(super) struct Asker {
+#[derive(Debug)]
+pub struct Asker {
     waiting: Option<Asked>,
     client: Client<ipc::Service, Request, (), Response, ()>,
     sender_id: u64,
@@ -21,6 +21,7 @@ pub(super) struct Asker {
     _node: Node<ipc::Service>,
 }
 
+#[derive(Debug)]
 struct Asked {
     pending: PendingResponse<ipc::Service, Request, (), Response, ()>,
     kind: RequestKind,
@@ -28,18 +29,18 @@ struct Asked {
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Answer {
-    pub(super) kind: RequestKind,
-    pub(super) sequence: u64,
-    pub(super) received_ns: u64,
-    pub(super) outcome: u32,
+pub struct Answer {
+    pub kind: RequestKind,
+    pub sequence: u64,
+    pub received_ns: u64,
+    pub response: Response,
 }
 
 impl Answer {
-    pub(super) fn accepted(&self) -> Result<()> {
-        let (kind, outcome) = (self.kind, Outcome::text_of(self.outcome));
+    pub fn accepted(&self) -> Result<()> {
+        let (kind, outcome) = (self.kind, Outcome::text_of(self.response.outcome));
         ensure!(
-            self.outcome == Outcome::Accepted.code(),
+            self.response.outcome == Outcome::Accepted.code(),
             "cannot {kind}: {outcome}"
         );
         Ok(())
@@ -47,13 +48,13 @@ impl Answer {
 }
 
 impl Asker {
-    /// Opens the service that the daemon made. It asks in the name of `sender_id`, which a lease is bound
+    /// Opens the service that the daemon of `robot` made. It asks in the name of `sender_id`, which a lease is bound
     /// to.
-    pub(super) fn open(location: &Location, sender_id: u64) -> Result<Self> {
+    pub fn open(location: &Location, robot: &str, sender_id: u64) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
         let node = node.context("a node of iceoryx2")?;
         let service = node
-            .service_builder(&Service::Control.name(ROBOT)?)
+            .service_builder(&Service::Control.name(robot)?)
             .request_response::<Request, Response>()
             .open()
             .context("the control service of the daemon")?;
@@ -72,12 +73,12 @@ impl Asker {
     }
 
     /// When the request was sent that has no answer yet.
-    pub(super) fn waits_since_ns(&self) -> Option<u64> {
+    pub fn waits_since_ns(&self) -> Option<u64> {
         self.waiting.as_ref().map(|asked| asked.header.sent_ns)
     }
 
     /// Sends a request; one at a time. Its sequence and stamp.
-    pub(super) fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
+    pub fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
         ensure!(
             self.waiting.is_none(),
             "a request was sent before the one before was answered"
@@ -102,7 +103,7 @@ impl Asker {
         Ok((header.sequence, header.sent_ns))
     }
 
-    pub(super) fn look(&mut self) -> Result<Option<Answer>> {
+    pub fn look(&mut self) -> Result<Option<Answer>> {
         let Some(asked) = &self.waiting else {
             return Ok(None);
         };
@@ -123,7 +124,7 @@ impl Asker {
             kind: asked.kind,
             sequence: asked.header.sequence,
             received_ns,
-            outcome: response.outcome,
+            response,
         }))
     }
 }
