@@ -284,7 +284,7 @@ fn a_body_that_is_known_to_be_beside_its_model_keeps_clear() {
     let eight = FigureEight::new().unwrap();
     for &obeys_positions in crate::cases(1, &[true, false]) {
         for &centre_m in crate::cases(1, &[[0.33, 0.0, 0.7], [0.17, 0.0, 0.74]]) {
-            for seed in 1..=crate::repetitions(1, 3).into() {
+            for seed in 1..=repetitions(1, 3).into() {
                 let longer = Driven {
                     obeys_positions,
                     seed,

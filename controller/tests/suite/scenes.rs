@@ -301,10 +301,10 @@ fn a_constraint_that_no_plan_keeps_is_named_with_its_amount() {
     let robot = line_robot();
     let at = on_the_circle(0.0);
     let centre_m = robot.body_point(&at, 0, 0.5);
-    let inside = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
+    let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
     let goal = inside(robot.tip_position(&at));
     let mut control = Loop::new(&robot, at, NmpcSettings::default());
-    let report = control.step(|_| goal, |_| vec![inside]);
+    let report = control.step(|_| goal, |_| vec![ball]);
     let SolveStatus::ConstraintViolated { constraint, amount } = report.status else {
         panic!("{report:?}");
     };

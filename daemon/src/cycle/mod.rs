@@ -203,10 +203,7 @@ impl Cycle {
         let (configuration, present) = (*self.state.configuration(), *self.state.present());
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
-        let costs = Costs {
-            after_solve_ns: self.costs_after_solve.high_by_clock_ns(),
-            exchange_ns: inputs.exchange_ns,
-        };
+        let costs = self.costs(inputs);
         self.solve_until_ns = 0;
         let (mut desired_rates, report) =
             self.desired_rates(&release, inputs, elapsed_ns, costs, clock);

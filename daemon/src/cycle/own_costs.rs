@@ -1,6 +1,7 @@
 //! What a cycle takes beside its solve, learnt from the cycles before.
 
 use super::Cycle;
+use crate::core_budget::Costs;
 use crate::handover::CycleInputs;
 use crate::rt::clock::Clock;
 
@@ -21,6 +22,14 @@ impl Cycle {
             && !stale_inputs
         {
             self.costs_after_solve.note(took_ns);
+        }
+    }
+
+    /// What the core needs in this period beside the solve.
+    pub(super) fn costs(&self, inputs: &CycleInputs) -> Costs {
+        Costs {
+            after_solve_ns: self.costs_after_solve.high_by_clock_ns(),
+            exchange_ns: inputs.exchange_ns,
         }
     }
 }
