@@ -12,7 +12,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
 use super::Limits;
 use super::projection::Region;
-use near::{Near, Stance};
+use near::{Near, REGION_LOOKS, Stance};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 12;
@@ -34,7 +34,7 @@ const BEGINNINGS: [Beginning; 3] = [
     },
 ];
 /// Shares of what is found then that are checked.
-const SHARES: [f64; 3] = [1.0, 0.6, 0.25];
+const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// A correction that leaves less than this share of the fastest component is rest.
 const STANDING: f64 = 1e-6;
 /// One that is made anew and leaves less than this is taken where no other leaves more.
@@ -255,7 +255,9 @@ impl ClearanceGuard<'_> {
             {
                 break;
             }
-            let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
+            let nearest = limits.nearest_in(&mut region, desired_rates);
+            near.count_products(&mut region);
+            let Some(nearest) = nearest else {
                 break;
             };
             let before = rates;
@@ -298,7 +300,10 @@ impl ClearanceGuard<'_> {
                 }
                 let mut region = limited.clone();
                 near.bound_again(self, desired_rates, around.as_ref(), beginning, &mut region);
-                let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
+                let nearest = limits.nearest_in(&mut region, desired_rates);
+                near.iter().for_each(|near| near.count(REGION_LOOKS));
+                near.count_products(&mut region);
+                let Some(nearest) = nearest else {
                     // What was found is nearer to the standing robot then.
                     let Some(rates) = around else { break };
                     around = Some(times(&rates, 0.5));
@@ -410,6 +415,12 @@ impl Places<'_> {
         self.iter()
             .zip(guards)
             .try_for_each(|(near, guard)| way::check(near, guard, rates))
+    }
+
+    /// What the nearest point of `region` took.
+    fn count_products(&self, region: &mut Region) {
+        let products = region.take_products();
+        self.iter().for_each(|near| near.count_products(products));
     }
 
     fn are_few(&self) -> bool {

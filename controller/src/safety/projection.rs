@@ -19,6 +19,8 @@ pub(super) type Vector = [f64; COORDINATES_MAX];
 const ROWS_MAX: usize = 152;
 /// Half-spaces that are taken in or let go before the search gives up.
 const STEPS_MAX: usize = 100;
+/// What each takes the time of, beside the rows that are looked at: products of two vectors.
+const STEP_PRODUCTS: u32 = 24;
 /// What counts as inside, in the unit of the point, or as a share of it where it is larger than 1.
 const INSIDE: f64 = 1e-13;
 /// What the way of a point may be longer by than its sum tells, as a share: rounding.
@@ -43,6 +45,8 @@ pub(super) struct Region {
     row_count: usize,
     /// Whether a half-space was left out.
     is_full: bool,
+    /// What was looked for took the time of so many products of two vectors.
+    products: u32,
     /// The nearest point to `to` before more half-spaces came, and what holds it there; changed in place, because they are large.
     found: Found,
 }
@@ -105,6 +109,7 @@ impl Region {
         clear_until: [0.0; ROWS_MAX],
         row_count: 0,
         is_full: false,
+        products: 0,
         found: Found {
             is_known: false,
             to: [0.0; COORDINATES_MAX],
@@ -138,6 +143,11 @@ impl Region {
     /// Whether a half-space was left out, so that points which are found may be on the wrong side of it.
     pub(super) fn is_full(&self) -> bool {
         self.is_full
+    }
+
+    /// What was looked for since this was asked last took the time of so many products of two vectors.
+    pub(super) fn take_products(&mut self) -> u32 {
+        core::mem::take(&mut self.products)
     }
 
     /// Only where normal · x ≥ bound. What leaves out no part of the box is no row of the region; nor is a normal without length. Whether it is one.
@@ -277,6 +287,7 @@ impl Region {
             let mut multiplier = 0.0;
             loop {
                 steps += 1;
+                self.products += STEP_PRODUCTS;
                 if steps > STEPS_MAX {
                     return None;
                 }
@@ -325,6 +336,7 @@ impl Region {
             if *clear_until > *travelled {
                 continue;
             }
+            self.products += 1;
             let lack = row.bound - dot(&row.normal, at);
             *clear_until = travelled - lack;
             look(Side::Row(index), row.bound, lack);

@@ -3,7 +3,7 @@
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
-use super::near::{Near, Place, RENEWED_LOOKS, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
+use super::near::{Near, Place, ROW_LOOKS, ends_s, sections};
 use super::watched::Watched;
 use super::{Beginning, ClearanceGuard, fastest};
 
@@ -155,7 +155,6 @@ pub(super) fn bound_again(
                         nearest,
                     };
                     if short.bound(near, guard, &nearest, row_around, region) {
-                        near.count(RENEWED_LOOKS);
                         near.note_row(index, section);
                     }
                 }
@@ -229,10 +228,6 @@ impl Short<'_> {
                 -left_m - wider_rad_s * slope_m_s
             }
         };
-        let is_bound = region.bound(&slope, least_m);
-        if is_bound {
-            near.count(SOLVED_LOOKS);
-        }
-        is_bound
+        region.bound(&slope, least_m)
     }
 }

@@ -214,6 +214,20 @@ fn the_limits_give_the_nearest_rates() {
     }
 }
 
+/// The solutions of linearisations counted more than the time that they took: nothing was left to find the way, or a share of a solution between those that were tried.
+#[test]
+fn moments_that_stood_without_need_move() {
+    for seed in [
+        2380, 19_734, 20_296, 50_480, 51_110, 74_675, 80_708, 80_882, 91_426, 93_258,
+    ] {
+        let moment = Moment::random(seed);
+        let command = moment.command();
+        assert!(moment.hold(command.rates.as_slice()), "moment {seed}");
+        let is_still = stands(command.rates.as_slice(), &moment.desired_rates);
+        assert!(!is_still, "moment {seed}");
+    }
+}
+
 #[test]
 fn few_moments_stand_still_without_need() {
     let mut account = Account::NEW;
