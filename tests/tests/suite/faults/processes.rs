@@ -174,7 +174,7 @@ fn settings_into_which_no_cycle_fits_end_with_78() {
          [controller]\nhorizon_steps = 50\n{sections}"
     );
     let parts = [
-        "6 sections",
+        "sections: 6",
         "horizon_steps = 50",
         "0.050 ms before the release",
     ];
