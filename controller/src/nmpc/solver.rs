@@ -5,8 +5,8 @@ use super::motion::{ANGLES, VECTORS};
 use super::problem::{Searched, TrackingProblem};
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
-    self, Bounds, Budget, Cost, Evaluation, GaussNewton, GaussNewtonOutcome, Incumbent, Kpso,
-    Problem, Simd,
+    self, Bounds, Budget, Candidate, Cost, Evaluation, GaussNewton, GaussNewtonOutcome, Incumbent,
+    Kpso, Problem, Simd,
 };
 
 /// Rows of one step: position, and three axes of the tip.
@@ -38,6 +38,8 @@ pub(super) struct Solver {
     incumbent: Incumbent,
     /// The result of another search from the same warm start.
     apart: Incumbent,
+    /// A warm start that rests where it would break a constraint.
+    resting: Incumbent,
     scratch: Vec<f64>,
 }
 
@@ -50,6 +52,7 @@ impl Solver {
             gauss_newton: GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
             apart: Incumbent::with_capacity(unknowns),
+            resting: Incumbent::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
         }
     }
@@ -79,9 +82,9 @@ impl Solver {
                 task.settings.solver.searches(),
             );
             // What is known of a long plan's derivatives costs little, so the plan is refined before anything else is tried.
-            let mut is_known = false;
+            let (mut is_known, mut rests) = (false, false);
             if refines && task.problem.is_staged() {
-                self.rest_at_contact(task, warm_plan, budget);
+                rests = self.rest_at_contact(task, (warm_plan, evaluation.as_ref()), budget);
                 is_known = self.incumbent.is_violated();
                 refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
             }
@@ -107,6 +110,9 @@ impl Solver {
             {
                 refinement = Some(self.refine(task, budget));
             }
+            if rests {
+                self.incumbent.take_better(&self.resting);
+            }
         }
         let refinement = refinement.unwrap_or_default();
         SolveReport {
@@ -125,21 +131,28 @@ impl Solver {
         }
     }
 
-    /// Lets a warm start that breaks a constraint, as at the new end of its horizon, rest before that, where this is better.
-    fn rest_at_contact(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) {
+    /// Lets a warm start that breaks a constraint, as at the new end of its horizon, rest before that: for a budget that ends before there is
+    /// anything better. Whether there is such a plan. Nothing sets out from it, because it leads into other valleys.
+    fn rest_at_contact(
+        &mut self,
+        task: &Task,
+        (warm_plan, evaluation): (&[f64], Option<&Evaluation<1>>),
+        budget: &mut Budget<'_>,
+    ) -> bool {
         if !self.incumbent.is_violated() {
-            return;
+            return false;
         }
         self.scratch.clear();
         self.scratch.extend_from_slice(warm_plan);
-        self.apart.restart(warm_plan, None);
-        let rests = &mut self.scratch;
-        if let Some((evaluation, _)) = task.problem.evaluate_to_contact(rests, &self.apart, budget)
-            && evaluation.violations.iter().all(|kind| kind.0[0] == 0.0)
-        {
-            let origin = self.incumbent.origin();
-            self.incumbent.offer(|i| rests[i], &evaluation, 0, origin);
-        }
+        let (rests, resting) = (&mut self.scratch, &mut self.resting);
+        // Nothing is broken, not even by as much as the warm start does.
+        resting.restart(warm_plan, None);
+        let found = task.problem.evaluate_to_contact(rests, resting, budget);
+        resting.restart(warm_plan, evaluation);
+        found.is_some_and(|(evaluation, _)| {
+            let holds = evaluation.violations.iter().all(|kind| kind.0[0] == 0.0);
+            holds && resting.offer(|i| rests[i], &evaluation, 0, Candidate::WarmStart)
+        })
     }
 
     /// Refines the warm start; where that breaks a constraint, as at the new end of its horizon, beside those that do less. None: one of these is
