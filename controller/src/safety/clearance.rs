@@ -255,9 +255,7 @@ impl ClearanceGuard<'_> {
             {
                 break;
             }
-            let nearest = limits.nearest_in(&mut region, desired_rates);
-            near.count_products(&mut region);
-            let Some(nearest) = nearest else {
+            let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
                 break;
             };
             let before = rates;
@@ -301,8 +299,7 @@ impl ClearanceGuard<'_> {
                 let mut region = limited.clone();
                 near.bound_again(self, desired_rates, around.as_ref(), beginning, &mut region);
                 let nearest = limits.nearest_in(&mut region, desired_rates);
-                near.iter().for_each(|near| near.count(REGION_LOOKS));
-                near.count_products(&mut region);
+                near.count(REGION_LOOKS + region.take_products());
                 let Some(nearest) = nearest else {
                     // What was found is nearer to the standing robot then.
                     let Some(rates) = around else { break };
@@ -417,10 +414,8 @@ impl Places<'_> {
             .try_for_each(|(near, guard)| way::check(near, guard, rates))
     }
 
-    /// What the nearest point of `region` took.
-    fn count_products(&self, region: &mut Region) {
-        let products = region.take_products();
-        self.iter().for_each(|near| near.count_products(products));
+    fn count(&self, looks: u32) {
+        self.iter().for_each(|near| near.count(looks));
     }
 
     fn are_few(&self) -> bool {

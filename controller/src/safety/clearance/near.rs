@@ -31,10 +31,11 @@ const PLACE_LOOKS: u32 = 24;
 const PLANE_LOOKS: u32 = 2;
 /// a row of a correction, beside its clearance,
 pub(super) const ROW_LOOKS: u32 = 4;
-/// and a region that is copied, with what finds its nearest point beside the products there:
+/// its part of the solution,
+pub(super) const SOLVED_LOOKS: u32 = 6;
+/// and where all rows are made linear anew, the copy of a region and what finds its nearest point, beside the products there:
+/// each of these counts as one.
 pub(super) const REGION_LOOKS: u32 = 25;
-/// so many products of two vectors take the time of one.
-const PRODUCTS: u32 = 4;
 
 /// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: of any value
 /// where it is not asked for, NaN where the state is not finite.
@@ -436,11 +437,6 @@ impl<'a> Near<'a> {
     /// Takes these from what is left of [`LOOKS`].
     pub(super) fn count(&self, looks: u32) {
         self.looks.set(self.looks.get().saturating_sub(looks));
-    }
-
-    /// Takes what some products of two vectors take the time of.
-    pub(super) fn count_products(&self, products: u32) {
-        self.count(products / PRODUCTS);
     }
 
     /// Adds [`RENEWAL_LOOKS`] to it.

@@ -3,7 +3,7 @@
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
-use super::near::{Near, Place, ROW_LOOKS, ends_s, sections};
+use super::near::{Near, Place, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
 use super::watched::Watched;
 use super::{Beginning, ClearanceGuard, fastest};
 
@@ -228,6 +228,10 @@ impl Short<'_> {
                 -left_m - wider_rad_s * slope_m_s
             }
         };
-        region.bound(&slope, least_m)
+        let is_bound = region.bound(&slope, least_m);
+        if is_bound {
+            near.count(SOLVED_LOOKS);
+        }
+        is_bound
     }
 }

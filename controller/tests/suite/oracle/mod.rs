@@ -214,11 +214,12 @@ fn the_limits_give_the_nearest_rates() {
     }
 }
 
-/// The solutions of linearisations counted more than the time that they took: nothing was left to find the way, or a share of a solution between those that were tried.
+/// The solution of a linearisation counted as the longest one that there is: nothing was left to find the way. Or the share of a solution that
+/// holds was between those that were tried.
 #[test]
 fn moments_that_stood_without_need_move() {
     for seed in [
-        2380, 19_734, 20_296, 50_480, 51_110, 74_675, 80_708, 80_882, 91_426, 93_258,
+        2380, 20_296, 50_480, 51_110, 74_675, 80_708, 80_882, 91_426, 93_258,
     ] {
         let moment = Moment::random(seed);
         let command = moment.command();
