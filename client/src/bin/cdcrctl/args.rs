@@ -30,7 +30,7 @@ pub(crate) use reference::{
     LineOptions, RefOptions, SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
-pub(crate) use straight::{GotoOptions, JogOptions, StraightArguments};
+pub(crate) use straight::{GENTLE, GotoOptions, JogOptions, StraightArguments};
 
 /// Feeds references to cdcrd, the controller of cable-driven continuum robots, asks it for things and
 /// shows what it does.

@@ -14,7 +14,7 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 
 use crate::Done;
 use crate::args::{
-    ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments,
+    ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, GENTLE,
     LineOptions, RefOptions, SpiralOptions, StraightArguments, Target,
 };
 use crate::bar::Bar;
@@ -59,6 +59,20 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         return Ok(Done::Good);
     }
     reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
+    if arguments.blend {
+        let (speed, acceleration) = GENTLE;
+        let way = StraightArguments {
+            speed,
+            acceleration,
+            max_error: allowed_m.max(MOVED_M),
+            dry_run: false,
+        };
+        let first_m = trajectory.position_m(0.0);
+        let done = go(&connection, &way, |_| first_m).context("on the way to the first point")?;
+        if done != Done::Good {
+            return Ok(done);
+        }
+    }
     let (done, error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
         error.tell(arguments.max_error)?;
@@ -68,11 +82,10 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
 
 /// `cdcrctl goto …`, `cdcrctl jog …`: to the point that `end_m` makes of where the tip is.
 pub(crate) fn go(
-    target: &Target,
+    connection: &Connection,
     arguments: &StraightArguments,
     end_m: impl Fn([f64; 3]) -> [f64; 3],
 ) -> anyhow::Result<Done> {
-    let connection = target.connect()?;
     let status = connection.status(STATUS)?;
     let mode = Mode::try_from(status.mode);
     if matches!(mode, Ok(Mode::Stopped | Mode::Faulted)) && !arguments.dry_run {
@@ -81,7 +94,7 @@ pub(crate) fn go(
             Mode::text_of(status.mode)
         );
     }
-    let before = newest(&connection)?;
+    let before = newest(connection)?;
     let start_m = before.tip_position_m;
     let goal_m = end_m(start_m);
     let reach_m = section_lengths_m(&status.robot).iter().sum();
@@ -89,17 +102,17 @@ pub(crate) fn go(
     let way = Straight::new(begin_m, goal_m, arguments.speed, arguments.acceleration);
     check_unit(&way, reach_m)?;
     let options = go_options();
-    let demands = dry_run::compute(&connection, &way, &options)?;
+    let demands = dry_run::compute(connection, &way, &options)?;
     if arguments.dry_run {
         demands.print(way.name())?;
         demands.check_end(arguments.max_error)?;
         return Ok(Done::Good);
     }
     demands.check_end(arguments.max_error)?;
-    check_stands(&connection, &before)?;
-    let (done, _) = follow(&connection, &way, options, |_| Ok(()))?;
+    check_stands(connection, &before)?;
+    let (done, _) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
-        tell_end(&newest(&connection)?, goal_m, arguments.max_error)?;
+        tell_end(&newest(connection)?, goal_m, arguments.max_error)?;
     }
     Ok(done)
 }

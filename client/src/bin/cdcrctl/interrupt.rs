@@ -2,7 +2,7 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 
 /// One for all: a signal that comes between two parts of a command counts for the second.
 static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
@@ -14,14 +14,14 @@ pub(crate) struct Interrupt {
 }
 
 impl Interrupt {
-    /// Catches SIGINT, SIGTERM and SIGHUP from now on.
+    /// Catches SIGINT, SIGTERM, SIGHUP and SIGQUIT from now on.
     pub(crate) fn catch() -> io::Result<Self> {
         if let Some(raised) = RAISED.get() {
             let raised = Arc::clone(raised);
             return Ok(Self { raised });
         }
         let raised = Arc::clone(RAISED.get_or_init(Arc::default));
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
+        for signal in [SIGINT, SIGTERM, SIGHUP, SIGQUIT] {
             signal_hook::flag::register(signal, Arc::clone(&raised))?;
         }
         Ok(Self { raised })

@@ -80,8 +80,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
     match &arguments.task {
         Task::Demo(options) => demo::run(options),
         Task::Ref(options) => feed::run(target, options),
-        Task::Goto(options) => feed::go(target, &options.way, |_| options.point),
-        Task::Jog(options) => feed::go(target, &options.way, |tip_m| {
+        Task::Goto(options) => feed::go(&target.connect()?, &options.way, |_| options.point),
+        Task::Jog(options) => feed::go(&target.connect()?, &options.way, |tip_m| {
             core::array::from_fn(|i| tip_m[i] + options.by[i])
         }),
         Task::Plant(options) => plant::run(target, options),

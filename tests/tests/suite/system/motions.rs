@@ -128,6 +128,39 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     assert!(said.contains("approached in"), "{said}");
 }
 
+/// What a command prints that ends well, and the largest speed of the tip meanwhile \[m/s\].
+fn says_and_speed(daemon: &Daemon, line: &str) -> (String, f64) {
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let mut before = wait_record(&mut telemetry, |_| true);
+    std::thread::scope(|scope| {
+        let saying = scope.spawn(|| says(daemon, line, 0));
+        let mut fastest_m_s = 0.0_f64;
+        while !saying.is_finished() {
+            let record = wait_record(&mut telemetry, |_| true);
+            let way_m = distance_m(record.tip_position_m, before.tip_position_m);
+            let time_s = (record.release_ns - before.release_ns) as f64 * 1e-9;
+            fastest_m_s = fastest_m_s.max(way_m / time_s);
+            before = record;
+        }
+        (saying.join().unwrap(), fastest_m_s)
+    })
+}
+
+#[test]
+fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
+    // Tracked at once, it goes there at its largest rates.
+    let daemon = Daemon::ideal(PATIENT);
+    let curve = "ref line --start 0.1,0,0.85 --velocity 0,0.03,0 --duration 300ms --track";
+    let (_, jumps_m_s) = says_and_speed(&daemon, curve);
+    says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
+    let (said, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
+    assert!(said.contains("mm from the point"), "{said}");
+    assert!(said.contains("tracked to its end"), "{said}");
+    println!("{jumps_m_s} m/s, {blends_m_s} m/s");
+    // Of a way that is gone at 0.05 m/s; held up, the tip catches up.
+    assert!(blends_m_s < 0.5 * jumps_m_s, "{blends_m_s}, {jumps_m_s}");
+}
+
 #[test]
 fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
     let daemon = Daemon::start(PATIENT);

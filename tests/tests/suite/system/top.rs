@@ -108,7 +108,12 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
     let daemon = Daemon::start("");
     let connection = daemon.connect();
     ask_for(&connection, RequestKind::Home);
-    for signal in [None, Some(Signal::TERM), Some(Signal::HUP)] {
+    for signal in [
+        None,
+        Some(Signal::TERM),
+        Some(Signal::HUP),
+        Some(Signal::QUIT),
+    ] {
         let (mut terminal, theirs) = Terminal::new(100, 30);
         let before = tcgetattr(&theirs).unwrap().local_modes;
         assert!(before.contains(LocalModes::ECHO));

@@ -60,6 +60,9 @@ pub(crate) struct FeedArguments {
     /// Ask for tracking as soon as the first chunk is in
     #[arg(long)]
     pub(crate) track: bool,
+    /// Go to the first point before, straight from where the tip is, from rest to rest, as cdcrctl goto does
+    #[arg(long, requires = "track")]
+    pub(crate) blend: bool,
     /// Move nothing: say how near the robot comes to the reference, and what rate, acceleration, cable stroke and
     /// clearance it takes, and the direct way to its first point; fail when a point is missed by more than --max-error, 1 mm without it
     #[arg(long, conflicts_with = "track")]
