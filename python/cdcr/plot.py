@@ -73,7 +73,7 @@ def timing(source: Source, *, seconds: float = 2.0, ax: Axes | None = None) -> A
     ax = _axes(ax)
     took_us = np.maximum(1e6 * shown.took_s, 0.1)
     # Powers of ten: a single late cycle must not squeeze the rest into one bar.
-    ax.hist(took_us, bins=np.geomspace(0.9 * took_us.min(), 1.1 * took_us.max(), 60), log=True)
+    ax.hist(took_us, bins=np.geomspace(0.9 * took_us.min(), 1.1 * took_us.max(), 60).tolist(), log=True)
     ax.set_xscale("log")
     if shown.deadline_s is not None:
         ax.axvline(1e6 * shown.deadline_s, color="black", label=f"deadline, {1e6 * shown.deadline_s:.0f} µs")
