@@ -186,7 +186,8 @@ impl Driver {
         }
         let is_blind = self.interface == Interface::Position && measured.is_none();
         while let Some(command) = self.commands.try_next()? {
-            if is_blind {
+            // One of the other interface is refused all the same.
+            if is_blind && command.interface == self.interface.code() {
                 continue;
             }
             update.take(&mut self.follower, &command, monotonic_ns());

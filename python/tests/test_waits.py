@@ -220,7 +220,7 @@ WAITS = {
 
 @pytest.mark.parametrize("what", WAITS)
 def test_ctrl_c_ends_every_wait(daemon: Daemon, what: str) -> None:
-    text = f"import os, signal, cdcr\nwith cdcr.connect(timeout_s={PATIENCE_S}) as c:\n    "
+    text = f"import os, signal, cdcr\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nwith cdcr.connect(timeout_s={PATIENCE_S}) as c:\n    "
     if what == "status":
         # Of a daemon that stands still, whose last status is old.
         text += f"os.kill({daemon.process.pid}, signal.SIGSTOP); __import__('time').sleep(1.5)\n    "
