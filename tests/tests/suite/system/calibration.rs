@@ -10,7 +10,7 @@ use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{
     Daemon, PATIENT, Place, Program, TIMEOUT, ask_for, assert_says, binary, text,
-    until_undisturbed, wait_mode, wait_until,
+    until_undisturbed, wait_mode, wait_record, wait_until,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::Value;
@@ -195,6 +195,9 @@ fn a_section_that_is_longer_than_configured_is_excited_too() {
     let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n";
     let daemon = Daemon::start(&format!("{PATIENT}{lab}{longer}{section}"));
     let folder = daemon.place().folder();
+    // Beside its bends from the first on, but that is learnt in some seconds.
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    wait_record(&mut telemetry, |record| record.tip_offset_m[2] > 0.0148);
     let excite = "calibrate excite -o moved.csv --duration 20s";
     let excite: Vec<&str> = excite.split(' ').collect();
     run(daemon.place(), folder, &excite);
