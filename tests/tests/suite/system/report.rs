@@ -125,6 +125,8 @@ fn a_page_is_not_made_of_what_is_no_recording_nor_over_it() {
 /// What the page's own script made, told by a script of this test at its end: what went wrong, the sections, how many colours the picture of the
 /// robot has, and how far the drawn tip is from the recorded one.
 const PROBE: &str = r"<script>
+// At once: the page is drawn before it is seen.
+const paths = document.querySelectorAll('svg path').length;
 setTimeout(() => {
   const canvas = document.querySelector('canvas');
   const pixels = new Uint32Array(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer);
@@ -136,7 +138,7 @@ setTimeout(() => {
   const told = {
     errors, sections: [...document.querySelectorAll('section')].map((one) => one.id),
     empty: [...document.querySelectorAll('section')].filter((one) => one.offsetHeight < 40).map((one) => one.id),
-    colours: new Set(pixels).size, apart_mm: Math.max(...apart), curves: document.querySelectorAll('svg path').length,
+    colours: new Set(pixels).size, apart_mm: Math.max(...apart), curves: paths,
   };
   document.body.replaceChildren(JSON.stringify(told));
 }, 1500);

@@ -142,17 +142,21 @@ function resized(holder, act) {
   new ResizeObserver(() => requestAnimationFrame(act)).observe(holder);
 }
 
-// Draws again when the width changes.
+// What is drawn for the width that it has: once when the page is whole, before it is seen, and again when the width changes.
+const fits = [];
+
 function fitted(holder, draw) {
   let last = 0;
-  resized(holder, () => {
+  const fit = () => {
     const width = Math.max(280, Math.round(holder.clientWidth));
     if (width !== last) {
       last = width;
       holder.replaceChildren(draw(width));
       go(now_s);
     }
-  });
+  };
+  fits.push(fit);
+  resized(holder, fit);
   return holder;
 }
 
@@ -759,4 +763,5 @@ error_and_clearance();
 controls_and_cables();
 histograms();
 happened();
+for (const fit of fits) fit();
 go(end_s / 2);
