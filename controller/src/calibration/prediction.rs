@@ -163,7 +163,6 @@ fn stacked(position: Vector3<f64>, rotation: Vector3<f64>) -> Twist {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::robot::RobotParameters;

@@ -342,7 +342,6 @@ fn add(to: &mut [f64], what: &[f64], factor: f64) {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
 

@@ -113,7 +113,6 @@ impl Slack {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::estimator::{Actuator, Estimator, Measurement};

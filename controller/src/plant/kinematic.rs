@@ -90,7 +90,6 @@ impl KinematicPlant {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::robot::RobotParameters;

@@ -65,7 +65,6 @@ fn taut_pull(directions: &[[f64; 2]; 3], strokes_m: &[f64; 3]) -> [f64; 2] {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::robot::RobotParameters;

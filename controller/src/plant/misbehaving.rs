@@ -419,5 +419,4 @@ fn counted(value_m: f64, tick_m: f64) -> f64 {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests;

@@ -85,7 +85,6 @@ fn eight(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::robot::RobotParameters;

@@ -169,7 +169,6 @@ impl FollowingWatch {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use super::*;
     use crate::robot::RobotParameters;

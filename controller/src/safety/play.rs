@@ -49,7 +49,6 @@ fn mended(
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;

@@ -1,7 +1,5 @@
 //! Which parameters make a robot, which are refused and how, and the fingerprint.
 
-#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-
 use super::*;
 
 #[test]
