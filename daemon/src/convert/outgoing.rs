@@ -66,6 +66,19 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
     telemetry
 }
 
+/// Assigns all fields of a telemetry that is used again, but those that [`fill_telemetry`] or the reporter writes by other
+/// means. A field that is forgotten, and would keep what an earlier cycle left in it, does not compile.
+macro_rules! assign_all {
+    ($telemetry:ident, $($field:ident = $value:expr),* $(,)?) => {
+        let wire::Telemetry {
+            header: _, command: _, scheduling: _, events: _, event_count: _, // in the reporter
+            obstacles: _, bend_rad: _, commanded_rad: _, present_rad: _, motor_rad: _, previous_rate_rad_s: _,
+            $($field: _,)*
+        } = $telemetry;
+        $($telemetry.$field = $value;)*
+    };
+}
+
 /// The same in a message that held another cycle of `robot`, or none: what both have in common is not written again.
 pub fn fill_telemetry(
     telemetry: &mut wire::Telemetry,
@@ -77,92 +90,100 @@ pub fn fill_telemetry(
     for gone in left_over.skip(record.obstacles.count()) {
         *gone = wire::Obstacle::default();
     }
-    telemetry.cycle = record.release.cycle;
-    telemetry.release_ns = record.release.release_ns;
-    telemetry.due_ns = record.release.due_ns;
-    telemetry.start_ns = record.release.start_ns;
-    telemetry.solve_start_ns = record.solve_start_ns;
-    telemetry.solve_end_ns = record.solve_end_ns;
-    telemetry.handed_over_ns = record.handed_over_ns;
-    telemetry.period_ns = period_ns;
-    telemetry.elapsed_ns = record.elapsed_ns;
-    telemetry.skipped_periods = record.release.skipped;
-    telemetry.timing_flags = timing_flags(record);
-    telemetry.deadline_misses_total = record.totals.deadline_misses;
-    telemetry.skipped_periods_total = record.totals.skipped_periods;
-    telemetry.mode = mode(record.mode).code();
-    telemetry.reason = reason(record.mode.reason()).code();
-    telemetry.miss_bucket = record.miss_bucket;
-    telemetry.gather = record.gather;
-    telemetry.gather_ns = record.gather_ns;
-    telemetry.settings = settings_to_wire(&record.settings);
-    telemetry.robot = self::robot(robot);
-    telemetry.window_first_cycle = record.window_first_cycle;
-    telemetry.lease_state = lease_state(record.lease).code();
-    telemetry.lease_number = record.lease_number;
-    telemetry.deceleration_rad_s2 = record.policy.deceleration_rad_s2;
-    telemetry.home_rate_rad_s = record.policy.home_rate_rad_s;
-    telemetry.deadline_ns = record.policy.deadline_ns;
-    telemetry.late_start_ns = record.policy.late_start_ns;
-    telemetry.measurement_timeout_ns = record.policy.measurement_timeout_ns;
-    telemetry.clearance_fault_m = record.policy.clearance_fault_m;
-    telemetry.measurement_jump_rad = record.policy.plausibility.jump_rad;
-    telemetry.measurement_frozen_rad = record.policy.plausibility.frozen_rad;
-    telemetry.measurement_jump_limit = record.policy.plausibility.jump_limit;
-    telemetry.measurement_state = measurement_state(record.measurement_use).code();
-    telemetry.tip_state = measurement_state(record.tip_use).code();
-    telemetry.tip_offset_m = record.tip_offset_m.into();
-    telemetry.tip_margin_m = record.tip_margin_m;
-    telemetry.miss_limit = record.policy.miss_limit;
-    telemetry.plan_length = record.plan_length as u32;
-    telemetry.warm_plan = record.warm_plan;
-    telemetry.plan = record.plan;
-    telemetry.report = report(&record.report);
-    telemetry.reference = reference(&record.reference);
-    telemetry.approach = approach(&record.approach);
-    telemetry.tip_position_m = record.tip.position_m.into();
-    telemetry.tip_orientation = quaternion_xyzw(&record.tip.rotation);
-    telemetry.position_error_m = position_error_m(record);
-    telemetry.guard_flags = guard_flags(record);
-    telemetry.clearance_m = record.clearance_m;
-    telemetry.following_error_rad = record.following.bend_rad;
-    telemetry.following_error_m = record.following.cable_m;
-    telemetry.following_warning_rad = record.policy.following.warning_rad;
-    telemetry.following_fault_rad = record.policy.following.fault_rad;
-    telemetry.following_lag_ns = (record.policy.following.lag_s * 1e9) as u64;
-    telemetry.acceleration_rad_s2 = record.policy.acceleration_rad_s2;
-    telemetry.reference_lead_ns = record.policy.reference_lead_ns;
-    telemetry.play_m = record.policy.actuator.play_m;
-    telemetry.slack_m = record
-        .slack
-        .map_or([0.0; CABLES_MAX], |slack| *slack.slack_m());
-    telemetry.approach_distance_m = record.policy.approach_distance_m;
-    telemetry.control_begins = u32::from(record.control_begins);
-    telemetry.obstacle_count = record.obstacles.count() as u32;
-    telemetry.measurement = wire::Measurement::default();
-    if let Some(timed) = &record.measurement {
-        telemetry.measurement = measurement_to_wire(timed, robot);
-        telemetry.measurement.interface = interface(record.policy.interface).code();
-    }
-    (telemetry.tip_measured_m, telemetry.tip_measured_ns) = ([0.0; 3], 0);
-    if let Some(TimedMeasurement {
-        measurement: Measurement::TipPosition(position_m),
-        measured_ns,
-    }) = &record.tip_measurement
-    {
-        telemetry.tip_measured_m = (*position_m).into();
-        telemetry.tip_measured_ns = *measured_ns;
-    }
     for (target, known) in telemetry.obstacles.iter_mut().zip(record.obstacles.iter()) {
         *target = obstacle_to_wire(known);
     }
-    copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
-    copy(record.commanded.as_slice(), &mut telemetry.commanded_rad);
-    copy(record.present.as_slice(), &mut telemetry.present_rad);
-    copy(record.motors.as_slice(), &mut telemetry.motor_rad);
+    for (from, to) in [
+        (&record.configuration, &mut telemetry.bend_rad),
+        (&record.commanded, &mut telemetry.commanded_rad),
+        (&record.present, &mut telemetry.present_rad),
+        (&record.motors, &mut telemetry.motor_rad),
+    ] {
+        copy(from.as_slice(), to);
+    }
     copy(
         record.previous_rates.as_slice(),
         &mut telemetry.previous_rate_rad_s,
+    );
+    let mut measurement = wire::Measurement::default();
+    if let Some(timed) = &record.measurement {
+        measurement = measurement_to_wire(timed, robot);
+        measurement.interface = interface(record.policy.interface).code();
+    }
+    let (tip_measured_m, tip_measured_ns) = match &record.tip_measurement {
+        Some(TimedMeasurement {
+            measurement: Measurement::TipPosition(position_m),
+            measured_ns,
+        }) => ((*position_m).into(), *measured_ns),
+        _ => ([0.0; 3], 0),
+    };
+    assign_all!(
+        telemetry,
+        cycle = record.release.cycle,
+        release_ns = record.release.release_ns,
+        due_ns = record.release.due_ns,
+        start_ns = record.release.start_ns,
+        solve_start_ns = record.solve_start_ns,
+        solve_end_ns = record.solve_end_ns,
+        handed_over_ns = record.handed_over_ns,
+        period_ns = period_ns,
+        elapsed_ns = record.elapsed_ns,
+        skipped_periods = record.release.skipped,
+        timing_flags = timing_flags(record),
+        deadline_misses_total = record.totals.deadline_misses,
+        skipped_periods_total = record.totals.skipped_periods,
+        mode = mode(record.mode).code(),
+        reason = reason(record.mode.reason()).code(),
+        miss_bucket = record.miss_bucket,
+        gather = record.gather,
+        gather_ns = record.gather_ns,
+        settings = settings_to_wire(&record.settings),
+        robot = self::robot(robot),
+        window_first_cycle = record.window_first_cycle,
+        lease_state = lease_state(record.lease).code(),
+        lease_number = record.lease_number,
+        deceleration_rad_s2 = record.policy.deceleration_rad_s2,
+        home_rate_rad_s = record.policy.home_rate_rad_s,
+        deadline_ns = record.policy.deadline_ns,
+        late_start_ns = record.policy.late_start_ns,
+        measurement_timeout_ns = record.policy.measurement_timeout_ns,
+        clearance_fault_m = record.policy.clearance_fault_m,
+        measurement_jump_rad = record.policy.plausibility.jump_rad,
+        measurement_frozen_rad = record.policy.plausibility.frozen_rad,
+        measurement_jump_limit = record.policy.plausibility.jump_limit,
+        measurement_state = measurement_state(record.measurement_use).code(),
+        tip_state = measurement_state(record.tip_use).code(),
+        tip_offset_m = record.tip_offset_m.into(),
+        tip_margin_m = record.tip_margin_m,
+        miss_limit = record.policy.miss_limit,
+        plan_length = record.plan_length as u32,
+        warm_plan = record.warm_plan,
+        plan = record.plan,
+        report = report(&record.report),
+        reference = reference(&record.reference),
+        approach = approach(&record.approach),
+        tip_position_m = record.tip.position_m.into(),
+        tip_orientation = quaternion_xyzw(&record.tip.rotation),
+        position_error_m = position_error_m(record),
+        guard_flags = guard_flags(record),
+        clearance_m = record.clearance_m,
+        following_error_rad = record.following.bend_rad,
+        following_error_m = record.following.cable_m,
+        following_warning_rad = record.policy.following.warning_rad,
+        following_fault_rad = record.policy.following.fault_rad,
+        following_lag_ns = (record.policy.following.lag_s * 1e9) as u64,
+        acceleration_rad_s2 = record.policy.acceleration_rad_s2,
+        reference_lead_ns = record.policy.reference_lead_ns,
+        play_m = record.policy.actuator.play_m,
+        slack_m = record
+            .slack
+            .map_or([0.0; CABLES_MAX], |slack| *slack.slack_m()),
+        approach_distance_m = record.policy.approach_distance_m,
+        control_begins = u32::from(record.control_begins),
+        obstacle_count = record.obstacles.count() as u32,
+        measurement = measurement,
+        tip_measured_m = tip_measured_m,
+        tip_measured_ns = tip_measured_ns,
     );
 }
 
