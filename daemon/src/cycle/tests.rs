@@ -1,8 +1,4 @@
 //! Cycles of a robot that is not its model.
-#![allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 
 mod approach;
 mod common_mode;

@@ -157,7 +157,6 @@ fn is_a_tip(timed: &TimedMeasurement) -> bool {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use std::path::Path;
 
