@@ -17,7 +17,7 @@ use cdcr_shared_types::{Incident, Location, Telemetry};
 use super::tally::{COMMAND, Tally};
 use crate::interrupt;
 use crate::subject::Cycle;
-use crate::subject::daemon::HEARD_WITHIN;
+use crate::subject::TIMEOUT;
 use crate::subject::place::ROBOT;
 use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
 
@@ -94,8 +94,8 @@ impl Record {
 
 impl Watch {
     fn open(location: &Location) -> Result<Self> {
-        let connection = Connection::open_within(location, ROBOT, HEARD_WITHIN)?;
-        let status = connection.status(HEARD_WITHIN)?;
+        let connection = Connection::open_within(location, ROBOT, TIMEOUT)?;
+        let status = connection.status(TIMEOUT)?;
         Ok(Self {
             origin_ns: status.origin_ns,
             period_ns: status.period_ns,

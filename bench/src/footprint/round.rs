@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 use super::start;
 use crate::dataset::joined;
 use crate::interrupt;
-use crate::subject::daemon::{Daemon, HEARD_WITHIN, Launch};
+use crate::subject::TIMEOUT;
+use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
 use crate::system::counts::{core_share, threads};
@@ -51,7 +52,7 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     // Those of the tracking client are among them.
     let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
     let (root_files, _) = files(&[daemon.location().root().to_owned()]);
-    let status = daemon.connect()?.status(HEARD_WITHIN)?;
+    let status = daemon.connect()?.status(TIMEOUT)?;
     client.stop()?;
 
     let growth_kb =

@@ -11,7 +11,8 @@ use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
 use crate::interrupt;
-use crate::subject::daemon::{Daemon, HEARD_WITHIN, Launch};
+use crate::subject::TIMEOUT;
+use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::place::ROBOT;
 use crate::system::cores::Cores;
 
@@ -28,7 +29,7 @@ pub(super) fn times(launch: &Launch, cores: &Cores) -> Result<Value> {
     started.until(|| Ok(telemetry.try_next()?))?;
     let (record_ns, begin_ns) = (monotonic_ns(), started.begin_ns);
     let (daemon, ready_ns) = started.ready()?;
-    let status = connection.status(HEARD_WITHIN)?;
+    let status = connection.status(TIMEOUT)?;
     drop((telemetry, connection));
     daemon.stop()?;
     let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
@@ -73,7 +74,7 @@ impl Started {
         Ok(Self {
             daemon,
             begin_ns: begin_ns.get(),
-            deadline: Instant::now() + HEARD_WITHIN,
+            deadline: Instant::now() + TIMEOUT,
             manager: thread::spawn(move || hear_ready(&manager)),
             _folder: folder,
         })
@@ -103,12 +104,12 @@ impl Started {
 
 fn late(daemon: &Daemon, missing: &str) -> String {
     let words = daemon.stderr_tail();
-    format!("the daemon does not start: no {missing} within {HEARD_WITHIN:?}{words}")
+    format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 
 /// When `READY=1` came \[ns\]; none within the time that a daemon may take.
 fn hear_ready(manager: &UnixDatagram) -> Result<Option<u64>> {
-    let deadline = Instant::now() + HEARD_WITHIN;
+    let deadline = Instant::now() + TIMEOUT;
     let mut message = [0; 4096];
     while Instant::now() < deadline {
         interrupt::check()?;

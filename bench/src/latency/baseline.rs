@@ -26,6 +26,7 @@ use super::leg::Leg;
 use super::round::Round;
 use crate::interrupt;
 use crate::subject::daemon::program;
+use crate::subject::TIMEOUT;
 use crate::subject::place::{self, Place};
 use crate::system::cores::Cores;
 use crate::system::process::Process;
@@ -33,7 +34,6 @@ use crate::system::thread::pin;
 
 const WARM_UP: usize = 200;
 const GAP_NS: u64 = 200_000;
-const TIMEOUT: Duration = Duration::from_secs(5);
 /// Looks of the peer between two looks whether it shall end.
 const LOOKS: u32 = 4096;
 

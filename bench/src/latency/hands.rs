@@ -6,7 +6,6 @@
 //! the way.
 
 use std::collections::VecDeque;
-use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use cdcr_client::{CommandStream, Connection, TelemetryStream, monotonic_ns};
@@ -15,11 +14,11 @@ use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
 use crate::interrupt;
 use crate::metric::median;
+use crate::subject::TIMEOUT;
 use crate::subject::asker::{Answer, Asker};
 use crate::subject::place::ROBOT;
 use crate::system::thread::sleep_until;
 
-const TIMEOUT: Duration = Duration::from_secs(5);
 /// The client is awake this long before what it waits for \[ns\]; on a short period a quarter of that.
 const EARLY_NS: u64 = 200_000;
 /// So long after the release it looks without a rest \[ns\]: a thread that never rests is halted.

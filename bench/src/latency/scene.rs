@@ -11,7 +11,7 @@ use cdcr_shared_types::{Header, ReferencePoint};
 use super::hands::Hands;
 use super::inputs::Source;
 use crate::interrupt;
-use crate::subject::daemon::HEARD_WITHIN;
+use crate::subject::TIMEOUT;
 
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
@@ -46,8 +46,8 @@ pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
 
 /// Measures until the daemon knows the robot behind its driver, and holds it.
 pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
-    let deadline = Instant::now() + HEARD_WITHIN;
-    while hands.connection.status(HEARD_WITHIN)?.mode != Mode::Holding.code() {
+    let deadline = Instant::now() + TIMEOUT;
+    while hands.connection.status(TIMEOUT)?.mode != Mode::Holding.code() {
         ensure!(
             Instant::now() < deadline,
             "the daemon does not see the robot of its driver"
@@ -64,7 +64,7 @@ pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<Refe
     connection.request(RequestKind::AcquireLease)?;
     let feed = connection.reference_feed()?;
     send(&feed, on_circle(0, hands.length_m()))?;
-    let deadline = Instant::now() + HEARD_WITHIN;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         interrupt::check()?;
         if let Some(source) = measurement {
@@ -78,7 +78,7 @@ pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<Refe
                 ..
             }) if Instant::now() < deadline => thread::sleep(ASK_AGAIN),
             Err(error) => {
-                let why = Reason::text_of(connection.status(HEARD_WITHIN)?.reason);
+                let why = Reason::text_of(connection.status(TIMEOUT)?.reason);
                 return Err(error).context(format!("the robot shall follow a reference ({why})"));
             }
         }

@@ -14,6 +14,7 @@ use crate::causes::Causes;
 use crate::dataset::joined;
 use crate::interrupt;
 use crate::quantiles::{Quantiles, histogram};
+use crate::subject::TIMEOUT;
 use crate::subject::daemon::Daemon;
 use crate::subject::tracking::{DOES_NOT_FOLLOW, Tracking};
 use crate::system::counts::{core_share, threads};
@@ -27,8 +28,6 @@ const READ_EVERY: Duration = Duration::from_millis(2);
 const EASY_MS: f64 = 2.0;
 /// How often a trial begins anew in which the daemon sent nothing for a second: that says nothing about its period.
 const HELD_UP_MAX: usize = 2;
-/// How long the status with the last cycles may take. Generous: machines stall.
-const STATUS_TIMEOUT: Duration = Duration::from_secs(5);
 /// What start, begin of tracking, warm-up and end take, about \[s\].
 const AROUND_S: f64 = 1.0;
 /// From this share of a core on, the system may halt real-time threads: Linux leaves them 95 %.
@@ -313,7 +312,7 @@ impl Observed {
         connection.reset_statistics()?;
         let (before, begin) = (threads(daemon.id()), Instant::now());
         // Until the statistics, which begin anew a moment after they were asked to, count for as long as `length`.
-        let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + STATUS_TIMEOUT);
+        let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + TIMEOUT);
         let status = loop {
             let in_time = Instant::now() < deadline;
             ensure!(
@@ -328,7 +327,7 @@ impl Observed {
                     errors_m.push(record.position_error_m);
                 }
             }
-            let status = connection.status(STATUS_TIMEOUT)?;
+            let status = connection.status(TIMEOUT)?;
             let since_ns = status.statistics_since_ns;
             if since_ns >= begin_ns && status.header.sent_ns >= since_ns + length_ns {
                 break status;

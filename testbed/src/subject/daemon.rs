@@ -11,14 +11,11 @@ use cdcr_client::Connection;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 
+use super::TIMEOUT;
 use super::place::{Place, ROBOT};
 use crate::interrupt;
 use crate::system::cores::Cores;
 use crate::system::process::Process;
-
-/// How long a daemon may take to be heard: to control its robot, to send a status. On a machine that stalls it may wait for the
-/// processor.
-pub const HEARD_WITHIN: Duration = Duration::from_secs(10);
 
 /// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
 /// not stop the robot, make it hold for want of inputs, or end the lease of its reference.
@@ -148,7 +145,7 @@ impl Daemon {
 
     /// Waits until it controls its robot, or, with a driver, waits for a first measurement.
     pub fn when_ready(mut self) -> Result<Self> {
-        let deadline = Instant::now() + HEARD_WITHIN;
+        let deadline = Instant::now() + TIMEOUT;
         let mut last = "it did not begin to control its robot".to_owned();
         while Instant::now() < deadline {
             interrupt::check()?;
@@ -166,7 +163,7 @@ impl Daemon {
         }
         bail!(
             "the daemon was not ready within {} s: {last}{}",
-            HEARD_WITHIN.as_secs(),
+            TIMEOUT.as_secs(),
             self.stderr_tail()
         )
     }
@@ -184,11 +181,7 @@ impl Daemon {
     }
 
     pub fn connect(&self) -> Result<Connection> {
-        Ok(Connection::open_within(
-            self.location(),
-            ROBOT,
-            HEARD_WITHIN,
-        )?)
+        Ok(Connection::open_within(self.location(), ROBOT, TIMEOUT)?)
     }
 
     pub fn stop(mut self) -> Result<()> {

@@ -7,7 +7,13 @@ pub mod daemon;
 pub mod place;
 pub mod tracking;
 
+use std::time::Duration;
+
 use cdcr_shared_types::codes::LateCause;
+
+/// How long a daemon, or whatever else is measured, may take to do what it is asked for: to control its robot, to send a status, to
+/// follow, to answer. On a machine that stalls it may wait for the processor.
+pub const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// One cycle of whatever was measured, in the terms of its release.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

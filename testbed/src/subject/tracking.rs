@@ -12,12 +12,11 @@ use cdcr_client::{Connection, FeedEvent, FeedOptions, Spiral, Trajectory, sectio
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 
+use super::TIMEOUT;
 use super::place::ROBOT;
 use crate::interrupt;
 use crate::system::thread::pin;
 
-/// How long the robot may take to follow.
-const FOLLOW_TIMEOUT: Duration = Duration::from_secs(10);
 /// How the error begins when the robot does not begin to follow.
 pub const DOES_NOT_FOLLOW: &str = "the robot does not follow the reference";
 /// Longer than any measurement, and as long as a fed curve may be \[s\].
@@ -68,7 +67,7 @@ impl Tracking {
             ending,
             thread: Some(thread),
         };
-        let deadline = Instant::now() + FOLLOW_TIMEOUT;
+        let deadline = Instant::now() + TIMEOUT;
         while !follows.load(Ordering::Relaxed) {
             interrupt::check()?;
             if tracking
@@ -80,7 +79,7 @@ impl Tracking {
                 bail!("the feed of the reference ended at once");
             }
             if Instant::now() >= deadline {
-                let seconds = FOLLOW_TIMEOUT.as_secs();
+                let seconds = TIMEOUT.as_secs();
                 bail!("{DOES_NOT_FOLLOW} within {seconds} s");
             }
             std::thread::sleep(Duration::from_millis(5));
@@ -114,8 +113,8 @@ impl Drop for Tracking {
 
 fn feed(location: &Location, core: usize, ending: &AtomicBool, follows: &AtomicBool) -> Result<()> {
     pin(core);
-    let connection = Connection::open_within(location, ROBOT, FOLLOW_TIMEOUT)?;
-    let status = connection.status(FOLLOW_TIMEOUT)?;
+    let connection = Connection::open_within(location, ROBOT, TIMEOUT)?;
+    let status = connection.status(TIMEOUT)?;
     let curve = ThereAndBack {
         spiral: Spiral::for_sections(&section_lengths_m(&status.robot)),
     };
