@@ -34,16 +34,10 @@ impl Scene {
             duration_s: Spiral::DURATION_S + BEYOND_S,
             ..Spiral::for_sections(&lengths_m(&parameters))
         };
-        let mut start = Configuration::straight(sections);
-        start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&curve.start_bend_rad());
-        Ok(Self {
-            robot: Robot::new(&parameters)?,
-            start,
-            curve: Box::new(curve),
-            obstacles: Vec::new(),
-            cycles: SPIRAL_SAMPLES,
-            period_s: PERIOD_S,
-        })
+        let last = curve.start_bend_rad();
+        let mut scene = Self::from_straight(&parameters, curve, SPIRAL_SAMPLES)?;
+        scene.start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&last);
+        Ok(scene)
     }
 
     /// The paper's simulation 2 (Eq. 9): the line of three sections from the straight robot, its tip axis
@@ -58,14 +52,7 @@ impl Scene {
             tip_axis: Some([0.0, 0.0, 1.0]),
             ..Line::for_sections(&lengths_m(&parameters))
         };
-        Ok(Self {
-            robot: Robot::new(&parameters)?,
-            start: Configuration::straight(3),
-            curve: Box::new(curve),
-            obstacles: Vec::new(),
-            cycles: LINE_SAMPLES,
-            period_s: PERIOD_S,
-        })
+        Self::from_straight(&parameters, curve, LINE_SAMPLES)
     }
 
     /// The paper's simulation 3: the circle of one section from the straight robot, and a point on it at
@@ -80,12 +67,22 @@ impl Scene {
         let point = Shape::Sphere {
             centre_m: Vector3::from(curve.position_m(FRAC_PI_2)),
         };
+        let obstacles = vec![Obstacle::new(point, 0.0, Vector3::zeros())?];
+        let scene = Self::from_straight(&parameters, curve, CIRCLE_SAMPLES)?;
+        Ok(scene.with_obstacles(obstacles))
+    }
+
+    fn from_straight(
+        parameters: &RobotParameters,
+        curve: impl Trajectory + Send + 'static,
+        cycles: u64,
+    ) -> Result<Self> {
         Ok(Self {
-            robot: Robot::new(&parameters)?,
-            start: Configuration::straight(1),
+            robot: Robot::new(parameters)?,
+            start: Configuration::straight(parameters.sections.len()),
             curve: Box::new(curve),
-            obstacles: vec![Obstacle::new(point, 0.0, Vector3::zeros())?],
-            cycles: CIRCLE_SAMPLES,
+            obstacles: Vec::new(),
+            cycles,
             period_s: PERIOD_S,
         })
     }
