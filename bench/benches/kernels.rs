@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use cdcr_bench::closed_loop::ClosedLoop;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
-use cdcr_controller::nmpc::{Coordinates, Nmpc};
+use cdcr_controller::nmpc::Nmpc;
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::robot::{
     Configuration, Jacobian, Obstacle, Robot, RobotParameters, SECTIONS_MAX, Shape,
@@ -62,11 +62,7 @@ fn clearance(criterion: &mut Criterion) {
 fn solve(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("solve, spiral of 3 sections");
     for solver in Solver::ALL {
-        let experiment = Experiment {
-            task: Task::Spiral { sections: 3 },
-            solver,
-            coordinates: Coordinates::BendVector,
-        };
+        let experiment = Experiment::new(Task::Spiral { sections: 3 }, solver);
         let (scene, settings) = (
             experiment.task.scene().expect("a scene"),
             experiment.settings(),

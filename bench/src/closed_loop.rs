@@ -9,6 +9,7 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
+use derive_more::{Deref, DerefMut};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::scene::Scene;
@@ -16,8 +17,11 @@ use crate::scene::Scene;
 /// The ideal robot before a scene, and the safety checks of its commands, around whatever solves. The solver sees the exact
 /// curve at each step of its horizon. No command is lost, and the robot stops at once: the clearance guard certifies each command for one period, where a
 /// daemon certifies three and a ramp.
+#[derive(Deref, DerefMut)]
 pub struct ClosedLoop<'a> {
     scene: &'a Scene,
+    #[deref]
+    #[deref_mut]
     inner: closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>,
 }
 
@@ -63,20 +67,6 @@ impl<'a> ClosedLoop<'a> {
 
     pub fn is_over(&self) -> bool {
         self.inner.cycle() >= self.scene.cycles
-    }
-
-    pub fn input(&self) -> SolveInput<'_> {
-        self.inner.input()
-    }
-
-    /// Makes `desired_rates` safe, moves the robot by what is left of them, and goes on to the next cycle.
-    pub fn advance(&mut self, desired_rates: &BendRates) {
-        self.inner.advance(desired_rates);
-    }
-
-    /// Whether the guard changed the last desired rates, because they led too near to an obstacle.
-    pub fn was_guarded(&self) -> bool {
-        self.inner.command().clearance_hit
     }
 
     /// What the cycle before this one led to.

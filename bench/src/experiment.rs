@@ -126,6 +126,15 @@ pub struct Experiment {
 }
 
 impl Experiment {
+    /// In the coordinates that are the default.
+    pub fn new(task: Task, solver: Solver) -> Self {
+        Self {
+            task,
+            solver,
+            coordinates: NmpcSettings::default().coordinates,
+        }
+    }
+
     /// All that are run. The circle only in bend vectors: it starts straight, where bend angles have no
     /// direction, and twenty steps of them have many local minima.
     pub fn all() -> Vec<Self> {

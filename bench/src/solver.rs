@@ -270,7 +270,7 @@ pub fn sizes() -> Vec<Size> {
 
 impl Size {
     pub(crate) fn paper(task: Task, solver: Solver) -> Self {
-        let settings = experiment(task, solver).settings();
+        let settings = Experiment::new(task, solver).settings();
         Self {
             task,
             solver,
@@ -286,7 +286,7 @@ impl Size {
             horizon_steps: self.horizon,
             swarm_size: self.swarm,
             swarm_iterations: self.iterations,
-            ..experiment(self.task, self.solver).settings()
+            ..Experiment::new(self.task, self.solver).settings()
         }
     }
 
@@ -303,14 +303,6 @@ impl Size {
             OBSTACLE_CYCLES_MAX
         };
         Ok(scene.with_obstacles(obstacles).at_most(cycles))
-    }
-}
-
-fn experiment(task: Task, solver: Solver) -> Experiment {
-    Experiment {
-        task,
-        solver,
-        coordinates: NmpcSettings::default().coordinates,
     }
 }
 

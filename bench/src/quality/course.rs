@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use anyhow::Result;
 use cdcr_client::Trajectory;
-use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
+use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
@@ -73,12 +73,7 @@ impl Course {
             Self::Gap => return ahead(5),
             Self::Crossing | Self::Jump => return ahead(10),
         };
-        Experiment {
-            task,
-            solver: Solver::KpsoRefined,
-            coordinates: Coordinates::BendVector,
-        }
-        .settings()
+        Experiment::new(task, Solver::KpsoRefined).settings()
     }
 }
 

@@ -51,7 +51,7 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<RunMetrics> 
         cut_short += u64::from(report.budget_spent);
         cost += evaluator.cost(&closed.input(), nmpc.plan());
         closed.advance(&desired_rates);
-        guarded += u64::from(closed.was_guarded());
+        guarded += u64::from(closed.command().clearance_hit);
         samples.push(closed.sample(solve_ns));
     }
     let count = samples.len() as f64;

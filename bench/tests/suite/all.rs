@@ -13,7 +13,7 @@ use cdcr_testbed::subject::place::in_public_memory;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::{list, number, program, stderr};
+use crate::{list, needs_nothing_else, number, program, stderr};
 
 fn command(folder: &Path, line: &str) -> Command {
     let mut command = program(&format!("all --quick {line} --out"));
@@ -70,7 +70,9 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         "{report}"
     );
     assert_eq!(report["extent"]["quick"], true);
-    let options = json_of_options("solver,budget", "2");
+    // Without the folder: where a report lies does not matter.
+    let options =
+        json!({ "command": "all", "only": "solver,budget", "quick": "true", "rounds": "2" });
     assert_eq!(report["options"], options);
     assert_eq!(report["failed"], Value::Array(Vec::new()));
     let metrics = list(&report, "metrics");
@@ -123,29 +125,13 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     assert!(aside["budget"].is_object() && aside["solver"].is_null());
 }
 
-/// Without the folder: where a report lies does not matter.
-fn json_of_options(only: &str, rounds: &str) -> Value {
-    json!({ "command": "all", "only": only, "quick": "true", "rounds": rounds })
-}
-
 fn page_is_whole(page: &str) {
     assert_eq!(page.matches("<svg").count(), 2);
     for id in ["environment", "solver", "budget"] {
         assert!(page.contains(&format!("id=\"{id}\"")), "{id}");
         assert!(page.contains(&format!("href=\"#{id}\"")), "{id}");
     }
-    let links = page.matches("href=").count();
-    assert_eq!(
-        links,
-        page.matches("href=\"#").count(),
-        "links stay on the page"
-    );
-    for word in ["src=", "url(", "<script", "@import"] {
-        assert!(
-            !page.contains(word),
-            "{word}: the page must not need anything else"
-        );
-    }
+    needs_nothing_else(page);
 }
 
 #[test]

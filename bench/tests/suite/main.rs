@@ -40,6 +40,14 @@ fn printed_json(command: &mut Command) -> Value {
     serde_json::from_str(&printed(command)).unwrap()
 }
 
+/// Every link leads to a place of the page itself.
+fn needs_nothing_else(page: &str) {
+    let page = page.replace("href=\"#", "");
+    for word in ["src=", "href=", "url(", "<script", "@import"] {
+        assert!(!page.contains(word), "{word} in a page");
+    }
+}
+
 fn list<'a>(document: &'a Value, key: &str) -> &'a [Value] {
     document[key].as_array().expect(key)
 }

@@ -10,11 +10,10 @@ use cdcr_bench::progress::Progress;
 use cdcr_bench::report::Start;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::simulation::{Effort, run};
-use cdcr_controller::nmpc::Coordinates;
 use cdcr_scratch::Scratch;
 use serde_json::Value;
 
-use crate::number;
+use crate::{needs_nothing_else, number};
 
 const QUICK: Effort = Effort {
     seeds: 1,
@@ -108,31 +107,18 @@ fn the_folder_holds_figures_a_page_and_tables() {
     assert_eq!(page.matches("<svg").count(), figures);
     // One for each simulation, and the machine.
     assert_eq!(page.matches("<pre").count(), 3 + 1);
-    // The contents lead to places of the page itself.
-    let page = page.replace("href=\"#", "");
-    for word in ["src=", "href=", "url(", "<script", "@import"] {
-        assert!(
-            !page.contains(word),
-            "{word}: the page must not need anything else"
-        );
-    }
+    needs_nothing_else(&page);
     assert!(folder.join("paper.json").exists() && folder.join("paper.csv").exists());
 }
 
 /// The whole of one simulation with one seed.
 fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
-    let experiment = Experiment {
-        task,
-        solver,
-        coordinates: Coordinates::BendVector,
-    };
     let effort = Effort {
         cycles_max: u64::MAX,
         ..QUICK
     };
-    let row = run(experiment, effort, || ())
-        .expect("the simulation runs")
-        .row;
+    let outcome = run(Experiment::new(task, solver), effort, || ());
+    let row = outcome.expect("the simulation runs").row;
     move |key| number(&row, key)
 }
 
