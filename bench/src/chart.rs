@@ -88,6 +88,11 @@ impl Curve {
         Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
     }
 
+    /// From the least share that is drawn to all.
+    pub(crate) fn upright(label: impl Into<String>, x: f64, least: f64, colour: RGBColor) -> Self {
+        Self::line(label, vec![(x, least), (x, 1.0)], colour)
+    }
+
     pub(crate) fn width(mut self, width: u32) -> Self {
         self.style.stroke_width = width;
         self
@@ -134,9 +139,8 @@ impl Panel {
         scale: Scale,
         curves: Vec<Curve>,
     ) -> Self {
-        let title = title.into();
         Self {
-            title,
+            title: title.into(),
             x,
             y,
             scale,
@@ -288,16 +292,8 @@ where
         .axis_style(GREY)
         .x_labels(if is_wide { 12 } else { 7 })
         .y_labels(8)
-        .x_label_formatter(&|x| {
-            if panel.is_log_across() {
-                power(*x)
-            } else {
-                tick(*x)
-            }
-        })
-        .y_label_formatter(&|y| {
-            if panel.is_log() { power(*y) } else { tick(*y) }
-        })
+        .x_label_formatter(&|x| tick(*x, panel.is_log_across()))
+        .y_label_formatter(&|y| tick(*y, panel.is_log()))
         .bold_line_style(PALE.stroke_width(2))
         .light_line_style(TRANSPARENT)
         .draw()?;
@@ -311,16 +307,11 @@ where
     Ok(())
 }
 
-/// A tick of a linear axis. Steps between ticks are above 1e-6; adding zero takes the sign from a negative
-/// zero.
-fn tick(value: f64) -> String {
-    format!("{}", (value * 1e6).round() / 1e6 + 0.0)
-}
-
-/// A tick of a logarithmic axis: plain where that is short, else with a power of ten.
-fn power(value: f64) -> String {
-    if (9e-3..2e4).contains(&value) {
-        return tick(value);
+/// A tick: plain on a linear axis and where that is short, else with a power of ten. Steps between plain ticks are above
+/// 1e-6; adding zero takes the sign from a negative zero.
+fn tick(value: f64, is_log: bool) -> String {
+    if !is_log || (9e-3..2e4).contains(&value) {
+        return format!("{}", (value * 1e6).round() / 1e6 + 0.0);
     }
     let text = format!("{value:.2e}");
     let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));

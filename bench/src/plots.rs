@@ -13,7 +13,7 @@ use crate::chart::{
 };
 use crate::closed_loop::Sample;
 use crate::dataset::Plot;
-use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
+use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};
 use view::View;
 
@@ -36,28 +36,20 @@ const SHARES: f64 = 1e-3;
 
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
-    let spiral = |sections| {
-        let title = format!("Simulated spiral, {}", counted(sections, "section"));
-        Drawn::new(outcomes, Task::Spiral { sections }, title)
+    let all = Task::all().into_iter();
+    let all: Vec<_> = all
+        .map(|task| Drawn::new(outcomes, task))
+        .collect::<Result<_>>()?;
+    let of = |name: &str| {
+        all.iter()
+            .filter(|one| one.run.experiment.task.name() == name)
+            .collect::<Vec<_>>()
     };
-    let line = |rate_limit_rad_s: f64| {
-        let title = format!("Simulated line, rates up to {rate_limit_rad_s} rad/s");
-        Drawn::new(outcomes, Task::Line { rate_limit_rad_s }, title)
-    };
-    let circle = |safe_distance_m: f64| {
-        let title = format!("Simulated circle, D = {} mm", 1e3 * safe_distance_m);
-        Drawn::new(outcomes, Task::Circle { safe_distance_m }, title)
-    };
-    let spirals = (1..=3).map(spiral).collect::<Result<Vec<_>>>()?;
-    let lines = LINE_RATES_RAD_S
-        .into_iter()
-        .map(line)
-        .collect::<Result<Vec<_>>>()?;
-    let circles = CIRCLE_DISTANCES_M
-        .into_iter()
-        .map(circle)
-        .collect::<Result<Vec<_>>>()?;
-    let all = [of_spirals(&spirals), of_lines(&lines), of_circles(&circles)];
+    let all = [
+        of_spirals(&of("spiral")),
+        of_lines(&of("line")),
+        of_circles(&of("circle")),
+    ];
     let all = all.into_iter().flatten();
     all.map(|(name, caption, size, panels)| plot(name, caption, size, &panels))
         .collect()
@@ -67,48 +59,48 @@ pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
 type Figure = (&'static str, &'static str, (usize, u32), Vec<Panel>);
 
 #[rustfmt::skip]
-fn of_spirals(tasks: &[Drawn<'_>]) -> Vec<Figure> {
+fn of_spirals(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
     vec![
         ("paper-spiral-path", "Path of the tip over the reference (the paper's Fig. 3, left), and the shapes of the robots \
           with one, two and three sections at the end.", (2, 900), spiral_paths(tasks)),
         ("paper-spiral-errors", "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
-         (1, 560), tasks.iter().map(Drawn::errors).collect()),
+         (1, 560), tasks.iter().map(|one| one.errors()).collect()),
         ("paper-spiral-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
-         (1, 560), tasks.iter().map(Drawn::distances).collect()),
+         (1, 560), tasks.iter().map(|one| one.distances()).collect()),
         ("paper-spiral-controls", "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
           commanded, right the same in the paper's angles, where a section is bent by more than 1e-3 rad, and up to 10 rad/s.",
-         (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
+         (2, 620), tasks.iter().flat_map(|one| one.controls()).collect()),
         ("paper-spiral-cables", "Lengths of the cables with kpso-refined less those at the straight robot; Lji is cable i of \
-          section j.", (1, 600), tasks.iter().map(Drawn::cables).collect()),
+          section j.", (1, 600), tasks.iter().map(|one| one.cables()).collect()),
         ("paper-spiral-times", "How many cycles take longer to compute than so much (Fig. 5).",
-         (1, 560), tasks.iter().map(Drawn::times).collect()),
+         (1, 560), tasks.iter().map(|one| one.times()).collect()),
     ]
 }
 
 #[rustfmt::skip]
-fn of_lines(tasks: &[Drawn<'_>]) -> Vec<Figure> {
+fn of_lines(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
     vec![
         ("paper-line-shapes", "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
-         (2, 1050), tasks.iter().flat_map(Drawn::shapes).collect()),
+         (2, 1050), tasks.iter().flat_map(|one| one.shapes()).collect()),
         ("paper-line-angles", "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
           against them make an S. Any vertical plane will do for it.",
-         (2, 600), tasks.iter().flat_map(Drawn::angles).collect()),
+         (2, 600), tasks.iter().flat_map(|one| one.angles()).collect()),
         ("paper-line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
-         (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
+         (2, 620), tasks.iter().flat_map(|one| one.controls()).collect()),
         ("paper-line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
           its axis, so the first samples are late.",
-         (1, 560), tasks.iter().map(Drawn::errors).chain(tasks.iter().map(Drawn::tilt)).collect()),
+         (1, 560), tasks.iter().map(|one| one.errors()).chain(tasks.iter().map(|one| one.tilt())).collect()),
         ("paper-line-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
-         (1, 560), tasks.iter().map(Drawn::distances).collect()),
+         (1, 560), tasks.iter().map(|one| one.distances()).collect()),
         ("paper-line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
-         (1, 600), tasks.iter().map(Drawn::cables).collect()),
+         (1, 600), tasks.iter().map(|one| one.cables()).collect()),
         ("paper-line-times", "How many cycles take longer to compute than so much (Fig. 11).",
-         (1, 560), tasks.iter().map(Drawn::times).collect()),
+         (1, 560), tasks.iter().map(|one| one.times()).collect()),
     ]
 }
 
 #[rustfmt::skip]
-fn of_circles(tasks: &[Drawn<'_>]) -> Vec<Figure> {
+fn of_circles(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
     vec![
         ("paper-circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
           the robot where it is nearest to the obstacle.", (2, 900),
@@ -120,9 +112,9 @@ fn of_circles(tasks: &[Drawn<'_>]) -> Vec<Figure> {
           is too near.",
          (1, 640), vec![circle_clearance(tasks)]),
         ("paper-circle-cables", "Lengths of the cables less those at the straight robot (Fig. 13).",
-         (1, 520), tasks.iter().map(Drawn::cables).collect()),
+         (1, 520), tasks.iter().map(|one| one.cables()).collect()),
         ("paper-circle-times", "How many cycles take longer to compute than so much (Fig. 14).",
-         (1, 560), tasks.iter().map(Drawn::times).collect()),
+         (1, 560), tasks.iter().map(|one| one.times()).collect()),
     ]
 }
 
@@ -154,7 +146,14 @@ struct Drawn<'a> {
 }
 
 impl<'a> Drawn<'a> {
-    fn new(outcomes: &'a [Outcome], task: Task, title: String) -> Result<Self> {
+    fn new(outcomes: &'a [Outcome], task: Task) -> Result<Self> {
+        let title = match task {
+            Task::Spiral { sections } => format!("spiral, {}", counted(sections, "section")),
+            Task::Line { rate_limit_rad_s } => {
+                format!("line, rates up to {rate_limit_rad_s} rad/s")
+            }
+            Task::Circle { safe_distance_m } => format!("circle, D = {} mm", 1e3 * safe_distance_m),
+        };
         let find = |solver: Solver| {
             let is_it = |outcome: &&Outcome| {
                 let found = &outcome.experiment;
@@ -165,7 +164,7 @@ impl<'a> Drawn<'a> {
             outcomes.iter().find(is_it).with_context(missing)
         };
         Ok(Self {
-            title,
+            title: format!("Simulated {title}"),
             all: Solver::ALL.into_iter().map(find).collect::<Result<_>>()?,
             run: find(Solver::KpsoRefined)?,
         })
@@ -196,37 +195,42 @@ impl<'a> Drawn<'a> {
             .enumerate();
         let mean_mm = self.run.experiment.task.paper().mean_error_mm;
         let mean = mean_mm.map(|mm| self.level(format!("paper's mean {mm:e} mm"), mm, DARK));
-        timed(
-            self.title.clone(),
-            "error [mm]",
-            ERRORS,
-            axes.map(axis).chain(mean).collect(),
-        )
+        let curves = axes.map(axis).chain(mean).collect();
+        timed(self.title.clone(), "error [mm]", ERRORS, curves)
+    }
+
+    /// Over linear axes, with its part of all that this simulation is drawn of in the title.
+    fn linear(&self, part: &str, y: &'static str, curves: Vec<Curve>) -> Panel {
+        timed(format!("{}{part}", self.title), y, Scale::Linear, curves)
     }
 
     fn distances(&self) -> Panel {
         // The first is broad, as the next often lies upon it.
-        let styles = [(SKY, 9), (PURPLE, 3), (ORANGE, 3), (BLUE, 3)];
-        let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
-            let points = exceeded(&outcome.first, Sample::error_mm);
-            Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
-        };
-        let curves = self.all.iter().zip(styles).map(curve);
-        self.shares("error is larger than [mm]", curves.collect())
+        let widths = [9, 3, 3, 3];
+        self.shares("error is larger than [mm]", widths, Sample::error_mm, None)
     }
 
-    fn shares(&self, x: &'static str, curves: Vec<Curve>) -> Panel {
-        Panel::new(
-            self.title.clone(),
-            [x, "share of the cycles"],
-            Scale::LogLog { floor: SHARES },
-            curves,
-        )
+    /// In what share of the cycles a value of each solver is larger than so much.
+    fn shares(
+        &self,
+        x: &'static str,
+        widths: [u32; Solver::ALL.len()],
+        value: impl Fn(&Sample) -> f64,
+        beside: Option<Curve>,
+    ) -> Panel {
+        let styles = [SKY, PURPLE, ORANGE, BLUE].into_iter().zip(widths);
+        let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
+            let points = exceeded(&outcome.first, &value);
+            Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
+        };
+        let curves = self.all.iter().zip(styles).map(curve).chain(beside);
+        let (title, scale) = (self.title.clone(), Scale::LogLog { floor: SHARES });
+        Panel::new(title, [x, "share of the cycles"], scale, curves.collect())
     }
 
     /// Bend θ and direction φ of every section.
     fn angles(&self) -> [Panel; 2] {
-        let (title, samples) = (&self.title, self.samples());
+        let samples = self.samples();
         let bend = |j: usize| {
             let points = over_time(samples, |s| s.configuration.bend_rad(j));
             Curve::line(format!("θ{}", j + 1), points, COLOURS[j % 3])
@@ -238,24 +242,14 @@ impl<'a> Drawn<'a> {
         let sections = 0..self.sections();
         let (bends, directions) = (sections.clone().map(bend), sections.map(direction));
         [
-            timed(
-                format!("{title}: bend"),
-                "θ [rad]",
-                Scale::Linear,
-                bends.collect(),
-            ),
-            timed(
-                format!("{title}: direction"),
-                "φ [rad]",
-                Scale::Linear,
-                directions.collect(),
-            ),
+            self.linear(": bend", "θ [rad]", bends.collect()),
+            self.linear(": direction", "φ [rad]", directions.collect()),
         ]
     }
 
     /// What is commanded, rates of the bend vectors, and the same in the paper's angles.
     fn controls(&self) -> [Panel; 2] {
-        let (title, samples) = (&self.title, self.samples());
+        let samples = self.samples();
         let (mut vectors, mut angles) = (Vec::new(), Vec::new());
         for j in 0..self.sections() {
             let colours = [COLOURS[j % 3], PALE_COLOURS[j % 3]];
@@ -269,13 +263,9 @@ impl<'a> Drawn<'a> {
                 angles.push(Curve::pieces(label(["θ̇", "φ̇"][i]), pieces, colour).width(3));
             }
         }
-        let (commanded, in_angles) = (
-            format!("{title}: as commanded"),
-            format!("{title}: in angles"),
-        );
         [
-            timed(commanded, "u̇, v̇ [rad/s]", Scale::Linear, vectors),
-            timed(in_angles, "θ̇, φ̇ [rad/s]", Scale::Linear, angles),
+            self.linear(": as commanded", "u̇, v̇ [rad/s]", vectors),
+            self.linear(": in angles", "θ̇, φ̇ [rad/s]", angles),
         ]
     }
 
@@ -292,31 +282,16 @@ impl<'a> Drawn<'a> {
             Curve::line(label, points, colours[section % 3][cable]).width(3)
         };
         let curves = (0..robot.cable_count()).map(curve);
-        timed(
-            self.title.clone(),
-            "change of length [mm]",
-            Scale::Linear,
-            curves.collect(),
-        )
+        self.linear("", "change of length [mm]", curves.collect())
     }
 
     /// How many solves of each solver took longer than so much, and the paper's mean.
     fn times(&self) -> Panel {
-        let curve = |outcome: &&Outcome| {
-            let points = exceeded(&outcome.first, |s| s.solve_ns as f64 * 1e-3);
-            let colour = match outcome.experiment.solver {
-                Solver::Kpso => SKY,
-                Solver::KpsoVerbatim => PURPLE,
-                Solver::GaussNewton => ORANGE,
-                Solver::KpsoRefined => BLUE,
-            };
-            Curve::line(outcome.experiment.solver.name(), points, colour).width(2)
-        };
         let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
-        let mean = vec![(1e3 * mean_ms, SHARES), (1e3 * mean_ms, 1.0)];
-        let mean = Curve::line(format!("paper's mean {mean_ms} ms"), mean, DARK);
-        let curves = self.all.iter().map(curve).chain([mean]);
-        self.shares("solve takes longer than [µs]", curves.collect())
+        let mean = format!("paper's mean {mean_ms} ms");
+        let mean = Curve::upright(mean, 1e3 * mean_ms, SHARES, DARK);
+        let us = |sample: &Sample| sample.solve_ns as f64 * 1e-3;
+        self.shares("solve takes longer than [µs]", [2; _], us, Some(mean))
     }
 
     fn shapes(&self) -> [Panel; 2] {
@@ -353,7 +328,7 @@ impl<'a> Drawn<'a> {
             self.level(bound, LINE_TILT_MAX_RAD, DARK),
         ];
         let title = format!("{}: tilt of the tip", self.title);
-        timed(title, "tilt [rad]", Scale::Log { floor: 1e-14 }, curves)
+        timed(title, "tilt [rad]", ERRORS, curves)
     }
 }
 
@@ -394,7 +369,7 @@ fn bent(samples: &[Sample], j: usize, points: Vec<Point>) -> Vec<Vec<Point>> {
         .collect()
 }
 
-fn spiral_paths(tasks: &[Drawn<'_>]) -> Vec<Panel> {
+fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
     let (mut above, mut side) = (Vec::new(), Vec::new());
     for (task, colour) in tasks.iter().zip(COLOURS) {
         let (run, samples) = (task.run, task.samples());
@@ -409,11 +384,8 @@ fn spiral_paths(tasks: &[Drawn<'_>]) -> Vec<Panel> {
     if let Some(task) = tasks.last() {
         let reference = View::ABOVE.reference(task.samples());
         above.push(Curve::line("reference", reference, GREY).width(10));
-        above.push(Curve::line(
-            "tip, n = 3",
-            View::ABOVE.path(task.samples()),
-            GREEN,
-        ));
+        let path = View::ABOVE.path(task.samples());
+        above.push(Curve::line("tip, n = 3", path, GREEN));
     }
     vec![
         View::ABOVE.panel("Simulated spiral from above", above),
@@ -422,12 +394,12 @@ fn spiral_paths(tasks: &[Drawn<'_>]) -> Vec<Panel> {
 }
 
 /// Each circle with its safe distance \[m\] and its colour.
-fn detours<'a>(tasks: &'a [Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, f64, RGBColor)> {
-    let with = |((task, distance_m), colour)| (task, distance_m, colour);
+fn detours<'a>(tasks: &[&'a Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, f64, RGBColor)> {
+    let with = |((task, distance_m), colour): ((&&'a Drawn<'a>, _), _)| (*task, distance_m, colour);
     tasks.iter().zip(CIRCLE_DISTANCES_M).zip(COLOURS).map(with)
 }
 
-fn circle_path(view: View, title: &str, tasks: &[Drawn<'_>]) -> Panel {
+fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
     let mut curves = Vec::new();
     for (task, distance_m, colour) in detours(tasks) {
         let (run, samples) = (task.run, task.samples());
@@ -450,34 +422,30 @@ fn circle_path(view: View, title: &str, tasks: &[Drawn<'_>]) -> Panel {
     view.panel(title, curves)
 }
 
-fn circle_errors(tasks: &[Drawn<'_>]) -> Panel {
+fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
     let curve = |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
         let points = over_time(task.samples(), Sample::error_mm);
         Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
     };
-    let curves = detours(tasks).map(curve).collect();
-    timed(
-        "Circle: error".into(),
-        "error [mm]",
+    let (curves, scale) = (
+        detours(tasks).map(curve).collect(),
         Scale::Log { floor: 1e-4 },
-        curves,
-    )
+    );
+    timed("Circle: error".into(), "error [mm]", scale, curves)
 }
 
 /// Below zero, the body is nearer than the safe distance.
-fn circle_clearance(tasks: &[Drawn<'_>]) -> Panel {
+fn circle_clearance(tasks: &[&Drawn<'_>]) -> Panel {
     let curve = |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
         let points = over_time(task.samples(), |s| {
             (1e3 * (s.clearance_m - distance_m)).min(CLEARANCE_MAX_MM)
         });
         Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
     };
-    let mut curves: Vec<_> = detours(tasks).map(curve).collect();
-    curves.extend(
-        tasks
-            .first()
-            .map(|task| task.level(String::new(), 0.0, DARK)),
-    );
+    let level = tasks
+        .first()
+        .map(|task| task.level(String::new(), 0.0, DARK));
+    let curves = detours(tasks).map(curve).chain(level).collect();
     let title = "Simulated circle: clearance of the body beyond D".into();
     timed(title, "clearance - D [mm]", Scale::Linear, curves)
 }

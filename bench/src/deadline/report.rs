@@ -377,10 +377,7 @@ fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
     let mut loads: Vec<Load> = keys.map(|key| key.load).collect();
     loads.dedup();
     // A daemon's deadline is its period, unless its configuration says otherwise.
-    let deadline = || {
-        let line = vec![(period_us, SHARES), (period_us, 1.0)];
-        Curve::line("period", line, DARK).width(2)
-    };
+    let deadline = || Curve::upright("period", period_us, SHARES, DARK).width(2);
     let panel = |load: Load| {
         let curve = |(subject, label, colour)| {
             let key = Key {

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::port::client::Client;
@@ -23,10 +23,11 @@ use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 
 use super::leg::Leg;
+use super::on_client_core;
 use super::round::Round;
 use crate::interrupt;
-use crate::subject::daemon::program;
 use crate::subject::TIMEOUT;
+use crate::subject::daemon::program;
 use crate::subject::place::{self, Place};
 use crate::system::cores::Cores;
 use crate::system::process::Process;
@@ -47,18 +48,12 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
     // Dropped last.
     let place = Place::new()?;
     let _peer = start_peer(&place, cores)?;
-    let shares = cores.is_alone();
-    thread::scope(|scope| {
-        let measuring = scope.spawn(|| {
-            pin(cores.client());
-            let near = Near::open(place.location(), shares).context("a port of the bench")?;
-            near.wait()?;
-            near.repeat(samples, round, |sequence| near.play(sequence))?;
-            near.repeat(samples, round, |sequence| near.ask(sequence))
-        });
-        measuring
-            .join()
-            .map_err(|_| anyhow!("the bare measurement panicked"))?
+    on_client_core(cores, false, || {
+        let near = Near::open(place.location(), cores.is_alone());
+        let near = near.context("a port of the bench")?;
+        near.wait()?;
+        near.repeat(samples, round, |sequence| near.play(sequence))?;
+        near.repeat(samples, round, |sequence| near.ask(sequence))
     })
 }
 

@@ -38,6 +38,7 @@ use hands::Hands;
 use hands::Looks;
 use inputs::Source;
 pub use leg::Leg;
+pub use report::STOP_MARGIN_US;
 pub use round::{Round, Sampled, Unmeasured};
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
@@ -234,18 +235,7 @@ impl Bench<'_> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
         let location = daemon.location();
-        let worked = thread::scope(|scope| {
-            let working = scope.spawn(|| {
-                if self.may_be_realtime {
-                    set_fifo(WATCHER_PRIORITY);
-                }
-                pin(self.cores.client());
-                work(location)
-            });
-            working
-                .join()
-                .map_err(|_| anyhow!("the client of the bench panicked"))?
-        });
+        let worked = on_client_core(&self.cores, self.may_be_realtime, || work(location));
         worked.with_context(|| format!("with link.kind = {link}"))?;
         daemon.stop()
     }
@@ -276,6 +266,23 @@ impl Bench<'_> {
             "looks": daemon.looks,
         })
     }
+}
+
+/// Does `work` on a thread of its own on the client's core; with `realtime` before all ordinary tasks.
+fn on_client_core(
+    cores: &Cores,
+    realtime: bool,
+    work: impl FnOnce() -> Result<()> + Send,
+) -> Result<()> {
+    let work = || {
+        if realtime {
+            set_fifo(WATCHER_PRIORITY);
+        }
+        pin(cores.client());
+        work()
+    };
+    let worked = thread::scope(|scope| scope.spawn(work).join());
+    worked.map_err(|_| anyhow!("the client of the bench panicked"))?
 }
 
 /// What the daemons told of themselves, and how their client did.

@@ -16,7 +16,7 @@ use crate::metric::{median, range};
 use crate::quantiles::Quantiles;
 
 /// What may be added to a period from a stop to zero rates \[µs\].
-const STOP_MARGIN_US: f64 = 100.0;
+pub const STOP_MARGIN_US: f64 = 100.0;
 /// Values without which a 99th percentile is no more than the largest of them.
 const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
@@ -267,8 +267,7 @@ fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
     ];
     let of_inputs = "Sent → first command that uses it: whole, and without the wait for the grid";
     let mut stops = curves(&[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]);
-    let bound = vec![(limit_us, SHARES), (limit_us, 1.0)];
-    stops.push(Curve::line("bound for 99 %", bound, GREY));
+    stops.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
     vec![
         panel("Commands beside iceoryx2 alone", curves(&commands)),
         panel(of_inputs, curves(&inputs)),

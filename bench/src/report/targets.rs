@@ -4,6 +4,7 @@ use serde_json::{Map, Value, json};
 
 use crate::dataset::{Dataset, Sheet, plain, shorted, word};
 use crate::deadline::misses_p_value;
+use crate::latency::STOP_MARGIN_US;
 use crate::metric::{Metric, range};
 
 /// How the rows are to be read: HTML.
@@ -18,9 +19,6 @@ pub(super) const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"
 
 /// Probability below which misses are not called chance.
 const CHANCE: f64 = 0.05;
-
-/// What a stop may take beyond one period \[µs\].
-const STOP_MARGIN_US: f64 = 100.0;
 
 struct Found<'a> {
     metrics: &'a [Metric],
