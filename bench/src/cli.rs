@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::budget::BudgetOptions;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
@@ -15,7 +15,7 @@ use cdcr_bench::latency::baseline::{self, PeerOptions};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::QualityOptions;
 use cdcr_bench::rate::RateOptions;
-use cdcr_bench::report::{self, BenchReport, Bundle, Extent, Plan, Start};
+use cdcr_bench::report::{self, BenchReport, Bundle, Extent, Plan, Start, make};
 use cdcr_bench::robustness::RobustnessOptions;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::simulation::Effort;
@@ -311,11 +311,6 @@ impl CompareArguments {
         }
         Ok(())
     }
-}
-
-fn make(folder: &Path) -> Result<()> {
-    fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))
 }
 
 /// Writes all files, and tells so beside the result and not in it.

@@ -125,10 +125,6 @@ impl Bundle {
     /// Writes all files into `folder`, which is made if it does not exist. They are written beside their place
     /// first, and take it once all are complete: a disk that is full leaves the older files alone.
     pub fn write(&self, folder: &Path) -> Result<()> {
-        let make = |folder: &Path| {
-            let made = fs::create_dir_all(folder);
-            made.with_context(|| format!("cannot make the folder {}", folder.display()))
-        };
         make(folder)?;
         let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
         let fresh =
@@ -146,6 +142,11 @@ impl Bundle {
         }
         Ok(())
     }
+}
+
+pub fn make(folder: &Path) -> Result<()> {
+    let made = fs::create_dir_all(folder);
+    made.with_context(|| format!("cannot make the folder {}", folder.display()))
 }
 
 /// How much of each benchmark is run.

@@ -180,14 +180,10 @@ impl<'a> Runner<'a> {
     /// What the hypervisor has taken since the start of the machine from the real-time core, in as far as it is counted
     /// \[ms\]; without real time from all, because the threads are where the system puts them.
     fn stolen_ms(&self, setup: Setup) -> f64 {
-        let is_watched = |core: &&usize| setup == Setup::Ordinary || **core == self.cores.realtime;
-        let others = self
-            .cores
-            .others
-            .iter()
-            .filter(|core| **core != self.cores.realtime);
-        let watched = others.chain([&self.cores.realtime]).filter(is_watched);
-        watched.filter_map(|core| steal_ms(*core)).sum()
+        let own = self.cores.realtime;
+        let others = self.cores.others.iter().copied();
+        let others = others.filter(|core| setup == Setup::Ordinary && *core != own);
+        others.chain([own]).filter_map(steal_ms).sum()
     }
 
     /// The tally of something that warms up first, with what was stolen from then on.

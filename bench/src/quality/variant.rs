@@ -53,24 +53,16 @@ pub struct Variant {
 impl Variant {
     fn of(axis: Axis, course: Course, solver: Solver) -> Self {
         let settings = course.settings();
-        let searches = solver != Solver::GaussNewton;
-        let refines = solver != Solver::Kpso;
+        let searches = u32::from(solver != Solver::GaussNewton);
+        let refines = u32::from(solver != Solver::Kpso);
         Self {
             axis,
             course,
             solver,
             budget_us: None,
-            swarm: if searches { settings.swarm_size } else { 0 },
-            iterations: if searches {
-                settings.swarm_iterations
-            } else {
-                0
-            },
-            refinements: if refines {
-                settings.refinement_steps
-            } else {
-                0
-            },
+            swarm: searches * settings.swarm_size,
+            iterations: searches * settings.swarm_iterations,
+            refinements: refines * settings.refinement_steps,
             horizon: settings.horizon_steps,
             blocks: settings.control_blocks,
         }
