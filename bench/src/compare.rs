@@ -65,7 +65,6 @@ named! {
 pub struct Input {
     pub environment: Environment,
     /// What was asked for; none in a file of an older version.
-    #[serde(default)]
     pub options: Option<RunOptions>,
     pub metrics: Vec<Metric>,
 }

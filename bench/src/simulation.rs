@@ -36,8 +36,8 @@ pub struct Effort {
     /// times.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
-    /// Cycles of a run at most: for a quick look.
-    #[arg(long = "cycles", value_name = "CYCLES", hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
+    /// Cycles of a run at most.
+    #[arg(skip = u64::MAX)]
     pub cycles_max: u64,
 }
 

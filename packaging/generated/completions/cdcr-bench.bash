@@ -265,17 +265,13 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__paper)
-            opts="-h --seeds --cycles --format --out --help"
+            opts="-h --seeds --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
                 --seeds)
-                    COMPREPLY=($(compgen -f "${cur}"))
-                    return 0
-                    ;;
-                --cycles)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

@@ -121,7 +121,6 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l out
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l sweep -d 'Turn one knob after the other instead, on the robot of the laboratory: the tables and the picture of docs/tuning.md'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l seeds -d 'Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20 times' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l cycles -d 'Cycles of a run at most: for a quick look' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 markdown\t'The same table for a page on the web'
 json\t'One JSON object'
