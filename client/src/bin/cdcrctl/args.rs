@@ -282,7 +282,7 @@ pub(crate) struct WaitOptions {
     /// Wait until it is done and the robot is measured to rest, 60s at most or TIME; fail when it takes longer, or something
     /// else comes between. At rest: over 0.2 s no bend moves by more than 0.02 rad/s on average
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
-        value_parser = value::wait_duration)]
+        value_parser = value::duration_in(value::WAIT_S))]
     pub(crate) wait: Option<Duration>,
 }
 
@@ -292,7 +292,7 @@ pub(crate) struct DemoOptions {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=3))]
     pub(crate) sections: u32,
     /// How long the spiral lasts, 0.1 s to 20 s; the paper's lasts 4.97 s
-    #[arg(long, value_name = "TIME", default_value = "4.97s", value_parser = value::demo_duration)]
+    #[arg(long, value_name = "TIME", default_value = "4.97s", value_parser = value::duration_in(0.1..=20.0))]
     pub(crate) duration: Duration,
     /// How to print the report
     #[arg(long, value_enum, default_value = "text")]

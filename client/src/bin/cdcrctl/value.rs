@@ -53,23 +53,14 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// How often a second the tip is measured.
-pub(crate) fn tip_rate_hz(text: &str) -> Result<f64, String> {
-    number_in(text, 0.01..=1000.0)
-}
-
-/// How many times as fast a recording is replayed.
-pub(crate) fn replay_speed(text: &str) -> Result<f64, String> {
-    number_in(text, 0.1..=4.0)
-}
-
-fn number_in(text: &str, range: RangeInclusive<f64>) -> Result<f64, String> {
-    let value = number(text)?;
-    if range.contains(&value) {
-        Ok(value)
-    } else {
-        let (least, most) = (range.start(), range.end());
-        Err(format!("{value} is not between {least} and {most}"))
+/// A number in a range.
+pub(crate) fn number_in(
+    range: RangeInclusive<f64>,
+) -> impl Fn(&str) -> Result<f64, String> + Clone {
+    move |text| {
+        let (value, least, most) = (number(text)?, range.start(), range.end());
+        let refused = || format!("{value} is not between {least} and {most}");
+        range.contains(&value).then_some(value).ok_or_else(refused)
     }
 }
 
@@ -92,43 +83,27 @@ pub(crate) fn length_m(text: &str) -> Result<f64, String> {
     Ok(unit_m * positive(digits)?)
 }
 
-/// How long a demo may take.
-pub(crate) fn demo_duration(text: &str) -> Result<Duration, String> {
-    duration_in(text, 0.1..=20.0)
-}
-
-/// How long a fed curve may take.
-pub(crate) fn curve_duration(text: &str) -> Result<Duration, String> {
-    duration_in(text, 0.01..=86_400.0)
-}
-
-/// How long noise is measured.
-pub(crate) fn noise_duration(text: &str) -> Result<Duration, String> {
-    duration_in(text, 0.5..=600.0)
-}
-
-/// How long to wait for a robot that is measured to rest, which takes a fifth of a second at least.
-pub(crate) fn wait_duration(text: &str) -> Result<Duration, String> {
-    duration_in(text, 0.3..=86_400.0)
-}
-
-/// What is recorded around something.
-pub(crate) fn around_duration(text: &str) -> Result<Duration, String> {
-    duration_in(text, 0.0..=60.0)
-}
+/// How long a fed curve may take \[s\].
+pub(crate) const CURVE_S: RangeInclusive<f64> = 0.01..=86_400.0;
+/// How long to wait for a robot that is measured to rest, which takes a fifth of a second at least \[s\].
+pub(crate) const WAIT_S: RangeInclusive<f64> = 0.3..=86_400.0;
+/// What is recorded around something \[s\].
+pub(crate) const AROUND_S: RangeInclusive<f64> = 0.0..=60.0;
 
 /// A time between points, or before the start; the library checks the range.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {
-    duration_in(text, 0.0..=86_400.0)
+    duration_in(0.0..=86_400.0)(text)
 }
 
-fn duration_in(text: &str, range_s: RangeInclusive<f64>) -> Result<Duration, String> {
-    let duration = parse_duration(text)?;
-    if range_s.contains(&duration.as_secs_f64()) {
-        Ok(duration)
-    } else {
-        let (least, most) = (range_s.start(), range_s.end());
-        Err(format!("must be {least} s to {most} s"))
+/// A time in a range \[s\].
+pub(crate) fn duration_in(
+    range_s: RangeInclusive<f64>,
+) -> impl Fn(&str) -> Result<Duration, String> + Clone {
+    move |text| {
+        let (duration, least, most) = (parse_duration(text)?, range_s.start(), range_s.end());
+        let is_within = range_s.contains(&duration.as_secs_f64());
+        let refused = || format!("must be {least} s to {most} s");
+        is_within.then_some(duration).ok_or_else(refused)
     }
 }
 
@@ -212,11 +187,10 @@ mod tests {
     }
 
     #[test]
-    fn the_demo_has_a_range() {
-        assert!(demo_duration("99ms").is_err());
-        assert!(demo_duration("100ms").is_ok());
-        assert!(demo_duration("20s").is_ok());
-        assert!(demo_duration("21s").is_err());
+    fn a_time_has_a_range() {
+        let is_within = |text| duration_in(0.1..=20.0)(text).is_ok();
+        let times = ["99ms", "100ms", "20s", "21s"];
+        assert_eq!(times.map(is_within), [false, true, true, false]);
     }
 
     #[test]

@@ -55,7 +55,7 @@ pub(crate) struct RecordOptions {
     #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) output: PathBuf,
     /// How long to record
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = value::curve_duration)]
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = value::duration_in(value::CURVE_S))]
     pub(crate) duration: Duration,
 }
 
@@ -99,7 +99,7 @@ pub(crate) struct GeometryOptions {
 #[derive(Debug, Args)]
 pub(crate) struct NoiseOptions {
     /// How long to measure
-    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::noise_duration)]
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::duration_in(0.5..=600.0))]
     pub(crate) duration: Duration,
     /// How to print
     #[arg(long, value_enum, default_value = "text")]

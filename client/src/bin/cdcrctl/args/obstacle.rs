@@ -103,7 +103,7 @@ pub(crate) struct ObstacleAdd {
     pub(crate) velocity: Vector,
     /// How long it stays known [default: until removed]. Refused where the daemon
     /// supervises the sources of obstacles
-    #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
+    #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
     pub(crate) lifetime: Option<Duration>,
     /// Accept an obstacle that is far away or contains the base: the numbers are in m
     #[arg(long)]

@@ -14,17 +14,17 @@ pub(crate) struct RecordingOptions {
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: Option<PathBuf>,
     /// End after this long
-    #[arg(long, value_name = "TIME", value_parser = value::wait_duration)]
+    #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::WAIT_S))]
     pub(crate) duration: Option<Duration>,
     /// Record only what is around the first time that this happens: incident, fault, mode, error>5mm, clearance<5mm or
     /// response>800us. What was before is kept in memory until then, 64 MB at most
     #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]
     pub(crate) around: Option<Trigger>,
     /// With --around: how much of what was before, 0 to 60 s
-    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::around_duration, requires = "around")]
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::duration_in(value::AROUND_S), requires = "around")]
     pub(crate) before: Duration,
     /// With --around: how much of what comes after, 0 to 60 s
-    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::around_duration, requires = "around")]
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::duration_in(value::AROUND_S), requires = "around")]
     pub(crate) after: Duration,
 }
 
@@ -34,13 +34,13 @@ pub(crate) struct ScopeOptions {
     #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]
     pub(crate) trigger: Trigger,
     /// How much of what was before, 0 to 60 s
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = value::around_duration)]
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = value::duration_in(value::AROUND_S))]
     pub(crate) before: Duration,
     /// How much of what comes after, 0 to 60 s
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = value::around_duration)]
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = value::duration_in(value::AROUND_S))]
     pub(crate) after: Duration,
     /// Give up after this long
-    #[arg(long, value_name = "TIME", value_parser = value::wait_duration)]
+    #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::WAIT_S))]
     pub(crate) duration: Option<Duration>,
     /// File to make [default: ROBOT-DATE-TIME.mcap, in UTC]
     #[arg(short, long, value_name = "FILE")]
@@ -72,7 +72,7 @@ pub(crate) struct ReplayOptions {
     #[arg(long, value_name = "KEY=VALUE,...", value_delimiter = ',', value_parser = Change::parse, conflicts_with = "verify")]
     pub(crate) with: Vec<Change>,
     /// How many times as fast as it was the recording is fed to the daemon, 0.1 to 4
-    #[arg(long, value_name = "TIMES", value_parser = value::replay_speed, default_value = "1", conflicts_with_all = ["verify", "with"])]
+    #[arg(long, value_name = "TIMES", value_parser = value::number_in(0.1..=4.0), default_value = "1", conflicts_with_all = ["verify", "with"])]
     pub(crate) speed: f64,
     /// How to print what was computed
     #[arg(long, value_enum, default_value = "text")]

@@ -90,7 +90,7 @@ pub(crate) struct CurveArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6))]
     pub(crate) sections: Option<u32>,
     /// How long it lasts [default: as in the paper]
-    #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
+    #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
     pub(crate) duration: Option<Duration>,
 }
 
