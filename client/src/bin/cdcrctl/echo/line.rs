@@ -46,38 +46,31 @@ fn us(to_ns: u64, from_ns: u64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-3
 }
 
+/// A dash where there is nothing to tell.
+fn or_dash(is_told: bool, text: String) -> String {
+    if is_told { text } else { "-".to_owned() }
+}
+
 /// One decimal; a dash when the system does not tell it.
 fn known_text(record: &Telemetry, value: f64) -> String {
-    if record.scheduling.known == 0 {
-        return "-".to_owned();
-    }
-    format!("{value:.1}")
+    or_dash(record.scheduling.known != 0, format!("{value:.1}"))
 }
 
 /// In µs; a dash in a cycle without a solve.
 fn solve_text(record: &Telemetry) -> String {
-    if record.report.status == SolverStatus::Idle.code() {
-        return "-".to_owned();
-    }
-    format!("{:.1}", us(record.solve_end_ns, record.solve_start_ns))
+    let solve_us = us(record.solve_end_ns, record.solve_start_ns);
+    let has_solved = record.report.status != SolverStatus::Idle.code();
+    or_dash(has_solved, format!("{solve_us:.1}"))
 }
 
 /// In mm; a dash when there is no reference to be off.
 fn error_text(error_m: f64) -> String {
-    if error_m.is_finite() {
-        format!("{:.3e}", 1e3 * error_m)
-    } else {
-        "-".to_owned()
-    }
+    or_dash(error_m.is_finite(), format!("{:.3e}", 1e3 * error_m))
 }
 
 /// In mm; a dash when there is no obstacle.
 pub(crate) fn clearance_text(clearance_m: f64) -> String {
-    if clearance_m.is_finite() {
-        format!("{:.2}", 1e3 * clearance_m)
-    } else {
-        "-".to_owned()
-    }
+    or_dash(clearance_m.is_finite(), format!("{:.2}", 1e3 * clearance_m))
 }
 
 /// What made it late, which limits changed the command, and what was refused.
@@ -111,10 +104,7 @@ pub(super) fn incident(incident: &Incident) -> String {
 pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
     let record = &incident.telemetry;
     let scheduling = &record.scheduling;
-    let whole = |count: u32| match scheduling.known {
-        0 => "-".to_owned(),
-        _ => count.to_string(),
-    };
+    let whole = |count: u32| or_dash(scheduling.known != 0, count.to_string());
     format!(
         "{:>13.1}{:>11}{:>9.1}{:>12.1}{:>13.1}{:>11}{:>8}{:>10}{:>8.1}{:>10}  {} ({})",
         us(now_ns, record.due_ns) * 1e-6,
@@ -134,10 +124,8 @@ pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
 
 /// In ms; a dash when the system does not tell it.
 fn steal_text(incident: &Incident) -> String {
-    if incident.steal_window_ns == 0 {
-        return "-".to_owned();
-    }
-    format!("{:.0}", incident.steal_ns as f64 * 1e-6)
+    let ms = incident.steal_ns as f64 * 1e-6;
+    or_dash(incident.steal_window_ns > 0, format!("{ms:.0}"))
 }
 
 /// What was bad about a cycle.
@@ -192,10 +180,8 @@ pub(crate) fn latency_text(
     latency: &LatencySummary,
     value_ns: impl Fn(&LatencySummary) -> u64,
 ) -> String {
-    if latency.count == 0 {
-        return "-".to_owned();
-    }
-    format!("{:.1}", us(value_ns(latency), 0))
+    let value_us = us(value_ns(latency), 0);
+    or_dash(latency.count > 0, format!("{value_us:.1}"))
 }
 
 pub(super) fn reference(chunk: &ReferenceChunk) -> String {

@@ -40,31 +40,19 @@ pub(crate) trait Watch {
 /// Gives the messages of a topic to `watch`.
 pub(crate) fn watch(target: &Target, topic: Topic, watch: &impl Watch) -> anyhow::Result<Done> {
     let connection = &target.connect()?;
+    macro_rules! shown {
+        ($messages:ident, $heading:ident, $line:ident) => {{
+            let (heading, line) = (line::$heading, line::$line);
+            watch.watch(connection, connection.$messages()?, &Look { heading, line })
+        }};
+    }
     match topic {
-        Topic::Telemetry => {
-            let look = Look::new(line::TELEMETRY_HEADING, line::telemetry);
-            watch.watch(connection, connection.telemetry()?, &look)
-        }
-        Topic::Command => {
-            let look = Look::new(line::COMMAND_HEADING, line::command);
-            watch.watch(connection, connection.commands()?, &look)
-        }
-        Topic::Status => {
-            let look = Look::new(line::STATUS_HEADING, line::status);
-            watch.watch(connection, connection.statuses()?, &look)
-        }
-        Topic::Incidents => {
-            let look = Look::new(line::INCIDENT_HEADING, line::incident);
-            watch.watch(connection, connection.incidents()?, &look)
-        }
-        Topic::Reference => {
-            let look = Look::new(line::REFERENCE_HEADING, line::reference);
-            watch.watch(connection, connection.references()?, &look)
-        }
-        Topic::Obstacles => {
-            let look = Look::new(line::OBSTACLES_HEADING, line::obstacles);
-            watch.watch(connection, connection.obstacle_updates()?, &look)
-        }
+        Topic::Telemetry => shown!(telemetry, TELEMETRY_HEADING, telemetry),
+        Topic::Command => shown!(commands, COMMAND_HEADING, command),
+        Topic::Status => shown!(statuses, STATUS_HEADING, status),
+        Topic::Incidents => shown!(incidents, INCIDENT_HEADING, incident),
+        Topic::Reference => shown!(references, REFERENCE_HEADING, reference),
+        Topic::Obstacles => shown!(obstacle_updates, OBSTACLES_HEADING, obstacles),
     }
 }
 
@@ -143,12 +131,6 @@ impl Watch for EchoOptions {
         })?;
         warn_of_loss(T::SERVICE, stream.lost());
         Ok(Done::Good)
-    }
-}
-
-impl<T> Look<T> {
-    fn new(heading: &'static str, line: fn(&T) -> String) -> Self {
-        Self { heading, line }
     }
 }
 
