@@ -5,7 +5,8 @@ use std::time::Duration;
 use anyhow::ensure;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementKind, Mode};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::json;
 
 use super::resting::{Sensors, next, rests};
 use crate::Done;
@@ -27,6 +28,7 @@ struct Sensor {
     ages_ns: Vec<u64>,
 }
 
+#[derive(Serialize)]
 struct SensorNoise {
     deviation_m: Vec<f64>,
     /// Smallest step between two values of it.
@@ -82,8 +84,8 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
             out,
             "{:#}",
             json!({
-                "cables": cables.as_ref().map(SensorNoise::json),
-                "tip": tip.as_ref().map(SensorNoise::json),
+                "cables": cables,
+                "tip": tip,
                 "toml": fragment(cables.as_ref(), tip.as_ref(), &radii_m)?,
             })
         )?,
@@ -158,15 +160,6 @@ fn smallest_step(mut values: Vec<f64>) -> f64 {
 impl SensorNoise {
     fn largest_m(&self) -> f64 {
         self.deviation_m.iter().copied().fold(0.0, f64::max)
-    }
-
-    fn json(&self) -> Value {
-        json!({
-            "deviation_m": self.deviation_m,
-            "step_m": self.step_m,
-            "rate_hz": self.rate_hz,
-            "age_ms": self.age_ms,
-        })
     }
 }
 

@@ -9,6 +9,7 @@ use cdcr_client::counted;
 use cdcr_interchange::mcap::{Item, Stamp, Writer};
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Header, Telemetry};
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::file::{Recorded, Recording};
@@ -115,12 +116,14 @@ struct Seen {
 }
 
 /// Messages of one kind.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize)]
 struct Channel {
+    #[serde(rename = "messages")]
     count: u64,
     /// Numbers that are missing, and in how many places.
     missing: u64,
     gaps: u64,
+    #[serde(skip)]
     last: HashMap<u64, u64>,
 }
 
@@ -165,24 +168,17 @@ impl Seen {
             .iter()
             .filter(|event| event.outcome != 0);
         self.refused += refused.count() as u64;
-        let is_tracking = record.mode == Mode::Tracking.code();
-        let error_m = record.position_error_m;
-        if is_tracking
-            && error_m.is_finite()
-            && self
-                .largest_error
-                .is_none_or(|(most_m, _)| error_m > most_m)
-        {
-            self.largest_error = Some((error_m, record.cycle));
+        let keep = |kept: &mut Option<(f64, u64)>,
+                    value_m: f64,
+                    is_beyond: fn(&f64, &f64) -> bool| {
+            if value_m.is_finite() && kept.is_none_or(|(old_m, _)| is_beyond(&value_m, &old_m)) {
+                *kept = Some((value_m, record.cycle));
+            }
+        };
+        if record.mode == Mode::Tracking.code() {
+            keep(&mut self.largest_error, record.position_error_m, f64::gt);
         }
-        let clearance_m = record.clearance_m;
-        if clearance_m.is_finite()
-            && self
-                .least_clearance
-                .is_none_or(|(least_m, _)| clearance_m < least_m)
-        {
-            self.least_clearance = Some((clearance_m, record.cycle));
-        }
+        keep(&mut self.least_clearance, record.clearance_m, f64::lt);
     }
 
     fn duration_s(&self) -> f64 {
@@ -197,12 +193,7 @@ impl Seen {
             "channel", "messages", "missing", "gaps"
         ));
         for (name, channel) in &self.channels {
-            let Channel {
-                count,
-                missing,
-                gaps,
-                ..
-            } = channel;
+            let (count, missing, gaps) = (channel.count, channel.missing, channel.gaps);
             lines.push(format!("{name:<12}{count:>10}{missing:>10}{gaps:>10}"));
         }
         let list = |counts: &BTreeMap<u32, u64>, text: fn(u32) -> &'static str| {
@@ -216,46 +207,25 @@ impl Seen {
                 parts.join(", ")
             }
         };
-        lines.push(format!(
-            "cycles by mode: {}",
-            list(&self.modes, Mode::text_of)
-        ));
-        lines.push(format!(
-            "deadline misses: {}",
-            list(&self.deadline_misses, LateCause::text_of)
-        ));
+        let (modes, causes) = (&self.modes, &self.deadline_misses);
+        lines.push("cycles by mode: ".to_owned() + &list(modes, Mode::text_of));
+        lines.push("deadline misses: ".to_owned() + &list(causes, LateCause::text_of));
         lines.push(format!(
             "late starts: {}, skipped periods: {}, refused messages: {}",
             self.late_starts, self.skipped_periods, self.refused
         ));
         if let Some((error_m, cycle)) = self.largest_error {
-            lines.push(format!(
-                "largest error: {} mm in cycle {cycle}",
-                millimetres(error_m * 1e3)
-            ));
+            let error = millimetres(error_m * 1e3);
+            lines.push(format!("largest error: {error} mm in cycle {cycle}"));
         }
         if let Some((clearance_m, cycle)) = self.least_clearance {
-            lines.push(format!(
-                "least clearance: {:.3} mm in cycle {cycle}",
-                clearance_m * 1e3
-            ));
+            let mm = clearance_m * 1e3;
+            lines.push(format!("least clearance: {mm:.3} mm in cycle {cycle}"));
         }
         lines.join("\n") + "\n"
     }
 
     fn json(&self, is_cut: bool) -> Value {
-        let channels = self.channels.iter().map(|(name, channel)| {
-            let Channel {
-                count,
-                missing,
-                gaps,
-                ..
-            } = channel;
-            (
-                (*name).to_owned(),
-                json!({"messages": count, "missing": missing, "gaps": gaps}),
-            )
-        });
         let named = |counts: &BTreeMap<u32, u64>, text: fn(u32) -> &'static str| -> Map<_, _> {
             let named = counts
                 .iter()
@@ -268,7 +238,7 @@ impl Seen {
         json!({
             "duration_s": self.duration_s(),
             "cut": is_cut,
-            "channels": channels.collect::<Map<_, _>>(),
+            "channels": self.channels,
             "modes": named(&self.modes, Mode::text_of),
             "deadline_misses": named(&self.deadline_misses, LateCause::text_of),
             "late_starts": self.late_starts,

@@ -3,6 +3,7 @@ use std::io::{self, Write};
 use anyhow::ensure;
 use cdcr_shared_types::codes::SolverStatus;
 use cdcr_shared_types::{Telemetry, codes::guard};
+use serde::Serialize;
 use serde_json::json;
 
 use super::file::Recording;
@@ -62,11 +63,11 @@ struct Compared {
 }
 
 /// What the solves of some settings did.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize)]
 struct Solves {
     evaluations: u64,
-    guarded: u64,
     converged: u64,
+    guarded: u64,
 }
 
 impl Solves {
@@ -145,13 +146,12 @@ impl Compared {
     }
 
     fn json(&self) -> serde_json::Value {
-        let solves = |solves: &Solves| json!({"evaluations": solves.evaluations, "converged": solves.converged, "guarded": solves.guarded});
         let apart = |apart: &Apart| json!({"mean": apart.sum / self.cycles as f64, "max": apart.max, "max_cycle": apart.max_cycle});
         json!({
             "cycles": self.cycles,
             "recorded_cut_short": self.cut_short,
-            "recorded": solves(&self.recorded),
-            "with": solves(&self.other),
+            "recorded": self.recorded,
+            "with": self.other,
             "rates_apart_rad_s": apart(&self.rates_rad_s),
             "tips_apart_m": apart(&self.tips_m),
         })
