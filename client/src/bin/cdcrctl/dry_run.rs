@@ -7,7 +7,6 @@
 
 use std::fmt;
 use std::io::Write;
-use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::model::{obstacle_of, orientation_of, robot_of, settings_of};
@@ -16,10 +15,12 @@ use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::reference::{self, Interpolation, ReferencePoint};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
+use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{self, Interface};
 use nalgebra::Vector3;
 
 use crate::bar::Bar;
+use crate::feed::newest;
 use crate::interrupt::Interrupt;
 
 /// The way to the first point may take so long \[s\].
@@ -29,8 +30,6 @@ const NEARER_M: f64 = 1e-6;
 const PATIENT_CYCLES: u32 = 100;
 /// A reference of more cycles is not tried.
 const CYCLES_MAX: u64 = 200_000;
-/// How long a record is waited for.
-const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// What a reference asks of the robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,17 +62,24 @@ struct Motion {
     clearance_m: f64,
 }
 
+/// The daemon's robot, and how it is bent.
+pub(crate) fn robot_and_pose(record: &Telemetry) -> anyhow::Result<(Robot, Configuration)> {
+    let robot = robot_of(&record.robot)?;
+    let here = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()]);
+    Ok((
+        robot,
+        here.context("the daemon does not know the pose of the robot")?,
+    ))
+}
+
 /// Computes `trajectory` with the daemon's robot, as it would be fed with `options`.
 pub(crate) fn compute(
     connection: &Connection,
     trajectory: &dyn Trajectory,
     options: &FeedOptions,
 ) -> anyhow::Result<Demands> {
-    let record = connection.telemetry()?.next_within(TIMEOUT)?;
-    let record = record.context("no telemetry within 1 s: the pose of the robot is unknown")?;
-    let robot = robot_of(&record.robot)?;
-    let here = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()])
-        .context("the daemon does not know the pose of the robot")?;
+    let record = newest(connection)?;
+    let (robot, here) = robot_and_pose(&record)?;
     let settings = settings_of(&record.settings)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();

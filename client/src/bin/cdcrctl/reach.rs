@@ -1,14 +1,13 @@
 //! Whether the robot's model reaches the points of a reference, computed before anything moves: with the limits of its bends alone. What rates,
 //! strokes and obstacles allow on the way is the matter of the dry run.
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use cdcr_client::Trajectory;
-use cdcr_client::model::robot_of;
 use cdcr_controller::robot::{Configuration, Jacobian, Robot};
 use cdcr_shared_types::Telemetry;
 use nalgebra::{Matrix3, Vector3};
 
-use crate::dry_run::away;
+use crate::dry_run::{away, robot_and_pose};
 
 /// Points that are looked at, evenly along a reference that has more.
 const POINTS_MAX: usize = 2000;
@@ -23,9 +22,7 @@ pub(crate) fn check(
     trajectory: &dyn Trajectory,
     allowed_m: f64,
 ) -> anyhow::Result<()> {
-    let robot = robot_of(&record.robot)?;
-    let mut shape = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()])
-        .context("the daemon does not know the pose of the robot")?;
+    let (robot, mut shape) = robot_and_pose(record)?;
     let offset_m = Vector3::from(record.tip_offset_m);
     let duration_s = trajectory.duration_s();
     let even = |k: usize| duration_s * k as f64 / (POINTS_MAX - 1) as f64;

@@ -14,7 +14,7 @@ use super::record::{Rows, check_new, check_sensors, tell};
 use super::resting::{Sensors, rests};
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
-use crate::dry_run::{self, Demands};
+use crate::dry_run::{self, Demands, robot_and_pose};
 use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, newest, within};
 use crate::wait;
 
@@ -201,9 +201,7 @@ struct Excitation {
 
 impl Excitation {
     fn new(record: &Telemetry, options: &ExciteOptions) -> anyhow::Result<Self> {
-        let robot = robot_of(&record.robot)?;
-        let start = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()])
-            .context("the daemon does not know the pose of the robot")?;
+        let (robot, start) = robot_and_pose(record)?;
         let moving_s = options.record.duration.as_secs_f64();
         // Multiples of an irrational number: no two seeds have the same.
         let golden = 0.618_033_988_749_895 * options.seed as f64;

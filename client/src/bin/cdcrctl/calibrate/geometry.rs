@@ -9,12 +9,13 @@ use cdcr_client::model::robot_of;
 use cdcr_controller::calibration::{Calibration, ParameterGroup, calibrate};
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use cdcr_shared_types::RobotDescription;
-use toml_edit::{DocumentMut, Item, Value};
+use toml_edit::{DocumentMut, Item};
 
 use super::recording::Recording;
 use super::{recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
+use crate::settings::save::number_of;
 
 pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<Done> {
     let name = options.file.display();
@@ -99,7 +100,7 @@ fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
             .with_context(|| format!("{name}: robot.sections is no list of tables"))?;
         let sections = tables.iter().enumerate().map(|(index, table)| {
             let number = |key: &str| {
-                let value = table.get(key).and_then(Item::as_value).and_then(float);
+                let value = table.get(key).and_then(Item::as_value).and_then(number_of);
                 value.with_context(|| {
                     format!("{name}: robot.sections[{index}].{key} is missing, or no number")
                 })
@@ -116,11 +117,6 @@ fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
         robot.sections = sections.collect::<anyhow::Result<_>>()?;
     }
     Ok(robot)
-}
-
-fn float(value: &Value) -> Option<f64> {
-    let whole = value.as_integer().map(|whole| whole as f64);
-    value.as_float().or(whole)
 }
 
 #[cfg(test)]

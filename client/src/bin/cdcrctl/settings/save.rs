@@ -130,16 +130,17 @@ fn float(text: &str) -> anyhow::Result<Value> {
     Ok(text.parse()?)
 }
 
+/// Of a whole number, too.
+pub(crate) fn number_of(value: &Value) -> Option<f64> {
+    let whole = value.as_integer().map(|whole| whole as f64);
+    value.as_float().or(whole)
+}
+
 /// Whether two values mean the same: 1 and 1.0 do.
 fn is_same(one: &Value, other: &Value) -> bool {
-    let number = |value: &Value| {
-        value
-            .as_float()
-            .or(value.as_integer().map(|whole| whole as f64))
-    };
     match (one.as_integer(), other.as_integer()) {
         (Some(one), Some(other)) => one == other,
-        _ => match (number(one), number(other)) {
+        _ => match (number_of(one), number_of(other)) {
             (Some(one), Some(other)) => one == other,
             _ => one.as_str().is_some() && one.as_str() == other.as_str(),
         },
