@@ -62,7 +62,7 @@ fn insert_bits(object: &mut Map<String, Value>, name: &str, all: &[(u32, &str, &
     }
 }
 
-fn text_of(bytes: &dyn Array) -> String {
+pub(crate) fn text_of(bytes: &dyn Array) -> String {
     let bytes = (0..bytes.count()).map(|at| match bytes.element(at) {
         Part::U8(byte) => byte,
         _ => 0,

@@ -46,10 +46,8 @@ struct Known {
     #[serde(default)]
     time_s: f64,
     id: u32,
-    #[serde(default)]
     shape: Option<String>,
     start_m: [f64; 3],
-    #[serde(default)]
     end_m: Option<[f64; 3]>,
     radius_m: f64,
     #[serde(default)]

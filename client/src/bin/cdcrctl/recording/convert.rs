@@ -4,13 +4,14 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use cdcr_client::{counted, events, text};
+use cdcr_client::{counted, events};
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
 use super::file::{Recorded, Recording};
 use crate::Done;
 use crate::args::ConvertOptions;
+use crate::echo::json::text_of;
 
 /// A name, and what stands below it; nothing where that means nothing.
 type Cell = (String, String);
@@ -157,13 +158,7 @@ fn add(message: &dyn Struct, before: &str, has_meaning: bool, row: &mut Vec<Cell
         let name = format!("{before}{}", field.name);
         match (field.meaning, value) {
             (Meaning::Reserved, _) => {}
-            (Meaning::Text, Value::Array(array)) => {
-                let bytes = (0..array.count()).map(|i| match array.element(i) {
-                    Value::U8(byte) => byte,
-                    _ => 0,
-                });
-                row.push((name, text(&bytes.collect::<Vec<_>>())));
-            }
+            (Meaning::Text, Value::Array(array)) => row.push((name, text_of(array))),
             (_, Value::Array(array)) => {
                 for i in 0..lasting(message, field, array) {
                     put(
