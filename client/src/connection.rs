@@ -8,6 +8,7 @@ use cdcr_shared_types::{
 };
 
 use crate::connect_error::{Place, no_status, retry};
+use crate::outlet::Outlet;
 use crate::request::Control;
 use crate::sender::Sender;
 use crate::services::{Services, check_owner};
@@ -222,7 +223,8 @@ impl Connection {
     /// # Errors
     /// When the service has as many writers as it allows.
     pub fn reference_feed(&self) -> Result<ReferenceFeed, LinkError> {
-        ReferenceFeed::open(&self.services.reference, self.sender.clone())
+        let outlet = Outlet::open(&self.services.reference, self.sender.clone())?;
+        Ok(ReferenceFeed { outlet })
     }
 
     /// A port that sends obstacles.
@@ -230,7 +232,8 @@ impl Connection {
     /// # Errors
     /// When the service has as many writers as it allows.
     pub fn obstacle_sender(&self) -> Result<ObstacleSender, LinkError> {
-        ObstacleSender::open(&self.services.obstacles, self.sender.clone())
+        let outlet = Outlet::open(&self.services.obstacles, self.sender.clone())?;
+        Ok(ObstacleSender { outlet })
     }
 
     /// The ports of a driver that obeys `interface`: measurements out, commands in. It follows no command beyond the

@@ -4,8 +4,6 @@ use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate};
 
 use crate::LinkError;
 use crate::outlet::Outlet;
-use crate::sender::Sender;
-use crate::services::Channel;
 
 /// Tells the daemon about obstacles. Any client may; ids are shared among all.
 ///
@@ -15,18 +13,10 @@ use crate::services::Channel;
 /// A daemon that is started again knows no obstacle; the sender reaches it as it is.
 #[derive(Debug)]
 pub struct ObstacleSender {
-    outlet: Outlet<ObstacleUpdate>,
+    pub(crate) outlet: Outlet<ObstacleUpdate>,
 }
 
 impl ObstacleSender {
-    pub(crate) fn open(
-        channel: &Channel<ObstacleUpdate>,
-        sender: Sender,
-    ) -> Result<Self, LinkError> {
-        let outlet = Outlet::open(channel, sender)?;
-        Ok(Self { outlet })
-    }
-
     /// Inserts obstacles, or replaces those with the same ids.
     ///
     /// # Errors

@@ -4,8 +4,6 @@ use cdcr_shared_types::{Header, ReferenceChunk, ReferencePoint};
 
 use crate::LinkError;
 use crate::outlet::Outlet;
-use crate::sender::Sender;
-use crate::services::Channel;
 
 /// Sends reference chunks. Whoever uses it must hold the [`Lease`](crate::Lease), or the daemon
 /// refuses them.
@@ -14,18 +12,10 @@ use crate::services::Channel;
 /// [`send`](Self::send) returns.
 #[derive(Debug)]
 pub struct ReferenceFeed {
-    outlet: Outlet<ReferenceChunk>,
+    pub(crate) outlet: Outlet<ReferenceChunk>,
 }
 
 impl ReferenceFeed {
-    pub(crate) fn open(
-        channel: &Channel<ReferenceChunk>,
-        sender: Sender,
-    ) -> Result<Self, LinkError> {
-        let outlet = Outlet::open(channel, sender)?;
-        Ok(Self { outlet })
-    }
-
     /// Sends one chunk. Append chunks of one connection follow each other without a gap in their
     /// numbers, as the daemon demands.
     ///
