@@ -1,3 +1,4 @@
+use super::bits;
 use super::trial::{PERIOD_S, Trial};
 use crate::config::Interface;
 use cdcr_controller::plant::Preset;
@@ -8,10 +9,6 @@ const BOTH: [Interface; 2] = [Interface::Position, Interface::Velocity];
 const HELD_UP: usize = 35;
 /// A command is valid for twenty periods: much is commanded before the inputs are stale.
 const LONG: &str = "command_valid_ms = 100.0\n";
-
-fn bits(values: &[f64]) -> Vec<u64> {
-    values.iter().map(|value| value.to_bits()).collect()
-}
 
 fn largest_apart(a: &Configuration, b: &Configuration) -> f64 {
     let pairs = a.as_slice().iter().zip(b.as_slice());
