@@ -7,6 +7,7 @@
 
 use std::fmt;
 use std::io::Write;
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::model::{obstacle_of, orientation_of, robot_of, settings_of};
@@ -20,7 +21,6 @@ use cdcr_shared_types::codes::{self, Interface};
 use nalgebra::Vector3;
 
 use crate::bar::Bar;
-use crate::feed::newest;
 use crate::interrupt::Interrupt;
 
 /// The way to the first point may take so long \[s\].
@@ -60,6 +60,14 @@ struct Motion {
     bend_rad: f64,
     stroke_m: f64,
     clearance_m: f64,
+}
+
+/// The record of this cycle; a status may be 0.1 s old.
+pub(crate) fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
+    let record = connection
+        .telemetry()?
+        .next_within(Duration::from_secs(1))?;
+    record.context("no telemetry within 1 s: the place of the tip is unknown")
 }
 
 /// The daemon's robot, and how it is bent.

@@ -18,7 +18,7 @@ use crate::args::{
     LineOptions, RefOptions, SpiralOptions, StraightArguments, Target,
 };
 use crate::bar::Bar;
-use crate::dry_run;
+use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::reach;
 use crate::tip_error::TipError;
@@ -136,12 +136,6 @@ pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyho
         );
     }
     Ok(())
-}
-
-/// The record of this cycle; a status may be 0.1 s old.
-pub(crate) fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
-    let record = connection.telemetry()?.next_within(STATUS)?;
-    record.context("no telemetry within 1 s: the place of the tip is unknown")
 }
 
 /// Whether no motion is commanded.

@@ -14,8 +14,8 @@ use super::record::{Rows, check_new, check_sensors, tell};
 use super::resting::{Sensors, rests};
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
-use crate::dry_run::{self, Demands, robot_and_pose};
-use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, newest, within};
+use crate::dry_run::{self, Demands, newest, robot_and_pose};
+use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, within};
 use crate::wait;
 
 /// Without bounds, so much of the bends and rates that the robot may.
