@@ -72,7 +72,7 @@ fn of_spirals(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
          (2, 620), tasks.iter().flat_map(|one| one.controls()).collect()),
         ("paper-spiral-cables", "Lengths of the cables with kpso-refined less those at the straight robot; Lji is cable i of \
           section j.", (1, 600), tasks.iter().map(|one| one.cables()).collect()),
-        ("paper-spiral-times", "How many cycles take longer to compute than so much (Fig. 5).",
+        ("paper-spiral-times", "How many cycles take longer to compute than so much (Fig. 5), and the period of the loop.",
          (1, 560), tasks.iter().map(|one| one.times()).collect()),
     ]
 }
@@ -94,7 +94,7 @@ fn of_lines(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
          (1, 560), tasks.iter().map(|one| one.distances()).collect()),
         ("paper-line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
          (1, 600), tasks.iter().map(|one| one.cables()).collect()),
-        ("paper-line-times", "How many cycles take longer to compute than so much (Fig. 11).",
+        ("paper-line-times", "How many cycles take longer to compute than so much (Fig. 11), and the period.",
          (1, 560), tasks.iter().map(|one| one.times()).collect()),
     ]
 }
@@ -104,7 +104,7 @@ fn of_circles(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
     vec![
         ("paper-circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
           the robot where it is nearest to the obstacle.", (2, 900),
-         vec![circle_path(View::ABOVE, "Simulated circle from above", tasks), circle_path(View::SIDE, "From the side", tasks)]),
+         vec![circle_path(View::ABOVE, "Simulated circle from above", tasks), circle_path(View::SIDE, "Simulated circle from the side", tasks)]),
         ("paper-circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
           detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
          (1, 640), vec![circle_errors(tasks)]),
@@ -113,7 +113,7 @@ fn of_circles(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
          (1, 640), vec![circle_clearance(tasks)]),
         ("paper-circle-cables", "Lengths of the cables less those at the straight robot (Fig. 13).",
          (1, 520), tasks.iter().map(|one| one.cables()).collect()),
-        ("paper-circle-times", "How many cycles take longer to compute than so much (Fig. 14).",
+        ("paper-circle-times", "How many cycles take longer to compute than so much (Fig. 14), and the period.",
          (1, 560), tasks.iter().map(|one| one.times()).collect()),
     ]
 }
@@ -216,7 +216,7 @@ impl<'a> Drawn<'a> {
         x: &'static str,
         widths: [u32; Solver::ALL.len()],
         value: impl Fn(&Sample) -> f64,
-        beside: Option<Curve>,
+        beside: impl IntoIterator<Item = Curve>,
     ) -> Panel {
         let styles = [SKY, PURPLE, ORANGE, BLUE].into_iter().zip(widths);
         let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
@@ -285,13 +285,20 @@ impl<'a> Drawn<'a> {
         self.linear("", "change of length [mm]", curves.collect())
     }
 
-    /// How many solves of each solver took longer than so much, and the paper's mean.
+    /// How many solves of each solver took longer than so much, the paper's mean, and the period.
     fn times(&self) -> Panel {
         let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
-        let mean = format!("paper's mean {mean_ms} ms");
-        let mean = Curve::upright(mean, 1e3 * mean_ms, SHARES, DARK);
+        let period_ms = 1e3 * self.run.scene.period_s;
+        let at = |label, ms: f64, colour| {
+            Curve::upright(format!("{label} {ms} ms"), 1e3 * ms, SHARES, colour)
+        };
+        // Of the spiral with two sections they are the same.
+        let marks = [
+            at("paper's mean", mean_ms, GREY).width(10),
+            at("period", period_ms, DARK),
+        ];
         let us = |sample: &Sample| sample.solve_ns as f64 * 1e-3;
-        self.shares("solve takes longer than [µs]", [2; _], us, Some(mean))
+        self.shares("solve takes longer than [µs]", [2; _], us, marks)
     }
 
     fn shapes(&self) -> [Panel; 2] {
@@ -389,7 +396,7 @@ fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
     }
     vec![
         View::ABOVE.panel("Simulated spiral from above", above),
-        View::SIDE.panel("From the side, robots at the end", side),
+        View::SIDE.panel("Simulated robots at the end, from the side", side),
     ]
 }
 
@@ -427,11 +434,13 @@ fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
         let points = over_time(task.samples(), Sample::error_mm);
         Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
     };
-    let (curves, scale) = (
-        detours(tasks).map(curve).collect(),
+    let curves = detours(tasks).map(curve).collect();
+    timed(
+        "Simulated circle: error".into(),
+        "error [mm]",
         Scale::Log { floor: 1e-4 },
-    );
-    timed("Circle: error".into(), "error [mm]", scale, curves)
+        curves,
+    )
 }
 
 /// Below zero, the body is nearer than the safe distance.
@@ -442,10 +451,11 @@ fn circle_clearance(tasks: &[&Drawn<'_>]) -> Panel {
         });
         Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
     };
-    let level = tasks
-        .first()
-        .map(|task| task.level(String::new(), 0.0, DARK));
-    let curves = detours(tasks).map(curve).chain(level).collect();
+    let level = |task: &&Drawn<'_>| task.level("safe distance D".to_owned(), 0.0, DARK);
+    let curves = detours(tasks)
+        .map(curve)
+        .chain(tasks.first().map(level))
+        .collect();
     let title = "Simulated circle: clearance of the body beyond D".into();
     timed(title, "clearance - D [mm]", Scale::Linear, curves)
 }

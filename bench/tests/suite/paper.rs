@@ -96,10 +96,16 @@ fn the_folder_holds_figures_a_page_and_tables() {
     for name in bundle.0.keys().filter(is_picture) {
         let text = std::fs::read_to_string(folder.join(name)).expect("a text");
         let picture = roxmltree::Document::parse(&text).expect("XML");
-        let mut texts = picture.descendants().filter_map(|node| node.text());
-        let is_axis =
-            |text: &str| ["time [s]", "x [mm]", "share of the cycles"].contains(&text.trim());
-        assert!(texts.any(is_axis), "{name}");
+        let texts = picture.descendants().filter_map(|node| node.text());
+        let texts: Vec<_> = texts.map(str::trim).collect();
+        let is_axis = |text: &&str| ["time [s]", "x [mm]", "share of the cycles"].contains(text);
+        assert!(texts.iter().any(is_axis), "{name}");
+        assert!(
+            texts.iter().any(|text| text.starts_with("Simulated")),
+            "{name}"
+        );
+        let has_period = texts.contains(&"period 5 ms");
+        assert_eq!(has_period, name.ends_with("-times.svg"), "{name}");
         figures += 1;
     }
     assert_eq!(figures, 18);
