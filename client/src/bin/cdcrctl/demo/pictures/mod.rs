@@ -143,7 +143,11 @@ mod tests {
         let report = report(&cycles, &Status::default());
         path(&folder.path().join("path.svg"), &cycles, &spiral, &report).expect("drawn");
         error(&folder.path().join("error.svg"), &cycles, &report).expect("drawn");
-        timing(&folder.path().join("timing.svg"), &cycles, &report, 5e3).expect("drawn");
+        let file = folder.path().join("timing.svg");
+        timing(&file, &cycles, &report, 5e3).expect("drawn");
+        // The ends of the scale have labels.
+        let svg = std::fs::read_to_string(file).expect("written");
+        assert!(svg.contains("\n≤ 0.1\n") && svg.contains("\n10000\n"));
         let backbone = Backbone::new(3).expect("the paper's");
         let file = folder.path().join("shape.svg");
         shape(&file, &cycles, &spiral, &backbone, &report).expect("drawn");

@@ -79,6 +79,8 @@ fn histogram(
 ) -> anyhow::Result<()> {
     let bars = bars(&panel.values_us, range_us.start);
     let most = bars.iter().map(|bar| bar.1).fold(1.0, f64::max);
+    // A little more, or rounding takes the labels from the ends.
+    let range_us = 0.999 * range_us.start..1.001 * range_us.end;
     let mut chart = ChartBuilder::on(area)
         .margin(12)
         .margin_right(35)
@@ -91,7 +93,7 @@ fn histogram(
         .y_desc("cycles")
         .axis_desc_style(LABEL)
         .label_style(TICK)
-        .x_label_formatter(&|us| format!("{us}"))
+        .x_label_formatter(&|us| tick(*us))
         .y_label_formatter(&|count| format!("{count:.0}"))
         .y_labels(5)
         .bold_line_style(PALE)
@@ -121,6 +123,11 @@ fn histogram(
         .border_style(GREY)
         .draw()?;
     Ok(())
+}
+
+fn tick(us: f64) -> String {
+    let all_below = if us < 1.01 * FLOOR_US { "≤ " } else { "" };
+    format!("{all_below}{}", us as f32)
 }
 
 /// Bars of equal width on the logarithmic axis that are not empty, with their counts.
