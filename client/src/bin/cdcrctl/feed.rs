@@ -406,7 +406,7 @@ fn feed_options(arguments: &FeedArguments) -> FeedOptions {
 fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::Result<Done> {
     if report.end == FeedEnd::Interrupted {
         connection.request(RequestKind::Hold)?;
-        eprintln!("interrupted: the lease is released, the daemon holds");
+        tell!("interrupted: the lease is released, the daemon holds");
         return Ok(Done::Interrupted);
     }
     let seconds = (report.end_ns - report.start_ns) as f64 * 1e-9;

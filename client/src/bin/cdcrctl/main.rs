@@ -3,6 +3,10 @@
 //! A thin user of the library `cdcr_client`: here are only command lines, texts, tables and pictures.
 
 #![forbid(unsafe_code)]
+#![deny(clippy::print_stderr)]
+
+#[macro_use]
+mod tell;
 
 mod args;
 mod backbone;
@@ -69,7 +73,7 @@ fn main() -> ExitCode {
         // The reader of our output (head, less) has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            tell!("error: {error:#}");
             ExitCode::FAILURE
         }
     }

@@ -59,7 +59,7 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     while !interrupt.is_raised() {
         let update = robot.follow()?;
         if let Some(refusal) = update.refused {
-            eprintln!("refused: {refusal} ({} so far)", robot.driver().refusals());
+            tell!("refused: {refusal} ({} so far)", robot.driver().refusals());
         }
         if !preset.measures_tip() {
             robot.send_cables()?;

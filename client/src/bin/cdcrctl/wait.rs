@@ -40,7 +40,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
             drop(bar);
-            eprintln!("interrupted: the robot goes on; cdcrctl hold or stop ends that");
+            tell!("interrupted: the robot goes on; cdcrctl hold or stop ends that");
             return Ok(Done::Interrupted);
         }
         let Some(record) = telemetry.next_within(LOOK)? else {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 use std::time::Duration;
 
 use cdcr_client::channels::Topic;
@@ -260,6 +261,12 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     run.recorder.output();
     let info = run.info();
     assert_eq!(info["cut"], true);
+    // Where nobody hears the warning, it is not given.
+    let (nobody, unread) = std::io::pipe().unwrap();
+    drop(nobody);
+    let mut command = run.daemon.place().command("cdcrctl");
+    command.args(["info", "run.mcap"]).stdout(Stdio::null());
+    assert_eq!(command.stderr(unread).status().unwrap().code(), Some(0));
     let seen_s = info["duration_s"].as_f64().unwrap();
     let all_s = (newest.release_ns - begin.release_ns) as f64 * 1e-9;
     // A machine that stalls delays the recorder, too; it flushes when it runs.

@@ -106,7 +106,7 @@ impl DemoDaemon {
 impl Drop for DemoDaemon {
     fn drop(&mut self) {
         if let Err(error) = self.stop() {
-            eprintln!("warning: {error:#}");
+            tell!("warning: {error:#}");
         }
     }
 }

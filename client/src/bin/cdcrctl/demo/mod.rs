@@ -51,7 +51,7 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     place::sweep_abandoned();
     let Some(run) = measure(sections, &spiral, &interrupt)? else {
-        eprintln!("interrupted: the demo's daemon is stopped");
+        tell!("interrupted: the demo's daemon is stopped");
         return Ok(Done::Interrupted);
     };
     let report = DemoReport::new(options, &run)?;

@@ -67,7 +67,7 @@ impl PrivatePlace {
 impl Drop for PrivatePlace {
     fn drop(&mut self) {
         if let Err(error) = remove(&self.folder, &self.location) {
-            eprintln!("warning: cannot remove {}: {error}", self.folder.display());
+            tell!("warning: cannot remove {}: {error}", self.folder.display());
         }
     }
 }
@@ -82,10 +82,10 @@ pub(super) fn sweep_abandoned() {
         let folder = folder.display();
         match removed {
             Ok(()) if was_there => {
-                eprintln!("removed {folder} and its memory: left by a demo that was killed");
+                tell!("removed {folder} and its memory: left by a demo that was killed");
             }
-            Ok(()) => eprintln!("removed the memory of {folder}: left by a demo that was killed"),
-            Err(error) => eprintln!("warning: cannot remove {folder}: {error}"),
+            Ok(()) => tell!("removed the memory of {folder}: left by a demo that was killed"),
+            Err(error) => tell!("warning: cannot remove {folder}: {error}"),
         }
     }
 }

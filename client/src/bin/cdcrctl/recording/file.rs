@@ -98,9 +98,7 @@ impl Recording {
     pub(crate) fn warn_of_cut(&self) {
         if self.is_cut {
             let name = self.path.display();
-            eprintln!(
-                "{name} is cut: what is whole was read; `cdcrctl info --repair {name}` saves it"
-            );
+            tell!("{name} is cut: what is whole was read; `cdcrctl info --repair {name}` saves it");
         }
     }
 }

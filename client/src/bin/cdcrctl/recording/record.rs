@@ -65,7 +65,7 @@ pub(super) trait Watch {
     /// A record; and what it fires, where the recording begins with it.
     fn take(&mut self, record: &Telemetry, fires: Option<Trigger>) {
         if let Some(trigger) = fires {
-            eprintln!("{trigger} in cycle {}", record.cycle);
+            tell!("{trigger} in cycle {}", record.cycle);
         }
     }
 
@@ -92,7 +92,7 @@ pub(super) struct Around {
 pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
     match recorded(target, task) {
         Err(error) if error.downcast_ref().is_some_and(is_full) => {
-            eprintln!("error: {error:#}");
+            tell!("error: {error:#}");
             Ok(Done::DiskFull)
         }
         done => done,
@@ -138,12 +138,12 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let mut recorder = Recorder::new(sink, robot, &status, offset_ns);
     let ended = match task.around {
         Some(around) => {
-            eprintln!("waiting for {}; Ctrl-C ends it", around.trigger);
+            tell!("waiting for {}; Ctrl-C ends it", around.trigger);
             recorder.record(&connection, &mut streams, &mut task, &interrupt)?
         }
         None => match recorder.begin()? {
             Ok(()) => {
-                eprintln!("recording into {name}; Ctrl-C ends it");
+                tell!("recording into {name}; Ctrl-C ends it");
                 recorder.record(&connection, &mut streams, &mut task, &interrupt)?
             }
             Err(cause) => Ended::Failed(cause),
