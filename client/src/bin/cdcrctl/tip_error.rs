@@ -37,6 +37,19 @@ struct Measured {
     max_m: f64,
 }
 
+/// Whether the tip was led along the reference itself, and not on the way to it.
+pub(crate) fn is_along(record: &Telemetry) -> bool {
+    record.mode == Mode::Tracking.code() && is_inside(record) && !is_approach(record)
+}
+
+fn is_inside(record: &Telemetry) -> bool {
+    record.reference.state == ReferenceState::Inside.code()
+}
+
+fn is_approach(record: &Telemetry) -> bool {
+    record.approach.duration_ns.max(record.approach.joining_ns) > 0
+}
+
 /// Releases that are remembered: of what a sensor measures half a second late, too, at 5 ms.
 const REMEMBERED: usize = 100;
 
@@ -86,16 +99,14 @@ impl TipError {
 
     /// Takes a record in, if its cycle tracked.
     pub(crate) fn take(&mut self, record: &Telemetry) {
-        let is_tracking = record.mode == Mode::Tracking.code();
-        let is_inside = record.reference.state == ReferenceState::Inside.code();
-        if !is_tracking || record.release_ns < self.fed_ns {
+        if record.mode != Mode::Tracking.code() || record.release_ns < self.fed_ns {
             return;
         }
-        if record.approach.duration_ns.max(record.approach.joining_ns) > 0 {
+        if is_approach(record) {
             self.approach_cycles += 1;
             self.approach_max_m = self.approach_max_m.max(record.position_error_m);
             self.period_ns = record.period_ns;
-        } else if is_inside && record.release_ns >= self.start_ns {
+        } else if is_inside(record) && record.release_ns >= self.start_ns {
             self.cycles += 1;
             self.limited_cycles += u64::from(record.guard_flags != 0);
             self.sum_m += record.position_error_m;

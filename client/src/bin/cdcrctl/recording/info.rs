@@ -16,6 +16,7 @@ use super::file::{Recorded, Recording};
 use super::topic::Topic;
 use crate::Done;
 use crate::args::{Format, InfoOptions};
+use crate::tip_error::is_along;
 
 pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     if options.repair {
@@ -111,6 +112,8 @@ struct Seen {
     skipped_periods: u64,
     /// Distance of tip and reference \[m\], and the cycle.
     largest_error: Option<(f64, u64)>,
+    /// The same after each approach.
+    largest_along: Option<(f64, u64)>,
     least_clearance: Option<(f64, u64)>,
     refused: u64,
 }
@@ -178,6 +181,9 @@ impl Seen {
         if record.mode == Mode::Tracking.code() {
             keep(&mut self.largest_error, record.position_error_m, f64::gt);
         }
+        if is_along(record) {
+            keep(&mut self.largest_along, record.position_error_m, f64::gt);
+        }
         keep(&mut self.least_clearance, record.clearance_m, f64::lt);
     }
 
@@ -214,9 +220,14 @@ impl Seen {
             "late starts: {}, skipped periods: {}, refused messages: {}",
             self.late_starts, self.skipped_periods, self.refused
         ));
-        if let Some((error_m, cycle)) = self.largest_error {
-            let error = millimetres(error_m * 1e3);
-            lines.push(format!("largest error: {error} mm in cycle {cycle}"));
+        for (name, largest) in [
+            ("largest error", self.largest_error),
+            ("after the approach", self.largest_along),
+        ] {
+            if let Some((error_m, cycle)) = largest {
+                let error_mm = millimetres(error_m * 1e3);
+                lines.push(format!("{name}: {error_mm} mm in cycle {cycle}"));
+            }
         }
         if let Some((clearance_m, cycle)) = self.least_clearance {
             let mm = clearance_m * 1e3;
@@ -245,6 +256,7 @@ impl Seen {
             "skipped_periods": self.skipped_periods,
             "refused": self.refused,
             "largest_error": extreme(self.largest_error, "position_error_m"),
+            "largest_error_after_approach": extreme(self.largest_along, "position_error_m"),
             "least_clearance": extreme(self.least_clearance, "clearance_m"),
         })
     }
