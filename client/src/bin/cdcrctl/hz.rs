@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Message, Stream};
+use cdcr_client::{Connection, Message, Stream, monotonic_ns};
 use cdcr_shared_types::message::Struct;
 
 use crate::Done;
@@ -29,8 +29,15 @@ impl Watch for HzOptions {
         let (mut printed, mut lost, mut last) = (0, 0, None);
         while self.count.is_none_or(|count| printed < count) {
             let mut gaps = Gaps::default();
-            let begin = Instant::now();
+            let (begin, begin_ns, mut lives) = (Instant::now(), monotonic_ns(), false);
             each(connection, &mut stream, |message| {
+                // Of a daemon that stood still meanwhile, or had not noticed this reader yet, silence tells nothing. What
+                // it sent together with its status has a look more to arrive.
+                let lived = lives;
+                if message.is_none() {
+                    let status = connection.status(Duration::ZERO);
+                    lives |= status.is_ok_and(|status| status.header.sent_ns > begin_ns);
+                }
                 if let Some(header) = message.map(Message::header) {
                     gaps.count += 1;
                     // Only one sender's stamps are on a line.
@@ -41,7 +48,7 @@ impl Watch for HzOptions {
                     }
                     last = Some((header.sender_id, header.sent_ns));
                 }
-                Ok(begin.elapsed() < LINE)
+                Ok(begin.elapsed() < LINE || gaps.count == 0 && !lived)
             })?;
             let span = begin.elapsed();
             if span < LINE {

@@ -1,11 +1,14 @@
 //! What `cdcrctl` takes from formulas, files and pipes, figures to follow and scenes to keep away from, and what it gives to other programs.
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
 use std::process::{Child, Output, Stdio};
+use std::time::Duration;
 
 use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_says, wait_status};
 use serde_json::Value;
+
+use super::freeze;
 
 /// Starts `cdcrctl` with a standard input that the test writes.
 fn piped(daemon: &Daemon, line: &str) -> Child {
@@ -125,13 +128,36 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     assert_says(&output, 1, &["daemon"]);
 }
 
+/// The rate of a line of `hz`.
+fn rate_hz(line: &str) -> f64 {
+    let words: Vec<_> = line.split_whitespace().collect();
+    assert_eq!(words.len(), 6, "{line}");
+    words[0].parse().unwrap()
+}
+
+#[test]
+fn a_daemon_that_stood_still_is_not_counted_as_silent() {
+    let daemon = Daemon::start(PATIENT);
+    let mut hz = piped(&daemon, "hz status --count 1");
+    let mut lines = BufReader::new(hz.stdout.take().unwrap()).lines();
+    lines.next().unwrap().unwrap();
+    freeze(&daemon, Duration::from_millis(1300));
+    let line = lines.next().unwrap().unwrap();
+    assert!(rate_hz(&line) > 0.0, "{line}");
+    assert_says(&ended(hz), 0, &[]);
+    // Nobody feeds: that is a rate, too.
+    let printed = says(&daemon, "hz reference --count 1", 0, "messages/s");
+    assert!(
+        rate_hz(printed.lines().nth(1).unwrap()).abs() < 1e-9,
+        "{printed}"
+    );
+}
+
 #[test]
 fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
     let daemon = Daemon::start(PATIENT);
     let printed = says(&daemon, "hz status --count 1", 0, "messages/s");
-    let words: Vec<_> = printed.lines().nth(1).unwrap().split_whitespace().collect();
-    let rate_hz: f64 = words[0].parse().unwrap();
-    assert!(words.len() == 6 && rate_hz > 0.0, "{printed}");
+    assert!(rate_hz(printed.lines().nth(1).unwrap()) > 0.0, "{printed}");
 
     let line =
         "echo status --count 1 --field robot.sections.0.length_m --field robot.sections.9.name";
