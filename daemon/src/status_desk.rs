@@ -85,6 +85,8 @@ struct Desk {
     statuses: Publisher<ipc::Service, Status, ()>,
     incidents: Publisher<ipc::Service, Incident, ()>,
     ends: StatusDeskEnds,
+    /// Snapshots so far.
+    sent: u64,
     _node: Node<ipc::Service>,
 }
 
@@ -95,6 +97,7 @@ impl Desk {
             statuses: publisher(&node, Service::Status, robot)?,
             incidents: incidents(&node, robot)?,
             ends,
+            sent: 0,
             _node: node,
         })
     }
@@ -123,10 +126,14 @@ impl Desk {
         if let Err(error) = self.incidents.update_connections() {
             tracing::warn!(%error, "a reader of the bad cycles could not be connected");
         }
-        if self.ends.status.update()
-            && let Err(error) = self.statuses.send_copy(*self.ends.status.read())
-        {
-            tracing::warn!(%error, "the status could not be published");
+        if self.ends.status.update() {
+            let mut status = *self.ends.status.read();
+            // One that a newer one replaced before it was sent is not missing.
+            self.sent += 1;
+            status.header.sequence = self.sent;
+            if let Err(error) = self.statuses.send_copy(status) {
+                tracing::warn!(%error, "the status could not be published");
+            }
         }
     }
 }

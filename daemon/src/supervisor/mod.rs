@@ -303,7 +303,6 @@ impl Supervisor {
         if self.newest.totals.cycles > 0 && self.summed.elapsed() > SUMMARY_MAX {
             return;
         }
-        self.status.header.sequence += 1;
         self.status.header.sent_ns = now_ns;
         self.ends.status.write(self.status);
     }

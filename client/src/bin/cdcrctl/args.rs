@@ -53,7 +53,7 @@ pub(crate) struct Arguments {
 }
 
 /// Which daemon is meant.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub(crate) struct Target {
     /// Prefix of the daemon's shared-memory files
     #[arg(long, global = true, env = "CDCR_PREFIX", default_value = DEFAULT_PREFIX, help_heading = "Which daemon")]

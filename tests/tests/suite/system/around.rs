@@ -2,9 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::io::Write;
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
-use std::process::Output;
+use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
 
 use cdcr_client::Spiral;
@@ -100,6 +101,37 @@ fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
         log.iter().any(|line| line.msg.starts_with("tracking")),
         "{log:?}"
     );
+}
+
+/// A disk does it beside a build; here, a standard error that nobody reads.
+#[test]
+fn what_makes_a_recorder_wait_loses_nothing() {
+    const ROOM: usize = 65_536;
+    let daemon = Daemon::start(PATIENT);
+    let (mut unread, mut full) = std::io::pipe().unwrap();
+    let told = "waiting for mode; Ctrl-C ends it\n";
+    full.write_all(&vec![b'.'; ROOM - 1 - told.len()]).unwrap();
+    let mut command = daemon.place().command("cdcrctl");
+    command.args([
+        "record", "--around", "mode", "--after", "1s", "-o", "run.mcap",
+    ]);
+    command.current_dir(daemon.place().folder());
+    command.stdout(Stdio::null()).stderr(full);
+    let mut recorder = command.spawn().unwrap();
+    drop(command);
+    wait_until("it waits", || {
+        rustix::io::ioctl_fionread(&unread).unwrap() == ROOM as u64 - 1
+    });
+    ask_for(&daemon.connect(), RequestKind::Home);
+    // Longer than the queue of telemetry.
+    std::thread::sleep(Duration::from_secs(2));
+    std::io::copy(&mut unread, &mut std::io::sink()).unwrap();
+    assert!(recorder.wait().unwrap().success());
+    let info = info(&daemon, "run.mcap");
+    for (name, channel) in info["channels"].as_object().unwrap() {
+        assert_eq!(channel["missing"], 0, "{name}: {info}");
+    }
+    assert!(info["duration_s"].as_f64() > Some(1.5), "{info}");
 }
 
 /// What a program says that ends by itself; none where it has not after a while, and is ended.

@@ -265,7 +265,7 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     let (nobody, unread) = std::io::pipe().unwrap();
     drop(nobody);
     let mut command = run.daemon.place().command("cdcrctl");
-    command.args(["info", "run.mcap"]).stdout(Stdio::null());
+    command.arg("info").arg(&run.file).stdout(Stdio::null());
     assert_eq!(command.stderr(unread).status().unwrap().code(), Some(0));
     let seen_s = info["duration_s"].as_f64().unwrap();
     let all_s = (newest.release_ns - begin.release_ns) as f64 * 1e-9;

@@ -4,6 +4,7 @@ pub(crate) mod convert;
 mod examination;
 pub(crate) mod file;
 pub(crate) mod info;
+mod intake;
 mod invocation;
 mod play;
 pub(crate) mod record;

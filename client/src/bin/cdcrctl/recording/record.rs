@@ -1,18 +1,18 @@
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use cdcr_client::channels::{Drawing, Drawings, Drawn, Recorded, Topic};
-use cdcr_client::{Connection, Stream, counted, events, monotonic_ns};
+use cdcr_client::{counted, events, monotonic_ns};
 use cdcr_interchange::encode;
 use cdcr_interchange::mcap::Stamp;
 use cdcr_shared_types::codes::{EventKind, Outcome};
-use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
+use cdcr_shared_types::{Status, Telemetry};
 
 use super::examination::Examination;
+use super::intake::{Intake, Reading};
 use super::invocation::Invocation;
 use super::sink::{CHANNELS, Head, Sink};
 use super::when::{date_time, unix_offset_ns};
@@ -23,18 +23,12 @@ use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
 use crate::trigger::Trigger;
 
-/// How often the services are read. The queue of telemetry lasts for 256 cycles, but a client that sends one message leaves a few milliseconds
-/// later, and takes along what nobody has read.
-const READ_EVERY: Duration = Duration::from_millis(2);
 /// How often what was read goes to the file: what a recorder that is killed loses at most.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// What was sent this long before the recording began may still be judged after it \[ns\].
 const JUDGED_WITHIN_NS: u64 = 100_000_000;
 /// Chunks and updates that are remembered until their outcome is told: the daemon takes in fewer at once.
 const REMEMBERED: usize = 256;
-/// After this long without a cycle, see whether the daemon still lives.
-const QUIET: Duration = Duration::from_secs(1);
-
 pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result<Done> {
     let around = options.around.map(|trigger| Around {
         trigger,
@@ -102,10 +96,8 @@ pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
 fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     let (_, robot) = target.location()?;
-    let connection = target.connect()?;
-    let mut streams = Streams::open(&connection)?;
+    let (intake, status) = Intake::begin(target)?;
     let offset_ns = unix_offset_ns();
-    let status = connection.status(QUIET)?;
     let default = || {
         format!(
             "{robot}-{}.mcap",
@@ -139,12 +131,12 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let ended = match task.around {
         Some(around) => {
             tell!("waiting for {}; Ctrl-C ends it", around.trigger);
-            recorder.record(&connection, &mut streams, &mut task, &interrupt)?
+            recorder.record(&intake, &mut task, &interrupt)?
         }
         None => match recorder.begin()? {
             Ok(()) => {
                 tell!("recording into {name}; Ctrl-C ends it");
-                recorder.record(&connection, &mut streams, &mut task, &interrupt)?
+                recorder.record(&intake, &mut task, &interrupt)?
             }
             Err(cause) => Ended::Failed(cause),
         },
@@ -161,7 +153,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
         Ended::Failed(_) => ended,
         _ => recorder.sink.flush().map_or_else(Ended::Failed, |()| ended),
     };
-    let (lost, counts) = (recorder.lost(&streams), recorder.sink.whole);
+    let (lost, counts) = (recorder.lost(), recorder.sink.whole);
     recorder
         .finish(&ended, &lost, examination)
         .with_context(cannot_write)?;
@@ -216,28 +208,6 @@ fn tell(
     Ok(())
 }
 
-/// Everything that is recorded, as it comes.
-struct Streams {
-    telemetry: Stream<Telemetry>,
-    references: Stream<ReferenceChunk>,
-    obstacles: Stream<ObstacleUpdate>,
-    statuses: Stream<Status>,
-    incidents: Stream<Incident>,
-}
-
-impl Streams {
-    fn open(connection: &Connection) -> anyhow::Result<Self> {
-        Ok(Self {
-            // Before the telemetry: what a cycle took in must not be missing.
-            references: connection.references()?,
-            obstacles: connection.obstacle_updates()?,
-            telemetry: connection.telemetry()?,
-            statuses: connection.statuses()?,
-            incidents: connection.incidents()?,
-        })
-    }
-}
-
 /// Takes what comes, and sees to it that nothing is missing.
 struct Recorder {
     sink: Sink,
@@ -253,6 +223,8 @@ struct Recorder {
     taken: VecDeque<(u64, u64)>,
     /// Those that the daemon accepted and that never came here.
     missed: [u64; Topic::ALL.len()],
+    /// By the gaps in their numbers.
+    lost: [u64; Topic::ALL.len()],
     /// The daemon told of a bad cycle.
     had_incident: bool,
     before: Option<Box<Telemetry>>,
@@ -269,6 +241,7 @@ impl Recorder {
             sender_id: status.header.sender_id,
             taken: VecDeque::with_capacity(REMEMBERED),
             missed: [0; Topic::ALL.len()],
+            lost: [0; Topic::ALL.len()],
             had_incident: false,
             before: None,
         }
@@ -291,25 +264,29 @@ impl Recorder {
     /// Records until it ends.
     fn record(
         &mut self,
-        connection: &Connection,
-        streams: &mut Streams,
+        intake: &Intake,
         task: &mut Task<'_>,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Ended> {
         let begin = Instant::now();
-        let (mut heard, mut flushed) = (begin, begin);
+        let (mut flushed, mut ended) = (begin, None);
         let mut ends = task.duration.map(|duration| begin + duration);
         loop {
-            // What has passed until then is read once more.
-            let is_interrupted = interrupt.is_raised() || task.watch.look()?;
-            let is_over = ends.is_some_and(|ends| Instant::now() >= ends);
-            // What a cycle took in stands before its record: it came before that.
-            let mut records = Vec::new();
-            while let Some(record) = streams.telemetry.try_next()? {
-                records.push(record);
+            if ended.is_none() {
+                if interrupt.is_raised() || task.watch.look()? {
+                    ended = Some(Ended::Interrupted);
+                } else if ends.is_some_and(|ends| Instant::now() >= ends) {
+                    ended = Some(Ended::Asked);
+                }
+                if ended.is_some() {
+                    intake.end();
+                }
             }
-            let (cycles, is_other) = self.of_our_daemon(&records);
-            let mut written = self.take_all(streams, cycles)?;
+            let Some(reading) = intake.next()? else {
+                return Ok(ended.unwrap_or(Ended::Daemon));
+            };
+            let (cycles, is_other) = self.of_our_daemon(&reading.records);
+            let mut written = self.take_all(&reading, cycles);
             let now = Instant::now();
             for record in cycles {
                 let waits_for = task.around.filter(|_| !self.sink.has_begun());
@@ -327,24 +304,9 @@ impl Recorder {
             if let Err(cause) = written {
                 return Ok(Ended::Failed(cause));
             }
-            if is_interrupted {
-                return Ok(Ended::Interrupted);
-            }
-            if is_over {
-                return Ok(Ended::Asked);
-            }
             if is_other {
                 return Ok(Ended::Daemon);
             }
-            if !cycles.is_empty() {
-                heard = now;
-            } else if now - heard > QUIET {
-                if connection.status(QUIET).is_err() {
-                    return Ok(Ended::Daemon);
-                }
-                heard = Instant::now();
-            }
-            thread::sleep(READ_EVERY);
         }
     }
 
@@ -355,28 +317,22 @@ impl Recorder {
         (&records[..count.unwrap_or(records.len())], count.is_some())
     }
 
-    /// Writes what waits; the inner error is that of the file.
-    fn take_all(
-        &mut self,
-        streams: &mut Streams,
-        records: &[Telemetry],
-    ) -> anyhow::Result<io::Result<()>> {
-        macro_rules! take {
-            ($($stream:ident),+) => { $(
-                while let Some(message) = streams.$stream.try_next()? {
-                    if let Err(cause) = self.write(&message) {
-                        return Ok(Err(cause));
-                    }
-                }
-            )+ };
-        }
-        take!(references, obstacles, statuses, incidents);
-        let written = records.iter().try_for_each(|record| {
+    /// Writes what came. What a cycle took in stands before its record.
+    fn take_all(&mut self, reading: &Reading, records: &[Telemetry]) -> io::Result<()> {
+        self.lost = reading.lost;
+        self.write_all(&reading.references)?;
+        self.write_all(&reading.obstacles)?;
+        self.write_all(&reading.statuses)?;
+        self.write_all(&reading.incidents)?;
+        records.iter().try_for_each(|record| {
             self.miss(record);
             self.write(record)?;
             self.draw(record)
-        });
-        Ok(written)
+        })
+    }
+
+    fn write_all<T: Recorded>(&mut self, messages: &[T]) -> io::Result<()> {
+        messages.iter().try_for_each(|message| self.write(message))
     }
 
     /// Counts what a cycle took in and is not here: its sender left before it was read, or the queue was full.
@@ -396,15 +352,11 @@ impl Recorder {
     }
 
     /// Messages that never came, where there are any: by the gaps in their numbers, and by what the daemon tells of them.
-    fn lost(&self, streams: &Streams) -> Vec<(Topic, u64)> {
-        let all = [
-            (Topic::Telemetry, streams.telemetry.lost()),
-            (Topic::Reference, streams.references.lost()),
-            (Topic::Obstacles, streams.obstacles.lost()),
-            (Topic::Status, streams.statuses.lost()),
-            (Topic::Incidents, streams.incidents.lost()),
-        ];
-        let all = all.map(|(topic, lost)| (topic, lost.max(self.missed[topic as usize])));
+    fn lost(&self) -> Vec<(Topic, u64)> {
+        let all = Topic::ALL.map(|topic| {
+            let place = topic as usize;
+            (topic, self.lost[place].max(self.missed[place]))
+        });
         all.into_iter().filter(|(_, lost)| *lost > 0).collect()
     }
 

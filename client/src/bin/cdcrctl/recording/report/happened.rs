@@ -3,8 +3,8 @@ use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{InputEvent, SolverSettings, Telemetry};
 use serde_json::{Value, json};
 
-/// What is listed; what comes after is counted.
-const LISTED_MAX: usize = 400;
+/// What is listed and marked on the axis of time; what comes after is counted. Half a megabyte of the page at most.
+const LISTED_MAX: usize = 4096;
 
 /// What happened to robot and daemon, in order.
 #[derive(Debug, Default)]

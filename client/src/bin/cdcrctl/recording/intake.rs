@@ -1,0 +1,172 @@
+//! Takes what a daemon sends, in a thread of its own.
+//!
+//! Beside a build, a disk makes its writer wait for half a second. The daemon's queues do not last that long: telemetry has 256 cycles there,
+//! a quarter of a second at 1 kHz, and the status two snapshots.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use cdcr_client::channels::Topic;
+use cdcr_client::{Connection, Message, Stream};
+use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
+
+use crate::args::Target;
+
+/// How often the services are read. A client that sends one message leaves a few milliseconds later, and takes along what
+/// nobody has read.
+const READ_EVERY: Duration = Duration::from_millis(2);
+/// Readings that may wait: 4 s, at 1 kHz 60 MB.
+const WAITING_MAX: usize = 2048;
+/// After this long without a cycle, see whether the daemon still lives.
+const QUIET: Duration = Duration::from_secs(1);
+/// iceoryx2 has large arrays on the stack.
+const STACK_BYTES: usize = 4 << 20;
+
+/// The thread, and what comes from it.
+pub(super) struct Intake {
+    /// None once it has been ended for good.
+    readings: Option<Receiver<anyhow::Result<Reading>>>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What came since the one before, oldest first.
+#[derive(Debug, Default)]
+pub(super) struct Reading {
+    pub(super) records: Vec<Telemetry>,
+    /// What their cycles took in is here, or was in one before.
+    pub(super) references: Vec<ReferenceChunk>,
+    pub(super) obstacles: Vec<ObstacleUpdate>,
+    pub(super) statuses: Vec<Status>,
+    pub(super) incidents: Vec<Incident>,
+    /// Messages of each topic that never came, by the gaps in their numbers, since the beginning.
+    pub(super) lost: [u64; Topic::ALL.len()],
+}
+
+impl Intake {
+    /// Begins to read, and gives the newest status, too.
+    pub(super) fn begin(target: &Target) -> anyhow::Result<(Self, Status)> {
+        let (ready, is_ready) = channel();
+        let (sender, readings) = sync_channel(WAITING_MAX);
+        let is_over = Arc::new(AtomicBool::new(false));
+        let (target, theirs) = (target.clone(), Arc::clone(&is_over));
+        let thread = thread::Builder::new()
+            .stack_size(STACK_BYTES)
+            .spawn(move || match Streams::open(&target) {
+                Ok((streams, status)) => {
+                    if ready.send(Ok(status)).is_ok() {
+                        streams.read_on(&sender, &theirs);
+                    }
+                }
+                Err(error) => drop(ready.send(Err(error))),
+            })
+            .context("a thread that reads")?;
+        let intake = Self {
+            readings: Some(readings),
+            is_over,
+            thread: Some(thread),
+        };
+        let status = is_ready.recv().context("the thread that reads ended")??;
+        Ok((intake, status))
+    }
+
+    /// The next reading, every few milliseconds; `None` after the last one, or when the daemon has ended.
+    pub(super) fn next(&self) -> anyhow::Result<Option<Reading>> {
+        let next = self.readings.as_ref().map(Receiver::recv);
+        next.and_then(Result::ok).transpose()
+    }
+
+    /// What has passed until now is read once more.
+    pub(super) fn end(&self) {
+        self.is_over.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Intake {
+    fn drop(&mut self) {
+        self.end();
+        // So that it does not wait for room.
+        self.readings = None;
+        if let Some(thread) = self.thread.take() {
+            drop(thread.join());
+        }
+    }
+}
+
+/// Everything that is recorded, as it comes.
+struct Streams {
+    connection: Connection,
+    telemetry: Stream<Telemetry>,
+    references: Stream<ReferenceChunk>,
+    obstacles: Stream<ObstacleUpdate>,
+    statuses: Stream<Status>,
+    incidents: Stream<Incident>,
+}
+
+impl Streams {
+    fn open(target: &Target) -> anyhow::Result<(Self, Status)> {
+        let connection = target.connect()?;
+        let streams = Self {
+            // Before the telemetry: what a cycle took in must not be missing.
+            references: connection.references()?,
+            obstacles: connection.obstacle_updates()?,
+            telemetry: connection.telemetry()?,
+            statuses: connection.statuses()?,
+            incidents: connection.incidents()?,
+            connection,
+        };
+        let status = streams.connection.status(QUIET)?;
+        Ok((streams, status))
+    }
+
+    /// Until it is over, nobody takes it, or the daemon has ended.
+    fn read_on(mut self, readings: &SyncSender<anyhow::Result<Reading>>, is_over: &AtomicBool) {
+        let mut heard = Instant::now();
+        loop {
+            let is_last = is_over.load(Ordering::Relaxed);
+            let reading = self.read();
+            if reading.as_ref().is_ok_and(|read| !read.records.is_empty()) {
+                heard = Instant::now();
+            } else if heard.elapsed() > QUIET {
+                if self.connection.status(QUIET).is_err() {
+                    return;
+                }
+                heard = Instant::now();
+            }
+            if readings.send(reading).is_err() || is_last {
+                return;
+            }
+            thread::sleep(READ_EVERY);
+        }
+    }
+
+    fn read(&mut self) -> anyhow::Result<Reading> {
+        Ok(Reading {
+            // What a cycle took in came before its record.
+            records: all(&mut self.telemetry)?,
+            references: all(&mut self.references)?,
+            obstacles: all(&mut self.obstacles)?,
+            statuses: all(&mut self.statuses)?,
+            incidents: all(&mut self.incidents)?,
+            lost: Topic::ALL.map(|topic| match topic {
+                Topic::Telemetry => self.telemetry.lost(),
+                Topic::Reference => self.references.lost(),
+                Topic::Obstacles => self.obstacles.lost(),
+                Topic::Status => self.statuses.lost(),
+                Topic::Incidents => self.incidents.lost(),
+            }),
+        })
+    }
+}
+
+fn all<T: Message>(stream: &mut Stream<T>) -> anyhow::Result<Vec<T>> {
+    let mut messages = Vec::new();
+    while let Some(message) = stream.try_next()? {
+        messages.push(message);
+    }
+    Ok(messages)
+}
