@@ -137,3 +137,39 @@ impl Desk {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use cdcr_scratch::Scratch;
+
+    use super::*;
+    use crate::config::Config;
+    use crate::handover::{Settings, channels};
+
+    #[test]
+    fn a_snapshot_that_another_one_replaced_leaves_no_gap() {
+        let folder = Scratch::in_memory().unwrap();
+        let root = folder.path().join("root");
+        let text = format!("[transport]\nroot = \"{}\"\n", root.display());
+        let validated = Config::parse(&text, &folder.path().join("robot.toml")).unwrap();
+        let ends = channels(Settings::new(&validated.config));
+        let mut supervisor = ends.supervisor;
+        let mut desk = Desk::new(&validated, ends.status_desk).unwrap();
+        let name = Service::Status.name(&validated.config.robot.name).unwrap();
+        let service = node(&validated.location).unwrap().service_builder(&name);
+        let service = service.publish_subscribe::<Status>().open().unwrap();
+        let reader = service.subscriber_builder().create().unwrap();
+        let mut status = Status::default();
+        for (cycles, is_sent) in [(1, true), (2, false), (3, false), (4, true)] {
+            status.cycles = cycles;
+            supervisor.status.write(status);
+            if is_sent {
+                desk.publish();
+            }
+        }
+        let seen: Vec<_> = std::iter::from_fn(|| reader.receive().unwrap())
+            .map(|status| (status.header.sequence, status.cycles))
+            .collect();
+        assert_eq!(seen, [(1, 1), (2, 4)]);
+    }
+}
