@@ -333,10 +333,6 @@ impl Problem for TrackingProblem<'_> {
         incumbent: &Incumbent,
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
-        if self.is_free() || !self.is_staged() {
-            let evaluation = self.evaluate_below(z, incumbent.cost(), budget)?;
-            return Some((evaluation, true));
-        }
         match self.motion.coordinates() {
             Coordinates::BendVector => self.to_contact_in::<VECTORS>(z, incumbent, budget),
             Coordinates::BendAngles => self.to_contact_in::<ANGLES>(z, incumbent, budget),

@@ -20,15 +20,14 @@ impl TrackingProblem<'_> {
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        let mut bends: Bends<W, P> = self.motion.start();
-        let mut evaluation = Evaluation::from_cost(self.regularisation(z));
+        let mut rollout = Rollout::<W, P>::new(self, z);
         for step in 0..self.steps() {
-            self.add_step(step, z, (&mut bends, &mut evaluation), budget, instructions)?;
-            if self.is_enough(&evaluation, enough) {
+            rollout.advance(step, z, budget, instructions)?;
+            if rollout.is_enough(enough) {
                 break;
             }
         }
-        Some(evaluation)
+        Some(rollout.evaluation)
     }
 
     /// The same for one plan, and whether it stays as it is: from the block on in which it would break a constraint by more than the incumbent does,
@@ -40,79 +39,29 @@ impl TrackingProblem<'_> {
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
         let (enough, allowed) = (incumbent.cost(), incumbent.violations());
-        let mut evaluation = Evaluation::from_cost(self.regularisation(&|i: usize| Wide([z[i]])));
-        let mut bends: Bends<1, P> = self.motion.start();
-        let mut block_begin = (0, bends, evaluation);
+        let mut rollout = Rollout::<1, P>::new(self, &|i: usize| Wide([z[i]]));
+        let mut block_begin = (0, rollout);
         let (mut step, mut is_whole) = (0, true);
-        while step < self.steps() && !self.is_enough(&evaluation, enough) {
+        while step < self.steps() && !rollout.is_enough(enough) {
             let block = self.motion.horizon().block_of(step);
             if block != self.motion.horizon().block_of(block_begin.0) {
-                block_begin = (step, bends, evaluation);
+                block_begin = (step, rollout);
             }
-            let rates = |i: usize| Wide([z[i]]);
-            self.add_step(
-                step,
-                &rates,
-                (&mut bends, &mut evaluation),
-                budget,
-                pulp::Scalar,
-            )?;
+            rollout.advance(step, &|i: usize| Wide([z[i]]), budget, pulp::Scalar)?;
             step += 1;
-            let mut violations = evaluation.violations.iter().zip(allowed);
+            let mut violations = rollout.evaluation.violations.iter().zip(allowed);
             if is_whole && violations.any(|(now, allowed)| now.0[0] > allowed) {
                 is_whole = false;
-                (step, bends, evaluation) = block_begin;
+                (step, rollout) = block_begin;
                 let first = block * self.width();
                 z[first..].fill(0.0);
                 self.bounds.project(z);
             }
         }
         if !is_whole && self.is_regularised() {
-            evaluation = self.evaluate_below(z, enough, budget)?;
+            rollout.evaluation = self.evaluate_below(z, enough, budget)?;
         }
-        Some((evaluation, is_whole))
-    }
-
-    /// Whether all of W plans are known to cost more than `enough`: no term is negative.
-    #[inline(always)]
-    fn is_enough<const W: usize>(&self, evaluation: &Evaluation<W>, enough: f64) -> bool {
-        !self.is_free() && enough < f64::INFINITY && all(Wide::splat(enough).less(evaluation.cost))
-    }
-
-    /// Adds what one step costs to the cost of W plans. None: the budget was spent.
-    #[inline(always)]
-    fn add_step<const W: usize, const P: usize>(
-        &self,
-        step: usize,
-        z: &impl Fn(usize) -> Wide<W>,
-        (bends, evaluation): (&mut Bends<W, P>, &mut Evaluation<W>),
-        budget: &mut Budget<'_>,
-        instructions: impl pulp::Simd,
-    ) -> Option<()> {
-        if !budget.spend(self.step_ns()) {
-            return None;
-        }
-        // Nothing is copied where nobody compares with it.
-        let before = (!self.is_free()).then_some(bends.bend_rad);
-        self.motion.advance(bends, z, step);
-        if let Some(target) = self.target(step) {
-            let bend_rad = |i: usize| bends.bend_rad[i];
-            let weights = self.weights(step);
-            let error = pose_error::squared_error(self.robot, bend_rad, target, &weights);
-            evaluation.cost = evaluation.cost + error;
-        }
-        if let Some(before) = before {
-            let penalties = Penalties {
-                problem: self,
-                step,
-                before: &before,
-                after: &bends.bend_rad,
-                evaluation,
-                budget,
-            };
-            apart(instructions, penalties)?;
-        }
-        Some(())
+        Some((rollout.evaluation, is_whole))
     }
 
     /// Whether rates or their change have a weight.
@@ -144,6 +93,77 @@ impl TrackingProblem<'_> {
             }
         }
         cost
+    }
+}
+
+/// W plans on their way through the horizon, and what they cost so far.
+#[derive(Clone, Copy)]
+struct Rollout<'a, const W: usize, const P: usize> {
+    problem: &'a TrackingProblem<'a>,
+    bends: Bends<W, P>,
+    evaluation: Evaluation<W>,
+    // What is the same in every step.
+    step_ns: u32,
+    is_free: bool,
+}
+
+impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
+    #[inline(always)]
+    fn new(problem: &'a TrackingProblem<'_>, z: &impl Fn(usize) -> Wide<W>) -> Self {
+        Self {
+            problem,
+            bends: problem.motion.start(),
+            evaluation: Evaluation::from_cost(problem.regularisation(z)),
+            step_ns: problem.step_ns(),
+            is_free: problem.is_free(),
+        }
+    }
+
+    /// One step on. None: the budget was spent.
+    #[inline(always)]
+    fn advance(
+        &mut self,
+        step: usize,
+        z: &impl Fn(usize) -> Wide<W>,
+        budget: &mut Budget<'_>,
+        instructions: impl pulp::Simd,
+    ) -> Option<()> {
+        if !budget.spend(self.step_ns) {
+            return None;
+        }
+        let problem = self.problem;
+        // Nothing is copied where nobody compares with it: `then_some` may copy all the same.
+        let before = if self.is_free {
+            None
+        } else {
+            Some(self.bends.bend_rad)
+        };
+        problem.motion.advance(&mut self.bends, z, step);
+        if let Some(target) = problem.target(step) {
+            let bend_rad = |i: usize| self.bends.bend_rad[i];
+            let weights = problem.weights(step);
+            let error = pose_error::squared_error(problem.robot, bend_rad, target, &weights);
+            self.evaluation.cost = self.evaluation.cost + error;
+        }
+        if let Some(before) = before {
+            let penalties = Penalties {
+                problem,
+                step,
+                before: &before,
+                after: &self.bends.bend_rad,
+                evaluation: &mut self.evaluation,
+                budget,
+            };
+            apart(instructions, penalties)?;
+        }
+        Some(())
+    }
+
+    /// Whether all plans are known to cost more than `enough`: no term is negative.
+    #[inline(always)]
+    fn is_enough(&self, enough: f64) -> bool {
+        let cost = self.evaluation.cost;
+        !self.is_free && enough < f64::INFINITY && all(Wide::splat(enough).less(cost))
     }
 }
 

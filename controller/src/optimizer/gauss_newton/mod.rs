@@ -172,7 +172,8 @@ impl GaussNewton {
         self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
             let found = own.find_step(trial, damping, budget);
             if found != Found::Nothing {
-                trial.lead(&own.step[..into.len()], 1.0, into);
+                trial.lead(&own.step[..into.len()], 1.0);
+                into.copy_from_slice(trial.at);
             }
             found
         })

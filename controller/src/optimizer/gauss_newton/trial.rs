@@ -19,7 +19,7 @@ pub(super) struct Trial<'a, P> {
     pub bounds: &'a Bounds,
     /// Where they lead from.
     pub base: &'a [f64],
-    /// Memory for where they lead to.
+    /// Where the last one that was tried leads to.
     pub at: &'a mut Vec<f64>,
     pub incumbent: &'a mut Incumbent,
     pub origin: Candidate,
@@ -33,11 +33,11 @@ impl<P: Problem> Trial<'_, P> {
     }
 
     /// Writes where a part of a step leads to, inside the box.
-    pub(super) fn lead(&self, step: &[f64], part: f64, into: &mut [f64]) {
-        for ((into, base), step) in into.iter_mut().zip(self.base).zip(step) {
-            *into = base + part * step;
-        }
-        self.bounds.project(into);
+    pub(super) fn lead(&mut self, step: &[f64], part: f64) {
+        let led = self.base.iter().zip(step);
+        self.at.clear();
+        self.at.extend(led.map(|(base, step)| base + part * step));
+        self.bounds.project(self.at);
     }
 
     /// Offers a part of a step, and halves of that while they are not better. The part that was taken, 0 if none was; None: the budget was
@@ -79,18 +79,15 @@ impl<P: Problem> Trial<'_, P> {
         step: &[f64],
         budget: &mut Budget<'_>,
     ) -> Option<(bool, bool)> {
-        let mut at = core::mem::take(self.at);
-        at.resize(step.len(), 0.0);
-        self.lead(step, 1.0, &mut at);
+        self.lead(step, 1.0);
         let evaluated = self
             .problem
-            .evaluate_to_contact(&mut at, self.incumbent, budget);
-        let result = evaluated.map(|(evaluation, is_whole)| {
-            let better = self.incumbent.offer(|i| at[i], &evaluation, 0, self.origin);
-            (better, is_whole)
-        });
-        *self.at = at;
-        result
+            .evaluate_to_contact(self.at, self.incumbent, budget);
+        let (evaluation, is_whole) = evaluated?;
+        let is_better = self
+            .incumbent
+            .offer(|i| self.at[i], &evaluation, 0, self.origin);
+        Some((is_better, is_whole))
     }
 
     /// Evaluates a part of a step, and says whether it is better than the incumbent, which takes it then. None: the budget was spent.
@@ -100,15 +97,12 @@ impl<P: Problem> Trial<'_, P> {
         part: f64,
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
-        let mut at = core::mem::take(self.at);
-        at.resize(step.len(), 0.0);
-        self.lead(step, part, &mut at);
-        let evaluation = self
-            .problem
-            .evaluate_below(&at, self.incumbent.cost(), budget);
-        let better = evaluation
-            .map(|evaluation| self.incumbent.offer(|i| at[i], &evaluation, 0, self.origin));
-        *self.at = at;
-        better
+        self.lead(step, part);
+        let enough = self.incumbent.cost();
+        let evaluation = self.problem.evaluate_below(self.at, enough, budget)?;
+        let is_better = self
+            .incumbent
+            .offer(|i| self.at[i], &evaluation, 0, self.origin);
+        Some(is_better)
     }
 }
