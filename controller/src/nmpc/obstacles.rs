@@ -48,7 +48,7 @@ pub(super) struct Obstacles {
 struct Near {
     obstacle: Obstacle,
     sections: [u8; HORIZON_STEPS_MAX],
-    /// Clearance of each section at the start, less the safe distance; infinite for those that no plan brings that near.
+    /// Clearance of each section at the start, of a capsule what it is at least, less the safe distance; infinite for those that no plan brings that near.
     spare_m: [f64; SECTIONS_MAX],
     /// What the obstacle moves in a period.
     per_step_m: f64,
@@ -130,13 +130,18 @@ impl Obstacles {
         // What body and obstacle can do in one period; over k periods at most k times as much.
         let per_step_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * motion.period_s()));
         for obstacle in obstacles.iter().take(OBSTACLES_MAX) {
-            if !budget.spend(section_ns(obstacle) * robot.section_count() as u32) {
+            let bound_ns = match obstacle.shape() {
+                Shape::Sphere { .. } => SPHERE_NS,
+                Shape::Capsule { .. } => CHORD_NS,
+            };
+            if !budget.spend(bound_ns * robot.section_count() as u32) {
                 return;
             }
             let own_m = obstacle.velocity_m_s().norm() * motion.period_s();
             let per_step_m = per_step_m.map(|travel_m| travel_m + own_m);
             let reach_m = per_step_m.map(|travel_m| travel_m * steps as f64 + safe_distance_m);
-            let clearances_m = body.clearances_in_reach(obstacle, &reach_m);
+            // Of a capsule a bound will do: plans are culled again, section by section.
+            let clearances_m = body.clearances_below(obstacle, &reach_m, f64::NEG_INFINITY);
             let mut sections = [0; HORIZON_STEPS_MAX];
             for (j, clearance_m) in clearances_m.into_iter().enumerate() {
                 let first = first_step(clearance_m - safe_distance_m, per_step_m[j]);

@@ -2,7 +2,7 @@
 
 use super::clearance::ROUNDING_M;
 use super::lanes::{Frame, WideVector};
-use super::obstacle::Obstacle;
+use super::obstacle::{Axis, Obstacle};
 use super::tube::{Tube, ball};
 use super::{Robot, SECTIONS_MAX, SectionParameters};
 use crate::wide::{Wide, all, either};
@@ -73,6 +73,23 @@ impl<const W: usize> SectionWide<W> {
         let share = (after_start.dot(&self.chord_m) * self.per_chord_1_m2).clamp(0.0, 1.0);
         (after_start - self.chord_m * share).norm_squared()
     }
+
+    /// How far the chord is from a segment in one direction, which is given in a length (m): the distance times that (m²), and that (m). The direction is
+    /// about the one between them where they are nearest.
+    #[inline(always)]
+    fn chord_apart(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
+        let zero = Wide::splat(0.0);
+        let from_m = self.start.position_m - WideVector::splat(&axis.start_m);
+        let span_m = WideVector::splat(&axis.span_m);
+        let to_middle_m = span_m * Wide::splat(0.5) - from_m;
+        let share = (to_middle_m.dot(&self.chord_m) * self.per_chord_1_m2).clamp(0.0, 1.0);
+        let point_m = self.start.position_m + self.chord_m * share;
+        let between_m = point_m - axis.point(axis.share(&point_m));
+        let nearer_end = (zero - between_m.dot(&self.chord_m)).max(zero);
+        let nearer_end = nearer_end + between_m.dot(&span_m).max(zero);
+        let apart_m2 = between_m.dot(&from_m) - nearer_end;
+        (apart_m2, between_m.norm_squared().sqrt())
+    }
 }
 
 impl<const W: usize> BodyWide<W> {
@@ -96,11 +113,16 @@ impl<const W: usize> BodyWide<W> {
         if all(far) {
             return None;
         }
-        // Nearer than the ball, by the distance from the chord; of a capsule that of a ball around its axis.
-        let (middle_m, half_m) = axis.ball();
-        let reach_m = (section.bulge_m + (kept_m + half_m)).max(zero);
-        let square_m2 = section.chord_square_m2(&WideVector::splat(&middle_m));
-        let far = either(far, (reach_m * reach_m * ROUNDING).less(square_m2));
+        // Nearer than the ball, by the chord.
+        let reach_m = (section.bulge_m + kept_m).max(zero);
+        let off_chord = if axis.is_point() {
+            let square_m2 = section.chord_square_m2(&WideVector::splat(&axis.start_m));
+            (reach_m * reach_m * ROUNDING).less(square_m2)
+        } else {
+            let (apart_m2, between_m) = section.chord_apart(axis);
+            (reach_m * between_m * ROUNDING).less(apart_m2)
+        };
+        let far = either(far, off_chord);
         (!all(far)).then_some(far)
     }
 

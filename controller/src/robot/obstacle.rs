@@ -136,15 +136,6 @@ impl Axis {
         (*point_m - nearest_m).norm_squared()
     }
 
-    /// A ball around it: middle (m, base frame) and radius (m), up to rounding.
-    #[inline(always)]
-    pub(super) fn ball(&self) -> (Vector3<f64>, f64) {
-        if self.is_point() {
-            return (self.start_m, 0.0);
-        }
-        (self.start_m + self.span_m * 0.5, 0.5 * self.span_m.norm())
-    }
-
     /// What its coordinates allow distances of it to be off (m): ten units of the last place.
     #[inline(always)]
     pub(super) fn rounding_m(&self) -> f64 {
