@@ -164,6 +164,11 @@ impl Obstacles {
         !self.near.is_empty()
     }
 
+    /// Whether none that matters moves.
+    pub(super) fn stand(&self) -> bool {
+        self.near.iter().all(|near| near.per_step_m == 0.0)
+    }
+
     /// Whether any can be met by the end of `step`.
     #[inline(always)]
     fn matter_at(&self, step: usize) -> bool {

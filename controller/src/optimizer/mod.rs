@@ -107,8 +107,8 @@ pub(crate) trait Problem {
         self.evaluate_below(z, f64::INFINITY, budget)
     }
 
-    /// Evaluates one point as far as it breaks no constraint by more than the incumbent does: what would is changed in `z` so that it does not. Says
-    /// whether `z` stays as it is; None as above. A problem without constraints changes nothing.
+    /// Evaluates one point as far as it breaks no constraint by more than the incumbent does, and `budget` lasts: what is beyond that is changed in `z`. Says
+    /// whether `z` stays as it is; None as above, where that leaves nothing. A problem without constraints changes nothing.
     fn evaluate_to_contact(
         &self,
         z: &mut [f64],

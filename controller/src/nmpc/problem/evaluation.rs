@@ -2,11 +2,11 @@
 
 use pulp::NullaryFnOnce;
 
-use super::TrackingProblem;
+use super::{SECTION_NS, TrackingProblem};
 use crate::nmpc::NmpcSettings;
 use crate::nmpc::motion::Bends;
 use crate::nmpc::pose_error;
-use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, apart};
+use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, apart};
 use crate::robot::COORDINATES_MAX;
 use crate::wide::{Wide, all};
 
@@ -30,8 +30,8 @@ impl TrackingProblem<'_> {
         Some(rollout.evaluation)
     }
 
-    /// The same for one plan, and whether it stays as it is: from the block on in which it would break a constraint by more than the incumbent does,
-    /// its rates become zero, or what is nearest to that in the box.
+    /// The same for one plan, and whether it stays as it is: from the block on in which it would break a constraint by more than the incumbent does, or
+    /// the budget ends, its rates become zero, or what is nearest to that in the box.
     pub(super) fn to_contact_in<const P: usize>(
         &self,
         z: &mut [f64],
@@ -47,21 +47,50 @@ impl TrackingProblem<'_> {
             if block != self.motion.horizon().block_of(block_begin.0) {
                 block_begin = (step, rollout);
             }
-            rollout.advance(step, &|i: usize| Wide([z[i]]), budget, pulp::Scalar)?;
+            let rates = |i: usize| Wide([z[i]]);
+            let is_left = rollout.advance(step, &rates, budget, pulp::Scalar);
             step += 1;
             let mut violations = rollout.evaluation.violations.iter().zip(allowed);
-            if is_whole && violations.any(|(now, allowed)| now.0[0] > allowed) {
+            let breaks = is_whole && violations.any(|(now, allowed)| now.0[0] > allowed);
+            if breaks || is_left.is_none() {
                 is_whole = false;
                 (step, rollout) = block_begin;
                 let first = block * self.width();
                 z[first..].fill(0.0);
                 self.bounds.project(z);
+                if is_left.is_none() {
+                    let evaluation = self.rested::<P>(z, first, &rollout.evaluation)?;
+                    return Some((evaluation, false));
+                }
             }
         }
         if !is_whole && self.is_regularised() {
             rollout.evaluation = self.evaluate_below(z, enough, budget)?;
         }
         Some((rollout.evaluation, is_whole))
+    }
+
+    /// What a plan costs that rests from unknown `first` on, where the budget ended its evaluation. Distances and limits are as they were `until` then: if they
+    /// held, and nothing moves, they hold. None else, or where that takes more than a quantum.
+    fn rested<const P: usize>(
+        &self,
+        z: &[f64],
+        first: usize,
+        until: &Evaluation<1>,
+    ) -> Option<Evaluation<1>> {
+        let holds = until.violations.iter().all(|kind| kind.0[0] == 0.0);
+        let rests = first > 0 && z[first..].iter().all(|rate| *rate == 0.0);
+        let is_short = self.sections_ns(SECTION_NS) * self.steps() as u32 <= QUANTUM_NS;
+        if !(holds && rests && is_short && self.obstacles.stand()) {
+            return None;
+        }
+        let rates = |i: usize| Wide([z[i]]);
+        let mut rollout = Rollout::<1, P>::new(self, &rates);
+        rollout.is_free = true;
+        for step in 0..self.steps() {
+            rollout.advance(step, &rates, &mut Budget::unlimited(), pulp::Scalar)?;
+        }
+        Some(rollout.evaluation)
     }
 
     /// Whether rates or their change have a weight.
