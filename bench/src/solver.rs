@@ -55,11 +55,16 @@ struct Part {
     measure: fn(u64) -> Result<Vec<Value>>,
 }
 
-static PARTS: [Part; 3] = [
+static PARTS: [Part; 4] = [
     Part {
         table: &hard::TABLE,
         whole_s: 10.0,
         measure: |_| hard::measure(),
+    },
+    Part {
+        table: &hard::DEADLINE_TABLE,
+        whole_s: 6.0,
+        measure: |_| hard::measure_by_deadlines(),
     },
     Part {
         table: &guard::TABLE,
@@ -112,7 +117,7 @@ pub struct SolverOptions {
 impl SolverOptions {
     fn parts(&self) -> &'static [Part] {
         if self.shortened > 1 {
-            &PARTS[1..]
+            &PARTS[2..]
         } else {
             &PARTS
         }

@@ -9,7 +9,7 @@ use super::course::Course;
 use super::problem::Field;
 use super::restarts::{Contender, Ending, STUCK_SHARE};
 use super::variant::{Axis, SOLVERS};
-use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, plot};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, SKY, Scale, YELLOW, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
     word,
@@ -254,6 +254,8 @@ fn excess(field: Field, endings: &[Ending]) -> Option<Panel> {
             .map(|(index, percent)| (share(index), *percent));
         let colour = match contender {
             Contender::GaussNewtonRestarted => GREY,
+            Contender::KpsoRefined20Ms => SKY,
+            Contender::KpsoRefined5Ms => YELLOW,
             other => colour(other.solver()),
         };
         Curve::line(contender.name(), points.collect(), colour)

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use cdcr_controller::nmpc::Nmpc;
-use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::optimizer::{Budget, QUANTUM_NS, cycle_seed};
 use cdcr_controller::robot::{Robot, RobotParameters};
 use serde::Serialize;
 
@@ -36,6 +36,9 @@ named! {
         /// Gauss-Newton from rest and from three random plans; the best of the four.
         GaussNewtonRestarted = "gauss-newton-restarted",
         KpsoRefined = "kpso-refined",
+        /// The same with so much work for all solves.
+        KpsoRefined20Ms = "kpso-refined-20ms",
+        KpsoRefined5Ms = "kpso-refined-5ms",
     }
 }
 
@@ -44,7 +47,16 @@ impl Contender {
         match self {
             Self::Kpso => Solver::Kpso,
             Self::GaussNewton | Self::GaussNewtonRestarted => Solver::GaussNewton,
-            Self::KpsoRefined => Solver::KpsoRefined,
+            Self::KpsoRefined | Self::KpsoRefined20Ms | Self::KpsoRefined5Ms => Solver::KpsoRefined,
+        }
+    }
+
+    /// The work that all its solves may do.
+    fn quanta(self) -> u32 {
+        match self {
+            Self::KpsoRefined20Ms => 20_000_000 / QUANTUM_NS,
+            Self::KpsoRefined5Ms => 5_000_000 / QUANTUM_NS,
+            _ => u32::MAX,
         }
     }
 }
@@ -86,7 +98,7 @@ pub fn contest(field: Field, seed: u64) -> Result<Vec<Ending>> {
     let mut endings = Vec::new();
     for contender in Contender::ALL {
         let begin = Instant::now();
-        let mut attempt = Attempt::new(&robot, &problem, contender.solver(), seed)?;
+        let mut attempt = Attempt::new(&robot, &problem, contender, seed)?;
         attempt.converge();
         if contender == Contender::GaussNewtonRestarted {
             for plan in 0..RANDOM_PLANS {
@@ -118,19 +130,21 @@ struct Attempt<'a> {
     nmpc: Nmpc,
     seed: u64,
     solves: u32,
+    quanta_left: u32,
     best_cost: f64,
     best_plan: Vec<f64>,
 }
 
 impl<'a> Attempt<'a> {
-    fn new(robot: &Robot, problem: &'a Problem, solver: Solver, seed: u64) -> Result<Self> {
-        let nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings(solver))?;
+    fn new(robot: &Robot, problem: &'a Problem, contender: Contender, seed: u64) -> Result<Self> {
+        let nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings(contender.solver()))?;
         Ok(Self {
             problem,
             best_plan: nmpc.plan().to_vec(),
             nmpc,
             seed,
             solves: 0,
+            quanta_left: contender.quanta(),
             best_cost: f64::INFINITY,
         })
     }
@@ -148,12 +162,14 @@ impl<'a> Attempt<'a> {
         for _ in 0..SOLVES_MAX {
             let seed = cycle_seed(self.seed, u64::from(self.solves));
             let input = self.problem.input(seed);
-            let (_, report) = self.nmpc.solve(&input, &mut Budget::unlimited());
+            let mut budget = Budget::of_quanta(self.quanta_left);
+            let (_, report) = self.nmpc.solve(&input, &mut budget);
+            self.quanta_left -= report.quanta;
             self.solves += 1;
             let better = report.cost < cost * (1.0 - PROGRESS_SHARE);
             idle = if better { 0 } else { idle + 1 };
             cost = cost.min(report.cost);
-            if idle >= IDLE_SOLVES_MAX {
+            if idle >= IDLE_SOLVES_MAX || self.quanta_left == 0 {
                 break;
             }
         }
