@@ -107,6 +107,8 @@ for _ in 1 2 3 4 5; do
 done
 inside systemctl kill -s USR1 cdcrd
 until_true is StatusText 'stopped (requested)*' || fail "SIGUSR1 does not stop"
+inside systemctl kill -s KILL cdcrd
+until_true is StatusText 'stopped (it was stopped or faulted before*' || fail "a daemon that is started again forgets the stop"
 as member cdcrctl --root /run/cdcr reset || fail "reset"
 as member cdcrctl --root /run/cdcr ref spiral --track > "$scratch/ref" 2>&1 &
 until_true is StatusText 'tracking (*' || fail "it does not track: $(cat "$scratch/ref")"

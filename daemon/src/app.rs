@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Thread;
 
 use anyhow::{Context, Result, bail};
+use cdcr_controller::safety::Mode;
 use cdcr_shared_types::codes::realtime;
 use rtrb::Producer;
 use signal_hook::consts::{SIGHUP, SIGUSR1};
@@ -78,9 +79,15 @@ fn claim_and_run(
     let (location, robot) = (&validated.location, &validated.config.robot.name);
     let instance = Instance::claim(location, robot, validated.group_id)?;
     let Signals { stop, reload } = signals;
-    let shared = Arc::new(Shared::with_stop_flag(stop));
+    let shared = Arc::new(Shared::new(stop, instance.latch()));
     let reload = |settings| Reload::new(reload, read, &given.config, settings);
-    run_with(validated, &instance, &shared, reload, should_end, watch)
+    let ended = run_with(validated, &instance, &shared, reload, should_end, watch);
+    // The cycle takes no more of them.
+    take_signal(SIGUSR1, true);
+    if shared.take_stop() {
+        shared.latch.stop_asked();
+    }
+    ended
 }
 
 fn run_with(
@@ -97,6 +104,16 @@ fn run_with(
     let mut supervisor = Supervisor::new(validated, ends.supervisor, daemon_id, &clock)?;
 
     let cycle = make_cycle(validated, &clock)?;
+    let cycle = match shared.latch.told() {
+        None => cycle,
+        Some(told) => {
+            tracing::warn!(
+                "the robot was {told} before this daemon was started, and nobody has reset it since: it stays stopped \
+                 until `cdcrctl reset`"
+            );
+            cycle.stopped_before()
+        }
+    };
     let reporter = spawn_reporter(validated, ends.reporter, shared, daemon_id)?;
     // One after the other: whether there is room for all is asked by each.
     if let Err(error) = reporter.wait_ready() {
@@ -375,6 +392,7 @@ pub fn run_cycles(
     cycles_to_rest: u64,
 ) {
     let mut cycles_to_rest = cycles_to_rest;
+    let mut mode = Mode::default();
     while cycles_to_rest > 0 {
         let release = schedule.wait_with(clock, |number, due_ns| {
             cycle.rehearse(number, due_ns, ends.inputs.read(), clock);
@@ -393,6 +411,9 @@ pub fn run_cycles(
         shared.cycle_beats.add(1);
         let inputs = ends.inputs.read();
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
+        // Before anybody is told.
+        shared.latch.follow(mode, record.mode);
+        mode = record.mode;
         ends.records.send(record);
         exchange.unpark();
         cycle.rest(clock);

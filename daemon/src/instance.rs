@@ -17,6 +17,7 @@ use cdcr_shared_types::Location;
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
+use crate::latch::Latch;
 use crate::services::stale;
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
@@ -39,6 +40,7 @@ pub struct Instance {
     locked: Arc<Mutex<File>>,
     /// Taken for as long as the process lives, whatever becomes of the files.
     name: Option<Arc<UnixListener>>,
+    latch: Latch,
 }
 
 /// Why this process may not be the daemon.
@@ -128,6 +130,9 @@ impl Instance {
         let path = location.lock_file(robot);
         let mut locked = lock(&path, location, robot)?;
         write_process_id(&mut locked).map_err(|cause| file_error(&path, cause))?;
+        let latched = latch_file(&path);
+        let latch =
+            Latch::open(&latched).map_err(|cause| file_error(&latched, without_link(cause)))?;
         // Before our own nodes are there, because they count as somebody who lives here.
         stale::sweep(location);
         Ok(Self {
@@ -137,7 +142,13 @@ impl Instance {
             group_id,
             locked: Arc::new(Mutex::new(locked)),
             name,
+            latch,
         })
+    }
+
+    /// Whether the robot is to stay stopped.
+    pub(crate) fn latch(&self) -> Latch {
+        self.latch
     }
 
     /// What has to stay where it is for as long as the daemon of `robot` runs. Call it when the services are there.
@@ -151,13 +162,26 @@ impl Drop for Instance {
         // What the caretaker has not come to.
         self.location.clear_dead_nodes(usize::MAX);
         let locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
+        let latched = latch_file(&self.path);
+        let is_free = self.latch.leave(&latched).unwrap_or_else(|error| {
+            tracing::error!(path = %latched.display(), %error, "the next daemon will not know that the robot was stopped");
+            false
+        });
         // Otherwise it is another daemon's, which came when ours had been deleted.
         if is_file_at(&locked, &self.path) {
+            if is_free {
+                remove_if_there(&latched);
+            }
             // What iceoryx2 leaves of killed clients.
             stale::sweep(&self.location);
             remove_if_there(&self.path);
         }
     }
+}
+
+/// Beside the lock file: what says that the robot is to stay stopped.
+fn latch_file(lock: &Path) -> PathBuf {
+    lock.with_extension("latch")
 }
 
 /// Locks the file at `path`. A daemon that ended between our opening and our locking has removed it;

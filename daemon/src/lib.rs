@@ -12,6 +12,7 @@
 //! | [`core_budget`] | how long the solver may take | who measures the other parts |
 //! | [`obstacles`] | what is known around the robot | who says so |
 //! | [`handover`] | what threads hand to each other | what they do with it |
+//! | [`latch`] | what outlives the process: a stop, a fault | who stops, and how |
 //! | [`convert`] | messages and what they mean | who sends them, and when |
 //! | [`services`] | iceoryx2: services, ports, room for them | what the messages mean |
 //! | [`link`] | what the cycle needs of a robot | messages |
@@ -47,6 +48,7 @@ pub mod exchange;
 pub mod exit;
 pub mod handover;
 pub mod instance;
+pub mod latch;
 pub mod link;
 pub mod log;
 pub mod obstacles;

@@ -232,6 +232,8 @@ wire_enum! {
         ReferenceTooFar = 18: "the reference was replaced by one farther from the tip than motion.approach_distance_m",
         /// The mean length of a section's three cables changed by more than any bend does.
         CommonMode = 19: "the cables of a section went slack, or one broke (safety.cable_common_m)",
+        /// The daemon was started again since, and nobody has reset it.
+        StoppedBefore = 20: "it was stopped or faulted before the daemon was started; cdcrctl reset leaves that",
     }
 }
 

@@ -167,6 +167,7 @@ fn reason_remedy(reason: Reason) -> &'static str {
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
         Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",
+        Reason::StoppedBefore => "Look at the robot, then cdcrctl reset.",
         Reason::Shutdown => "Start it again with cdcrd run.",
     }
 }

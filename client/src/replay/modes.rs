@@ -11,7 +11,7 @@ use super::check::Check;
 /// The mode machine, fed with what the records hold.
 ///
 /// What a record does not hold is taken from its reason: faults of measurements, that the robot is home, that the machine slept, that
-/// inputs or obstacles are stale, a stop by a signal, the end of the daemon. All else is computed: clearance and following error that are
+/// inputs or obstacles are stale, a stop by a signal or before the daemon was started, its end. All else is computed: clearance and following error that are
 /// faults, the bucket of misses, lease and end of the reference, requests, faults of the solver, and what becomes of a mode by each.
 #[derive(Debug, Default)]
 pub(super) struct Modes {
@@ -63,11 +63,16 @@ impl Modes {
 impl Before {
     fn moved_on(&self, record: &Telemetry, requests: &[InputEvent]) -> ModeMachine {
         let mut machine = self.machine;
+        let was_shut_down = machine.mode().reason() == safety::Reason::Shutdown;
         let is_now = |mode: Mode, reason: Reason| {
             record.mode == mode.code() && record.reason == reason.code()
         };
         if is_now(Mode::Stopped, Reason::Shutdown) {
             machine.shut_down();
+        }
+        if is_now(Mode::Stopped, Reason::StoppedBefore) && machine.mode() == safety::Mode::Starting
+        {
+            machine = ModeMachine::stopped_before();
         }
         let seen = self.observation(record);
         machine.observe(&seen);
@@ -78,7 +83,7 @@ impl Before {
         // A stop by a signal is no message.
         if requests.peek().is_none()
             && is_now(Mode::Stopped, Reason::Request)
-            && !machine.mode().is_latched()
+            && (was_shut_down || !machine.mode().is_latched())
         {
             let _ = machine.request(safety::Request::Stop, &seen);
         }
@@ -227,5 +232,5 @@ macro_rules! reasons {
 reasons! {
     Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
     LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode,
+    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore,
 }

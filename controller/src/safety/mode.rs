@@ -12,6 +12,7 @@
 //!  Tracking, Homing ── stale inputs, silent source of obstacles ──► Holding
 //!  Tracking ── replaced by a reference that is too far ──► Holding
 //!  Stopped, Faulted ── reset, cause gone ──► Holding
+//!  Starting ──► Stopped, not Holding, where the robot was stopped or faulted before the process was started
 //! ```
 
 use crate::reference::ReferenceState;
@@ -60,6 +61,8 @@ pub enum Reason {
     ReferenceTooFar,
     /// The common mode of a section's cables changed.
     CommonMode,
+    /// It was stopped or faulted before the process was started again.
+    StoppedBefore,
 }
 
 /// The mode, with what belongs to it.
@@ -207,6 +210,7 @@ pub struct ModeMachine {
     tracked_lease: u32,
     faults: u64,
     ends: bool,
+    stopped_before: bool,
 }
 
 impl ModeMachine {
@@ -215,6 +219,14 @@ impl ModeMachine {
         Self {
             mode,
             tracked_lease: lease_number,
+            ..Self::default()
+        }
+    }
+
+    /// A machine of a robot that was stopped or faulted before, and not reset since.
+    pub fn stopped_before() -> Self {
+        Self {
+            stopped_before: true,
             ..Self::default()
         }
     }
@@ -249,6 +261,11 @@ impl ModeMachine {
             self.hold(reason);
         }
         match self.mode {
+            Mode::Starting if self.stopped_before => {
+                self.mode = Mode::Stopped {
+                    reason: Reason::StoppedBefore,
+                };
+            }
             Mode::Starting => self.hold(Reason::Start),
             Mode::Tracking { .. } => self.keep_tracking(seen),
             Mode::Homing if seen.at_home => self.hold(Reason::HomeReached),
@@ -265,7 +282,18 @@ impl ModeMachine {
             return Err(Refusal::Ending);
         }
         match (request, self.mode) {
-            // What has stopped already keeps its first reason.
+            // What has stopped already keeps its first reason; but that a daemon ends is no stop.
+            (
+                Request::Stop,
+                Mode::Stopped {
+                    reason: Reason::Shutdown,
+                },
+            ) => {
+                self.mode = Mode::Stopped {
+                    reason: Reason::Request,
+                };
+                Ok(())
+            }
             (Request::Stop, Mode::Faulted { .. } | Mode::Stopped { .. })
             | (Request::Reset, Mode::Holding { .. })
             | (Request::Track { .. }, Mode::Tracking { .. }) => Ok(()),
@@ -329,8 +357,8 @@ impl ModeMachine {
 
     /// The process ends: come to rest, and stay there whatever is asked. A fault keeps its cause.
     pub fn shut_down(&mut self) {
-        self.ends = true;
-        if !matches!(self.mode, Mode::Faulted { .. }) {
+        let is_new = !core::mem::replace(&mut self.ends, true);
+        if is_new && !matches!(self.mode, Mode::Faulted { .. }) {
             self.mode = Mode::Stopped {
                 reason: Reason::Shutdown,
             };

@@ -26,7 +26,7 @@ to_wire! {
     pub reason: Reason => Reason {
         Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
         LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode,
+        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore,
     }
     /// What of a command the driver obeys.
     pub interface: Interface => Interface { Velocity, Position }

@@ -152,6 +152,13 @@ impl Cycle {
         self
     }
 
+    /// The same of a robot that was stopped or faulted before: it needs a reset.
+    #[must_use]
+    pub fn stopped_before(mut self) -> Self {
+        self.modes = ModeMachine::stopped_before();
+        self
+    }
+
     /// Whether the robot rests: the last command was zero rates.
     pub fn is_at_rest(&self) -> bool {
         self.rates.as_slice().iter().all(|rate| *rate == 0.0)

@@ -73,6 +73,7 @@ impl Exchange {
             };
             let is_stop = asked.payload().kind == RequestKind::Stop.code();
             if is_stop {
+                shared.latch.stop_asked();
                 self.pass_stop_on(asked, now_ns);
             } else if self.requests.taken < REQUESTS_PER_GATHER {
                 self.requests.taken += 1;

@@ -1,6 +1,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
+use crate::latch::Latch;
+
 /// A flag of one thread. Who sees it sees all that its thread did before.
 #[derive(Debug, Default)]
 pub struct Flag(AtomicBool);
@@ -55,13 +57,16 @@ pub struct Shared {
     cycle_thread: AtomicU32,
     /// Set by a signal, so that neither shared memory nor another thread is needed for a stop.
     stop_asked: Arc<AtomicBool>,
+    /// What outlives this process.
+    pub latch: Latch,
 }
 
 impl Shared {
-    /// With a flag that a signal sets when it asks for a stop.
-    pub fn with_stop_flag(stop_asked: Arc<AtomicBool>) -> Self {
+    /// With a flag that a signal sets when it asks for a stop, and what outlives the process.
+    pub fn new(stop_asked: Arc<AtomicBool>, latch: Latch) -> Self {
         Self {
             stop_asked,
+            latch,
             ..Self::default()
         }
     }

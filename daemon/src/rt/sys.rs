@@ -4,8 +4,11 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::fs::File;
 use std::io;
 use std::mem::MaybeUninit;
+use std::os::fd::AsRawFd;
+use std::sync::atomic::AtomicU64;
 
 /// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99); `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
 pub fn set_fifo(priority: i32) -> io::Result<()> {
@@ -48,6 +51,29 @@ pub fn keep_freed_memory() {
         // SAFETY: mallopt takes two integers and touches only the allocator's own settings.
         unsafe { libc::mallopt(option, value) };
     }
+}
+
+/// Maps the first eight bytes of `file`, which has them, for as long as the process lives. What is written there stays in the
+/// file, however the process ends.
+pub fn map_word(file: &File) -> io::Result<&'static AtomicU64> {
+    let access = libc::PROT_READ | libc::PROT_WRITE;
+    // SAFETY: the kernel chooses the place, so nothing that is mapped is replaced; `file` is open for the whole call.
+    let place = unsafe {
+        libc::mmap(
+            std::ptr::null_mut(),
+            size_of::<AtomicU64>(),
+            access,
+            libc::MAP_SHARED,
+            file.as_raw_fd(),
+            0,
+        )
+    };
+    if place == libc::MAP_FAILED {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: the mapping begins at a page, so it is aligned, is never undone, and any eight bytes are a number. Only the user of
+    // this process may open the file and make it shorter, which would end the process and not lead it elsewhere.
+    Ok(unsafe { &*place.cast::<AtomicU64>() })
 }
 
 /// What the allocator does about the heap operations of a thread.

@@ -7,6 +7,7 @@
 
 mod access;
 mod beside;
+mod latch;
 mod matrix;
 mod place;
 mod signal;

@@ -233,7 +233,17 @@ fn nothing_moves_a_robot_whose_daemon_ends() {
         let mut machine = machine(mode);
         machine.shut_down();
         let rests = machine.mode();
-        assert!(machine.mode().is_latched());
+        assert!(rests.is_latched());
+        for request in [Request::Reset, TRACK, Request::Home, Request::Hold] {
+            assert_eq!(machine.request(request, &good()), Err(Refusal::Ending));
+        }
+        machine.observe(&good());
+        assert_eq!(machine.mode(), rests);
+        // A stop counts beyond the end, of which it is no reason.
+        let stopped = Mode::Stopped {
+            reason: Reason::Request,
+        };
+        let stopped = if mode == faulted { faulted } else { stopped };
         let all = [
             Request::Reset,
             TRACK,
@@ -242,14 +252,31 @@ fn nothing_moves_a_robot_whose_daemon_ends() {
             Request::Stop,
         ];
         let answers = machine.requests(&all.map(Some), false, &good());
-        for request in all {
-            let alone = machine.request(request, &good());
-            assert_eq!(alone.is_ok(), request == Request::Stop);
-        }
+        machine.shut_down();
         machine.observe(&good());
-        assert_eq!(machine.mode(), rests);
+        assert_eq!(machine.mode(), stopped);
         assert_eq!(answers[0], Some(Err(Refusal::Ending)));
     }
+}
+
+#[test]
+fn what_was_stopped_before_the_start_waits_for_a_reset() {
+    let mut machine = ModeMachine::stopped_before();
+    machine.observe(&Observation::default());
+    assert_eq!(machine.mode(), Mode::Starting, "nothing is measured");
+    assert_eq!(
+        machine.request(Request::Reset, &Observation::default()),
+        Err(Refusal::WrongMode)
+    );
+    machine.observe(&good());
+    let reason = Reason::StoppedBefore;
+    assert_eq!(machine.mode(), Mode::Stopped { reason });
+    for request in [TRACK, Request::Home, Request::Hold] {
+        assert_eq!(machine.request(request, &good()), Err(Refusal::WrongMode));
+    }
+    assert_eq!(machine.request(Request::Reset, &good()), Ok(()));
+    machine.observe(&good());
+    assert!(!machine.mode().is_latched());
 }
 
 #[test]

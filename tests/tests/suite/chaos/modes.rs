@@ -60,6 +60,8 @@ const fn request(from: &'static [Mode], kind: RequestKind, to: Mode) -> Arrow {
 const ARROWS: &[Arrow] = &[
     // The first measurement is there.
     world(&[Mode::Starting], Mode::Holding, Reason::Start),
+    // It is there, of a robot that was stopped before the daemon was started again.
+    world(&[Mode::Starting], Mode::Stopped, Reason::StoppedBefore),
     // Whoever feeds has come to the end, fell silent or gave the lease back.
     world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceEnded),
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseExpired),

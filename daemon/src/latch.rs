@@ -1,0 +1,124 @@
+//! A stop outlives the daemon: a word in the root folder says that the robot was stopped or faulted, and what by, until a reset.
+//!
+//! The word is mapped, so whoever latches or resets the robot writes it as it writes memory: no system call, no wait, no disk
+//! that can be full. The kernel keeps it when the process is killed in the next instruction. The folder is in memory, so the
+//! word ends with the machine's run.
+
+use std::fs::{DirBuilder, File, OpenOptions};
+use std::io::{Error, Result};
+use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use cdcr_controller::safety::{Mode, Reason};
+use cdcr_shared_types::codes;
+use rustix::fs::OFlags;
+
+use crate::convert;
+use crate::rt::sys::map_word;
+
+const WORD_BYTES: u64 = size_of::<u64>() as u64;
+/// No stop, and no fault.
+const FREE: u64 = 0;
+
+/// Whether the robot is to stay stopped, whoever is its daemon. The default keeps nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Latch(Option<&'static AtomicU64>);
+
+impl Latch {
+    /// The one in the file at `path`, which is made where it is missing: for the user of this process alone.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = private().create(true).truncate(false).open(path)?;
+        let metadata = file.metadata()?;
+        if !metadata.is_file() || metadata.uid() != rustix::process::geteuid().as_raw() {
+            return Err(Error::other("it is no file of this user's"));
+        }
+        // Less has one who was killed when he had just made it.
+        if metadata.len() < WORD_BYTES {
+            write(&file, FREE)?;
+        }
+        let word = map_word(&file)?;
+        // The page is there now, and none is asked for later.
+        word.fetch_or(FREE, Ordering::Relaxed);
+        Ok(Self(Some(word)))
+    }
+
+    /// Mode and reason that the robot was latched by, in words, if nobody has reset it.
+    pub fn told(&self) -> Option<String> {
+        let word = self.word();
+        let (mode, reason) = (word as u32, (word >> 32) as u32);
+        let told = || {
+            format!(
+                "{} ({})",
+                codes::Mode::text_of(mode),
+                codes::Reason::text_of(reason)
+            )
+        };
+        (word != FREE).then(told)
+    }
+
+    /// The mode of the robot was `before` and is `now`. An end of the daemon is no stop, and what was found at the start stays.
+    pub fn follow(&self, before: Mode, now: Mode) {
+        let is_of_itself = matches!(now.reason(), Reason::Shutdown | Reason::StoppedBefore);
+        if now.is_latched() && now != before && !is_of_itself {
+            self.set(word_of(now));
+        } else if before.is_latched() && !now.is_latched() {
+            self.set(FREE);
+        }
+    }
+
+    /// A stop was asked for, and may find no cycle any more that carries it out.
+    pub fn stop_asked(&self) {
+        if self.word() == FREE {
+            let reason = Reason::Request;
+            self.set(word_of(Mode::Stopped { reason }));
+        }
+    }
+
+    /// Makes the file anew where it was deleted, also with its folder, if the robot is to stay stopped. True: it is not.
+    pub(crate) fn leave(&self, path: &Path) -> Result<bool> {
+        let word = self.word();
+        if word == FREE || path.symlink_metadata().is_ok() {
+            return Ok(word == FREE);
+        }
+        let folder = path.parent().unwrap_or(path);
+        DirBuilder::new()
+            .recursive(true)
+            .mode(0o700)
+            .create(folder)?;
+        let file = private().create_new(true).open(path)?;
+        write(&file, word)?;
+        Ok(false)
+    }
+
+    fn word(&self) -> u64 {
+        self.0.map_or(FREE, |word| word.load(Ordering::Acquire))
+    }
+
+    fn set(&self, value: u64) {
+        if let Some(word) = self.0 {
+            word.store(value, Ordering::Release);
+        }
+    }
+}
+
+/// How the file is opened: no link or pipe in its place leads anywhere.
+fn private() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
+    options
+        .read(true)
+        .write(true)
+        .mode(0o600)
+        .custom_flags(flags);
+    options
+}
+
+fn write(file: &File, word: u64) -> Result<()> {
+    file.write_all_at(&word.to_ne_bytes(), 0)
+}
+
+fn word_of(mode: Mode) -> u64 {
+    let (mode, reason) = (convert::mode(mode), convert::reason(mode.reason()));
+    u64::from(mode.code()) | u64::from(reason.code()) << 32
+}
