@@ -207,7 +207,8 @@ typedef enum CdcrReason {
     CDCR_REASON_SUSPENDED = 16, /* the machine was suspended */
     CDCR_REASON_OBSTACLE_SOURCE_SILENT = 17, /* the source of the obstacles is silent (obstacles.source_timeout_ms) */
     CDCR_REASON_REFERENCE_TOO_FAR = 18, /* the reference was replaced by one farther from the tip than motion.approach_distance_m */
-    CDCR_REASON_COMMON_MODE = 19 /* the cables of a section went slack, or one broke (safety.cable_common_m) */
+    CDCR_REASON_COMMON_MODE = 19, /* the cables of a section went slack, or one broke (safety.cable_common_m) */
+    CDCR_REASON_STOPPED_BEFORE = 20 /* it was stopped or faulted before the daemon was started; cdcrctl reset leaves that */
 } CdcrReason;
 
 typedef enum CdcrReferenceState {

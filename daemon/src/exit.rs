@@ -74,6 +74,7 @@ impl ExitCause {
             match cause.downcast_ref::<InstanceError>() {
                 Some(InstanceError::Runs { .. }) => return Some(Self::AlreadyRuns),
                 Some(InstanceError::RootLocked { .. }) => return Some(Self::RootLocked),
+                Some(full) if full.is_full() => return Some(Self::SharedMemory),
                 Some(_) => return Some(Self::Root),
                 None => {}
             }

@@ -6,7 +6,7 @@ mod place;
 mod root;
 
 use std::fs::{File, OpenOptions, Permissions, TryLockError};
-use std::io::{Read, Seek, Write};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use rustix::fs::OFlags;
 use rustix::io::Errno;
 
 use crate::latch::Latch;
-use crate::services::stale;
+use crate::services::{ServiceError, ask_for_room, stale};
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
 
@@ -114,13 +114,34 @@ pub enum InstanceError {
          {root} does not\nroot makes one: install -d -o <user of the daemon> -m 0700 /run/cdcr; or leave transport.group empty"
     )]
     GroupRoot { root: String },
+    #[error(transparent)]
+    NoRoom(ServiceError),
     #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
     File { path: String, cause: std::io::Error },
+}
+
+impl InstanceError {
+    /// Whether the file system of the root folder is full.
+    pub(crate) fn is_full(&self) -> bool {
+        match self {
+            Self::NoRoom(_) => true,
+            Self::File { cause, .. } => cause.kind() == ErrorKind::StorageFull,
+            _ => false,
+        }
+    }
 }
 
 impl Instance {
     /// Becomes the daemon of `robot` at `location`, for its user and a group.
     pub fn claim(
+        location: &Location,
+        robot: &str,
+        group_id: Option<u32>,
+    ) -> Result<Self, InstanceError> {
+        Self::claim_now(location, robot, group_id).map_err(|error| with_lack(error, location))
+    }
+
+    fn claim_now(
         location: &Location,
         robot: &str,
         group_id: Option<u32>,
@@ -237,6 +258,14 @@ fn is_file_at(file: &File, path: &Path) -> bool {
     matches!((opened, there), (Ok(opened), Ok(there)) if opened == there)
 }
 
+/// A full file system is told with what is needed and what is free.
+fn with_lack(error: InstanceError, location: &Location) -> InstanceError {
+    match error.is_full().then(|| ask_for_room(location)) {
+        Some(Err(lack)) => InstanceError::NoRoom(lack),
+        _ => error,
+    }
+}
+
 fn file_error(path: &Path, cause: std::io::Error) -> InstanceError {
     InstanceError::File {
         path: path.display().to_string(),
@@ -262,7 +291,7 @@ fn write_process_id(file: &mut File) -> std::io::Result<()> {
 
 fn remove_if_there(path: &Path) {
     if let Err(error) = std::fs::remove_file(path)
-        && error.kind() != std::io::ErrorKind::NotFound
+        && error.kind() != ErrorKind::NotFound
     {
         tracing::warn!(path = %path.display(), %error, "cannot be removed");
     }

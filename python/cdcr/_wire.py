@@ -272,6 +272,8 @@ class Reason(Code):
     """The reference was replaced by one farther from the tip than motion.approach_distance_m."""
     COMMON_MODE = 19
     """The cables of a section went slack, or one broke (safety.cable_common_m)."""
+    STOPPED_BEFORE = 20
+    """It was stopped or faulted before the daemon was started; cdcrctl reset leaves that."""
 
 
 class ReferenceState(Code):

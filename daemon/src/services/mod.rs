@@ -61,13 +61,8 @@ pub enum ServiceError {
     },
 }
 
-/// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
-pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
-    let error = |cause: String| ServiceError::Node {
-        prefix: location.prefix().to_owned(),
-        root: location.root().display().to_string(),
-        cause,
-    };
+/// Whether a daemon has room at `location`.
+pub(crate) fn ask_for_room(location: &Location) -> Result<(), ServiceError> {
     let room = ShmSpace::new(location.root(), &location.file_prefix());
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
     let needed_bytes = daemon_bytes().saturating_sub(room.taken_bytes());
@@ -76,7 +71,17 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         .map_err(|lack| ServiceError::Full {
             what: "the daemon".to_owned(),
             lack,
-        })?;
+        })
+}
+
+/// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
+pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
+    let error = |cause: String| ServiceError::Node {
+        prefix: location.prefix().to_owned(),
+        root: location.root().display().to_string(),
+        cause,
+    };
+    ask_for_room(location)?;
     let mut config = location
         .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;

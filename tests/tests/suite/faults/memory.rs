@@ -24,7 +24,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
         return;
     }
     // Too small by little and by much; the default of many containers is large enough.
-    for kilobytes in [16, 1_000, 30_000] {
+    for kilobytes in [4, 16, 1_000, 30_000] {
         if !mount_memory(&format!("size={kilobytes}k")) {
             return;
         }
@@ -110,7 +110,7 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
     )) {
         return;
     }
-    for inodes in [8, 30, 50] {
+    for inodes in [3, 8, 30, 50] {
         if !mount_memory(&format!("size=64000k,nr_inodes={inodes}")) {
             return;
         }
