@@ -37,7 +37,7 @@ impl Hung {
     }
 
     /// Lets a thread that died with its process go, so that the process can be waited for.
-    fn reap(&self) {
+    pub(crate) fn reap(&self) {
         let _ = waitpid(
             self.thread,
             Some(WaitPidFlag::__WALL | WaitPidFlag::WNOHANG),

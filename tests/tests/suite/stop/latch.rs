@@ -137,7 +137,10 @@ fn a_stop_that_finds_a_hung_cycle_holds_for_the_next_daemon() {
             let output = daemon.place().cdcrctl(&["stop"]);
             println!("{}", text(&output));
         }
-        wait_until("its watchdog ends it", || !daemon.runs());
+        wait_until("its watchdog ends it", || {
+            hung.reap();
+            !daemon.runs()
+        });
         drop(hung);
         daemon.restart();
         assert_waits_for_reset(&daemon, "stopped (requested)");
