@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::record::largest;
 use cdcr_tests::{
     Daemon, PATIENT, ROBOT, TIMEOUT, ask_for, refused, text, wait_status, wait_until,
 };
@@ -12,7 +13,7 @@ use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
 use crate::faults::threads::Hung;
-use crate::faults::trail::{Trail, is, rests};
+use crate::faults::trail::{Trail, is};
 use crate::stop::place::empty;
 
 /// Deadlines that a stalled machine misses stop nothing here.
@@ -99,13 +100,16 @@ fn a_stop_holds_beyond_an_orderly_end_and_an_end_alone_is_none() {
 fn a_stop_while_the_daemon_ends_holds_for_the_next() {
     let mut daemon = Daemon::start(&format!(
         "{CALM}[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n\
-         [motion]\nhome_rate_rad_s = 0.5\ndeceleration_rad_s2 = 0.1\n"
+         [motion]\nhome_rate_rad_s = 0.5\ndeceleration_rad_s2 = 0.2\n"
     ));
     for by_signal in [false, true] {
         let connection = daemon.connect();
         let mut trail = Trail::new(&connection);
         ask_for(&connection, RequestKind::Home);
-        trail.until("moving", |record| !rests(record));
+        // Its ramp takes 2 s then.
+        trail.until("at speed", |record| {
+            largest(&record.command.bend_rate_rad_s) > 0.4
+        });
         daemon.signal(Signal::TERM);
         trail.until("ending", is(Mode::Stopped));
         if by_signal {
