@@ -10,13 +10,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Thread;
 
 use anyhow::{Context, Result, bail};
-use cdcr_controller::safety::Mode;
+use cdcr_controller::safety::{Mode, Reason};
 use cdcr_shared_types::codes::realtime;
 use rtrb::Producer;
 use signal_hook::consts::{SIGHUP, SIGUSR1};
 
 use crate::caretaker::Caretaker;
 use crate::config::{REST_MAX_S, Validated};
+use crate::convert;
 use crate::core_budget::KERNEL_SHARE;
 use crate::cycle::Cycle;
 use crate::doctor::{System, kernel_share, with_core};
@@ -26,6 +27,7 @@ use crate::handover::{
     ChangedSettings, CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels,
 };
 use crate::instance::Instance;
+use crate::latch::Latch;
 use crate::link::RobotLink;
 use crate::reload::{ReadConfig, Reload};
 use crate::reporter::Reporter;
@@ -412,13 +414,23 @@ pub fn run_cycles(
         let inputs = ends.inputs.read();
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
         // Before anybody is told.
-        shared.latch.follow(mode, record.mode);
+        keep_latched(shared.latch, mode, record.mode);
         mode = record.mode;
         ends.records.send(record);
         exchange.unpark();
         cycle.rest(clock);
     }
     shared.still_moving.set(!cycle.is_at_rest());
+}
+
+/// A stop or a fault outlives the process until a reset. An end of the daemon is no stop, and what was found at the start stays.
+fn keep_latched(latch: Latch, before: Mode, now: Mode) {
+    let is_of_itself = matches!(now.reason(), Reason::Shutdown | Reason::StoppedBefore);
+    if now.is_latched() && now != before && !is_of_itself {
+        latch.set(convert::mode(now), convert::reason(now.reason()));
+    } else if before.is_latched() && !now.is_latched() {
+        latch.clear();
+    }
 }
 
 /// An identity for this run, never 0.

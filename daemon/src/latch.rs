@@ -10,11 +10,9 @@ use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use cdcr_controller::safety::{Mode, Reason};
-use cdcr_shared_types::codes;
+use cdcr_shared_types::codes::{Mode, Reason};
 use rustix::fs::OFlags;
 
-use crate::convert;
 use crate::rt::sys::map_word;
 
 const WORD_BYTES: u64 = size_of::<u64>() as u64;
@@ -47,31 +45,24 @@ impl Latch {
     pub fn told(&self) -> Option<String> {
         let word = self.word();
         let (mode, reason) = (word as u32, (word >> 32) as u32);
-        let told = || {
-            format!(
-                "{} ({})",
-                codes::Mode::text_of(mode),
-                codes::Reason::text_of(reason)
-            )
-        };
+        let told = || format!("{} ({})", Mode::text_of(mode), Reason::text_of(reason));
         (word != FREE).then(told)
     }
 
-    /// The mode of the robot was `before` and is `now`. An end of the daemon is no stop, and what was found at the start stays.
-    pub fn follow(&self, before: Mode, now: Mode) {
-        let is_of_itself = matches!(now.reason(), Reason::Shutdown | Reason::StoppedBefore);
-        if now.is_latched() && now != before && !is_of_itself {
-            self.set(word_of(now));
-        } else if before.is_latched() && !now.is_latched() {
-            self.set(FREE);
-        }
+    /// The robot was stopped or faulted.
+    pub fn set(&self, mode: Mode, reason: Reason) {
+        self.store(u64::from(mode.code()) | u64::from(reason.code()) << 32);
+    }
+
+    /// It was reset.
+    pub fn clear(&self) {
+        self.store(FREE);
     }
 
     /// A stop was asked for, and may find no cycle any more that carries it out.
     pub fn stop_asked(&self) {
         if self.word() == FREE {
-            let reason = Reason::Request;
-            self.set(word_of(Mode::Stopped { reason }));
+            self.set(Mode::Stopped, Reason::Request);
         }
     }
 
@@ -95,7 +86,7 @@ impl Latch {
         self.0.map_or(FREE, |word| word.load(Ordering::Acquire))
     }
 
-    fn set(&self, value: u64) {
+    fn store(&self, value: u64) {
         if let Some(word) = self.0 {
             word.store(value, Ordering::Release);
         }
@@ -116,9 +107,4 @@ fn private() -> OpenOptions {
 
 fn write(file: &File, word: u64) -> Result<()> {
     file.write_all_at(&word.to_ne_bytes(), 0)
-}
-
-fn word_of(mode: Mode) -> u64 {
-    let (mode, reason) = (convert::mode(mode), convert::reason(mode.reason()));
-    u64::from(mode.code()) | u64::from(reason.code()) << 32
 }
