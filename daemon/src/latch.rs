@@ -108,3 +108,33 @@ fn private() -> OpenOptions {
 fn write(file: &File, word: u64) -> Result<()> {
     file.write_all_at(&word.to_ne_bytes(), 0)
 }
+
+#[cfg(test)]
+mod tests {
+    use cdcr_scratch::Scratch;
+
+    use super::*;
+
+    #[test]
+    fn what_was_latched_is_found_again_until_it_is_cleared() {
+        let folder = Scratch::in_memory().unwrap();
+        let path = folder.path().join("root/a.latch");
+        std::fs::create_dir(path.parent().unwrap()).unwrap();
+        // Its maker was killed before it wrote anything.
+        File::create(&path).unwrap();
+        let latch = Latch::open(&path).unwrap();
+        assert_eq!(latch.told(), None);
+        assert!(latch.leave(&path).unwrap());
+        latch.set(Mode::Faulted, Reason::MeasurementLost);
+        // A stop that comes later does not change why.
+        latch.stop_asked();
+        let told = "faulted (the measurement is lost)";
+        assert_eq!(Latch::open(&path).unwrap().told().as_deref(), Some(told));
+        std::fs::remove_dir_all(path.parent().unwrap()).unwrap();
+        assert!(!latch.leave(&path).unwrap());
+        let found = Latch::open(&path).unwrap();
+        assert_eq!(found.told().as_deref(), Some(told));
+        found.clear();
+        assert_eq!(Latch::open(&path).unwrap().told(), None);
+    }
+}
