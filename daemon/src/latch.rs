@@ -28,8 +28,9 @@ impl Latch {
     pub fn open(path: &Path) -> Result<Self> {
         let file = private().create(true).truncate(false).open(path)?;
         let metadata = file.metadata()?;
-        if !metadata.is_file() || metadata.uid() != rustix::process::geteuid().as_raw() {
-            return Err(Error::other("it is no file of this user's"));
+        let is_ours = metadata.uid() == rustix::process::geteuid().as_raw();
+        if !metadata.is_file() || !is_ours || metadata.nlink() > 1 {
+            return Err(Error::other("it is no file of this user's with one name"));
         }
         // Less has one who was killed when he had just made it.
         if metadata.len() < WORD_BYTES {
