@@ -3,6 +3,7 @@
 
 mod near;
 mod play;
+mod renewed;
 mod rows;
 mod watched;
 mod way;
@@ -12,45 +13,17 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
 use super::Limits;
 use super::projection::Region;
-use near::{Near, REGION_LOOKS, Stance};
+use near::{Near, Stance};
+use renewed::{BEGINNINGS, Beginning, SLOWLY};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 12;
-/// Times that it is linearised anew where that leads to rest.
-const RENEWALS: usize = 4;
-/// How those begin, and go on.
-const BEGINNINGS: [Beginning; 3] = [
-    Beginning {
-        slack: 0.0,
-        margin_m: 1e-7,
-    },
-    Beginning {
-        slack: 0.1,
-        margin_m: 1e-9,
-    },
-    Beginning {
-        slack: 0.5,
-        margin_m: 1e-9,
-    },
-];
-/// Shares of what is found then that are checked.
-const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// A correction that leaves less than this share of the fastest component is rest.
 const STANDING: f64 = 1e-6;
-/// One that is made anew and leaves less than this is taken where no other leaves more.
-const SLOW: f64 = 0.05;
 /// Scales that are tried.
 const SCALES: u32 = 12;
 /// A command that is scaled down is at most this share of the rates shorter than one that was found not to hold.
 const SCALE_WITHIN: f64 = 1.0 / 256.0;
-
-/// Around the standing robot each half-space is wider by a share of the fastest component, because all of them can meet in rest alone where clearances
-/// are curved and there is a way. Later ones ask for a margin.
-#[derive(Clone, Copy)]
-struct Beginning {
-    slack: f64,
-    margin_m: f64,
-}
 
 /// A command that keeps clear.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -163,7 +136,8 @@ impl ClearanceGuard<'_> {
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
     /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances are
-    /// made linear anew at one place. Slower rates stop sooner: each that are looked at
+    /// made linear anew at one place, for slow rates first. Among many obstacles that is done before all else, for slow rates alone, while there is time. Slower
+    /// rates stop sooner: each that are looked at
     /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
     /// positions keeps the same rule from where it is commanded to be, too.
     ///
@@ -173,13 +147,25 @@ impl ClearanceGuard<'_> {
     /// Nothing allocates; the work is bounded, and a few comparisons where no obstacle is near. The same inputs give the
     /// same bits.
     pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
+        let rest = self.rest();
         self.guarded(rates, false, |near| {
+            let is_crowd = !near.are_few();
+            let slow = if is_crowd {
+                let slow = self.renewed(near, limits, rates, SLOWLY);
+                near.forget_rows();
+                slow
+            } else {
+                rest
+            };
             let found = self.corrected(near, limits, rates);
-            if found == self.rest() && near.are_few() {
+            if found != rest {
+                found
+            } else if is_crowd {
+                slow
+            } else {
                 near.allow_renewal();
-                return self.renewed(near, limits, rates);
+                self.renewed(near, limits, rates, BEGINNINGS)
             }
-            found
         })
     }
 
@@ -278,65 +264,6 @@ impl ClearanceGuard<'_> {
         scaled
     }
 
-    /// As [`Self::corrected`], where that leads to rest. Half-spaces from several linearisations may leave nothing between them, and those of the
-    /// standing robot nothing that holds exactly, because clearances are curved. So all of them are made anew from one linearisation:
-    /// around the standing robot, where rest is inside, and then around what was found with those.
-    fn renewed(
-        &self,
-        near: &Places<'_>,
-        limits: &Limits<'_>,
-        desired_rates: &BendRates,
-    ) -> BendRates {
-        let mut limited = Region::EMPTY;
-        limits.fill(&mut limited, fastest(desired_rates));
-        let mut slow = self.rest();
-        for beginning in &BEGINNINGS {
-            let mut around = None;
-            for _ in 0..RENEWALS {
-                if near.is_out_of_looks() {
-                    return slow;
-                }
-                let mut region = limited.clone();
-                near.bound_again(self, desired_rates, around.as_ref(), beginning, &mut region);
-                let nearest = limits.nearest_in(&mut region, desired_rates);
-                near.count(REGION_LOOKS + region.take_products());
-                let Some(nearest) = nearest else {
-                    // What was found is nearer to the standing robot then.
-                    let Some(rates) = around else { break };
-                    around = Some(times(&rates, 0.5));
-                    continue;
-                };
-                let rates = shortened_to(nearest, fastest(desired_rates));
-                if fastest(&rates) <= STANDING * fastest(desired_rates) {
-                    break;
-                }
-                if let Some(held) = self.held_share(near, &rates) {
-                    if fastest(&held) > SLOW * fastest(desired_rates) {
-                        return held;
-                    }
-                    if fastest(&held) > fastest(&slow) {
-                        slow = held;
-                    }
-                }
-                around = Some(rates);
-            }
-        }
-        slow
-    }
-
-    /// The largest of [`SHARES`] of `rates` that holds the rule.
-    fn held_share(&self, near: &Places<'_>, rates: &BendRates) -> Option<BendRates> {
-        near.forget_between();
-        SHARES.into_iter().find_map(|share| {
-            let shorter = times(rates, share);
-            let is_held = near.check(self, &shorter).is_ok();
-            if !is_held && share == 1.0 {
-                near.note_between(self, rates);
-            }
-            is_held.then_some(shorter)
-        })
-    }
-
     /// `rates`, scaled down to where the rule holds: between a scale that does and one that does not, the one is tried where the
     /// clearance that was too small would be large enough, were it linear.
     fn scaled(&self, near: &Places, rates: &BendRates) -> BendRates {
@@ -420,6 +347,10 @@ impl Places<'_> {
 
     fn are_few(&self) -> bool {
         self.iter().all(Near::are_few)
+    }
+
+    fn forget_rows(&self) {
+        self.iter().for_each(Near::forget_rows);
     }
 
     /// More work.

@@ -17,12 +17,12 @@ pub(super) const NEAR_MAX: usize = 64;
 /// that is less, so that no thin section jumps through a thin obstacle.
 const DIP_M: f64 = 1e-3;
 /// What a bound on a clearance allows for rounding \[m\], with obstacles of any size.
-const ROUNDING_M: f64 = 1e-6;
+pub(super) const ROUNDING_M: f64 = 1e-6;
 /// The work for one command, in the time of an exact clearance from a sphere, about 22 ns: when it is used up, what is not known to
 /// be clear counts as not clear.
 const LOOKS: u32 = 4000;
-/// As many more where a command is linearised anew,
-const RENEWAL_LOOKS: u32 = 4000;
+/// So many more where a command is linearised anew,
+const RENEWAL_LOOKS: u32 = 3500;
 /// with as many obstacles near at most: among more of them the worst case stays as long as it is.
 const RENEWED_MAX: usize = 32;
 /// How many of them a place of the way takes the time of,
@@ -432,6 +432,11 @@ impl<'a> Near<'a> {
     /// From now on there is one.
     pub(super) fn note_row(&self, index: usize, section: usize) {
         self.rows[index].set(self.rows[index].get() | 1 << section);
+    }
+
+    /// From now on there is none.
+    pub(super) fn forget_rows(&self) {
+        self.rows.iter().for_each(|sections| sections.set(0));
     }
 
     /// Takes these from what is left of [`LOOKS`].

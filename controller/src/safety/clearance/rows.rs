@@ -3,7 +3,7 @@
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
-use super::near::{Near, Place, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
+use super::near::{Near, Place, ROUNDING_M, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
 use super::watched::Watched;
 use super::{Beginning, ClearanceGuard, fastest};
 
@@ -123,6 +123,7 @@ pub(super) fn bound_again(
         },
     };
     let rest = BendRates::zero(desired_rates.section_count());
+    let farthest_m = guard.farthest_m(desired_rates);
     let [period_s, end_s] = ends_s(guard, around.unwrap_or(desired_rates));
     let between = near.between().filter(|_| around.is_some());
     for way_s in [Some(period_s), Some(end_s), between.map(|lack| lack.way_s)] {
@@ -140,7 +141,10 @@ pub(super) fn bound_again(
                     between.is_some_and(|lack| (lack.index, lack.section) == (index, section));
                 let enough_m = if !is_end && !lacks {
                     continue;
-                } else if around.is_none() || lacks || near.has_row(index, section) {
+                } else if around.is_none() {
+                    // No rates that are not faster lead from farther away to what is kept.
+                    watched.kept_m + farthest_m[section] + ROUNDING_M
+                } else if lacks || near.has_row(index, section) {
                     f64::INFINITY
                 } else {
                     watched.floor_most_m(section, place.time_s)

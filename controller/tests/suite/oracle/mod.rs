@@ -83,7 +83,11 @@ impl Account {
         let desired_rates = moment.limited_rates();
         if norm(&desired_rates) > 1e-3 && stands(rates, &desired_rates) {
             self.stand += 1;
-            match moment.way_out(&desired_rates) {
+            // Not away from what the limits leave without obstacles, which `the_limits_give_the_nearest_rates` holds against the oracle's own.
+            let mut free = moment.clone();
+            free.balls.clear();
+            let free = free.command();
+            match moment.way_out(&[desired_rates.as_slice(), free.rates.as_slice()]) {
                 Some(Motion::Sure(out)) => {
                     self.stand_needlessly += 1;
                     let share = norm(&out) / norm(&desired_rates);
@@ -215,11 +219,12 @@ fn the_limits_give_the_nearest_rates() {
 }
 
 /// The solution of a linearisation counted as the longest one that there is: nothing was left to find the way. Or the share of a solution that
-/// holds was between those that were tried.
+/// holds was between those that were tried. Or nothing slow was tried, which is checked in less and turns aside less; nor anything else among many obstacles.
 #[test]
 fn moments_that_stood_without_need_move() {
     for seed in [
-        2380, 20_296, 50_480, 51_110, 74_675, 80_708, 80_882, 91_426, 93_258,
+        2380, 20_296, 50_480, 51_110, 74_675, 80_708, 80_882, 91_426, 93_258, 3031, 3056, 6703,
+        19_734, 20_746, 30_569, 35_646, 37_165, 39_737, 42_985, 48_762, 70_287, 75_519, 76_458,
     ] {
         let moment = Moment::random(seed);
         let command = moment.command();

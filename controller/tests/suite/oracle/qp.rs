@@ -107,8 +107,9 @@ impl Moment {
         nearest(&self.desired_rates, &rows)
     }
 
-    /// Rates of [`LEAST`] of `desired_rates` at least that hold every rule, where the quadratic program leads to some.
-    pub(super) fn way_out(&self, desired_rates: &[f64]) -> Option<Motion> {
+    /// Rates of [`LEAST`] of the first of `wished` at least that hold every rule and are nearer to each of them than rest is, where the quadratic program leads to some.
+    pub(super) fn way_out(&self, wished: &[&[f64]; 2]) -> Option<Motion> {
+        let desired_rates = wished[0];
         let mut found = None;
         let mut rates = vec![0.0; desired_rates.len()];
         for _ in 0..PASSES {
@@ -127,7 +128,9 @@ impl Moment {
             for share in SHARES {
                 let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
                 // Sweeps that end early can lead elsewhere: to rates that are farther from the desired ones than rest is.
-                let is_nearer = norm(&moved(&candidate, desired_rates, -1.0)) < norm(desired_rates);
+                let is_nearer = wished
+                    .iter()
+                    .all(|wished| norm(&moved(&candidate, wished, -1.0)) < norm(wished));
                 if is_nearer
                     && norm(&candidate) >= LEAST * norm(desired_rates)
                     && self.hold(&candidate)
