@@ -22,7 +22,7 @@ pub(super) const ROUNDING_M: f64 = 1e-6;
 /// be clear counts as not clear.
 const LOOKS: u32 = 4000;
 /// So many more where a command is linearised anew,
-const RENEWAL_LOOKS: u32 = 3500;
+const RENEWAL_LOOKS: u32 = 3250;
 /// with as many obstacles near at most: among more of them the worst case stays as long as it is.
 const RENEWED_MAX: usize = 32;
 /// How many of them a place of the way takes the time of,

@@ -66,13 +66,14 @@ impl ClearanceGuard<'_> {
         let mut slow = self.rest();
         for beginning in beginnings {
             let wished = times(desired_rates, beginning.speed);
+            let mut limited = Region::EMPTY;
+            limits.fill(&mut limited, fastest(&wished));
             let mut around = None;
             for _ in 0..beginning.renewals {
                 if near.is_out_of_looks() {
                     return slow;
                 }
-                let mut region = Region::EMPTY;
-                limits.fill(&mut region, fastest(&wished));
+                let mut region = limited.clone();
                 near.bound_again(self, &wished, around.as_ref(), beginning, &mut region);
                 let nearest = limits.nearest_in(&mut region, &wished);
                 near.count(REGION_LOOKS + region.take_products());
