@@ -1,7 +1,7 @@
 //! Takes what a daemon sends, in a thread of its own.
 //!
-//! Beside a build, a disk makes its writer wait for half a second. The daemon's queues do not last that long: telemetry has 256 cycles there,
-//! a quarter of a second at 1 kHz, and the status two snapshots.
+//! A busy disk may make its writer wait for longer than the daemon's queues last: telemetry has 256 cycles there, a quarter of
+//! a second at 1 kHz, and the status two snapshots.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
