@@ -67,8 +67,10 @@ pub struct Cycle {
     solve_over_ns: u64,
     settings_revision: u64,
     last_gather: Option<u64>,
-    /// Stops that were asked for when the last cycle ran.
+    /// Stops that were carried out.
     stops: u64,
+    /// A signal asks for one more.
+    stop_signalled: bool,
     /// Start of the last cycle that was asked to stop, or in which the robot was latched \[ns\].
     latched_ns: u64,
     /// Time of cycles in a row that had no new inputs \[ns\].
@@ -133,6 +135,7 @@ impl Cycle {
             settings_revision: 0,
             last_gather: None,
             stops: 0,
+            stop_signalled: false,
             latched_ns: 0,
             clearance_m: f64::INFINITY,
             longest_gap_ns: 0,
@@ -166,7 +169,7 @@ impl Cycle {
 
     /// The next cycle stops the robot, as if the count of stops in its inputs had grown.
     pub fn stop(&mut self) {
-        self.stops = self.stops.wrapping_sub(1);
+        self.stop_signalled = true;
     }
 
     /// The process ends: bring the robot to rest.

@@ -25,18 +25,23 @@ impl Cycle {
         seen: &Observation,
         release: &Release,
     ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
-        let stops = core::mem::replace(&mut self.stops, inputs.stops) != inputs.stops;
-        if stops {
-            self.latched_ns = release.start_ns;
-        }
+        let told = core::mem::take(&mut self.stop_signalled) || inputs.stops > self.stops;
         // Of those that wait, none stays behind.
-        let most = if stops {
+        let most = if told {
             REQUESTS_WAITING
         } else {
             REQUESTS_PER_CYCLE
         };
         let mut asked = [None; REQUESTS_WAITING];
         asked[..most].fill_with(&mut next_request);
+        let of_requests = asked.iter().flatten();
+        let of_requests = of_requests.filter(|asked| asked.request == Request::Stop);
+        let newest = of_requests.map(|stop| stop.stops).max();
+        let stops = told || newest.is_some();
+        self.stops = self.stops.max(inputs.stops).max(newest.unwrap_or(0));
+        if stops {
+            self.latched_ns = release.start_ns;
+        }
         let latched_ns = self.latched_ns;
         let is_in_time =
             |asked: &CycleRequest| asked.request == Request::Stop || asked.asked_ns >= latched_ns;

@@ -477,3 +477,13 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
         }
     );
 }
+
+/// A stop comes by the ring in the cycle before the inputs that count it: who has its answer may reset the robot.
+#[test]
+fn a_stop_that_was_carried_out_is_not_carried_out_again() {
+    let mut trial = Trial::new(Interface::Velocity);
+    trial.turn();
+    assert!(trial.ask(Request::Stop).mode.is_latched());
+    trial.inputs.stops += 1;
+    assert!(!trial.ask(Request::Reset).mode.is_latched());
+}

@@ -122,6 +122,7 @@ impl Exchange {
             ticket,
             request,
             asked_ns: asked.payload().header.sent_ns,
+            stops: self.requests.stops,
         };
         if self.requests.has_room() && ring.push(passed_on).is_ok() {
             self.requests.next_ticket += 1;

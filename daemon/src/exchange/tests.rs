@@ -146,6 +146,7 @@ impl Rig {
             ticket: 0,
             request,
             asked_ns: release_ns,
+            stops: 0,
         });
         let mut request = self.ends.requests.pop().ok().or(untold);
         let (inputs, clock) = (self.ends.inputs.read(), &self.clock);

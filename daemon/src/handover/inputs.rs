@@ -81,6 +81,8 @@ pub struct CycleRequest {
     pub request: Request,
     /// When its client sent it \[ns\].
     pub asked_ns: u64,
+    /// Of a stop: how many were asked for until then, itself among them. It may come before the inputs that count it.
+    pub stops: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -240,6 +240,7 @@ impl Trial {
                 ticket: 1,
                 request,
                 asked_ns: release.start_ns,
+                stops: self.inputs.stops + 1,
             })
         };
         let record = self

@@ -268,6 +268,7 @@ fn run(
         ticket: 1,
         request: Request::Track { lease_number: 0 },
         asked_ns: release_ns,
+        stops: 0,
     });
     let clock = ManualClock::new(release_ns);
     cycle.run(release, inputs, || request.take(), &clock)

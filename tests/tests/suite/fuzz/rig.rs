@@ -158,6 +158,7 @@ impl Rig {
                 ticket: 1,
                 request,
                 asked_ns: u64::MAX,
+                stops: 0,
             });
             return true;
         }

@@ -169,6 +169,7 @@ impl World {
                 ticket: 1,
                 request,
                 asked_ns: start_ns,
+                stops: 0,
             })
         };
         let record = self
