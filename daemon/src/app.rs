@@ -428,7 +428,13 @@ fn keep_latched(latch: Latch, before: Mode, now: Mode) {
     let is_of_itself = matches!(now.reason(), Reason::Shutdown | Reason::StoppedBefore);
     if now.is_latched() && now != before && !is_of_itself {
         latch.set(convert::mode(now), convert::reason(now.reason()));
-    } else if before.is_latched() && !now.is_latched() {
+        return;
+    }
+    // What was found at the start may be reset within the cycle that measures the robot for the first time.
+    let reason = Reason::Request;
+    let was_latched =
+        before.is_latched() || (before, now) == (Mode::Starting, Mode::Holding { reason });
+    if was_latched && !now.is_latched() {
         latch.clear();
     }
 }

@@ -37,8 +37,11 @@ impl Latch {
             write(&file, FREE)?;
         }
         let word = map_word(&file)?;
-        // The page is there now, and none is asked for later.
-        word.fetch_or(FREE, Ordering::Relaxed);
+        // Written, so that the page is there, and none is asked for later; `fetch_or` of zero would be left out.
+        word.store(
+            std::hint::black_box(word.load(Ordering::Relaxed)),
+            Ordering::Relaxed,
+        );
         Ok(Self(Some(word)))
     }
 
@@ -52,7 +55,7 @@ impl Latch {
 
     /// The robot was stopped or faulted.
     pub fn set(&self, mode: Mode, reason: Reason) {
-        self.store(u64::from(mode.code()) | u64::from(reason.code()) << 32);
+        self.store(word_of(mode, reason));
     }
 
     /// It was reset.
@@ -62,8 +65,10 @@ impl Latch {
 
     /// A stop was asked for, and may find no cycle any more that carries it out.
     pub fn stop_asked(&self) {
-        if self.word() == FREE {
-            self.set(Mode::Stopped, Reason::Request);
+        if let Some(word) = self.0 {
+            let stopped = word_of(Mode::Stopped, Reason::Request);
+            // The cycle may know better meanwhile.
+            let _ = word.compare_exchange(FREE, stopped, Ordering::AcqRel, Ordering::Acquire);
         }
     }
 
@@ -104,6 +109,10 @@ fn private() -> OpenOptions {
         .mode(0o600)
         .custom_flags(flags);
     options
+}
+
+fn word_of(mode: Mode, reason: Reason) -> u64 {
+    u64::from(mode.code()) | u64::from(reason.code()) << 32
 }
 
 fn write(file: &File, word: u64) -> Result<()> {

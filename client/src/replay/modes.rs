@@ -70,8 +70,10 @@ impl Before {
         if is_now(Mode::Stopped, Reason::Shutdown) {
             machine.shut_down();
         }
-        if is_now(Mode::Stopped, Reason::StoppedBefore) && machine.mode() == safety::Mode::Starting
-        {
+        // A reset may come in the same cycle.
+        let is_stopped_before =
+            is_now(Mode::Stopped, Reason::StoppedBefore) || is_now(Mode::Holding, Reason::Request);
+        if is_stopped_before && machine.mode() == safety::Mode::Starting {
             machine = ModeMachine::stopped_before();
         }
         let seen = self.observation(record);

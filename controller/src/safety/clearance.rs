@@ -13,7 +13,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
 use super::Limits;
 use super::projection::Region;
-use near::{Near, Stance};
+use near::{Lack, Near, Stance};
 use renewed::{BEGINNINGS, Beginning, SLOWLY};
 
 /// Times that a command is corrected before it is scaled down instead.
@@ -147,25 +147,24 @@ impl ClearanceGuard<'_> {
     /// Nothing allocates; the work is bounded, and a few comparisons where no obstacle is near. The same inputs give the
     /// same bits.
     pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
-        let rest = self.rest();
         self.guarded(rates, false, |near| {
-            let is_crowd = !near.are_few();
-            let slow = if is_crowd {
+            if !near.are_few() {
+                let lacks = near.lacks();
                 let slow = self.renewed(near, limits, rates, SLOWLY);
-                near.forget_rows();
-                slow
-            } else {
-                rest
-            };
-            let found = self.corrected(near, limits, rates);
-            if found != rest {
-                found
-            } else if is_crowd {
-                slow
-            } else {
-                near.allow_renewal();
-                self.renewed(near, limits, rates, BEGINNINGS)
+                near.begin_again(lacks);
+                let found = self.corrected(near, limits, rates);
+                return if fastest(&found) < fastest(&slow) {
+                    slow
+                } else {
+                    found
+                };
             }
+            let found = self.corrected(near, limits, rates);
+            if found == self.rest() {
+                near.allow_renewal();
+                return self.renewed(near, limits, rates, BEGINNINGS);
+            }
+            found
         })
     }
 
@@ -349,8 +348,18 @@ impl Places<'_> {
         self.iter().all(Near::are_few)
     }
 
-    fn forget_rows(&self) {
-        self.iter().for_each(Near::forget_rows);
+    /// What the last check of rates found.
+    fn lacks(&self) -> [Option<Lack>; 2] {
+        [0, 1].map(|k| self.0[k].and_then(Near::lack))
+    }
+
+    /// As when that check was made, but for the work since.
+    fn begin_again(&self, lacks: [Option<Lack>; 2]) {
+        for (near, lack) in self.0.into_iter().zip(lacks) {
+            if let Some(near) = near {
+                near.begin_again(lack);
+            }
+        }
     }
 
     /// More work.

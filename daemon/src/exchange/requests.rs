@@ -73,8 +73,7 @@ impl Exchange {
             };
             let is_stop = asked.payload().kind == RequestKind::Stop.code();
             if is_stop {
-                shared.latch.stop_asked();
-                self.pass_stop_on(asked, now_ns);
+                self.pass_stop_on(asked, now_ns, shared);
             } else if self.requests.taken < REQUESTS_PER_GATHER {
                 self.requests.taken += 1;
                 self.take_request(asked, now_ns, shared);
@@ -86,12 +85,16 @@ impl Exchange {
 
     /// A stop is never refused, and waits behind nothing: the inputs of the next cycle tell it. Where the ring has no
     /// room for the cycle's answer, it is answered now.
-    fn pass_stop_on(&mut self, asked: Asked, now_ns: u64) {
+    fn pass_stop_on(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
+        shared.latch.stop_asked();
         self.requests.stops += 1;
         let ring_has_room = self.ends.requests.slots() > 0 && self.requests.has_room();
         if ring_has_room {
             self.pass_on(asked, ModeRequest::Stop, now_ns);
+            // A reset before it may have been carried out meanwhile.
+            shared.latch.stop_asked();
         } else {
+            shared.latch.stop_asked();
             self.answer_now(&asked, Outcome::Accepted, now_ns);
         }
     }

@@ -434,9 +434,10 @@ impl<'a> Near<'a> {
         self.rows[index].set(self.rows[index].get() | 1 << section);
     }
 
-    /// From now on there is none.
-    pub(super) fn forget_rows(&self) {
+    /// Without rows, and with what a check found.
+    pub(super) fn begin_again(&self, lack: Option<Lack>) {
         self.rows.iter().for_each(|sections| sections.set(0));
+        self.lack.set(lack);
     }
 
     /// Takes these from what is left of [`LOOKS`].

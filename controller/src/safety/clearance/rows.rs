@@ -131,6 +131,10 @@ pub(super) fn bound_again(
         let place = near.place(guard, around.unwrap_or(&rest), way_s);
         let is_end = way_s == period_s || way_s == end_s;
         for (index, watched) in near.watched().enumerate() {
+            if near.is_out_of_looks() {
+                // What is missing then is caught by the check, which has none either.
+                return;
+            }
             if around.is_none() && watched.stands() && way_s < end_s {
                 // The end tells more.
                 continue;

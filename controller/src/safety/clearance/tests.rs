@@ -313,6 +313,28 @@ fn at_an_angle_the_body_slides_along() {
     assert!(at.as_slice()[1] < -0.25, "it goes on sideways: {at:?}");
 }
 
+/// More than are linearised anew where nothing else is found.
+#[test]
+fn along_a_wall_of_many_balls_the_body_slides_as_fast() {
+    let robot = trunk(1);
+    let at = Configuration::straight(1);
+    let wall: Vec<_> = (0..40)
+        .map(|i| {
+            let (across, along) = (f64::from(i % 5) - 2.0, f64::from(i / 5));
+            // Next to nothing is left before the safe distance.
+            ball(
+                Vector3::new(0.0271, 5e-3 * across, 0.14 + 0.02 * along),
+                2e-3,
+            )
+        })
+        .collect();
+    let desired_rates = BendRates::from_slice(&[1.0, -0.6]).unwrap();
+    let guarded = guard(&robot, &at, &desired_rates, &wall);
+    assert!(guarded.hit);
+    let rates = guarded.rates.as_slice();
+    assert!(rates[1] < -0.5, "it goes on sideways: {rates:?}");
+}
+
 #[test]
 fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
     let robot = trunk(2);

@@ -100,13 +100,13 @@ fn a_stop_holds_beyond_an_orderly_end_and_an_end_alone_is_none() {
 fn a_stop_while_the_daemon_ends_holds_for_the_next() {
     let mut daemon = Daemon::start(&format!(
         "{CALM}[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n\
-         [motion]\nhome_rate_rad_s = 0.5\ndeceleration_rad_s2 = 0.2\n"
+         [motion]\nhome_rate_rad_s = 0.5\ndeceleration_rad_s2 = 0.1\n"
     ));
     for by_signal in [false, true] {
         let connection = daemon.connect();
         let mut trail = Trail::new(&connection);
         ask_for(&connection, RequestKind::Home);
-        // Its ramp takes 2 s then.
+        // Its ramp takes 4 s then.
         trail.until("at speed", |record| {
             largest(&record.command.bend_rate_rad_s) > 0.4
         });

@@ -23,7 +23,7 @@ use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
 use crate::trigger::Trigger;
 
-/// How often what was read goes to the file: what a recorder that is killed loses at most.
+/// How often what was read goes to the file: what a recorder that is killed loses at most, beside what waits for the disk.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// What was sent this long before the recording began may still be judged after it \[ns\].
 const JUDGED_WITHIN_NS: u64 = 100_000_000;

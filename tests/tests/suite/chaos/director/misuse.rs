@@ -11,7 +11,7 @@ use crate::chaos::dice::Dice;
 use crate::chaos::{CheckResult, ensure, obstacles};
 
 /// How long it is tried to get the lease from those who hold it.
-const LEASE_TIMEOUT: Duration = Duration::from_millis(500);
+const LEASE_TIMEOUT: Duration = Duration::from_secs(3);
 
 impl Director<'_> {
     /// Sends ten good points that `spoil` has had a hand in, by index.
