@@ -444,3 +444,29 @@ fn random_id() -> u64 {
     use std::hash::{BuildHasher, Hasher, RandomState};
     RandomState::new().build_hasher().finish().max(1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reset_in_the_first_measured_cycle_clears_the_latch_and_motion_never_does() {
+        let folder = cdcr_scratch::Scratch::in_memory().unwrap();
+        let latch = Latch::open(&folder.path().join("a.latch")).unwrap();
+        let reason = Reason::Request;
+        latch.stop_asked();
+        // A stop that came in while it moves, and that no cycle has seen yet.
+        keep_latched(latch, Mode::Homing, Mode::Homing);
+        keep_latched(latch, Mode::Homing, Mode::Holding { reason });
+        keep_latched(
+            latch,
+            Mode::Starting,
+            Mode::Stopped {
+                reason: Reason::StoppedBefore,
+            },
+        );
+        assert!(latch.told().is_some());
+        keep_latched(latch, Mode::Starting, Mode::Holding { reason });
+        assert_eq!(latch.told(), None);
+    }
+}
