@@ -169,8 +169,10 @@ fn a_fault_holds_beyond_a_kill_and_an_orderly_end() {
         }
         daemon.restart();
         let connection = daemon.connect();
-        let mut robot = Robot::new(&connection, 1.0);
         let mut trail = Trail::new(&connection);
+        // Before anything is measured.
+        trail.until("starting", is(Mode::Starting));
+        let mut robot = Robot::new(&connection, 1.0);
         let (before, stopped) = trail.until_while("stopped", || robot.turn(), is(Mode::Stopped));
         assert_eq!(before.mode, Mode::Starting.code());
         assert_eq!(stopped.reason, Reason::StoppedBefore.code());
