@@ -4,7 +4,7 @@
 //! Invariant: nobody waits for this thread. What it does may take long, or hang with a file that nobody finishes.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
@@ -16,9 +16,6 @@ use crate::instance::{Found, PlaceWatch};
 use crate::reload::Reload;
 
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// How often it looks whether the configuration shall be read again. Before it sends that signal, systemd gives the root folder the mode
-/// of `RuntimeDirectoryMode`, which shuts out the group until the next look.
-const ASKED_EVERY: Duration = Duration::from_millis(20);
 /// Dead processes that it clears away each time. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;
 /// iceoryx2 lists its nodes with large arrays on the stack.
@@ -30,7 +27,9 @@ const END_MAX: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct Caretaker {
     lost: Arc<OnceLock<PathBuf>>,
-    end: Option<Sender<()>>,
+    ends: Arc<AtomicBool>,
+    /// The configuration shall be read again.
+    asked: Arc<AtomicBool>,
     thread: JoinHandle<()>,
 }
 
@@ -42,16 +41,18 @@ impl Caretaker {
         shared: Arc<Shared>,
     ) -> Result<Self> {
         let lost = Arc::new(OnceLock::new());
-        let (end, ended) = channel();
-        let theirs = Arc::clone(&lost);
+        let ends = Arc::new(AtomicBool::new(false));
+        let (their_lost, their_ends) = (Arc::clone(&lost), Arc::clone(&ends));
+        let asked = reload.asked();
         let thread = Builder::new()
             .name("cdcr-caretaker".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || look_after(&place, &mut reload, &shared, &theirs, &ended))
+            .spawn(move || look_after(&place, &mut reload, &shared, &their_lost, &their_ends))
             .context("the thread cdcr-caretaker")?;
         Ok(Self {
             lost,
-            end: Some(end),
+            ends,
+            asked,
             thread,
         })
     }
@@ -60,11 +61,20 @@ impl Caretaker {
     pub(crate) fn lost(&self) -> Option<&Path> {
         self.lost.get().map(PathBuf::as_path)
     }
+
+    /// Wakes it up where the configuration shall be read again. To be called every few hundredths of a second: before it asks for that,
+    /// systemd gives the root folder the mode of `RuntimeDirectoryMode`, which shuts out the group until the next look.
+    pub(crate) fn wake_if_asked(&self) {
+        if self.asked.load(Ordering::Relaxed) {
+            self.thread.thread().unpark();
+        }
+    }
 }
 
 impl Drop for Caretaker {
     fn drop(&mut self) {
-        self.end = None;
+        self.ends.store(true, Ordering::Relaxed);
+        self.thread.thread().unpark();
         let begin = Instant::now();
         while !self.thread.is_finished() && begin.elapsed() < END_MAX {
             std::thread::sleep(Duration::from_millis(1));
@@ -77,7 +87,7 @@ fn look_after(
     reload: &mut Reload,
     shared: &Shared,
     lost: &OnceLock<PathBuf>,
-    ended: &Receiver<()>,
+    ends: &AtomicBool,
 ) {
     loop {
         match place.look() {
@@ -98,21 +108,23 @@ fn look_after(
         reload.look();
         place.let_go();
         place.location().clear_dead_nodes(DEAD_NODES);
-        if !goes_on(ended, || reload.is_wanted()) {
+        if !goes_on(ends, || reload.is_wanted()) {
             return;
         }
     }
 }
 
-/// Waits until the next look, which comes at once when it is wanted. False at the end.
-fn goes_on(ended: &Receiver<()>, is_wanted: impl Fn() -> bool) -> bool {
+/// Waits until the next look, which comes at once when it is wanted and this thread is woken. False at the end.
+fn goes_on(ends: &AtomicBool, is_wanted: impl Fn() -> bool) -> bool {
     let begin = Instant::now();
-    while begin.elapsed() < LOOK_EVERY && !is_wanted() {
-        if ended.recv_timeout(ASKED_EVERY) != Err(RecvTimeoutError::Timeout) {
-            return false;
+    while !ends.load(Ordering::Relaxed) {
+        let left = LOOK_EVERY.saturating_sub(begin.elapsed());
+        if left.is_zero() || is_wanted() {
+            return true;
         }
+        std::thread::park_timeout(left);
     }
-    true
+    false
 }
 
 #[cfg(test)]
@@ -123,12 +135,18 @@ mod tests {
 
     #[test]
     fn the_next_look_comes_when_it_is_wanted_and_none_at_the_end() {
-        let (end, ended) = channel();
-        let asked = Cell::new(0);
-        assert!(goes_on(&ended, || asked.replace(asked.get() + 1) == 2));
-        // Never once more; less often where the whole wait went by in a stall.
+        let (ends, asked, begin) = (AtomicBool::new(false), Cell::new(0), Instant::now());
+        let is_wanted = || {
+            // Whoever asks wakes it up.
+            std::thread::current().unpark();
+            asked.replace(asked.get() + 1) == 2
+        };
+        assert!(goes_on(&ends, is_wanted));
+        // Less often where the whole wait went by in a stall.
         assert!(asked.get() <= 3, "asked {} times", asked.get());
-        drop(end);
-        assert!(!goes_on(&ended, || false));
+        assert!(goes_on(&ends, || false));
+        assert!(begin.elapsed() >= LOOK_EVERY);
+        ends.store(true, Ordering::Relaxed);
+        assert!(!goes_on(&ends, || true));
     }
 }

@@ -64,6 +64,11 @@ impl Reload {
         }
     }
 
+    /// Set by who asks.
+    pub(crate) fn asked(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.asked)
+    }
+
     /// Whether somebody has asked since [`look`](Self::look) was called last. While the configuration is being read, who asks waits.
     pub(crate) fn is_wanted(&self) -> bool {
         let is_being_read = |thread: &JoinHandle<()>| !thread.is_finished();

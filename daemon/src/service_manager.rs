@@ -69,6 +69,8 @@ pub struct ServiceManager {
     listener: Option<Listener>,
     watchdog: Option<Watchdog>,
     told: Option<(StatusLine, Instant)>,
+    /// When the last status line was not heard.
+    unheard: Option<Instant>,
     said_ready: bool,
     said_stopping: bool,
     complained: bool,
@@ -107,6 +109,7 @@ impl ServiceManager {
             listener: None,
             watchdog: None,
             told: None,
+            unheard: None,
             said_ready: false,
             said_stopping: false,
             complained: false,
@@ -142,7 +145,7 @@ impl ServiceManager {
         }
     }
 
-    /// Says how the loop does: at once when mode or reason changed, else at most once a second.
+    /// Says how the loop does: at once when mode or reason changed, else at most once a second, as what was not heard.
     pub fn tell(&mut self, line: &StatusLine) {
         self.tell_at(line, Instant::now());
     }
@@ -166,8 +169,14 @@ impl ServiceManager {
             let same_state = (told.mode, told.reason) == (line.mode, line.reason);
             !same_state || (told != *line && now.duration_since(when) >= TELL_EVERY)
         });
-        if is_news && self.say(&NotifyState::Status(&line.to_string())) {
-            self.told = Some((*line, now));
+        let may_be_heard = |at: Instant| now.duration_since(at) >= TELL_EVERY;
+        if !is_news || !self.unheard.is_none_or(may_be_heard) {
+            return;
+        }
+        if self.say(&NotifyState::Status(&line.to_string())) {
+            (self.told, self.unheard) = (Some((*line, now)), None);
+        } else {
+            self.unheard = Some(now);
         }
     }
 
@@ -374,6 +383,22 @@ mod tests {
         service.ready();
         service.feed_watchdog(2);
         assert_eq!(manager.heard(), ["READY=1\n", "WATCHDOG=1\n"]);
+    }
+
+    #[test]
+    fn a_status_that_was_not_heard_is_said_again_once_a_second() {
+        let manager = Manager::start();
+        let path = manager.folder.path().join("notify");
+        let away = manager.folder.path().join("away");
+        std::fs::rename(&path, &away).unwrap();
+        let mut service = ServiceManager::at(path.as_os_str(), None).unwrap();
+        let (line, begin) = (line(Mode::Tracking, 3), Instant::now());
+        service.tell_at(&line, begin);
+        std::fs::rename(&away, &path).unwrap();
+        service.tell_at(&line, begin + TELL_EVERY / 2);
+        assert!(manager.heard().is_empty(), "too early");
+        service.tell_at(&line, begin + TELL_EVERY);
+        assert_eq!(manager.heard().len(), 1);
     }
 
     #[test]

@@ -18,8 +18,8 @@ use crate::config::Validated;
 use crate::handover::{Shared, StatusDeskEnds};
 use crate::services::{ServiceError, incidents, node, publisher};
 
-/// How often it looks whether there is something to publish.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// How often it looks, unless it is woken, whether readers of the bad cycles came: they get what is kept.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// How long it may take to make its ports.
 const START_MAX: Duration = Duration::from_secs(10);
 /// How long the end waits for it.
@@ -29,7 +29,7 @@ const STACK_BYTES: usize = 1024 * 1024;
 
 /// The thread, for as long as it is wanted.
 #[derive(Debug)]
-pub(crate) struct StatusDesk {
+pub struct StatusDesk {
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
 }
@@ -60,6 +60,11 @@ impl StatusDesk {
         })
     }
 
+    /// There is something to publish.
+    pub(crate) fn wake(&self) {
+        self.thread.thread().unpark();
+    }
+
     pub(crate) fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }
@@ -68,7 +73,7 @@ impl StatusDesk {
 impl Drop for StatusDesk {
     fn drop(&mut self) {
         self.shared.supervisor_ended.set(true);
-        self.thread.thread().unpark();
+        self.wake();
         let begin = Instant::now();
         while !self.thread.is_finished() && begin.elapsed() < END_MAX {
             std::thread::sleep(Duration::from_millis(1));

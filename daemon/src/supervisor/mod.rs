@@ -20,6 +20,7 @@ use crate::exit::{Ended, ExitCause};
 use crate::handover::{Settings, Shared, Summary, SupervisorEnds};
 use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
+use crate::status_desk::StatusDesk;
 use statistics::Statistics;
 use steal::{Steal, Stolen};
 use watchdog::Watchdog;
@@ -111,7 +112,7 @@ impl Supervisor {
         self.steal = Steal::of(core, clock);
     }
 
-    /// Watches until `is_over` says that the threads are done; asks them to end when `should_end`.
+    /// Watches until `is_over` says that the threads are done; asks them to end when `should_end`. `desk` publishes what is told.
     ///
     /// # Errors
     /// A thread hangs. Nobody can wait for it, so the process has to end.
@@ -119,6 +120,7 @@ impl Supervisor {
         &mut self,
         clock: &impl Clock,
         shared: &Shared,
+        desk: &StatusDesk,
         mut should_end: impl FnMut() -> bool,
         mut is_over: impl FnMut() -> bool,
     ) -> Result<(), Ended> {
@@ -128,11 +130,12 @@ impl Supervisor {
             let over = is_over();
             self.steal.look(clock);
             self.take_summaries(clock);
-            self.take_incidents(clock);
+            self.take_incidents(clock, desk);
             self.tell_manager(shared);
             if over || Instant::now() >= next_status {
                 next_status = Instant::now() + STATUS_EVERY;
                 self.publish(clock, shared);
+                desk.wake();
             }
             if over {
                 return Ok(());
@@ -177,7 +180,7 @@ impl Supervisor {
     ///
     /// The reporter hands a bad cycle on before its summary. One whose summary has not come waits for the
     /// next look, so that both are judged by the same reading of the steal.
-    fn take_incidents(&mut self, clock: &impl Clock) {
+    fn take_incidents(&mut self, clock: &impl Clock, desk: &StatusDesk) {
         while !self.ends.explained.is_full()
             && let Ok(next) = self.ends.incidents.peek()
             && next.telemetry.cycle <= self.newest.cycle
@@ -187,6 +190,7 @@ impl Supervisor {
             explain(&mut incident, stolen);
             // There is room.
             let _ = self.ends.explained.push(incident);
+            desk.wake();
         }
     }
 
