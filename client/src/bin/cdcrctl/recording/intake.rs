@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use cdcr_client::channels::Topic;
-use cdcr_client::{Connection, Message, Stream};
+use cdcr_client::{Connection, Message, Stream, monotonic_ns};
 use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 
 use crate::args::Target;
@@ -37,6 +37,8 @@ pub(super) struct Intake {
 /// What came since the one before, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Reading {
+    /// What was sent until then is here, or was in one before.
+    pub(super) until_ns: u64,
     pub(super) records: Vec<Telemetry>,
     /// What their cycles took in is here, or was in one before.
     pub(super) references: Vec<ReferenceChunk>,
@@ -146,6 +148,7 @@ impl Streams {
 
     fn read(&mut self) -> anyhow::Result<Reading> {
         Ok(Reading {
+            until_ns: monotonic_ns(),
             // What a cycle took in came before its record.
             records: all(&mut self.telemetry)?,
             references: all(&mut self.references)?,

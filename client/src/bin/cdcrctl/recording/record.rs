@@ -179,6 +179,10 @@ enum Ended {
     Failed(io::Error),
 }
 
+fn nanoseconds(time: Duration) -> u64 {
+    time.as_nanos() as u64
+}
+
 fn is_full(cause: &io::Error) -> bool {
     use ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
     matches!(cause.kind(), StorageFull | QuotaExceeded | FileTooLarge)
@@ -217,6 +221,8 @@ struct Recorder {
     /// From `CLOCK_MONOTONIC` to the time since 1970 \[ns\].
     offset_ns: u64,
     begun_ns: u64,
+    /// The last instant that is recorded, where there is one, on the daemon's clock.
+    ends_ns: Option<u64>,
     /// The daemon.
     sender_id: u64,
     /// Sender and number of the newest chunks and updates.
@@ -238,6 +244,7 @@ impl Recorder {
             drawn: [0; Drawn::ALL.len()],
             offset_ns,
             begun_ns: monotonic_ns(),
+            ends_ns: None,
             sender_id: status.header.sender_id,
             taken: VecDeque::with_capacity(REMEMBERED),
             missed: [0; Topic::ALL.len()],
@@ -268,37 +275,20 @@ impl Recorder {
         task: &mut Task<'_>,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Ended> {
-        let begin = Instant::now();
-        let (mut flushed, mut ended) = (begin, None);
-        let mut ends = task.duration.map(|duration| begin + duration);
+        let (mut flushed, mut ended) = (Instant::now(), None);
+        self.ends_ns = task.duration.map(|all| self.begun_ns + nanoseconds(all));
         loop {
-            if ended.is_none() {
-                if interrupt.is_raised() || task.watch.look()? {
-                    ended = Some(Ended::Interrupted);
-                } else if ends.is_some_and(|ends| Instant::now() >= ends) {
-                    ended = Some(Ended::Asked);
-                }
-                if ended.is_some() {
-                    intake.end();
-                }
+            if ended.is_none() && (interrupt.is_raised() || task.watch.look()?) {
+                ended = Some(Ended::Interrupted);
+                intake.end();
             }
             let Some(reading) = intake.next()? else {
                 return Ok(ended.unwrap_or(Ended::Daemon));
             };
             let (cycles, is_other) = self.of_our_daemon(&reading.records);
-            let mut written = self.take_all(&reading, cycles);
-            let now = Instant::now();
-            for record in cycles {
-                let waits_for = task.around.filter(|_| !self.sink.has_begun());
-                let fires = waits_for.filter(|around| self.fires(around.trigger, record));
-                task.watch.take(record, fires.map(|around| around.trigger));
-                if let Some(around) = fires {
-                    ends = Some(now + around.after);
-                    written = written.and(self.begin()?);
-                }
-            }
-            if now - flushed >= FLUSH_EVERY {
-                flushed = now;
+            let mut written = self.take_all(&reading, cycles, task)?;
+            if flushed.elapsed() >= FLUSH_EVERY {
+                flushed = Instant::now();
                 written = written.and_then(|()| self.sink.flush());
             }
             if let Err(cause) = written {
@@ -307,7 +297,15 @@ impl Recorder {
             if is_other {
                 return Ok(Ended::Daemon);
             }
+            if self.is_over(reading.until_ns) {
+                return Ok(Ended::Asked);
+            }
         }
+    }
+
+    /// Whether an instant is after the time of the recording. A disk that makes it wait does not make it longer.
+    fn is_over(&self, at_ns: u64) -> bool {
+        self.ends_ns.is_some_and(|ends_ns| at_ns > ends_ns)
     }
 
     /// The records of the daemon that the recording is of; whether another one follows.
@@ -317,18 +315,33 @@ impl Recorder {
         (&records[..count.unwrap_or(records.len())], count.is_some())
     }
 
-    /// Writes what came. What a cycle took in stands before its record.
-    fn take_all(&mut self, reading: &Reading, records: &[Telemetry]) -> io::Result<()> {
+    /// Writes what came. What a cycle took in stands before its record. The inner error is that of a full disk or the like.
+    fn take_all(
+        &mut self,
+        reading: &Reading,
+        records: &[Telemetry],
+        task: &mut Task<'_>,
+    ) -> anyhow::Result<io::Result<()>> {
         self.lost = reading.lost;
-        self.write_all(&reading.references)?;
-        self.write_all(&reading.obstacles)?;
-        self.write_all(&reading.statuses)?;
-        self.write_all(&reading.incidents)?;
-        records.iter().try_for_each(|record| {
+        let mut written = (self.write_all(&reading.references))
+            .and_then(|()| self.write_all(&reading.obstacles))
+            .and_then(|()| self.write_all(&reading.statuses))
+            .and_then(|()| self.write_all(&reading.incidents));
+        for record in records {
+            if written.is_err() || self.is_over(record.header.sent_ns) {
+                break;
+            }
             self.miss(record);
-            self.write(record)?;
-            self.draw(record)
-        })
+            written = self.write(record).and_then(|()| self.draw(record));
+            let waits_for = task.around.filter(|_| !self.sink.has_begun());
+            let fires = waits_for.filter(|around| self.fires(around.trigger, record));
+            task.watch.take(record, fires.map(|around| around.trigger));
+            if let Some(around) = fires {
+                self.ends_ns = Some(record.header.sent_ns + nanoseconds(around.after));
+                written = written.and(self.begin()?);
+            }
+        }
+        Ok(written)
     }
 
     fn write_all<T: Recorded>(&mut self, messages: &[T]) -> io::Result<()> {
