@@ -135,7 +135,11 @@ setTimeout(() => {
     const tip = robot[robot.length - 1][16].p;
     return Math.hypot(...tip.map((mm, k) => mm - curves.tip_mm[i][k]));
   });
+  const places = (selector) => [...document.querySelector(selector).getAttribute('d').matchAll(/([ML])\S+ (\d+\.\d)/g)];
+  const ys = places('#error svg path').map(([, , y]) => Number(y));
   const told = {
+    references: places('#path svg path').filter(([, begin]) => begin === 'M').length,
+    at_the_bottom: ys.filter((y) => y >= 154).length / ys.length,
     errors, sections: [...document.querySelectorAll('section')].map((one) => one.id),
     empty: [...document.querySelectorAll('section')].filter((one) => one.offsetHeight < 40).map((one) => one.id),
     colours: new Set(pixels).size, apart_mm: Math.max(...apart), curves: paths,
@@ -154,7 +158,7 @@ fn a_browser_draws_the_page_without_an_error() {
     }
     let (daemon, page) = page();
     let folder = daemon.place().folder();
-    let probed = page
+    let probed = interrupted(&page)
         .replacen("<head>", WATCH, 1)
         .replacen("</body>", PROBE, 1);
     let path = daemon.place().write("probed.html", &probed);
@@ -179,8 +183,29 @@ fn a_browser_draws_the_page_without_an_error() {
         told["curves"].as_u64().unwrap() >= 6 + 2 + 6 + 9 + 2,
         "{told}"
     );
+    assert_eq!(told["references"], 2, "{told}");
+    // What is far below the largest error has its own height.
+    assert!(told["at_the_bottom"].as_f64().unwrap() < 0.1, "{told}");
     // The tip of bends that are measured: the robot's own is elsewhere, the offset is not known here. Numbers have five digits.
     assert!(told["apart_mm"].as_f64().unwrap() < 0.2, "{told}");
+}
+
+/// The page of a robot whose reference ended and began again, the first time far away.
+fn interrupted(page: &str) -> String {
+    let (head, rest) = page.split_once("id=\"data\">").unwrap();
+    let (_, tail) = rest.split_once("</script>").unwrap();
+    let mut data = data(page);
+    let curves = &mut data["curves"];
+    let references = curves["reference_mm"].as_array_mut().unwrap();
+    let mut led = (0..references.len()).filter(|k| !references[*k][0].is_null());
+    let (first, middle) = (
+        led.next().unwrap(),
+        led.nth(led.clone().count() / 2).unwrap(),
+    );
+    references[middle] = Value::Array(vec![Value::Null; 3]);
+    let errors = curves["series"]["error_mm"].as_array_mut().unwrap();
+    errors.iter_mut().for_each(|end| end[first] = 1000.into());
+    format!("{head}id=\"data\">{data}</script>{tail}")
 }
 
 /// What a page says when its scripts have run.

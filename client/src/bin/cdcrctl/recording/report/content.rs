@@ -194,7 +194,8 @@ impl Cycles {
         let [wake_ns, solve_ns, response_ns] = latencies_ns(record);
         self.wake.take(wake_ns);
         self.response.take(response_ns);
-        if record.report.status != SolverStatus::Idle.code() {
+        let has_solved = record.report.status != SolverStatus::Idle.code();
+        if has_solved {
             self.solve.take(solve_ns);
         }
         self.late_starts += u64::from(record.timing_flags & timing::LATE_START != 0);
@@ -212,7 +213,7 @@ impl Cycles {
                 [wake_ns, solve_ns, response_ns].map(|ns| ns as f64 * 1e-3);
             let row = json!({
                 "t_s": time_s, "cycle": record.cycle, "cause": LateCause::text_of(cause),
-                "wake_us": wake_us, "solve_us": solve_us, "response_us": response_us,
+                "wake_us": wake_us, "solve_us": has_solved.then_some(solve_us), "response_us": response_us,
             });
             self.worst.insert(place, (response_ns, row));
             self.worst.truncate(WORST_MAX);

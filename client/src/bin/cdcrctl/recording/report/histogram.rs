@@ -4,10 +4,12 @@ use serde_json::{Value, json};
 const PER_DECADE: usize = 40;
 const DECADES: usize = 6;
 
-/// How often which latency was: bins of equal ratio from 1 µs to 1 s.
+const BINS: usize = PER_DECADE * DECADES;
+
+/// How often which latency was: bins of equal ratio from 1 µs to 1 s, one for what is less and one for what is more.
 #[derive(Debug)]
 pub(super) struct Histogram {
-    bins: [u64; PER_DECADE * DECADES],
+    bins: [u64; BINS + 2],
     count: u64,
     max_ns: u64,
 }
@@ -15,7 +17,7 @@ pub(super) struct Histogram {
 impl Default for Histogram {
     fn default() -> Self {
         Self {
-            bins: [0; PER_DECADE * DECADES],
+            bins: [0; BINS + 2],
             count: 0,
             max_ns: 0,
         }
@@ -24,14 +26,16 @@ impl Default for Histogram {
 
 impl Histogram {
     pub(super) fn take(&mut self, latency_ns: u64) {
-        let decades = (latency_ns.max(1_000) as f64 * 1e-3).log10();
-        let last = self.bins.len() - 1;
-        self.bins[((decades * PER_DECADE as f64) as usize).min(last)] += 1;
+        let decades = (latency_ns as f64 * 1e-3).log10();
+        // Of zero, the logarithm is minus infinity: the first bin.
+        let bin = (decades * PER_DECADE as f64 + 1.0).max(0.0) as usize;
+        self.bins[bin.min(BINS + 1)] += 1;
         self.count += 1;
         self.max_ns = self.max_ns.max(latency_ns);
     }
 
-    /// The upper end of the bin in which the share `part` of all values ends \[µs\], and no more than the largest.
+    /// The upper end of the bin in which the share `part` of all values ends \[µs\], and no more than the largest, which is the upper
+    /// end of the last bin.
     fn percentile_us(&self, part: f64) -> f64 {
         let wanted = (part * self.count as f64).ceil() as u64;
         let mut below = 0;
@@ -39,16 +43,19 @@ impl Histogram {
             below += count;
             below >= wanted
         });
-        let end = bin.unwrap_or(self.bins.len()) + 1;
-        10_f64
-            .powf(end as f64 / PER_DECADE as f64)
-            .min(self.max_ns as f64 * 1e-3)
+        let max_us = self.max_ns as f64 * 1e-3;
+        match bin {
+            Some(bin) if bin <= BINS => max_us.min(10_f64.powf(bin as f64 / PER_DECADE as f64)),
+            _ => max_us,
+        }
     }
 
     pub(super) fn json(&self) -> Value {
         json!({
             "bins_per_decade": PER_DECADE,
-            "bins": self.bins.as_slice(),
+            "bins": &self.bins[1..=BINS],
+            "below_1_us": self.bins[0],
+            "above_1_s": self.bins[BINS + 1],
             "count": self.count,
             "p50_us": self.percentile_us(0.5),
             "p99_us": self.percentile_us(0.99),
@@ -73,10 +80,22 @@ mod tests {
         histogram.take(u64::MAX);
         let counted: u64 = histogram.bins.iter().sum();
         assert_eq!((histogram.count, counted), (1002, 1002));
+        assert_eq!((histogram.bins[0], histogram.bins[BINS + 1]), (1, 1));
         let width = 10_f64.powf(1.0 / PER_DECADE as f64);
         for (part, expected_us) in [(0.5, 500.0), (0.99, 990.0)] {
             let ratio = histogram.percentile_us(part) / expected_us;
             assert!((1.0 / width..=width).contains(&ratio), "{ratio}");
         }
+    }
+
+    #[test]
+    fn percentiles_of_what_is_less_or_more_than_all_bins_are_no_bins_end() {
+        let mut histogram = Histogram::default();
+        (0..1000).for_each(|ns| histogram.take(ns));
+        assert!((histogram.percentile_us(0.5) - 0.999).abs() < 1e-9);
+        (0..1000).for_each(|_| histogram.take(30_000_000_000));
+        assert_eq!(histogram.percentile_us(0.5), 1.0);
+        assert_eq!(histogram.percentile_us(0.99), 30e6);
+        assert_eq!(histogram.json()["above_1_s"], 1000);
     }
 }

@@ -31,6 +31,12 @@ function number(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
+// A percentile of a histogram, whose bins go from 1 µs to 1 s.
+function percentile(us) {
+  if (us <= 1) return '< 1';
+  return us > 1e6 ? '> 1e6' : number(us, 3);
+}
+
 const main = document.querySelector('main');
 const contents = element('nav', { 'aria-label': 'Contents' });
 
@@ -228,7 +234,8 @@ function chart({ title, unit, series, limits = [], range, log = false, factor = 
     const value = (shown) => sy(factor * shown - less);
     svg.setAttribute('aria-label', `${title} over time`);
     series.forEach(({ name }, i) => {
-      const floor = log ? low / factor : -Infinity;
+      // What is less goes out of the chart.
+      const floor = log ? 0.5 * low / factor : -Infinity;
       inside.append(drawn('path', { d: curve(name, sx, value, floor), style: `stroke: ${COLOURS[i]}` }));
     });
     for (const limit of limits) {
@@ -304,7 +311,7 @@ function summary() {
   const least = data.least_clearance;
   add(`least clearance (safe distance ${number(safe_mm)} mm)`, least ? `${number(least.mm)} mm at ${number(least.t_s)} s` : 'no obstacle', least && least.mm < safe_mm - 0.01);
   const response = data.latencies.response;
-  add('response time', `median ${number(response.p50_us, 3)}, 99 % ${number(response.p99_us, 3)}, max ${number(response.max_us, 3)} µs`);
+  add('response time', `median ${percentile(response.p50_us)}, 99 % ${percentile(response.p99_us)}, max ${number(response.max_us, 3)} µs`);
   add('recorded from', data.daemon ? `cdcrd ${data.daemon}` : 'not named');
   const title = `Recording ${data.file}`;
   document.title = title;
@@ -378,6 +385,13 @@ function nearness(solid, robot) {
   return least;
 }
 
+// The references, one after the other: between them there is none.
+const references = [[]];
+for (const point of curves.reference_mm) {
+  if (point[0] !== null) references[references.length - 1].push(point);
+  else if (references[references.length - 1].length) references.push([]);
+}
+
 const length_mm = 1e3 * data.sections.reduce((sum, part) => sum + part.length_m, 0);
 
 function scene3d() {
@@ -420,8 +434,7 @@ function scene3d() {
       paint.setLineDash([]);
     };
     floor(line, project);
-    const reference = curves.reference_mm.filter((point) => point[0] !== null);
-    if (reference.length) line(reference, colour('--reference'), 1.3, [5, 4]);
+    for (const reference of references) line(reference, colour('--reference'), 1.3, [5, 4]);
     const bend_rad = between(curves.bend_rad, now_s);
     const robot = backbone(bend_rad);
     const items = [];
@@ -573,8 +586,7 @@ function player() {
 const VIEWS = [['from the side', 0, 2], ['from the front', 1, 2], ['from above', 0, 1]];
 
 function path() {
-  const wanted = curves.reference_mm.filter((point) => point[0] !== null);
-  const all = curves.tip_mm.concat(wanted);
+  const all = curves.tip_mm.concat(...references);
   const bounds = [0, 1, 2].map((i) => all.reduce(([low, high], point) => [Math.min(low, point[i]), Math.max(high, point[i])], [Infinity, -Infinity]));
   // One scale for all three.
   const half = 0.55 * Math.max(...bounds.map(([low, high]) => high - low), 1);
@@ -592,7 +604,7 @@ function path() {
       const balls = drawn('g');
       const way = (points) => points.map((point, k) => `${k ? 'L' : 'M'}${sx(point[i]).toFixed(1)} ${sy(point[j]).toFixed(1)}`).join('');
       inside.append(balls,
-        drawn('path', { d: way(wanted), style: 'stroke: var(--reference); stroke-width: 5; opacity: 0.4' }),
+        drawn('path', { d: references.map(way).join(''), style: 'stroke: var(--reference); stroke-width: 5; opacity: 0.4' }),
         drawn('path', { d: way(curves.tip_mm), style: 'stroke: var(--c2)' }));
       const tip = drawn('circle', { r: 4.5, style: 'fill: var(--c2)' });
       inside.append(tip);
@@ -618,12 +630,12 @@ function path() {
 // ---- error, clearance, controls, cables, timing
 
 function error_and_clearance() {
-  const [low, high] = extent(['error_mm']);
+  const [, high] = extent(['error_mm']);
   if (high > -Infinity) {
     const values = high_of('error_mm').filter((value) => value !== null).sort((a, b) => a - b);
-    // A few large values of the approach would flatten all others.
+    // A few large values of the approach would flatten all others, and a few small ones stretch the axis.
     const log = high > 30 * values[values.length >> 1];
-    const floor = Math.max(low, 1e-4 * high, 1e-9);
+    const floor = Math.max(values[values.length >> 6], 1e-9);
     const range = log ? [10 ** Math.floor(Math.log10(floor)), 10 ** Math.ceil(Math.log10(1.05 * high))] : [0, 1.06 * high || 1];
     section('error', 'Error', chart({ title: `distance of tip and reference while tracking${log ? ', logarithmic' : ''}`, unit: 'mm', series: [{ name: 'error_mm', label: 'error' }], range, log }));
   } else {
@@ -635,9 +647,10 @@ function error_and_clearance() {
   }
   const [nearest, farthest] = extent(['clearance_mm']);
   const top = Math.min(farthest, Math.max(4 * safe_mm, 3 * nearest)) - safe_mm;
+  const part = top < farthest - safe_mm ? ', near it' : '';
   const range = padded([Math.min(nearest - safe_mm, -0.1 * Math.max(safe_mm, 1)), Math.max(top, safe_mm, 1)], 1);
   section('clearance', 'Clearance', chart({
-    title: 'clearance beyond the safe distance: below 0 the body is too near', unit: 'mm', series: [{ name: 'clearance_mm', label: 'clearance - D' }],
+    title: `clearance beyond the safe distance${part}: below 0 the body is too near`, unit: 'mm', series: [{ name: 'clearance_mm', label: 'clearance - D' }],
     limits: [{ value: 0, label: `safe distance D = ${number(safe_mm)} mm` }], range, less: safe_mm,
   }));
 }
@@ -672,9 +685,9 @@ function histograms() {
   const used = all.map(([, { bins, bins_per_decade }]) => bins.findIndex((count) => count > 0) / bins_per_decade).filter((decade) => decade >= 0);
   const [low, high] = [10 ** Math.floor(Math.min(...used, 2)), 10 ** Math.ceil(Math.log10(2 * deadline_us))];
   const row = element('div', { class: 'row' });
-  for (const [name, { bins, bins_per_decade, count, p50_us, p99_us, p999_us, max_us }, limit, limit_name] of all) {
+  for (const [name, { bins, bins_per_decade, below_1_us, above_1_s, count, p50_us, p99_us, p999_us, max_us }, limit, limit_name] of all) {
     const edge = (k) => 10 ** (k / bins_per_decade);
-    const above = bins.reduce((sum, many, k) => sum + (edge(k) >= high * 0.999 ? many : 0), 0);
+    const above = bins.reduce((sum, many, k) => sum + (edge(k) >= high * 0.999 ? many : 0), above_1_s);
     const most = Math.max(...bins, 1);
     const holder = fitted(element('div'), (width) => {
       const y = { low: 0.7, high: 2 * most, log: true, ticks: decades(1, 2 * most, 5) };
@@ -691,7 +704,7 @@ function histograms() {
       return svg;
     });
     const told = count
-      ? `median ${number(p50_us, 3)}, 99 % ${number(p99_us, 3)}, 99.9 % ${number(p999_us, 3)}, max ${number(max_us, 3)} µs; ${count} cycles, ${above} right of the chart`
+      ? `median ${percentile(p50_us)}, 99 % ${percentile(p99_us)}, 99.9 % ${percentile(p999_us)}, max ${number(max_us, 3)} µs; ${count} cycles, ${below_1_us} left and ${above} right of the chart`
       : 'none';
     row.append(element('figure', {}, element('figcaption', {}, element('b', {}, `${name}: cycles`)), holder, element('p', { class: 'quiet' }, told)));
   }
