@@ -85,7 +85,8 @@ fn of_lines(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
         ("paper-line-angles", "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
           against them make an S. Any vertical plane will do for it.",
          (2, 600), tasks.iter().flat_map(|one| one.angles()).collect()),
-        ("paper-line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
+        ("paper-line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles. In the first period the line \
+          goes down by 0.05 mm, for which the straight robot bends its middle section at 7.3 rad/s; with 2 rad/s it is late.",
          (2, 620), tasks.iter().flat_map(|one| one.controls()).collect()),
         ("paper-line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
           its axis, so the first samples are late.",
