@@ -93,14 +93,18 @@ pub enum ConnectError {
     },
     /// The daemon speaks another version of the messages.
     #[error(
-        "the daemon for {place} speaks another version of the {service} service than this program \
-         ({version}): install daemon and clients of one version and start the daemon again"
+        "the daemon for {place} speaks another version of the {service} service than this program: it has {theirs}, this one \
+         ({version}) {ours}; install daemon and clients of one version and start the daemon again"
     )]
     VersionMismatch {
         /// Where it was looked for.
         place: Place,
         /// Last part of the service's name.
         service: &'static str,
+        /// The types of the daemon's messages, as far as they are known.
+        theirs: String,
+        /// The types of this library's.
+        ours: String,
         /// Version of this library.
         version: &'static str,
     },

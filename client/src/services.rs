@@ -5,13 +5,17 @@ use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::sync::Once;
 
+use cdcr_shared_types::message::{Layout, Struct};
 use cdcr_shared_types::shm_space::{self, NODE_FILES, PORT_BYTES, PORT_FILES};
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry, ipc,
 };
 use iceoryx2::prelude::{LogLevel, Node, set_log_level_from_env_or};
+use iceoryx2::service::Service as _;
+use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Found;
 use iceoryx2_log::get_log_level;
 
 use crate::connect_error::{OpenTrouble, Place};
@@ -161,14 +165,14 @@ impl<'a> Opener<'a> {
         })
     }
 
-    fn channel<T: Message>(&self) -> Result<Channel<T>, ConnectError> {
+    fn channel<T: Message + Struct>(&self) -> Result<Channel<T>, ConnectError> {
         let name = T::SERVICE.name(&self.place.robot)?;
         self.node
             .service_builder(&name)
             .publish_subscribe::<T>()
             .open()
             .map(|service| self.opened(service))
-            .map_err(|cause| self.error(T::SERVICE, cause.into()))
+            .map_err(|cause| self.error(T::SERVICE, &[T::default().layout()], cause.into()))
     }
 
     fn control(&self) -> Result<ControlChannel, ConnectError> {
@@ -178,7 +182,10 @@ impl<'a> Opener<'a> {
             .request_response::<Request, Response>()
             .open()
             .map(|service| self.opened(service))
-            .map_err(|cause| self.error(Service::Control, cause.into()))
+            .map_err(|cause| {
+                let ours = [Request::default().layout(), Response::default().layout()];
+                self.error(Service::Control, &ours, cause.into())
+            })
     }
 
     fn opened<S>(&self, service: S) -> Open<S> {
@@ -188,9 +195,29 @@ impl<'a> Opener<'a> {
         }
     }
 
-    fn error(&self, service: Service, trouble: OpenTrouble) -> ConnectError {
+    /// The types of the messages that the daemon has on a service.
+    fn types(&self, of: Service) -> Option<String> {
+        let name = of.name(&self.place.robot).ok()?;
+        let pattern = match of {
+            Service::Control => MessagingPattern::RequestResponse,
+            _ => MessagingPattern::PublishSubscribe,
+        };
+        let found = ipc::Service::details(&name, self.node.config(), pattern).ok()??;
+        let types = match found.static_details.messaging_pattern() {
+            Found::PublishSubscribe(service) => vec![service.message_type_details()],
+            Found::RequestResponse(service) => vec![
+                service.request_message_type_details(),
+                service.response_message_type_details(),
+            ],
+            _ => return None,
+        };
+        let names = types.iter().map(|of| of.payload.type_name().to_string());
+        Some(joined(names))
+    }
+
+    fn error(&self, of: Service, ours: &[&Layout], trouble: OpenTrouble) -> ConnectError {
         let place = self.place.clone();
-        let service = service.key();
+        let service = of.key();
         match trouble {
             OpenTrouble::Missing => {
                 ConnectError::not_running(&place, "there are no services of that name")
@@ -198,12 +225,18 @@ impl<'a> Opener<'a> {
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
                 service,
+                theirs: self.types(of).unwrap_or_else(|| "another one".to_owned()),
+                ours: joined(ours.iter().map(|layout| layout.type_name.to_owned())),
                 version: env!("CARGO_PKG_VERSION"),
             },
             OpenTrouble::Full => ConnectError::Full { place, service },
             OpenTrouble::Other(cause) => memory_error(self.place, self.files, &cause),
         }
     }
+}
+
+fn joined(types: impl Iterator<Item = String>) -> String {
+    types.collect::<Vec<_>>().join(" and ")
 }
 
 /// Checks whether this user may use the root path before iceoryx2 does. A node would create a root path that is missing, and would

@@ -15,7 +15,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 use cdcr_client::channels::{Drawing, Drawings, Drawn, Recorded, Topic};
-use cdcr_client::{Connection, Stream, monotonic_ns};
+use cdcr_client::{Connection, Stream, counted, monotonic_ns};
 use cdcr_interchange::encode;
 use cdcr_interchange::mcap::{Channel, MESSAGE_ENCODING, SCHEMA_ENCODING};
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, Telemetry};
@@ -90,6 +90,11 @@ fn main() -> anyhow::Result<()> {
     }
     // Viewers are let go at once.
     drop(server.stop());
+    let lost = live.lost();
+    if lost > 0 {
+        let lost = counted(lost, "message");
+        writeln!(out, "lost: {lost}, because this program was too slow")?;
+    }
     Ok(())
 }
 
@@ -132,6 +137,12 @@ impl Live {
         })
     }
 
+    /// What no viewer could get.
+    fn lost(&self) -> u64 {
+        let others = self.others.iter().map(|other| other.lost());
+        self.telemetry.lost() + others.sum::<u64>()
+    }
+
     /// Passes on what has come.
     fn pass_on(&mut self) -> anyhow::Result<()> {
         for other in &mut self.others {
@@ -151,6 +162,7 @@ impl Live {
 /// A service of messages that are passed on as they are.
 trait Passed {
     fn pass_on(&mut self, offset_ns: u64) -> anyhow::Result<()>;
+    fn lost(&self) -> u64;
 }
 
 impl<T: Recorded> Passed for (Stream<T>, Arc<RawChannel>) {
@@ -160,6 +172,10 @@ impl<T: Recorded> Passed for (Stream<T>, Arc<RawChannel>) {
             log(channel, &message, offset_ns)?;
         }
         Ok(())
+    }
+
+    fn lost(&self) -> u64 {
+        self.0.lost()
     }
 }
 

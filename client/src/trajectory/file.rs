@@ -3,7 +3,8 @@ mod error;
 use error::TrajectoryFileProblem as Problem;
 pub use error::{TrajectoryFileError, TrajectoryFileProblem};
 
-use std::io::Read;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 use super::{Orientation, Trajectory};
@@ -16,6 +17,17 @@ const QUATERNION_COLUMNS: [&str; 4] = ["qx", "qy", "qz", "qw"];
 const MAGNITUDE_MAX: f64 = 4e9;
 /// How far from 1 the length of a quaternion may be: written with three decimals it still passes.
 const UNIT_TOLERANCE: f64 = 2e-3;
+
+/// Hours at 200 Hz. What never ends would fill the memory.
+const BYTES_MAX: u64 = 128_000_000;
+
+fn unread(path: &Path, cause: io::Error) -> TrajectoryFileError {
+    TrajectoryFileError {
+        path: path.to_owned(),
+        line: None,
+        problem: Problem::Read(cause),
+    }
+}
 
 /// A reference read from a CSV file with the header `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`.
 ///
@@ -49,12 +61,24 @@ impl FileTrajectory {
     /// # Errors
     /// With the file, the line and what would be right.
     pub fn read(path: &Path) -> Result<Self, TrajectoryFileError> {
-        let text = std::fs::read_to_string(path).map_err(|cause| TrajectoryFileError {
-            path: path.to_owned(),
-            line: None,
-            problem: Problem::Read(cause),
-        })?;
-        Self::parse(path, &text)
+        match File::open(path) {
+            Ok(file) => Self::read_from(path, file),
+            Err(cause) => Err(unread(path, cause)),
+        }
+    }
+
+    /// Reads and checks what something gives, such as the standard input; `path` is for the messages.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn read_from(path: &Path, input: impl Read) -> Result<Self, TrajectoryFileError> {
+        let mut text = String::new();
+        let read = input.take(BYTES_MAX + 1).read_to_string(&mut text);
+        match read {
+            Ok(count) if count as u64 <= BYTES_MAX => Self::parse(path, &text),
+            Ok(_) => Err(unread(path, io::Error::other("it is larger than 128 MB"))),
+            Err(cause) => Err(unread(path, cause)),
+        }
     }
 
     /// Checks the text of a file; `path` is for the messages.
@@ -314,6 +338,14 @@ mod tests {
         assert_near(file.position_m(9.0), [0.1, 0.2, 0.3]);
         assert_near(file.position_m(-1.0), [0.0, 0.0, 0.3]);
         assert_eq!(file.orientation(0.0), Orientation::Free);
+    }
+
+    #[test]
+    fn what_never_ends_is_refused() {
+        let path = Path::new("endless");
+        let refused = FileTrajectory::read_from(path, io::repeat(b'1')).expect_err("too large");
+        let refused = refused.to_string();
+        assert!(refused.contains("endless: it is larger than"), "{refused}");
     }
 
     #[test]

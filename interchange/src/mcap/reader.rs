@@ -209,7 +209,7 @@ impl<R: Read> Reader<R> {
 impl From<McapError> for ReadError {
     fn from(error: McapError) -> Self {
         match error {
-            McapError::Io(error) => Self::Io(error),
+            // Of what is in memory: a chunk that cannot be unpacked is one, too.
             McapError::UnexpectedEof => Self::Cut,
             McapError::UnsupportedCompression(name) => Self::Compressed(name),
             error => Self::Damaged(error),

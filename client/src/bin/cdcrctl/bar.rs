@@ -35,9 +35,10 @@ impl Bar {
 
     /// A part of the whole, 0 to 1.
     pub(crate) fn show_share(&self, share: f64) {
+        let percent = 100.0 * share.clamp(0.0, 1.0);
         self.bar.set_length(100);
-        self.bar
-            .set_position((100.0 * share.clamp(0.0, 1.0)) as u64);
+        self.bar.set_position(percent as u64);
+        self.bar.set_message(format!("{percent:.0} %"));
     }
 
     /// How long it has gone on, where nobody knows how long it lasts.

@@ -255,8 +255,8 @@ fn prepare<'a>(target: &Target, curve: &'a Curve) -> anyhow::Result<Prepared<'a>
             (&options.feed, &options.change, trajectory)
         }
         Curve::Stdin(options) => {
-            let text = std::io::read_to_string(std::io::stdin()).context("the standard input")?;
-            let trajectory = FileTrajectory::parse(Path::new("standard input"), &text)?;
+            let name = Path::new("standard input");
+            let trajectory = FileTrajectory::read_from(name, std::io::stdin())?;
             (&options.feed, &options.change, trajectory)
         }
         _ => return prepare_drawn(target.connect()?, curve),

@@ -1,6 +1,7 @@
 //! Whom the client does not talk to: services of another version. What a second user gets of a daemon is in `access`.
 
 use cdcr_client::{ConnectError, Connection};
+use cdcr_shared_types::message::Struct as _;
 use cdcr_shared_types::{ReferenceChunk, Service, Status, ipc};
 use cdcr_tests::{Place, ROBOT};
 use iceoryx2::prelude::{Node, ZeroCopySend};
@@ -46,7 +47,13 @@ fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
         ),
         "{error:?}"
     );
-    let parts = ["another version of the status service", "of one version"];
+    let ours = Status::default().layout().type_name;
+    let parts = [
+        "of the status service",
+        "cdcr.Status.v999",
+        ours,
+        "of one version",
+    ];
     place.says("cdcrctl status", 1, &parts);
 }
 

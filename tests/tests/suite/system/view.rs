@@ -136,6 +136,22 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
 }
 
 #[test]
+fn what_it_was_too_slow_for_is_told() {
+    let daemon = Daemon::start(PATIENT);
+    let (mut view, _) = serve(&daemon);
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    view.signal(Signal::STOP);
+    // More than its queue holds.
+    for _ in 0..300 {
+        telemetry.next_within(TIMEOUT).unwrap().unwrap();
+    }
+    view.signal(Signal::CONT);
+    std::thread::sleep(Duration::from_secs(1));
+    view.signal(Signal::INT);
+    assert_says(&view.output(), 0, &["lost: ", "too slow"]);
+}
+
+#[test]
 fn a_port_that_is_taken_is_named() {
     let daemon = Daemon::start(PATIENT);
     let (_view, port) = serve(&daemon);

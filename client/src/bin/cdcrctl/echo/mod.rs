@@ -109,14 +109,12 @@ impl Watch for EchoOptions {
         look: &Look<T>,
     ) -> anyhow::Result<Done> {
         let mut out = std::io::stdout().lock();
-        if self.format == Format::Text {
-            let fields = self.field.join("\t");
-            let heading = if fields.is_empty() {
-                look.heading
-            } else {
-                &fields
-            };
-            writeln!(out, "{heading}")?;
+        let mut heading = None;
+        match (self.format, &*self.field) {
+            (Format::Text, []) => writeln!(out, "{}", look.heading)?,
+            // Above the first message, which tells whether there are such fields.
+            (Format::Text, fields) => heading = Some(fields.join("\t")),
+            (Format::Json, _) => {}
         }
         let limits = (self.rate, self.count);
         paced(connection, &mut stream, limits, |message| {
@@ -126,7 +124,8 @@ impl Watch for EchoOptions {
                 (Format::Json, []) => json::message(message).to_string(),
                 (Format::Json, fields) => field::of(&json::message(message), fields)?.to_string(),
             };
-            writeln!(out, "{shown}")?;
+            let heading = heading.take().map(|heading| heading + "\n");
+            writeln!(out, "{}{shown}", heading.unwrap_or_default())?;
             Ok(out.flush()?)
         })?;
         warn_of_loss(T::SERVICE, stream.lost());

@@ -1,6 +1,9 @@
+use std::cell::Cell;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use cdcr_interchange::decode;
@@ -9,6 +12,10 @@ use cdcr_shared_types::message::Struct;
 use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 
 use super::topic::{Topic, WIRE_TYPE};
+use crate::bar::Bar;
+
+/// What takes longer shows how far it is.
+const SHORT: Duration = Duration::from_secs(1);
 
 /// A message of ours.
 #[derive(Debug)]
@@ -45,30 +52,100 @@ impl Recorded {
 /// A recording that is read from its beginning to its end; one chunk of it is in memory.
 pub(crate) struct Recording {
     path: PathBuf,
-    reader: Reader<BufReader<File>>,
+    reader: Reader<BufReader<Counted>>,
     /// It ended in the middle.
     is_cut: bool,
+    progress: Option<Progress>,
+}
+
+/// How much of a file was read.
+struct Counted {
+    file: File,
+    read_bytes: Rc<Cell<u64>>,
+}
+
+impl Read for Counted {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.read_bytes.set(self.read_bytes.get() + count as u64);
+        Ok(count)
+    }
+}
+
+/// Tells on a terminal how far it is, when it has gone on for a while.
+struct Progress {
+    begin: Instant,
+    all_bytes: u64,
+    read_bytes: Rc<Cell<u64>>,
+    /// What was read when it was last shown.
+    shown_bytes: u64,
+    bar: Option<Bar>,
+}
+
+impl Progress {
+    fn look(&mut self, name: &Path) {
+        let read_bytes = self.read_bytes.get();
+        if read_bytes != self.shown_bytes && self.begin.elapsed() > SHORT {
+            self.shown_bytes = read_bytes;
+            let bar = self
+                .bar
+                .get_or_insert_with(|| Bar::new(&name.display().to_string()));
+            bar.show_share(read_bytes as f64 / self.all_bytes.max(1) as f64);
+        }
+    }
 }
 
 impl Recording {
     pub(crate) fn open(path: &Path) -> anyhow::Result<Self> {
         let name = || path.display().to_string();
         let file = File::open(path).with_context(name)?;
-        let reader = Reader::new(BufReader::with_capacity(1 << 17, file)).with_context(name)?;
+        let all_bytes = file.metadata().with_context(name)?.len();
+        let read_bytes = Rc::<Cell<u64>>::default();
+        let counted = Counted {
+            file,
+            read_bytes: Rc::clone(&read_bytes),
+        };
+        let reader = Reader::new(BufReader::with_capacity(1 << 17, counted)).with_context(name)?;
         Ok(Self {
             path: path.to_owned(),
             reader,
             is_cut: false,
+            progress: Some(Progress {
+                begin: Instant::now(),
+                all_bytes,
+                read_bytes,
+                shown_bytes: 0,
+                bar: None,
+            }),
         })
+    }
+
+    /// Of which nobody is told how far it is.
+    pub(super) fn unseen(self) -> Self {
+        Self {
+            progress: None,
+            ..self
+        }
     }
 
     /// The next item, whatever it is; none at the end, also where the file is cut.
     pub(super) fn next_item(&mut self) -> anyhow::Result<Option<Item<'_>>> {
-        match self.reader.next_item() {
+        if let Some(progress) = &mut self.progress {
+            progress.look(&self.path);
+        }
+        let item = self.reader.next_item();
+        if !matches!(item, Ok(Some(_))) {
+            self.progress = None;
+        }
+        match item {
             Err(ReadError::Cut) => {
                 self.is_cut = true;
                 Ok(None)
             }
+            Err(error @ ReadError::Damaged(_)) => Err(error).with_context(|| {
+                let name = self.path.display();
+                format!("{name}; `cdcrctl info --repair {name}` saves what is before that")
+            }),
             item => item.with_context(|| self.path.display().to_string()),
         }
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, ensure};
 use cdcr_client::counted;
-use cdcr_interchange::mcap::{Item, Stamp, Writer};
+use cdcr_interchange::mcap::{Item, ReadError, Stamp, Writer};
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Header, Telemetry};
 use serde::Serialize;
@@ -41,19 +41,43 @@ pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
-/// Copies what is whole into another file, which is ended as it should be.
+/// Copies what is whole into another file, which is ended as it should be. What is behind a damage is lost.
 fn repair(path: &Path) -> anyhow::Result<Done> {
     let mut recording = Recording::open(path)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let other = path.with_file_name(format!("{stem}-repaired.mcap"));
     let name = other.display();
     let file = File::create_new(&other).with_context(|| format!("cannot make {name}"))?;
+    let copied = copy(&mut recording, file);
+    if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
+        // Nothing is left where nothing was saved.
+        drop(std::fs::remove_file(&other));
+    }
+    let (messages, damage) = copied.with_context(|| format!("{name} was not made"))?;
+    let path = path.display();
+    let was = match (&damage, recording.is_cut()) {
+        (Some(damage), _) => damage.to_string(),
+        (None, true) => "the recording is cut".to_owned(),
+        (None, false) => "the recording is whole".to_owned(),
+    };
+    ensure!(messages > 0, "{path} holds no message: {was}");
+    let messages = counted(messages, "message");
+    writeln!(io::stdout(), "{path}: {was}; {messages} saved in {name}")?;
+    Ok(Done::Good)
+}
+
+/// The messages that were copied, and what ended them.
+fn copy(recording: &mut Recording, file: File) -> anyhow::Result<(u64, Option<ReadError>)> {
     let library = concat!("cdcrctl ", env!("CARGO_PKG_VERSION"));
     let mut writer = Writer::new(file, "ros2", library)?;
     let mut ids = BTreeMap::new();
     let mut messages = 0_u64;
-    let cannot_write = || format!("cannot write {name}");
-    while let Some(item) = recording.next_item()? {
+    let damage = loop {
+        let item = match recording.next_item() {
+            Ok(Some(item)) => item,
+            Ok(None) => break None,
+            Err(error) => break Some(error.downcast::<ReadError>()?),
+        };
         match item {
             Item::Message(message) => {
                 let id = match ids.entry(message.channel_id) {
@@ -65,9 +89,7 @@ fn repair(path: &Path) -> anyhow::Result<Done> {
                     log_ns: message.log_ns,
                     publish_ns: message.publish_ns,
                 };
-                writer
-                    .write(id, stamp, message.data)
-                    .with_context(cannot_write)?;
+                writer.write(id, stamp, message.data)?;
                 messages += 1;
             }
             Item::Attachment {
@@ -78,17 +100,9 @@ fn repair(path: &Path) -> anyhow::Result<Done> {
             } => writer.attach(&name, &media_type, time_ns, &data)?,
             Item::Metadata { name, values } => writer.add_metadata(&name, values)?,
         }
-    }
-    let finished = writer.finish().map_err(|(_, error)| error);
-    finished.with_context(cannot_write)?;
-    let was = if recording.is_cut() { "cut" } else { "whole" };
-    writeln!(
-        io::stdout(),
-        "{}, which was {was}: {} saved in {name}",
-        path.display(),
-        counted(messages, "message")
-    )?;
-    Ok(Done::Good)
+    };
+    writer.finish().map_err(|(_, error)| error)?;
+    Ok((messages, damage))
 }
 
 /// Without a power of ten, unless nothing would be left of it.

@@ -38,7 +38,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     let name = options.file.display().to_string();
     let interrupt = Interrupt::catch()?;
     let connection = target.connect()?;
-    let mut source = Source::new(Recording::open(&options.file)?);
+    let mut source = Source::new(Recording::open(&options.file)?.unseen());
     source.read_to(READ_AHEAD_NS)?;
     let status = connection.status(TIMEOUT)?;
     let fingerprint = source.robot_fingerprint();

@@ -64,6 +64,9 @@ function go(time_s) {
   for (const watch of watchers) watch();
 }
 
+// Whether so much lies between two columns that a straight way between them is none of the robot.
+const sparse = curves.width_s > 0.1;
+
 // Index of the column at or before a time, and how far it is to the next, 0 to 1.
 function at(time_s) {
   let [low, high] = [0, times.length - 1];
@@ -73,7 +76,7 @@ function at(time_s) {
   }
   const next = Math.min(low + 1, times.length - 1);
   const span = times[next] - times[low];
-  return [low, next, span > 0 ? Math.min(Math.max((time_s - times[low]) / span, 0), 1) : 0];
+  return [low, next, span > 0 && !sparse ? Math.min(Math.max((time_s - times[low]) / span, 0), 1) : 0];
 }
 
 function between(list, time_s) {
@@ -602,7 +605,7 @@ function path() {
       const { svg, inside, box, sx, sy } = panel(width, height, axis(i, 5), axis(j, 6), first);
       svg.setAttribute('aria-label', `Path ${name}`);
       const balls = drawn('g');
-      const way = (points) => points.map((point, k) => `${k ? 'L' : 'M'}${sx(point[i]).toFixed(1)} ${sy(point[j]).toFixed(1)}`).join('');
+      const way = (points) => points.map((point, k) => `${k && !sparse ? 'L' : 'M'}${sx(point[i]).toFixed(1)} ${sy(point[j]).toFixed(1)}${sparse ? 'h0' : ''}`).join('');
       inside.append(balls,
         drawn('path', { d: references.map(way).join(''), style: 'stroke: var(--reference); stroke-width: 5; opacity: 0.4' }),
         drawn('path', { d: way(curves.tip_mm), style: 'stroke: var(--c2)' }));
@@ -624,7 +627,8 @@ function path() {
     row.append(element('figure', {}, element('figcaption', {}, element('b', {}, name), element('span', { class: 'quiet' }, `${second} over ${first}`)), holder));
   }
   const keys = [['var(--c2)', 'tip'], ['var(--reference)', 'reference', 'wide'], ['var(--c5)', 'obstacle', 'block']];
-  section('path', 'Path', element('p', {}, ...keys.flatMap(([style, name, kind]) => [key(style, name, kind).made, ' '])), row);
+  const note = sparse ? element('p', { class: 'quiet' }, `A point each ${number(curves.width_s, 2)} s.`) : '';
+  section('path', 'Path', note, element('p', {}, ...keys.flatMap(([style, name, kind]) => [key(style, name, kind).made, ' '])), row);
 }
 
 // ---- error, clearance, controls, cables, timing
@@ -751,6 +755,11 @@ function happened() {
     };
     for (const { t_s, kind, text } of data.events) mark(t_s, 27, kind === 'refused' || kind === 'stop' ? 'var(--bad)' : 'var(--c1)', `${t_s.toFixed(3)} s: ${text}`);
     curves.misses.forEach((count, i) => { if (count) mark(times[i], 46, 'var(--bad)', `${times[i].toFixed(2)} s: ${count} deadline miss${count === 1 ? '' : 'es'}`); });
+    if (data.events_left_out) {
+      const x = sx(data.events[data.events.length - 1].t_s);
+      const rest = { x, width: box.right - x, y: box.top + 27, height: 14, style: 'fill: var(--rule)' };
+      svg.append(drawn('rect', rest), drawn('text', { x: box.right - 4, y: box.top + 38, 'text-anchor': 'end' }, 'not listed'));
+    }
     ['mode', 'event', 'miss'].forEach((name, k) => svg.append(drawn('text', { x: LEFT - 6, y: box.top + 15 + 21 * k, 'text-anchor': 'end' }, name)));
     tells_time(svg, box, sx);
     return svg;
