@@ -289,7 +289,7 @@ pub(crate) struct WaitOptions {
 #[derive(Debug, Args)]
 pub(crate) struct DemoOptions {
     /// Sections of the robot: 1, 2 or 3, as in the paper
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=3))]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=3), allow_negative_numbers = true)]
     pub(crate) sections: u32,
     /// How long the spiral lasts, 0.1 s to 20 s; the paper's lasts 4.97 s
     #[arg(long, value_name = "TIME", default_value = "4.97s", value_parser = value::duration_in(0.1..=20.0))]
@@ -318,7 +318,7 @@ pub(crate) struct StatusOptions {
 #[derive(Debug, Args)]
 pub(crate) struct TopOptions {
     /// Pictures a second, 1 to 60
-    #[arg(long, value_name = "HZ", default_value_t = 20, value_parser = clap::value_parser!(u8).range(1..=60))]
+    #[arg(long, value_name = "HZ", default_value_t = 20, value_parser = clap::value_parser!(u8).range(1..=60), allow_negative_numbers = true)]
     pub(crate) rate: u8,
     /// Draw with letters, as where the locale has no Unicode
     #[arg(long)]
@@ -331,7 +331,7 @@ pub(crate) struct IncidentsOptions {
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
     /// Show only the N most recent
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
     /// Then show each new one, until interrupted
     #[arg(long)]
@@ -351,7 +351,7 @@ pub(crate) struct EchoOptions {
     #[arg(long, value_name = "PATH")]
     pub(crate) field: Vec<String>,
     /// End after this many messages
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
     /// Print at most this many messages a second and leave out the rest
     #[arg(long, value_name = "HZ", value_parser = value::positive, allow_negative_numbers = true)]
@@ -364,7 +364,7 @@ pub(crate) struct HzOptions {
     #[arg(value_enum, default_value = "telemetry")]
     pub(crate) topic: Topic,
     /// End after this many lines
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
 }
 
@@ -383,7 +383,7 @@ pub(crate) struct PlotOptions {
     #[arg(long, value_name = "HZ", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate: Option<f64>,
     /// End after this many messages
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
 }
 
@@ -427,11 +427,30 @@ mod tests {
 
     #[test]
     fn a_number_that_may_not_be_negative_is_named_with_what_is_allowed() {
-        let line = "cdcrctl obstacle add --id 1 --at 0,0,1 --radius -1";
-        let refused = Arguments::try_parse_from(line.split(' ')).unwrap_err();
-        let text = refused.to_string();
-        for part in ["--radius <M>", "-1 is below zero: use 0 or more"] {
-            assert!(text.contains(part), "{text}");
+        for (line, parts) in [
+            (
+                "obstacle add --id 1 --at 0,0,1 --radius -1",
+                ["--radius <M>", "-1 is below zero: use 0 or more"],
+            ),
+            (
+                "ref circle --speed -1",
+                ["--speed <TIMES>", "-1 is not above zero"],
+            ),
+            (
+                "ref circle --repeat -1",
+                ["--repeat <N>", "-1 is not in 1..=10000"],
+            ),
+            (
+                "replay run.mcap --speed -1",
+                ["--speed <TIMES>", "between 0.1 and 4"],
+            ),
+            ("echo --count -1", ["--count <N>", "invalid value '-1'"]),
+        ] {
+            let words = ["cdcrctl"].into_iter().chain(line.split(' '));
+            let refused = Arguments::try_parse_from(words).unwrap_err().to_string();
+            for part in parts {
+                assert!(refused.contains(part), "{line}: {refused}");
+            }
         }
     }
 

@@ -71,7 +71,12 @@ pub(crate) struct ExciteOptions {
     #[arg(long, value_name = "RAD/S", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate_max: Option<f64>,
     /// Another path for each
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        allow_negative_numbers = true
+    )]
     pub(crate) seed: u64,
     /// Move and write nothing: say whether all of the path can be reached, how long it is, and what it asks of the robot
     #[arg(long)]

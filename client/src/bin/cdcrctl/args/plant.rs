@@ -23,7 +23,7 @@ pub(crate) struct PlantOptions {
     #[arg(long, value_parser = interface())]
     pub(crate) interface: Option<Interface>,
     /// Measure the tip beside the cables, so often a second
-    #[arg(long, value_name = "HZ", value_parser = value::number_in(0.01..=1000.0))]
+    #[arg(long, value_name = "HZ", value_parser = value::number_in(0.01..=1000.0), allow_negative_numbers = true)]
     pub(crate) tip: Option<f64>,
     /// Also where the robot has or had a driver: its motors would follow what is commanded to the simulated robot
     #[arg(long)]

@@ -72,7 +72,7 @@ pub(crate) struct ReplayOptions {
     #[arg(long, value_name = "KEY=VALUE,...", value_delimiter = ',', value_parser = Change::parse, conflicts_with = "verify")]
     pub(crate) with: Vec<Change>,
     /// How many times as fast as it was the recording is fed to the daemon, 0.1 to 4
-    #[arg(long, value_name = "TIMES", value_parser = value::number_in(0.1..=4.0), default_value = "1", conflicts_with_all = ["verify", "with"])]
+    #[arg(long, value_name = "TIMES", value_parser = value::number_in(0.1..=4.0), default_value = "1", conflicts_with_all = ["verify", "with"], allow_negative_numbers = true)]
     pub(crate) speed: f64,
     /// How to print what was computed
     #[arg(long, value_enum, default_value = "text")]

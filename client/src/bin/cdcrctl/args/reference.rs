@@ -87,7 +87,7 @@ pub(crate) struct FeedArguments {
 #[derive(Debug, Args)]
 pub(crate) struct CurveArguments {
     /// Sections that the curve is made for [default: those of the daemon's robot]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6), allow_negative_numbers = true)]
     pub(crate) sections: Option<u32>,
     /// How long it lasts [default: as in the paper]
     #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
@@ -98,13 +98,13 @@ pub(crate) struct CurveArguments {
 #[derive(Debug, Args)]
 pub(crate) struct ChangeArguments {
     /// How many times as fast as it is
-    #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1")]
+    #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1", allow_negative_numbers = true)]
     pub(crate) speed: f64,
     /// How often it is gone through: there and back, unless it ends where it begins
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1, allow_negative_numbers = true)]
     pub(crate) repeat: u32,
     /// How many times as large, about its first point
-    #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1")]
+    #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1", allow_negative_numbers = true)]
     pub(crate) scale: f64,
     /// Two axes of the base frame that its x and y go along from its first point on
     #[arg(long, value_parser = value::plane(), default_value = "xy")]
@@ -176,10 +176,10 @@ pub(crate) struct FigureArguments {
     #[arg(long, value_parser = value::plane(), default_value = "xy")]
     pub(crate) plane: FigurePlane,
     /// How fast the tip goes, in m/s, the same everywhere
-    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value = "0.05")]
+    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value = "0.05", allow_negative_numbers = true)]
     pub(crate) speed: f64,
     /// How often it is gone through
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1, allow_negative_numbers = true)]
     pub(crate) repeat: u32,
     #[command(flatten)]
     pub(crate) feed: FeedArguments,
@@ -188,7 +188,7 @@ pub(crate) struct FigureArguments {
 #[derive(Debug, Args)]
 pub(crate) struct HelixOptions {
     /// Turns from end to end
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100), default_value_t = 3)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100), default_value_t = 3, allow_negative_numbers = true)]
     pub(crate) turns: u32,
     /// From end to end, in m; negative: the other way [default: the radius]
     #[arg(long, value_name = "M", value_parser = value::number, allow_hyphen_values = true)]
@@ -210,7 +210,7 @@ pub(crate) struct LissajousOptions {
 #[derive(Debug, Args)]
 pub(crate) struct RoseOptions {
     /// k: so many petals where it is odd, twice as many where it is even
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=100), default_value_t = 5)]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=100), default_value_t = 5, allow_negative_numbers = true)]
     pub(crate) petals: u32,
     #[command(flatten)]
     pub(crate) figure: FigureArguments,
@@ -219,7 +219,7 @@ pub(crate) struct RoseOptions {
 #[derive(Debug, Args)]
 pub(crate) struct PolygonOptions {
     /// How many corners it has
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=100), default_value_t = 4)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=100), default_value_t = 4, allow_negative_numbers = true)]
     pub(crate) corners: u32,
     #[command(flatten)]
     pub(crate) figure: FigureArguments,

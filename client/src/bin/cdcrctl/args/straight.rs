@@ -9,10 +9,10 @@ pub(crate) const GENTLE: (f64, f64) = (0.05, 0.5);
 #[derive(Debug, Args)]
 pub(crate) struct StraightArguments {
     /// Largest speed of the tip, in m/s
-    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value_t = GENTLE.0)]
+    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value_t = GENTLE.0, allow_negative_numbers = true)]
     pub(crate) speed: f64,
     /// Largest acceleration of the tip, in m/s²
-    #[arg(long, value_name = "M/S2", value_parser = value::positive, default_value_t = GENTLE.1)]
+    #[arg(long, value_name = "M/S2", value_parser = value::positive, default_value_t = GENTLE.1, allow_negative_numbers = true)]
     pub(crate) acceleration: f64,
     /// Largest error at the end: fail when the tip stays farther from the point than this, as estimated or, with a sensor of the tip, as
     /// measured; with its unit, 2mm or 0.002m

@@ -205,3 +205,25 @@ fn check_version(topic: Topic, message: &Message<'_>) -> anyhow::Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_takes_long_shows_how_far_it_is() {
+        let shows = |begin: Instant| {
+            let mut progress = Progress {
+                begin,
+                all_bytes: 100,
+                read_bytes: Rc::new(Cell::new(50)),
+                shown_bytes: 0,
+                bar: None,
+            };
+            progress.look(Path::new("run.mcap"));
+            progress.bar.is_some()
+        };
+        let now = Instant::now();
+        assert!(!shows(now) && shows(now - 2 * SHORT));
+    }
+}
