@@ -14,7 +14,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 use super::Limits;
 use super::projection::Region;
 use near::{Lack, Near, Stance};
-use renewed::{BEGINNINGS, Beginning, SLOWLY};
+use renewed::{BEGINNINGS, Beginning, SLOW, SLOWLY};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 12;
@@ -135,7 +135,7 @@ impl ClearanceGuard<'_> {
     /// has there: the millimetre may lack anew each time. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances are
+    /// exactly, what was found is scaled down, and then `rates` themselves; and where next to nothing is left among few obstacles, all clearances are
     /// made linear anew at one place, for slow rates first. Among many obstacles that is done before all else, for slow rates alone, while there is time. Slower
     /// rates stop sooner: each that are looked at
     /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
@@ -153,18 +153,14 @@ impl ClearanceGuard<'_> {
                 let slow = self.renewed(near, limits, rates, SLOWLY);
                 near.begin_again(lacks);
                 let found = self.corrected(near, limits, rates);
-                return if fastest(&found) < fastest(&slow) {
-                    slow
-                } else {
-                    found
-                };
+                return faster(found, slow);
             }
             let found = self.corrected(near, limits, rates);
-            if found == self.rest() {
-                near.allow_renewal();
-                return self.renewed(near, limits, rates, BEGINNINGS);
+            if fastest(&found) > SLOW * fastest(rates) {
+                return found;
             }
-            found
+            near.allow_renewal();
+            faster(found, self.renewed(near, limits, rates, BEGINNINGS))
         })
     }
 
@@ -234,6 +230,7 @@ impl ClearanceGuard<'_> {
         limits.fill(&mut region, fastest(desired_rates));
         let mut rates = *desired_rates;
         for _ in 0..CORRECTIONS {
+            let rows = near.row_count();
             if !near.has_looks_to_correct()
                 || !near.bound(self, &rates, &mut region)
                 || region.is_full()
@@ -246,8 +243,12 @@ impl ClearanceGuard<'_> {
             let before = rates;
             rates = shortened_to(nearest, fastest(desired_rates));
             if rates == before {
-                // What is too small has its row already.
-                break;
+                if near.row_count() == rows {
+                    // What is too small has its row around these rates already.
+                    break;
+                }
+                // The first rows are around the standing robot, and leave them; the next are around them.
+                continue;
             }
             if fastest(&rates) <= STANDING * fastest(desired_rates) {
                 return self.rest();
@@ -340,6 +341,11 @@ impl Places<'_> {
             .try_for_each(|(near, guard)| way::check(near, guard, rates))
     }
 
+    /// Of [`Near::row_count`] the sum.
+    fn row_count(&self) -> u32 {
+        self.iter().map(Near::row_count).sum()
+    }
+
     fn count(&self, looks: u32) {
         self.iter().for_each(|near| near.count(looks));
     }
@@ -418,6 +424,15 @@ pub(super) fn shortened_to(rates: BendRates, fastest_rad_s: f64) -> BendRates {
     }
     // A little shorter, so that rounding does not make it longer.
     times(&rates, fastest_rad_s / present_rad_s * (1.0 - 1e-15))
+}
+
+/// That with the faster component; the first where both are as fast.
+fn faster(one: BendRates, other: BendRates) -> BendRates {
+    if fastest(&one) < fastest(&other) {
+        other
+    } else {
+        one
+    }
 }
 
 /// The fastest component \[rad/s\].

@@ -434,6 +434,12 @@ impl<'a> Near<'a> {
         self.rows[index].set(self.rows[index].get() | 1 << section);
     }
 
+    /// How many there are.
+    pub(super) fn row_count(&self) -> u32 {
+        let rows = self.rows.iter();
+        rows.map(|sections| sections.get().count_ones()).sum()
+    }
+
     /// Without rows, and with what a check found.
     pub(super) fn begin_again(&self, lack: Option<Lack>) {
         self.rows.iter().for_each(|sections| sections.set(0));

@@ -1,7 +1,7 @@
-//! Where corrections lead to rest: all half-spaces made anew from one linearisation.
+//! Where corrections lead to rest, or next to it: all half-spaces made anew from one linearisation.
 
 use super::near::REGION_LOOKS;
-use super::{ClearanceGuard, Places, STANDING, fastest, shortened_to, times};
+use super::{ClearanceGuard, Places, STANDING, faster, fastest, shortened_to, times};
 use crate::robot::BendRates;
 use crate::safety::Limits;
 use crate::safety::projection::Region;
@@ -10,24 +10,28 @@ use crate::safety::projection::Region;
 pub(super) const BEGINNINGS: &[Beginning] = &[
     Beginning {
         speed: SLOW,
-        renewals: 2,
+        shrinks: 0.5,
+        renewals: 6,
         slack: 0.0,
         margin_m: 1e-9,
     },
     Beginning {
         speed: 1.0,
+        shrinks: 1.0,
         renewals: 4,
         slack: 0.0,
         margin_m: 1e-7,
     },
     Beginning {
         speed: 1.0,
+        shrinks: 1.0,
         renewals: 4,
         slack: 0.1,
         margin_m: 1e-9,
     },
     Beginning {
         speed: 1.0,
+        shrinks: 1.0,
         renewals: 4,
         slack: 0.5,
         margin_m: 1e-9,
@@ -35,10 +39,13 @@ pub(super) const BEGINNINGS: &[Beginning] = &[
 ];
 /// Shares of what is found then that are checked.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// The first of them alone.
-pub(super) const SLOWLY: &[Beginning] = BEGINNINGS.split_at(1).0;
-/// One that is made anew and leaves no more than this is taken where no other leaves more.
-const SLOW: f64 = 0.1;
+/// The first of them alone, which leaves enough to correct what is desired, too.
+pub(super) const SLOWLY: &[Beginning] = &[Beginning {
+    renewals: 2,
+    ..BEGINNINGS[0]
+}];
+/// What leaves no more than this is taken where no other leaves more.
+pub(super) const SLOW: f64 = 0.1;
 
 /// Around the standing robot each half-space is wider by a share of the fastest component, because all of them can meet in rest alone where clearances
 /// are curved and there is a way. Later ones ask for a margin.
@@ -46,6 +53,8 @@ const SLOW: f64 = 0.1;
 pub(super) struct Beginning {
     /// The share of the desired rates that the nearest are looked for to.
     speed: f64,
+    /// The share of that which is looked for next where nothing holds of what was found around other rates: what clearances are curved by falls with its square.
+    shrinks: f64,
     /// Times that it is linearised.
     renewals: usize,
     pub(super) slack: f64,
@@ -53,7 +62,7 @@ pub(super) struct Beginning {
 }
 
 impl ClearanceGuard<'_> {
-    /// As [`Self::corrected`], where that leads to rest. Half-spaces from several linearisations may leave nothing between them, and those of the
+    /// As [`Self::corrected`], where that leads to rest, or next to it. Half-spaces from several linearisations may leave nothing between them, and those of the
     /// standing robot nothing that holds exactly, because clearances are curved. So all of them are made anew from one linearisation:
     /// around the standing robot, where rest is inside, and then around what was found with those.
     pub(super) fn renewed(
@@ -65,7 +74,7 @@ impl ClearanceGuard<'_> {
     ) -> BendRates {
         let mut slow = self.rest();
         for beginning in beginnings {
-            let wished = times(desired_rates, beginning.speed);
+            let mut wished = times(desired_rates, beginning.speed);
             let mut limited = Region::EMPTY;
             limits.fill(&mut limited, fastest(&wished));
             let mut around = None;
@@ -87,15 +96,21 @@ impl ClearanceGuard<'_> {
                 if fastest(&rates) <= STANDING * fastest(&wished) {
                     break;
                 }
-                if let Some(held) = self.held_share(near, &rates) {
+                let held = self.held_share(near, &rates);
+                if let Some(held) = held {
                     if fastest(&held) > SLOW * fastest(desired_rates) {
                         return held;
                     }
-                    if fastest(&held) > fastest(&slow) {
-                        slow = held;
-                    }
+                    slow = faster(slow, held);
                 }
-                around = Some(rates);
+                let next = if held.is_none() && around.is_some() {
+                    beginning.shrinks
+                } else {
+                    1.0
+                };
+                wished = times(&wished, next);
+                limited.slow_down_to(fastest(&wished));
+                around = Some(times(&rates, next));
             }
         }
         slow

@@ -124,12 +124,15 @@ pub(super) fn bound_again(
     };
     let rest = BendRates::zero(desired_rates.section_count());
     let farthest_m = guard.farthest_m(desired_rates);
+    let longest_s = guard.stopping.way(fastest(desired_rates)).way_s;
     let [period_s, end_s] = ends_s(guard, around.unwrap_or(desired_rates));
     let between = near.between().filter(|_| around.is_some());
     for way_s in [Some(period_s), Some(end_s), between.map(|lack| lack.way_s)] {
         let Some(way_s) = way_s else { break };
         let place = near.place(guard, around.unwrap_or(&rest), way_s);
         let is_end = way_s == period_s || way_s == end_s;
+        // From rest to any rates; from rates to any others it is twice as far.
+        let changes = if around.is_some() { 2.0 } else { 1.0 } * way_s / longest_s;
         for (index, watched) in near.watched().enumerate() {
             if near.is_out_of_looks() {
                 // What is missing then is caught by the check, which has none either.
@@ -145,11 +148,9 @@ pub(super) fn bound_again(
                     between.is_some_and(|lack| (lack.index, lack.section) == (index, section));
                 let enough_m = if !is_end && !lacks {
                     continue;
-                } else if around.is_none() {
+                } else if lacks || around.is_none() || near.has_row(index, section) {
                     // No rates that are not faster lead from farther away to what is kept.
-                    watched.kept_m + farthest_m[section] + ROUNDING_M
-                } else if lacks || near.has_row(index, section) {
-                    f64::INFINITY
+                    watched.kept_m + changes * farthest_m[section] + ROUNDING_M
                 } else {
                     watched.floor_most_m(section, place.time_s)
                 };

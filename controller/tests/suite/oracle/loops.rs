@@ -29,6 +29,7 @@ pub(super) struct Scene {
     safe_m: f64,
     acceleration_rad_s2: f64,
     link: Link,
+    cycles: u32,
 }
 
 /// What is between the commands and the robot.
@@ -79,7 +80,13 @@ impl Scene {
             start,
             balls,
             link,
+            cycles: CYCLES,
         }
+    }
+
+    /// Its first cycles alone.
+    pub(super) fn first(self, cycles: u32) -> Self {
+        Self { cycles, ..self }
     }
 
     /// Runs it, with an account of each command.
@@ -141,7 +148,7 @@ impl Scene {
         let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &obstacles, reference)
             .unwrap()
             .with_acceleration(self.acceleration_rad_s2);
-        for cycle in 0..CYCLES {
+        for cycle in 0..self.cycles {
             let (desired_rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
             let before = closed.configuration().as_slice();
             let previous = closed.command().rates.as_slice();
@@ -168,7 +175,7 @@ impl Scene {
         let mut goes_to = commanded.clone();
         let mut rates = BendRates::zero(self.parameters.sections.len());
         let followed = 1.0 - (-PERIOD_S / motors.lag_s).exp();
-        for cycle in 0..CYCLES {
+        for cycle in 0..self.cycles {
             let time_s = f64::from(cycle) * PERIOD_S;
             let at = measured(&robot);
             let steps = 1..=nmpc.settings().horizon_steps;
@@ -212,7 +219,7 @@ impl Scene {
         );
         let mut told_rates = rates.clone();
         let (mut interruptions, mut nearer_m) = (0, 0.0_f64);
-        for cycle in 0..CYCLES {
+        for cycle in 0..self.cycles {
             let name = format!("{}, cycle {cycle}, commands are lost", self.name);
             if !lost[cycle as usize] {
                 interruptions += u32::from(cycle > 0 && lost[cycle as usize - 1]);

@@ -234,6 +234,27 @@ fn moments_that_stood_without_need_move() {
     }
 }
 
+/// The first row of a section and an obstacle, around the standing robot, left the rates that broke the rule: it was taken for all that there is. What
+/// was scaled down instead, to a thousandth, was taken for motion. Or slow rates were made anew twice, whatever came of it.
+#[test]
+fn loops_that_stood_without_need_move() {
+    let mut account = Account::NEW;
+    for (seed, cycles) in [
+        (234, 9),
+        (590, 49),
+        (1035, 20),
+        (1260, 77),
+        (2202, 10),
+        (2877, 108),
+        (3354, 49),
+        (3557, 47),
+    ] {
+        Scene::random(seed).first(cycles).run(&mut account);
+    }
+    account.check();
+    assert_eq!(account.stand_needlessly, 0);
+}
+
 #[test]
 fn few_moments_stand_still_without_need() {
     let mut account = Account::NEW;
