@@ -14,7 +14,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 use super::Limits;
 use super::projection::Region;
 use near::{Lack, Near, Stance};
-use renewed::{BEGINNINGS, Beginning, SLOW, SLOWLY};
+use renewed::{BEGINNINGS, Beginning, SLOWLY};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 12;
@@ -135,7 +135,7 @@ impl ClearanceGuard<'_> {
     /// has there: the millimetre may lack anew each time. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves; and where next to nothing is left among few obstacles, all clearances are
+    /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances are
     /// made linear anew at one place, for slow rates first. Among many obstacles that is done before all else, for slow rates alone, while there is time. Slower
     /// rates stop sooner: each that are looked at
     /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
@@ -156,11 +156,11 @@ impl ClearanceGuard<'_> {
                 return faster(found, slow);
             }
             let found = self.corrected(near, limits, rates);
-            if fastest(&found) > SLOW * fastest(rates) {
-                return found;
+            if found == self.rest() {
+                near.allow_renewal();
+                return self.renewed(near, limits, rates, BEGINNINGS);
             }
-            near.allow_renewal();
-            faster(found, self.renewed(near, limits, rates, BEGINNINGS))
+            found
         })
     }
 

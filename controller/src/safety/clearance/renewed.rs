@@ -1,4 +1,4 @@
-//! Where corrections lead to rest, or next to it: all half-spaces made anew from one linearisation.
+//! Where corrections lead to rest: all half-spaces made anew from one linearisation.
 
 use super::near::REGION_LOOKS;
 use super::{ClearanceGuard, Places, STANDING, faster, fastest, shortened_to, times};
@@ -44,8 +44,8 @@ pub(super) const SLOWLY: &[Beginning] = &[Beginning {
     renewals: 2,
     ..BEGINNINGS[0]
 }];
-/// What leaves no more than this is taken where no other leaves more.
-pub(super) const SLOW: f64 = 0.1;
+/// One that is made anew and leaves no more than this is taken where no other leaves more.
+const SLOW: f64 = 0.1;
 
 /// Around the standing robot each half-space is wider by a share of the fastest component, because all of them can meet in rest alone where clearances
 /// are curved and there is a way. Later ones ask for a margin.
@@ -62,7 +62,7 @@ pub(super) struct Beginning {
 }
 
 impl ClearanceGuard<'_> {
-    /// As [`Self::corrected`], where that leads to rest, or next to it. Half-spaces from several linearisations may leave nothing between them, and those of the
+    /// As [`Self::corrected`], where that leads to rest. Half-spaces from several linearisations may leave nothing between them, and those of the
     /// standing robot nothing that holds exactly, because clearances are curved. So all of them are made anew from one linearisation:
     /// around the standing robot, where rest is inside, and then around what was found with those.
     pub(super) fn renewed(

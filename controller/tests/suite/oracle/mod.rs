@@ -234,8 +234,8 @@ fn moments_that_stood_without_need_move() {
     }
 }
 
-/// The first row of a section and an obstacle, around the standing robot, left the rates that broke the rule: it was taken for all that there is. What
-/// was scaled down instead, to a thousandth, was taken for motion. Or slow rates were made anew twice, whatever came of it.
+/// The first row of a section and an obstacle, around the standing robot, left the rates that broke the rule: it was taken for all that there is, and what
+/// broke the rule was scaled down, to a thousandth. Or slow rates were made anew twice, whatever came of it.
 #[test]
 fn loops_that_stood_without_need_move() {
     let mut account = Account::NEW;
