@@ -239,16 +239,7 @@ fn moments_that_stood_without_need_move() {
 #[test]
 fn loops_that_stood_without_need_move() {
     let mut account = Account::NEW;
-    for (seed, cycles) in [
-        (234, 9),
-        (590, 49),
-        (1035, 20),
-        (1260, 77),
-        (2202, 10),
-        (2877, 108),
-        (3354, 49),
-        (3557, 47),
-    ] {
+    for (seed, cycles) in [(234, 9), (590, 49), (1035, 20), (2202, 10), (3557, 47)] {
         Scene::random(seed).first(cycles).run(&mut account);
     }
     account.check();
