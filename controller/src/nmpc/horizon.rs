@@ -81,6 +81,21 @@ impl Horizon {
             target.copy_from_slice(&plan[source * width..][..width]);
         }
     }
+
+    /// Lets a plan that was moved on and not evaluated since rest where nobody has foreseen it: behind what it was before its last block was held
+    /// on; with longer blocks, which do not move on in every period, behind the first, and there, too, when it has done so before.
+    pub(super) fn rest_unforeseen(&self, plan: &mut [f64]) {
+        let width = plan.len() / self.blocks;
+        let later = &plan[width..];
+        let kept = if self.blocks == self.steps && self.steps > 1 {
+            let last = &plan[plan.len() - width..];
+            let held = plan.rchunks_exact(width).take_while(|block| *block == last);
+            self.blocks - held.count() + 1
+        } else {
+            usize::from(later.iter().any(|rate| *rate != 0.0))
+        };
+        plan[kept * width..].fill(0.0);
+    }
 }
 
 #[cfg(test)]
@@ -125,5 +140,28 @@ mod tests {
         assert_eq!(into, [1.0, 2.0]);
         horizon(4, 2).shift(&[1.0, 2.0], 2, &mut into);
         assert_eq!(into, [2.0, 2.0]);
+    }
+
+    #[test]
+    fn what_nobody_has_foreseen_rests() {
+        let rested = |horizon: Horizon, plan: &[f64]| {
+            let mut plan = plan.to_vec();
+            horizon.rest_unforeseen(&mut plan);
+            plan
+        };
+        assert_eq!(
+            rested(horizon(4, 4), &[2.0, 3.0, 4.0, 4.0]),
+            [2.0, 3.0, 4.0, 0.0]
+        );
+        assert_eq!(
+            rested(horizon(4, 4), &[3.0, 4.0, 0.0, 0.0]),
+            [3.0, 4.0, 0.0, 0.0]
+        );
+        assert_eq!(rested(horizon(2, 2), &[2.0, 2.0]), [2.0, 0.0]);
+        assert_eq!(rested(horizon(1, 1), &[1.0]), [0.0]);
+        // It is what it was after its first period: moved on again, it would go on for ever.
+        assert_eq!(rested(horizon(4, 2), &[1.0, 2.0]), [1.0, 0.0]);
+        assert_eq!(rested(horizon(4, 2), &[1.0, 0.0]), [0.0, 0.0]);
+        assert_eq!(rested(horizon(4, 1), &[1.0]), [0.0]);
     }
 }

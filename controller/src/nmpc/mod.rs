@@ -300,6 +300,9 @@ impl Nmpc {
         };
         let report = self.solver.solve(&task, &self.warm_plan, budget);
         self.plan.copy_from_slice(self.solver.best());
+        if !self.solver.is_evaluated() {
+            self.horizon.rest_unforeseen(&mut self.plan);
+        }
         let rates = match report.status {
             SolveStatus::NonFinite => None,
             _ if !problem.is_posed() => None,

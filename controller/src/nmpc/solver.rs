@@ -62,6 +62,11 @@ impl Solver {
         self.incumbent.z()
     }
 
+    /// Whether its cost is known: the budget was not spent before.
+    pub(super) fn is_evaluated(&self) -> bool {
+        self.incumbent.is_evaluated()
+    }
+
     /// Starts from `warm_plan` and improves it while the budget lasts.
     pub(super) fn solve(
         &mut self,
@@ -69,7 +74,12 @@ impl Solver {
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> SolveReport {
-        let evaluation = task.problem.evaluate_at(warm_plan, budget);
+        let stages = task.settings.solver.refines() && task.problem.is_staged();
+        let (evaluation, rests) = if stages {
+            self.evaluate_to_rest(task, warm_plan, budget)
+        } else {
+            (task.problem.evaluate_at(warm_plan, budget), false)
+        };
         self.incumbent.restart(warm_plan, evaluation.as_ref());
         let warm_cost = self.incumbent.cost();
 
@@ -82,9 +92,8 @@ impl Solver {
                 task.settings.solver.searches(),
             );
             // What is known of a long plan's derivatives costs little, so the plan is refined before anything else is tried.
-            let (mut is_known, mut rests) = (false, false);
-            if refines && task.problem.is_staged() {
-                rests = self.rest_at_contact(task, (warm_plan, evaluation.as_ref()), budget);
+            let mut is_known = false;
+            if stages {
                 is_known = self.incumbent.is_violated();
                 refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
             }
@@ -110,9 +119,9 @@ impl Solver {
             {
                 refinement = Some(self.refine(task, budget));
             }
-            if rests {
-                self.incumbent.take_better(&self.resting);
-            }
+        }
+        if rests {
+            self.incumbent.take_better(&self.resting);
         }
         let refinement = refinement.unwrap_or_default();
         SolveReport {
@@ -131,28 +140,31 @@ impl Solver {
         }
     }
 
-    /// Lets a warm start that breaks a constraint, as at the new end of its horizon, rest before that: for a budget that ends before there is
-    /// anything better. Whether there is such a plan. Nothing sets out from it, because it leads into other valleys.
-    fn rest_at_contact(
+    /// Evaluates the warm start. Where it breaks a constraint, as at the new end of its horizon, or the budget ends, it rests before that in a plan apart:
+    /// for a budget that ends before there is anything better. Whether there is such a plan. Nothing sets out from it, because it leads into other valleys.
+    fn evaluate_to_rest(
         &mut self,
         task: &Task,
-        (warm_plan, evaluation): (&[f64], Option<&Evaluation<1>>),
+        warm_plan: &[f64],
         budget: &mut Budget<'_>,
-    ) -> bool {
-        if !self.incumbent.is_violated() {
-            return false;
-        }
+    ) -> (Option<Evaluation<1>>, bool) {
         self.scratch.clear();
         self.scratch.extend_from_slice(warm_plan);
         let (rests, resting) = (&mut self.scratch, &mut self.resting);
         // Nothing is broken, not even by as much as the warm start does.
         resting.restart(warm_plan, None);
         let found = task.problem.evaluate_to_contact(rests, resting, budget);
-        resting.restart(warm_plan, evaluation);
-        found.is_some_and(|(evaluation, _)| {
-            let holds = evaluation.violations.iter().all(|kind| kind.0[0] == 0.0);
-            holds && resting.offer(|i| rests[i], &evaluation, 0, Candidate::WarmStart)
-        })
+        let Some((until, is_whole)) = found else {
+            return (None, false);
+        };
+        if is_whole {
+            return (Some(until), false);
+        }
+        let evaluation = task.problem.evaluate_at(warm_plan, budget);
+        resting.restart(warm_plan, evaluation.as_ref());
+        let holds = until.violations.iter().all(|kind| kind.0[0] == 0.0);
+        let rests = holds && resting.offer(|i| rests[i], &until, 0, Candidate::WarmStart);
+        (evaluation, rests)
     }
 
     /// Refines the warm start; where that breaks a constraint, as at the new end of its horizon, beside those that do less. None: one of these is

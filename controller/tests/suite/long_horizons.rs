@@ -326,6 +326,21 @@ fn twenty_microseconds_move_the_robot_among_capsules() {
     }
 }
 
+/// A warm start that no time is left to evaluate leads where nobody has seen whether it is clear, one step more in each cycle.
+#[test]
+fn with_any_work_at_all_the_safe_distance_is_kept() {
+    for solver in SOLVERS {
+        for &(speed, every) in crate::cases(1, &[(3.0, 2), (5.0, 4), (10.0, 2), (3.0, 4)]) {
+            for quanta in 0..quanta(70_000) {
+                let course = Course::spiral(solver, speed, true).with_capsules(every);
+                let outcome = course.run(quanta);
+                let what = format!("{solver:?}, {speed} times, every {every}, {quanta} quanta");
+                assert!(outcome.spare_m > -1e-9, "{what}: {outcome:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn an_interior_point_that_time_ends_leaves_what_it_found() {
     let course = Course {
