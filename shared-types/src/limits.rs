@@ -32,12 +32,12 @@ limits! {
     /// Prediction steps N of the optimal control problem.
     HORIZON_STEPS_MAX = 50;
 
-    /// Control blocks M ≤ N that the daemon optimises. With six sections this makes 240 unknowns, and
-    /// bounds the size of a telemetry record; longer horizons hold each block for several steps.
-    CONTROL_BLOCKS_MAX = 20;
+    /// Control blocks M ≤ N that the daemon optimises, as far as a plan has room for them.
+    CONTROL_BLOCKS_MAX = 50;
 
-    /// Scalars of a plan: the rates of every section in every control block.
-    PLAN_MAX = COORDINATES_MAX * CONTROL_BLOCKS_MAX;
+    /// Scalars of a plan: the rates of every section in every control block, 40 blocks of three sections, 20 of six. It
+    /// bounds the size of a telemetry record; longer horizons hold each block for several steps.
+    PLAN_MAX = 240;
 
     /// Particles of the swarm.
     SWARM_MAX = 512;

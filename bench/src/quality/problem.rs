@@ -150,8 +150,8 @@ impl Problem {
 
     /// Where a plan leads the tip, from the target \[mm\].
     pub(super) fn end_error_mm(&self, robot: &Robot, plan: &[f64]) -> f64 {
-        let horizon = Horizon::new(&settings(Solver::GaussNewton));
         let width = robot.coordinate_count();
+        let horizon = Horizon::new(&settings(Solver::GaussNewton), width);
         let mut end = self.start;
         for step in 0..horizon.steps() {
             let block = horizon.block_of(step);

@@ -307,7 +307,8 @@ impl Computer {
         // A plan of another shape is no warm start.
         let is_same_shape = before.coordinates == settings.coordinates
             && before.horizon_steps == settings.horizon_steps
-            && before.control_blocks == settings.control_blocks;
+            && before.control_blocks == settings.control_blocks
+            && (before.rate_change_weight > 0.0) == (settings.rate_change_weight > 0.0);
         let warm_plan = record.warm_plan.get(..record.plan_length as usize);
         let warm_plan = warm_plan.filter(|_| is_same_shape);
         let (seed, budget) = (record.report.seed, &mut Budget::unlimited());

@@ -1,4 +1,4 @@
-use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, NmpcSettings};
+use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, NmpcSettings, PLAN_MAX, TIED_BLOCKS_MAX};
 
 /// N prediction steps in M ≤ N blocks: in each block the rates are held.
 ///
@@ -15,14 +15,20 @@ pub struct Horizon {
 }
 
 impl Horizon {
-    /// The horizon of validated settings; M = 0 stands for M = N, up to [`CONTROL_BLOCKS_MAX`].
-    pub fn new(settings: &NmpcSettings) -> Self {
+    /// The horizon of validated settings, for a robot of `width` coordinates; M = 0 stands for M = N. No more blocks than make [`PLAN_MAX`] scalars, nor
+    /// than 20 where the change of rates has a weight.
+    pub fn new(settings: &NmpcSettings, width: usize) -> Self {
         let steps = (settings.horizon_steps as usize).clamp(1, HORIZON_STEPS_MAX);
         let desired = match settings.control_blocks as usize {
             0 => steps,
             blocks => blocks,
         };
-        let blocks = desired.clamp(1, steps.min(CONTROL_BLOCKS_MAX));
+        let most = if settings.rate_change_weight > 0.0 {
+            TIED_BLOCKS_MAX
+        } else {
+            PLAN_MAX / width.max(1)
+        };
+        let blocks = desired.clamp(1, steps.min(most));
         let mut horizon = Self {
             steps,
             blocks,
@@ -103,11 +109,28 @@ mod tests {
     use super::*;
 
     fn horizon(steps: u32, blocks: u32) -> Horizon {
-        Horizon::new(&NmpcSettings {
+        let settings = NmpcSettings {
             horizon_steps: steps,
             control_blocks: blocks,
             ..NmpcSettings::default()
-        })
+        };
+        Horizon::new(&settings, 1)
+    }
+
+    #[test]
+    fn every_step_has_a_block_as_far_as_the_plan_has_room() {
+        let blocks = |steps, sections: usize, rate_change_weight| {
+            let settings = NmpcSettings {
+                horizon_steps: steps,
+                rate_change_weight,
+                ..NmpcSettings::default()
+            };
+            Horizon::new(&settings, 2 * sections).blocks()
+        };
+        for (sections, most) in [(1, 50), (2, 50), (3, 40), (4, 30), (5, 24), (6, 20)] {
+            assert_eq!([10, 50].map(|n| blocks(n, sections, 0.0)), [10, most]);
+            assert_eq!([10, 50].map(|n| blocks(n, sections, 1e-9)), [10, 20]);
+        }
     }
 
     #[test]

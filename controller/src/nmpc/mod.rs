@@ -47,10 +47,13 @@ use obstacles::Obstacles;
 use problem::TrackingProblem;
 use solver::Solver;
 
-/// Control blocks M at most. With six sections this makes 240 unknowns.
+/// Control blocks M at most: one for each step.
 pub const CONTROL_BLOCKS_MAX: usize = crate::optimizer::BLOCKS_MAX;
-/// Scalars of the longest plan.
-pub const PLAN_MAX: usize = COORDINATES_MAX * CONTROL_BLOCKS_MAX;
+/// Control blocks at most where rates have a weight on their change: it ties all of them to each other, in one matrix.
+const TIED_BLOCKS_MAX: usize = 20;
+/// Scalars of the longest plan: 50 blocks of up to two sections, 40 of three, 20 of six.
+pub const PLAN_MAX: usize = COORDINATES_MAX * TIED_BLOCKS_MAX;
+const _: () = assert!(CONTROL_BLOCKS_MAX >= HORIZON_STEPS_MAX);
 /// Particles at most.
 pub const SWARM_MAX: usize = 512;
 
@@ -121,19 +124,20 @@ impl Nmpc {
         settings: NmpcSettings,
     ) -> Result<Self, SettingsError> {
         settings.validate_with(period_s)?;
-        let unknowns = robot.coordinate_count() * CONTROL_BLOCKS_MAX;
+        let width = robot.coordinate_count();
+        let unknowns = PLAN_MAX.min(width * CONTROL_BLOCKS_MAX);
         let mut nmpc = Self {
             robot,
             period_s,
             acceleration_rad_s2: f64::INFINITY,
             settings,
-            horizon: Horizon::new(&settings),
+            horizon: Horizon::new(&settings, width),
             bounds: Bounds::with_capacity(unknowns),
             obstacles: Obstacles::with_capacity(),
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
             kept_plan: Vec::with_capacity(unknowns),
-            solver: Solver::with_capacity(simd, unknowns),
+            solver: Solver::with_capacity(simd, unknowns, width * TIED_BLOCKS_MAX),
         };
         nmpc.apply(settings);
         Ok(nmpc)
@@ -162,8 +166,9 @@ impl Nmpc {
 
     fn apply(&mut self, settings: NmpcSettings) {
         self.settings = settings;
-        self.horizon = Horizon::new(&settings);
-        let unknowns = self.robot.coordinate_count() * self.horizon.blocks();
+        let width = self.robot.coordinate_count();
+        self.horizon = Horizon::new(&settings, width);
+        let unknowns = width * self.horizon.blocks();
         self.plan.resize(unknowns, 0.0);
         self.warm_plan.resize(unknowns, 0.0);
         self.kept_plan.resize(unknowns, 0.0);

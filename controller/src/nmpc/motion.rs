@@ -357,7 +357,7 @@ mod tests {
 
     #[test]
     fn bend_angles_move_as_the_paper_integrates_them() {
-        let horizon = Horizon::new(&NmpcSettings::default());
+        let horizon = Horizon::new(&NmpcSettings::default(), 2);
         let (theta, phi) = ([0.3, 1.2], [2.0, -1.0]);
         let at = Configuration::from_bend_angles(&[[theta[0], phi[0]], [theta[1], phi[1]]]);
         let motion = motion(&horizon, &at, &BendRates::zero(2));
@@ -377,7 +377,7 @@ mod tests {
 
     #[test]
     fn controls_and_rates_are_inverse_to_first_order() {
-        let horizon = Horizon::new(&NmpcSettings::default());
+        let horizon = Horizon::new(&NmpcSettings::default(), 2);
         let at = Configuration::from_bend_angles(&[[0.3, 2.0], [1.2, -1.0]]);
         let motion = motion(&horizon, &at, &BendRates::zero(2));
         let rates = [1e-4, -2e-4, 3e-4, 1e-4];
@@ -392,7 +392,7 @@ mod tests {
     #[test]
     fn a_plan_goes_on_through_straight() {
         // θ fell at 0.4 rad/s through zero: it now rises on the other side.
-        let horizon = Horizon::new(&NmpcSettings::default());
+        let horizon = Horizon::new(&NmpcSettings::default(), 2);
         let rates = BendRates::from_slice(&[-0.4, 0.0, 0.1, 0.0]).expect("two sections");
         let at = Configuration::from_slice(&[-0.001, 0.0, 0.5, 0.0]).expect("two sections");
         let motion = motion(&horizon, &at, &rates);

@@ -58,7 +58,8 @@ crate::parameters! {
         horizon_steps: u32 = 2, in ranges::HORIZON_STEPS;
         /// Rates that are optimised: "bend-vector" (smooth everywhere), or "bend-angles", the paper's theta and phi.
         coordinates: Coordinates = Coordinates::BendVector;
-        /// Control blocks M, {range}, and at most N; 0: one for each step (up to 20).
+        /// Control blocks M, {range}, and at most N; 0: one for each step. A plan has 240 numbers at most: 40 blocks of three
+        /// sections, 20 of six; and 20 blocks at most where the change of rates has a weight.
         control_blocks: u32 = 0, in ranges::CONTROL_BLOCKS, "at most controller.horizon_steps";
         /// Particles of the swarm, {range}.
         swarm_size: u32 = 6, in ranges::SWARM_SIZE;

@@ -44,12 +44,13 @@ pub(super) struct Solver {
 }
 
 impl Solver {
-    pub(super) fn with_capacity(simd: Simd, unknowns: usize) -> Self {
-        let rows = POSE_ROWS * HORIZON_STEPS_MAX + 2 * unknowns;
+    /// Room for plans of `unknowns`, of which `tied` where rates have a weight on their change.
+    pub(super) fn with_capacity(simd: Simd, unknowns: usize, tied: usize) -> Self {
+        let rows = POSE_ROWS * HORIZON_STEPS_MAX + 2 * tied;
         Self {
             knowledge: Knowledge::with_capacity(unknowns),
             swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
-            gauss_newton: GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX),
+            gauss_newton: GaussNewton::with_capacity(unknowns, tied, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
             apart: Incumbent::with_capacity(unknowns),
             resting: Incumbent::with_capacity(unknowns),

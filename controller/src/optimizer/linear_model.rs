@@ -85,9 +85,15 @@ pub(crate) struct LinearModel {
 }
 
 impl LinearModel {
-    pub(crate) fn with_capacity(rows: usize, constraints: usize, columns: usize) -> Self {
+    /// Room for rows of so many `columns` that are kept of each, of so many `unknowns`.
+    pub(crate) fn with_capacity(
+        rows: usize,
+        constraints: usize,
+        columns: usize,
+        unknowns: usize,
+    ) -> Self {
         Self {
-            stages: Stages::default(),
+            stages: Stages::new(0, 0.0, core::iter::empty()),
             is_staged: false,
             stride: 0,
             residuals: Rows::with_capacity(rows + constraints, columns),
@@ -97,8 +103,8 @@ impl LinearModel {
             met: Vec::with_capacity(constraints),
             constraints_max: constraints,
             weight: 0.0,
-            weighed: Vec::with_capacity(columns),
-            sums: Vec::with_capacity(columns),
+            weighed: Vec::with_capacity(unknowns),
+            sums: Vec::with_capacity(unknowns),
         }
     }
 
@@ -451,7 +457,7 @@ mod tests {
 
     /// The slacks that a step sees of constraints of these kinds and slacks.
     fn seen(room: usize, constraints: &[(usize, f64)]) -> Vec<f64> {
-        let mut model = LinearModel::with_capacity(0, room, 1);
+        let mut model = LinearModel::with_capacity(0, room, 1, 1);
         model.clear(&Stages::one(1), false);
         for &(kind, slack) in constraints {
             model.push_constraint(kind, slack, slack, &[-1.0], Place::LAST);

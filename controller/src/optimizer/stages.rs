@@ -3,13 +3,13 @@
 use super::linear_model::Place;
 
 /// Blocks at most.
-pub(crate) const BLOCKS_MAX: usize = 20;
+pub(crate) const BLOCKS_MAX: usize = 50;
 /// Unknowns of a block at most.
 pub(crate) const WIDTH_MAX: usize = 12;
 
 /// Blocks of equally many unknowns, one after the other, each in force for some periods. A state is moved on by period · length times the
 /// unknowns of a block, so that at the end of block b it has moved by the sum over all blocks up to b.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stages {
     width: usize,
     blocks: usize,
@@ -22,8 +22,9 @@ impl Stages {
     pub(crate) fn new(width: usize, period: f64, in_force: impl Iterator<Item = f64>) -> Self {
         let mut stages = Self {
             width,
+            blocks: 0,
             period,
-            ..Self::default()
+            lengths: [0.0; BLOCKS_MAX],
         };
         for (length, periods) in stages.lengths.iter_mut().zip(in_force) {
             *length = periods;

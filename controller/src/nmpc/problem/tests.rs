@@ -68,7 +68,7 @@ fn cases() -> impl Strategy<Value = Case> {
             };
             let width = 2 * sections;
             let numbers = |count: usize| prop::collection::vec(-1.2..1.2_f64, count);
-            let plan = numbers(width * Horizon::new(&settings).blocks());
+            let plan = numbers(width * Horizon::new(&settings, width).blocks());
             (numbers(width), numbers(width), plan).prop_map(move |(bends, held, plan)| Case {
                 settings,
                 at: Configuration::from_slice(&bends).expect("one to three sections"),
@@ -93,7 +93,7 @@ fn with_problem_among<T>(
     run: impl FnOnce(&TrackingProblem) -> T,
 ) -> T {
     let robot = Robot::new(parameters).expect("a robot");
-    let horizon = Horizon::new(&case.settings);
+    let horizon = Horizon::new(&case.settings, robot.coordinate_count());
     let motion = Motion::new(
         &robot,
         PERIOD_S,
@@ -133,7 +133,7 @@ fn with_problem_among<T>(
 
 fn linearised(problem: &TrackingProblem, plan: &[f64]) -> LinearModel {
     let rows = 12 * HORIZON_STEPS_MAX + 2 * plan.len();
-    let mut model = LinearModel::with_capacity(rows, CONSTRAINTS_MAX, plan.len());
+    let mut model = LinearModel::with_capacity(rows, CONSTRAINTS_MAX, plan.len(), plan.len());
     model.clear(problem.stages(), false);
     let budget = &mut Budget::unlimited();
     assert!(problem.linearise(plan, &mut model, budget));
@@ -363,7 +363,8 @@ fn steps_without_rows_are_announced() {
     with_problem_among(&[ball], &parameters, &case, |problem| {
         assert!(problem.is_staged() && problem.obstacles.matter());
         let constrained = |quanta: u32| {
-            let mut model = LinearModel::with_capacity(0, CONSTRAINTS_MAX, case.plan.len());
+            let mut model =
+                LinearModel::with_capacity(0, CONSTRAINTS_MAX, case.plan.len(), case.plan.len());
             model.clear(problem.stages(), true);
             let reach = Reach {
                 step: &vec![1e-6; case.plan.len()],
@@ -396,7 +397,7 @@ proptest! {
         with_problem_among(&around, &parameters, &case, |problem| {
             let step: Vec<f64> = case.plan.iter().map(|z| -1.7 * z).collect();
             let mut models = [false, true].map(|is_staged| {
-                let mut model = LinearModel::with_capacity(12 * HORIZON_STEPS_MAX + 2 * case.plan.len(), CONSTRAINTS_MAX, case.plan.len());
+                let mut model = LinearModel::with_capacity(12 * HORIZON_STEPS_MAX + 2 * case.plan.len(), CONSTRAINTS_MAX, case.plan.len(), case.plan.len());
                 model.clear(problem.stages(), is_staged);
                 let budget = &mut Budget::unlimited();
                 assert!(problem.linearise(&case.plan, &mut model, budget));

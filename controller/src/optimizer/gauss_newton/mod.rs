@@ -78,12 +78,17 @@ const VANISHED_SHARE: f64 = 0.05;
 const DAMPING_GROWTH: f64 = 1e3;
 
 impl GaussNewton {
-    /// Room for problems of up to `dimension` unknowns, `rows` residuals and `constraints`.
-    pub(crate) fn with_capacity(dimension: usize, rows: usize, constraints: usize) -> Self {
+    /// Room for problems of up to `dimension` unknowns, `dense` of them where rows are not staged, `rows` residuals and `constraints`.
+    pub(crate) fn with_capacity(
+        dimension: usize,
+        dense: usize,
+        rows: usize,
+        constraints: usize,
+    ) -> Self {
         let all_rows = rows + constraints;
-        let order = dimension.min(all_rows);
+        let order = dense.min(all_rows);
         Self {
-            model: LinearModel::with_capacity(rows, constraints, dimension),
+            model: LinearModel::with_capacity(rows, constraints, dense, dimension),
             gradient: vec![0.0; dimension],
             gradient_scale: 0.0,
             pressed: vec![false; dimension],
@@ -94,8 +99,8 @@ impl GaussNewton {
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
-            columns: vec![0.0; order * dimension],
-            gram: vec![0.0; dimension * dimension],
+            columns: vec![0.0; order * dense],
+            gram: vec![0.0; dense * dense],
             gram_is_current: false,
             smoother: Smoother::with_capacity(all_rows),
             interior_point: InteriorPoint::with_capacity(dimension, constraints),
@@ -323,7 +328,7 @@ mod tests {
             damping: 1e-9,
             step_tolerance: 1e-12,
         };
-        let outcome = GaussNewton::with_capacity(3, 2, 0).refine(
+        let outcome = GaussNewton::with_capacity(3, 3, 2, 0).refine(
             problem,
             &bounds,
             &settings,
@@ -405,7 +410,7 @@ mod tests {
             damping: 1e-9,
             step_tolerance: 1e-12,
         };
-        let outcome = GaussNewton::with_capacity(4, 3, 0).refine(
+        let outcome = GaussNewton::with_capacity(4, 4, 3, 0).refine(
             &problem,
             &bounds,
             &settings,
@@ -443,7 +448,7 @@ mod tests {
             damping: 1e-9,
             step_tolerance: 0.0,
         };
-        GaussNewton::with_capacity(2, 2, 0).refine(
+        GaussNewton::with_capacity(2, 2, 2, 0).refine(
             &problem,
             &bounds,
             &settings,

@@ -358,7 +358,7 @@ mod tests {
 
     #[test]
     fn all_that_press_on_the_border_where_they_stand_are_fixed_together() {
-        let mut gauss_newton = GaussNewton::with_capacity(20, 1, 0);
+        let mut gauss_newton = GaussNewton::with_capacity(20, 20, 1, 0);
         let mut bounds = Bounds::with_capacity(20);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 20), 1);
         // Sixteen stand at the border and are to go beyond it, each by another amount; four have room.
@@ -384,7 +384,7 @@ mod tests {
     /// A cost that does not tell unknowns apart takes them to the border together, but for rounding. Unknowns that get there clearly later may yet stay inside.
     #[test]
     fn ties_are_fixed_together_and_no_other_unknown() {
-        let mut gauss_newton = GaussNewton::with_capacity(4, 1, 0);
+        let mut gauss_newton = GaussNewton::with_capacity(4, 4, 1, 0);
         let mut bounds = Bounds::with_capacity(4);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 4), 1);
         gauss_newton.free.extend(0..4);

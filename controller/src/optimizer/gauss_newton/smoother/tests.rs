@@ -69,7 +69,7 @@ fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> O
     let mut bounds = Bounds::with_capacity(unknowns);
     bounds.set_symmetric(&std::iter::repeat_n(1.0, unknowns), 1);
     let rows = ROWS_MAX + unknowns;
-    let mut gauss_newton = GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX);
+    let mut gauss_newton = GaussNewton::with_capacity(unknowns, unknowns, rows, CONSTRAINTS_MAX);
     let mut incumbent = Incumbent::with_capacity(unknowns);
     incumbent.restart(z, None);
     let mut to = z.to_vec();
