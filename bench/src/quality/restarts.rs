@@ -206,6 +206,15 @@ mod tests {
     }
 
     #[test]
+    fn a_new_plan_takes_the_better_way_round_a_ball() {
+        let endings = contest(Field::Ball, 5).unwrap();
+        let of = |contender| endings.iter().find(|e| e.contender == contender).unwrap();
+        assert!(of(Contender::GaussNewton).is_stuck());
+        let found = of(Contender::KpsoRefined20Ms);
+        assert!(!found.is_stuck(), "{found:?}");
+    }
+
+    #[test]
     fn stuck_is_more_than_a_hundredth_above_the_best_and_more_than_rounding() {
         let ending = |cost, best_cost| Ending {
             field: Field::Free,

@@ -105,6 +105,14 @@ impl Obstacles {
     pub(super) fn with_capacity() -> Self {
         Self {
             near: Vec::with_capacity(OBSTACLES_MAX),
+            ..Self::none()
+        }
+    }
+
+    /// None, and no room for any.
+    pub(super) fn none() -> Self {
+        Self {
+            near: Vec::new(),
             start: Configuration::straight(1),
         }
     }

@@ -30,8 +30,6 @@ pub(super) struct TrackingProblem<'a> {
 const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
 /// With so many blocks rows are staged; with fewer a matrix of all is faster (`cdcr-bench solver`).
 const STAGED_BLOCKS_MIN: usize = 4;
-/// Sections are taken to be moved by so many times what a step moves them: what meets constraints goes round them.
-const REACH: f64 = 2.0;
 /// Nominal time of one section at W points side by side \[ns\].
 const SECTION_NS: u32 = 15;
 /// Nominal time of the limits of one section, likewise \[ns\].
@@ -76,6 +74,16 @@ impl<'a> TrackingProblem<'a> {
         self.reference
             .iter()
             .any(|sample| sample.state != ReferenceState::None)
+    }
+
+    /// The same among other obstacles.
+    pub(super) fn among(&self, obstacles: &'a Obstacles) -> Self {
+        Self { obstacles, ..*self }
+    }
+
+    /// Whether an obstacle is in reach.
+    pub(super) fn meets_obstacles(&self) -> bool {
+        self.obstacles.matter()
     }
 
     /// Whether neither obstacle nor limit is in reach.
@@ -368,7 +376,12 @@ impl Problem for TrackingProblem<'_> {
                 return false;
             }
             let mut reach_m = [f64::INFINITY; SECTIONS_MAX];
-            if let Some(Reach { step, violations }) = reach {
+            if let Some(Reach {
+                step,
+                times,
+                violations,
+            }) = reach
+            {
                 let of_block = &step[at.place.block * self.width()..];
                 for (change, rate) in change.iter_mut().zip(of_block) {
                     *change += self.motion.period_s() * rate;
@@ -376,7 +389,7 @@ impl Problem for TrackingProblem<'_> {
                 let changes_rad = self.motion.bend_changes_rad(at.bends, change);
                 let travel_m = self.robot.travel_m(&changes_rad);
                 // What mends the worst distance moves the body by as much, wherever else that leads.
-                reach_m = travel_m.map(|own_m| f64::max(REACH * own_m, violations[CLEARANCE]));
+                reach_m = travel_m.map(|own_m| f64::max(times * own_m, violations[CLEARANCE]));
             }
             self.push_limit_rows(before, at, model, budget)
                 && self.push_clearance_rows(at, &reach_m, model, budget)

@@ -328,6 +328,7 @@ impl NmpcSettings {
             steps: self.refinement_steps,
             damping: self.damping,
             step_tolerance: STEP_TOLERANCE_RAD_S,
+            is_rough: false,
         }
     }
 

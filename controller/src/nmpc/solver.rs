@@ -2,11 +2,12 @@
 
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
+use super::obstacles::Obstacles;
 use super::problem::{Searched, TrackingProblem};
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
-    self, Bounds, Budget, Candidate, Cost, Evaluation, GaussNewton, GaussNewtonOutcome, Incumbent,
-    Kpso, Problem, Simd,
+    self, Bounds, Budget, Candidate, Cost, Evaluation, GaussNewton, GaussNewtonOutcome,
+    GaussNewtonSettings, Incumbent, Kpso, Problem, Simd,
 };
 
 /// Rows of one step: position, and three axes of the tip.
@@ -20,6 +21,9 @@ const STUCK_ERROR_M: f64 = 1e-6;
 /// A search that its time ends leaves the noise of a swarm in the rates, which the next cycle has to take out again. Only a plan that costs less than
 /// this share of the refined one is worth that.
 const ANOTHER_WAY: f64 = 0.5;
+
+/// Obstacles that cost less than what is missing here leave no better way past them.
+const FREE_SHARE: f64 = 0.9;
 
 /// What is to be solved.
 pub(super) struct Task<'a> {
@@ -96,7 +100,16 @@ impl Solver {
             let mut is_known = false;
             if stages {
                 is_known = self.incumbent.is_violated();
-                refinement = self.refine_warm_start(task, evaluation.as_ref(), budget);
+                // A plan that goes on keeps the way that it is on.
+                let is_new = warm_plan.iter().all(|rate| *rate == 0.0);
+                let is_rough = searches && is_new && task.problem.meets_obstacles();
+                refinement = self.refine_warm_start(task, evaluation.as_ref(), is_rough, budget);
+                if is_rough && !refinement.is_some_and(|refinement| refinement.converged) {
+                    if self.error_is_left(task) {
+                        self.pass_otherwise(task, warm_plan, budget);
+                    }
+                    refinement = Some(self.refine(task, budget));
+                }
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
             if searches && refinement.is_some() && self.error_is_left(task) {
@@ -174,21 +187,52 @@ impl Solver {
         &mut self,
         task: &Task,
         evaluation: Option<&Evaluation<1>>,
+        is_rough: bool,
         budget: &mut Budget<'_>,
     ) -> Option<GaussNewtonOutcome> {
+        let settings = GaussNewtonSettings {
+            is_rough,
+            ..task.settings.gauss_newton()
+        };
         if !self.incumbent.is_violated() {
-            return Some(self.refine(task, budget));
+            return Some(self.refine_with(task.problem, task.bounds, &settings, budget));
         }
         self.apart.restart(self.incumbent.z(), evaluation);
         self.knowledge
             .evaluate(task.problem, budget, &mut self.incumbent);
-        let settings = task.settings.gauss_newton();
         let apart = &mut self.apart;
         let refinement =
             self.gauss_newton
                 .refine(task.problem, task.bounds, &settings, budget, apart);
         let is_taken = self.incumbent.take_better(apart);
         is_taken.then_some(refinement)
+    }
+
+    /// Another way past obstacles, where these cost the refined plan something: the plan that there would be without them, refined among them. From
+    /// inside an obstacle the way out is to the side that is nearer, and from the warm start it may be to the other one. The better of both stays.
+    fn pass_otherwise(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) {
+        let nothing = Obstacles::none();
+        let free = task.problem.among(&nothing);
+        let settings = GaussNewtonSettings {
+            is_rough: true,
+            ..task.settings.gauss_newton()
+        };
+        std::mem::swap(&mut self.incumbent, &mut self.apart);
+        let evaluation = free.evaluate_at(warm_plan, budget);
+        self.incumbent.restart(warm_plan, evaluation.as_ref());
+        self.refine_with(&free, task.bounds, &settings, budget);
+        let costs_something = self.incumbent.cost() < FREE_SHARE * self.apart.cost();
+        self.scratch.clear();
+        self.scratch.extend_from_slice(self.incumbent.z());
+        let evaluation = costs_something
+            .then(|| task.problem.evaluate_at(&self.scratch, budget))
+            .flatten();
+        self.incumbent.restart(&self.scratch, evaluation.as_ref());
+        if evaluation.is_some() {
+            self.refine_with(task.problem, task.bounds, &settings, budget);
+        }
+        std::mem::swap(&mut self.incumbent, &mut self.apart);
+        self.incumbent.take_better(&self.apart);
     }
 
     /// The search from the warm start, as if nothing had been refined, where a refinement left an error: around its result a swarm finds no
@@ -270,13 +314,18 @@ impl Solver {
 
     fn refine(&mut self, task: &Task, budget: &mut Budget<'_>) -> GaussNewtonOutcome {
         let settings = task.settings.gauss_newton();
-        self.gauss_newton.refine(
-            task.problem,
-            task.bounds,
-            &settings,
-            budget,
-            &mut self.incumbent,
-        )
+        self.refine_with(task.problem, task.bounds, &settings, budget)
+    }
+
+    fn refine_with(
+        &mut self,
+        problem: &TrackingProblem,
+        bounds: &Bounds,
+        settings: &GaussNewtonSettings,
+        budget: &mut Budget<'_>,
+    ) -> GaussNewtonOutcome {
+        self.gauss_newton
+            .refine(problem, bounds, settings, budget, &mut self.incumbent)
     }
 
     /// Whether the cost is that of an error which matters.

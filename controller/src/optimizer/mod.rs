@@ -74,8 +74,10 @@ pub(crate) trait Cost {
 /// How far the steps go that are to keep the constraints.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reach<'a> {
-    /// They are of the size of this one,
+    /// They go as far as this one
     pub(crate) step: &'a [f64],
+    /// so many times,
+    pub(crate) times: f64,
     /// or mend what the point that they start from breaks: [`Evaluation::violations`].
     pub(crate) violations: [f64; VIOLATIONS],
 }

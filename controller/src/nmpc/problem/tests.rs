@@ -368,6 +368,7 @@ fn steps_without_rows_are_announced() {
             model.clear(problem.stages(), true);
             let reach = Reach {
                 step: &vec![1e-6; case.plan.len()],
+                times: 1.0,
                 violations: [0.0; VIOLATIONS],
             };
             let budget = &mut Budget::of_quanta(quanta);
@@ -401,7 +402,7 @@ proptest! {
                 model.clear(problem.stages(), is_staged);
                 let budget = &mut Budget::unlimited();
                 assert!(problem.linearise(&case.plan, &mut model, budget));
-                let reach = Reach { step: &step, violations: [0.0; VIOLATIONS] };
+                let reach = Reach { step: &step, times: 2.0, violations: [0.0; VIOLATIONS] };
                 assert!(problem.constrain(&case.plan, is_staged.then_some(reach), &mut model, budget));
                 let mut gradient = vec![0.0; case.plan.len()];
                 let scale = model.gradient(&mut gradient, &mut Budget::unlimited());

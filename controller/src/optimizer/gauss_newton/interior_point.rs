@@ -21,6 +21,10 @@ const MU_BEGIN: f64 = 10.0;
 const MU_END: f64 = 1e-3;
 /// µ at the end, beside the gradient's at the beginning: less is rounding.
 const MU_SHARE: f64 = 1e-9;
+/// The same of a rough step.
+const MU_SHARE_ROUGH: f64 = 1e-4;
+/// Iterations of a rough step at least.
+const ROUGH_ITERATIONS: u32 = 4;
 /// Nominal time of a border in one pass over all \[ns\].
 const BORDER_NS: u32 = 10;
 /// Rows with less of the damping's weight are left away.
@@ -123,7 +127,8 @@ impl InteriorPoint {
         }
     }
 
-    /// Finds the step, and tries what it has found after 2, 4, 8, … iterations. None: the budget was spent, or a number is not finite.
+    /// Finds the step, and tries what it has found after 2, 4, 8, … iterations; a rough step ends with the first of these that is
+    /// better whole, from the fourth on. None: the budget was spent, or a number is not finite.
     pub(super) fn solve<P: Problem>(
         &mut self,
         mut problem: Quadratic,
@@ -132,7 +137,8 @@ impl InteriorPoint {
         budget: &mut Budget<'_>,
     ) -> Option<Found> {
         let (bounds, z) = (trial.bounds, trial.base);
-        let mu_end = self.begin(&mut problem, (bounds, z), step, budget)?;
+        let mu_share = [MU_SHARE, MU_SHARE_ROUGH][usize::from(trial.is_rough)];
+        let mu_end = self.begin(&mut problem, (bounds, z), mu_share, step, budget)?;
         let mut centring = 0.1;
         for iteration in 1..=ITERATIONS {
             let mu = centring * self.mean_product();
@@ -142,7 +148,10 @@ impl InteriorPoint {
                 break;
             }
             if iteration > 1 && iteration.is_power_of_two() {
-                trial.offer_to_contact(step, budget)?;
+                let taken = trial.offer_to_contact(step, budget)?;
+                if trial.is_rough && iteration >= ROUGH_ITERATIONS && taken == (true, true) {
+                    return Some(Found::Tried);
+                }
             }
             centring = if part > 0.9 { 0.05 } else { 1.0 - 0.9 * part };
         }
@@ -159,6 +168,7 @@ impl InteriorPoint {
         &mut self,
         problem: &mut Quadratic,
         (bounds, z): (&Bounds, &[f64]),
+        mu_share: f64,
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<f64> {
@@ -171,7 +181,7 @@ impl InteriorPoint {
         let pulled = MU_BEGIN * pull / count;
         let broken = (0..problem.model.constraints()).map(|i| problem.model.constraint(i).min(0.0));
         let broken: f64 = broken.map(|h| h * h).sum();
-        let mu_end = (MU_END * problem.damping * square / count).max(MU_SHARE * pulled);
+        let mu_end = (MU_END * problem.damping * square / count).max(mu_share * pulled);
         let mu = pulled.max(broken / count).max(mu_end);
         self.lower.clear();
         self.upper.clear();

@@ -21,6 +21,9 @@ pub(crate) struct GaussNewtonSettings {
     pub(crate) damping: f64,
     /// A step whose largest component is below this counts as converged.
     pub(crate) step_tolerance: f64,
+    /// Whether another refinement follows: a step of the interior point is then good enough where it is better, and steps that gain next to nothing end
+    /// the refinement.
+    pub(crate) is_rough: bool,
 }
 
 /// How a refinement ended.
@@ -74,6 +77,8 @@ pub(crate) struct GaussNewton {
 const HALVINGS: u32 = 4;
 /// A gradient below this share of what the residuals could give counts as vanished.
 const VANISHED_SHARE: f64 = 0.05;
+/// A rough refinement goes on as long as steps gain this share of the cost.
+const ROUGH_GAIN: f64 = 1e-3;
 /// Factor on the damping after a step that did not help.
 const DAMPING_GROWTH: f64 = 1e3;
 
@@ -134,6 +139,7 @@ impl GaussNewton {
             let before = incumbent.cost();
             let is_small = self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
                 trial.step_tolerance = settings.step_tolerance;
+                trial.is_rough = settings.is_rough;
                 let found = own.find_step(trial, damping, budget);
                 let step = &own.step[..trial.base.len()];
                 let is_small = trial.is_small(step);
@@ -147,6 +153,10 @@ impl GaussNewton {
             // What was found on the way to a small step has not been linearised.
             if is_small && !improved {
                 outcome.converged = true;
+                break;
+            }
+            let gains = incumbent.cost() < (1.0 - ROUGH_GAIN) * before;
+            if settings.is_rough && !gains && (improved || damping > settings.damping) {
                 break;
             }
             model_is_current = !improved;
@@ -203,6 +213,7 @@ impl GaussNewton {
             incumbent,
             origin,
             step_tolerance: 0.0,
+            is_rough: false,
         };
         let result = tried(self, &mut trial);
         (self.base, self.trial) = (base, at);
@@ -327,6 +338,7 @@ mod tests {
             steps,
             damping: 1e-9,
             step_tolerance: 1e-12,
+            is_rough: false,
         };
         let outcome = GaussNewton::with_capacity(3, 3, 2, 0).refine(
             problem,
@@ -409,6 +421,7 @@ mod tests {
             steps: 20,
             damping: 1e-9,
             step_tolerance: 1e-12,
+            is_rough: false,
         };
         let outcome = GaussNewton::with_capacity(4, 4, 3, 0).refine(
             &problem,
@@ -447,6 +460,7 @@ mod tests {
             steps: 9,
             damping: 1e-9,
             step_tolerance: 0.0,
+            is_rough: false,
         };
         GaussNewton::with_capacity(2, 2, 2, 0).refine(
             &problem,

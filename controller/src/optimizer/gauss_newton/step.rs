@@ -15,6 +15,8 @@ const FIRST_SHARE: f64 = 0.9;
 const HALVINGS_FIRST: u32 = 2;
 /// The part after these.
 const PART_NEXT: f64 = 0.125;
+/// Steps are taken to go so many times as far as the one in the box: what meets constraints goes round them. Rough ones do not.
+const REACH: f64 = 2.0;
 /// Rounds of finding a step and meeting the constraints that it breaks.
 const CONSTRAINT_ROUNDS: usize = 3;
 
@@ -67,7 +69,11 @@ impl GaussNewton {
         if part == 1.0 && !trial.incumbent.is_violated() {
             return Some(Found::Tried);
         }
-        let reach = Reach { step, violations };
+        let reach = Reach {
+            step,
+            times: if trial.is_rough { 1.0 } else { REACH },
+            violations,
+        };
         if !problem.constrain(z, Some(reach), &mut self.model, budget) {
             return None;
         }

@@ -25,6 +25,8 @@ pub(super) struct Trial<'a, P> {
     pub origin: Candidate,
     /// Steps whose largest component is not above this are not worth trying.
     pub step_tolerance: f64,
+    /// [`GaussNewtonSettings::is_rough`](super::GaussNewtonSettings::is_rough).
+    pub is_rough: bool,
 }
 
 impl<P: Problem> Trial<'_, P> {
