@@ -131,9 +131,9 @@ fn what_makes_a_recorder_wait_loses_nothing() {
     for (name, channel) in info["channels"].as_object().unwrap() {
         assert_eq!(channel["missing"], 0, "{name}: {info}");
     }
-    // By the stamps of the records, not by when they could be written.
+    // By the stamps of the records, not by when they could be written. A stall parts a release from its stamp.
     let seconds = info["duration_s"].as_f64().unwrap();
-    assert!((0.5..=1.01).contains(&seconds), "{info}");
+    assert!((0.5..2.0).contains(&seconds), "{info}");
 }
 
 /// What a program says that ends by itself; none where it has not after a while, and is ended.
