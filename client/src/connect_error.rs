@@ -93,20 +93,17 @@ pub enum ConnectError {
     },
     /// The daemon speaks another version of the messages.
     #[error(
-        "the daemon for {place} speaks another version of the {service} service than this program: it has {theirs}, this one \
-         ({version}) {ours}; install daemon and clients of one version and start the daemon again"
+        "the daemon for {place} speaks another version of the {service} service than this program ({}): {types}; \
+         install daemon and clients of one version and start the daemon again",
+        env!("CARGO_PKG_VERSION")
     )]
     VersionMismatch {
         /// Where it was looked for.
         place: Place,
         /// Last part of the service's name.
         service: &'static str,
-        /// The types of the daemon's messages, as far as they are known.
-        theirs: String,
-        /// The types of this library's.
-        ours: String,
-        /// Version of this library.
-        version: &'static str,
+        /// The types of the daemon's messages and of this library's, in words.
+        types: Box<str>,
     },
     /// The files belong to another user.
     #[error(

@@ -195,8 +195,16 @@ impl<'a> Opener<'a> {
         }
     }
 
-    /// The types of the messages that the daemon has on a service.
-    fn types(&self, of: Service) -> Option<String> {
+    /// The types of the messages of a service: the daemon's, and ours.
+    fn types(&self, of: Service, ours: &[&Layout]) -> String {
+        let ours = joined(ours.iter().map(|layout| layout.type_name.to_owned()));
+        match self.found(of) {
+            Some(theirs) => format!("it has {theirs}, this program {ours}"),
+            None => format!("this program has {ours}"),
+        }
+    }
+
+    fn found(&self, of: Service) -> Option<String> {
         let name = of.name(&self.place.robot).ok()?;
         let pattern = match of {
             Service::Control => MessagingPattern::RequestResponse,
@@ -225,9 +233,7 @@ impl<'a> Opener<'a> {
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
                 service,
-                theirs: self.types(of).unwrap_or_else(|| "another one".to_owned()),
-                ours: joined(ours.iter().map(|layout| layout.type_name.to_owned())),
-                version: env!("CARGO_PKG_VERSION"),
+                types: self.types(of, ours).into(),
             },
             OpenTrouble::Full => ConnectError::Full { place, service },
             OpenTrouble::Other(cause) => memory_error(self.place, self.files, &cause),

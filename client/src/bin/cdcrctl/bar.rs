@@ -15,7 +15,7 @@ pub(crate) struct Bar {
 
 impl Bar {
     pub(crate) fn new(what: &str) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr_with_hz(10));
+        let bar = ProgressBar::with_draw_target(Some(1), ProgressDrawTarget::stderr_with_hz(10));
         // A line that wraps is not cleared.
         let columns = tcgetwinsize(stderr()).map_or(0, |size| size.ws_col);
         let template = if columns < COLUMNS_FOR_BAR {

@@ -204,7 +204,9 @@ fn interrupted(page: &str) -> String {
     );
     references[middle] = Value::Array(vec![Value::Null; 3]);
     let errors = curves["series"]["error_mm"].as_array_mut().unwrap();
-    errors.iter_mut().for_each(|end| end[first] = 1000.into());
+    for end in errors {
+        end[first] = 1000.into();
+    }
     format!("{head}id=\"data\">{data}</script>{tail}")
 }
 
