@@ -50,8 +50,8 @@
 /* Control blocks M ≤ N that the daemon optimises, as far as a plan has room for them. */
 #define CDCR_CONTROL_BLOCKS_MAX 50
 
-/* Scalars of a plan: the rates of every section in every control block, 40 blocks of three sections, 20 of six. It
- * bounds the size of a telemetry record; longer horizons hold each block for several steps. */
+/* Scalars of a plan: the rates of every section in every control block, 40 blocks of three sections, 20 of six.
+ * It bounds the size of a telemetry record; longer horizons hold each block for several steps. */
 #define CDCR_PLAN_MAX 240
 
 /* Particles of the swarm. */
