@@ -124,7 +124,7 @@ impl PlanEvaluator {
     }
 
     pub fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
-        self.0.restore_plan(plan);
+        self.0.restore_plan(plan, 0);
         let input = SolveInput {
             elapsed_periods: 0,
             ..*input

@@ -439,7 +439,7 @@ typedef struct CdcrSolverSettings {
     uint32_t coordinates;
     /* 8: Prediction steps N. */
     uint32_t horizon_steps;
-    /* 12: Control blocks M ≤ N; 0 means M = N. */
+    /* 12: Control blocks M ≤ N, as far as a plan has room; 0 means M = N. */
     uint32_t control_blocks;
     /* 16: Particles. */
     uint32_t swarm_size;

@@ -356,8 +356,12 @@ impl Computer {
             self.nmpc.configure(settings)?;
         }
         match warm_plan {
-            Some(plan) if !self.nmpc.restore_plan(plan) => return Err(ReplayError::Shape),
-            Some(_) => {}
+            Some(plan) => {
+                let moved_on = record.elapsed_ns / record.period_ns.max(1);
+                if !self.nmpc.restore_plan(plan, moved_on) {
+                    return Err(ReplayError::Shape);
+                }
+            }
             None => self.nmpc.forget_plan(),
         }
         self.nmpc.limit_acceleration(record.acceleration_rad_s2);

@@ -52,7 +52,8 @@ pub const CONTROL_BLOCKS_MAX: usize = crate::optimizer::BLOCKS_MAX;
 /// Control blocks at most where rates have a weight on their change: it ties all of them to each other, in one matrix.
 const TIED_BLOCKS_MAX: usize = 20;
 /// Scalars of the longest plan: 50 blocks of up to two sections, 40 of three, 20 of six.
-pub const PLAN_MAX: usize = COORDINATES_MAX * TIED_BLOCKS_MAX;
+pub const PLAN_MAX: usize = 240;
+const _: () = assert!(COORDINATES_MAX * TIED_BLOCKS_MAX <= PLAN_MAX);
 const _: () = assert!(CONTROL_BLOCKS_MAX >= HORIZON_STEPS_MAX);
 /// Particles at most.
 pub const SWARM_MAX: usize = 512;
@@ -100,6 +101,8 @@ pub struct Nmpc {
     warm_plan: Vec<f64>,
     /// The plan, while a rehearsal makes another.
     kept_plan: Vec<f64>,
+    /// Periods by which a restored plan was moved on already.
+    restored_periods: u64,
     solver: Solver,
 }
 
@@ -137,6 +140,7 @@ impl Nmpc {
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
             kept_plan: Vec::with_capacity(unknowns),
+            restored_periods: 0,
             solver: Solver::with_capacity(simd, unknowns, width * TIED_BLOCKS_MAX),
         };
         nmpc.apply(settings);
@@ -178,14 +182,16 @@ impl Nmpc {
     /// solver chose the command.
     pub fn forget_plan(&mut self) {
         self.plan.fill(0.0);
+        self.restored_periods = 0;
     }
 
     /// Replaces the plan that the next warm start is made of by a recorded warm start of a replay, to be
-    /// solved with `elapsed_periods` = 0. False when its length does not fit the settings.
-    pub fn restore_plan(&mut self, plan: &[f64]) -> bool {
+    /// solved with `elapsed_periods` = 0: it was moved on by `moved_on` periods already. False when its length does not fit the settings.
+    pub fn restore_plan(&mut self, plan: &[f64], moved_on: u64) -> bool {
         let fits = plan.len() == self.plan.len();
         if fits {
             self.plan.copy_from_slice(plan);
+            self.restored_periods = moved_on;
         }
         fits
     }
@@ -214,7 +220,8 @@ impl Nmpc {
     /// Finds the rates for the period that begins now (Fig. 2).
     ///
     /// Bounded work, no allocation, never worse than the warm start, the best solution so far when
-    /// the budget ends it, and the same bits for the same input, settings, plan and work done.
+    /// the budget ends it, and the same bits for the same input, settings, plan and work done. A warm start that the budget leaves no
+    /// time to evaluate is followed as far as it was planned, and rests after that; with blocks of several steps, after one period.
     pub fn solve(
         &mut self,
         input: &SolveInput,
@@ -258,6 +265,8 @@ impl Nmpc {
             input.reference.first().map(|sample| sample.position_m),
         );
         motion.set_bounds(robot, &mut self.bounds);
+        let moved_on = input.elapsed_periods.saturating_add(self.restored_periods);
+        self.restored_periods = 0;
         self.horizon
             .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
         motion.continue_plan(
@@ -306,7 +315,7 @@ impl Nmpc {
         let report = self.solver.solve(&task, &self.warm_plan, budget);
         self.plan.copy_from_slice(self.solver.best());
         if !self.solver.is_evaluated() {
-            self.horizon.rest_unforeseen(&mut self.plan);
+            self.horizon.rest_unforeseen(&mut self.plan, moved_on);
         }
         let rates = match report.status {
             SolveStatus::NonFinite => None,

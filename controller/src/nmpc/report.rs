@@ -86,10 +86,10 @@ pub struct SolveReport {
     pub status: SolveStatus,
     /// Whether the budget ended it, whatever the status.
     pub budget_spent: bool,
-    /// Cost of the solution, in the scale of the weights; infinite when the budget was spent before even
-    /// the warm start was evaluated.
+    /// Cost of the solution, in the scale of the weights; infinite when the budget was spent before any plan was evaluated.
     pub cost: f64,
-    /// Cost of the warm start; never below `cost`.
+    /// Cost of the warm start; never below `cost`. Infinite when the budget was spent before it was evaluated: the solution may be
+    /// its beginning, with rest after it.
     pub warm_cost: f64,
     /// Norm of the projected gradient where Gauss-Newton last linearised; 0 when it did not run.
     pub gradient_norm: f64,

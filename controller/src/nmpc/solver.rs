@@ -108,7 +108,9 @@ impl Solver {
                     if self.error_is_left(task) {
                         self.pass_otherwise(task, warm_plan, budget);
                     }
-                    refinement = Some(self.refine(task, budget));
+                    if budget.left() {
+                        refinement = Some(self.refine(task, budget));
+                    }
                 }
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
@@ -227,7 +229,9 @@ impl Solver {
         let evaluation = costs_something
             .then(|| task.problem.evaluate_at(&self.scratch, budget))
             .flatten();
+        let evaluations = self.incumbent.evaluations();
         self.incumbent.restart(&self.scratch, evaluation.as_ref());
+        self.incumbent.pass_over(evaluations as usize);
         if evaluation.is_some() {
             self.refine_with(task.problem, task.bounds, &settings, budget);
         }

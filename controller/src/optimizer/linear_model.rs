@@ -85,7 +85,7 @@ pub(crate) struct LinearModel {
 }
 
 impl LinearModel {
-    /// Room for rows of so many `columns` that are kept of each, of so many `unknowns`.
+    /// Room for problems of `unknowns`, `columns` of which are kept where rows are not staged.
     pub(crate) fn with_capacity(
         rows: usize,
         constraints: usize,

@@ -74,11 +74,11 @@ pub(crate) trait Cost {
 /// How far the steps go that are to keep the constraints.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reach<'a> {
-    /// They go as far as this one
+    /// The step in the box.
     pub(crate) step: &'a [f64],
-    /// so many times,
+    /// They go at most so many times as far as that one,
     pub(crate) times: f64,
-    /// or mend what the point that they start from breaks: [`Evaluation::violations`].
+    /// or as far as mends what their start breaks: [`Evaluation::violations`].
     pub(crate) violations: [f64; VIOLATIONS],
 }
 

@@ -253,6 +253,35 @@ fn the_largest_problems_look_at_their_budget_all_along() {
 }
 
 #[test]
+fn a_plan_without_a_budget_is_followed_to_its_end_and_restored_likewise() {
+    let robot = paper(3);
+    let (at, rest) = (Configuration::straight(3), BendRates::zero(3));
+    // An evaluation of so many steps takes more than the first quantum.
+    let goal = [ReferenceSample::at(Vector3::new(0.1, 0.2, 0.5)); 40];
+    for (blocks, moves) in [(0, 39), (20, 1)] {
+        let settings = NmpcSettings {
+            horizon_steps: 40,
+            control_blocks: blocks,
+            ..NmpcSettings::default()
+        };
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        let input = |elapsed_periods| SolveInput {
+            elapsed_periods,
+            ..input(&at, &rest, &goal)
+        };
+        nmpc.solve(&input(1), &mut Budget::unlimited());
+        for starved in 0..42 {
+            let (rates, _) = nmpc.solve(&input(1), &mut Budget::of_quanta(0));
+            assert_eq!(rates != rest, starved < moves, "{blocks}, {starved}");
+            let mut replayed = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+            assert!(replayed.restore_plan(nmpc.warm_plan(), 1));
+            let (again, _) = replayed.solve(&input(0), &mut Budget::of_quanta(0));
+            assert_eq!((again, replayed.plan()), (rates, nmpc.plan()));
+        }
+    }
+}
+
+#[test]
 fn settings_that_are_refused_change_nothing() {
     let mut nmpc = solver(&paper(2), SolverKind::KpsoRefined, 2);
     let before = *nmpc.settings();
@@ -262,7 +291,7 @@ fn settings_that_are_refused_change_nothing() {
     };
     assert!(nmpc.configure(bad).is_err());
     assert_eq!(*nmpc.settings(), before);
-    assert!(!nmpc.restore_plan(&[0.0; 3]));
+    assert!(!nmpc.restore_plan(&[0.0; 3], 0));
 }
 
 /// Any legal state, reference and settings.

@@ -397,7 +397,7 @@ fn culling_leaves_the_cost_as_it_is() {
         let rates: Vec<_> = (0..6).map(|i| 2.0 * wave(i)).collect();
         let plan: Vec<_> = rates.iter().copied().cycle().take(72).collect();
         let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-        assert!(nmpc.restore_plan(&plan));
+        assert!(nmpc.restore_plan(&plan, 0));
         let input = SolveInput {
             obstacles: &obstacles,
             elapsed_periods: 0,
