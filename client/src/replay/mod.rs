@@ -37,8 +37,10 @@ pub enum ReplayError {
     /// A code has no meaning.
     #[error("the record: {0}")]
     Code(#[from] UnknownCode),
-    /// Its robot has another number of sections than its state, or its plan another length than its settings.
-    #[error("state or plan of the record do not fit its robot")]
+    /// Its robot has another number of sections than its state, or its plan another length than its settings make here.
+    #[error(
+        "state or plan of the record do not fit its robot, or it was recorded by a version with other control blocks: use that version's cdcrctl"
+    )]
     Shape,
 }
 
