@@ -53,6 +53,8 @@ impl Recorded {
 pub(crate) struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<Counted>>,
+    all_bytes: u64,
+    read_bytes: Rc<Cell<u64>>,
     /// It ended in the middle.
     is_cut: bool,
     progress: Option<Progress>,
@@ -75,22 +77,21 @@ impl Read for Counted {
 /// Tells on a terminal how far it is, when it has gone on for a while.
 struct Progress {
     begin: Instant,
-    all_bytes: u64,
-    read_bytes: Rc<Cell<u64>>,
     /// What was read when it was last shown.
     shown_bytes: u64,
     bar: Option<Bar>,
 }
 
 impl Progress {
-    fn look(&mut self, name: &Path) {
-        let read_bytes = self.read_bytes.get();
-        if read_bytes != self.shown_bytes && self.begin.elapsed() > SHORT {
+    fn look(&mut self, path: &Path, [read_bytes, all_bytes]: [u64; 2], elapsed: Duration) {
+        if read_bytes != self.shown_bytes && elapsed > SHORT {
             self.shown_bytes = read_bytes;
-            let bar = self
-                .bar
-                .get_or_insert_with(|| Bar::new(&name.display().to_string()));
-            bar.show_share(read_bytes as f64 / self.all_bytes.max(1) as f64);
+            let bar = self.bar.get_or_insert_with(|| {
+                // A path may be longer than a line.
+                let name = path.file_name().unwrap_or_default();
+                Bar::new(&name.to_string_lossy())
+            });
+            bar.show_share(read_bytes as f64 / all_bytes.max(1) as f64);
         }
     }
 }
@@ -109,11 +110,11 @@ impl Recording {
         Ok(Self {
             path: path.to_owned(),
             reader,
+            all_bytes,
+            read_bytes,
             is_cut: false,
             progress: Some(Progress {
                 begin: Instant::now(),
-                all_bytes,
-                read_bytes,
                 shown_bytes: 0,
                 bar: None,
             }),
@@ -130,8 +131,9 @@ impl Recording {
 
     /// The next item, whatever it is; none at the end, also where the file is cut.
     pub(super) fn next_item(&mut self) -> anyhow::Result<Option<Item<'_>>> {
+        let read_of_all_bytes = self.read_of_all_bytes();
         if let Some(progress) = &mut self.progress {
-            progress.look(&self.path);
+            progress.look(&self.path, read_of_all_bytes, progress.begin.elapsed());
         }
         let item = self.reader.next_item();
         if !matches!(item, Ok(Some(_))) {
@@ -164,6 +166,11 @@ impl Recording {
                 Some(_) => {}
             }
         }
+    }
+
+    /// How many bytes were read, of how many.
+    pub(super) fn read_of_all_bytes(&self) -> [u64; 2] {
+        [self.read_bytes.get(), self.all_bytes]
     }
 
     /// Whether it ended in the middle: known at the end.
@@ -212,19 +219,15 @@ mod tests {
 
     #[test]
     fn what_takes_long_shows_how_far_it_is() {
-        let shows = |begin: Instant| {
+        let shows = |elapsed| {
             let mut progress = Progress {
-                begin,
-                all_bytes: 100,
-                read_bytes: Rc::new(Cell::new(50)),
+                begin: Instant::now(),
                 shown_bytes: 0,
                 bar: None,
             };
-            progress.look(Path::new("run.mcap"));
+            progress.look(Path::new("run.mcap"), [50, 100], elapsed);
             progress.bar.is_some()
         };
-        let now = Instant::now();
-        let before = now.checked_sub(2 * SHORT).expect("the machine runs");
-        assert!(!shows(now) && shows(before));
+        assert!(!shows(SHORT) && shows(2 * SHORT));
     }
 }

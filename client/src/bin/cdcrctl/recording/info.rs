@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use cdcr_client::counted;
 use cdcr_interchange::mcap::{Item, ReadError, Stamp, Writer};
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
@@ -16,11 +16,13 @@ use super::file::{Recorded, Recording};
 use super::topic::Topic;
 use crate::Done;
 use crate::args::{Format, InfoOptions};
+use crate::interrupt::Interrupt;
 use crate::tip_error::is_along;
 
 pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     if options.repair {
-        return repair(&options.file);
+        let interrupt = Interrupt::catch()?;
+        return repair(&options.file, || interrupt.is_raised());
     }
     let mut recording = Recording::open(&options.file)?;
     let mut seen = Seen::default();
@@ -42,13 +44,13 @@ pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
 }
 
 /// Copies what is whole into another file, which is ended as it should be. What is behind a damage is lost.
-fn repair(path: &Path) -> anyhow::Result<Done> {
+fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done> {
     let mut recording = Recording::open(path)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let other = path.with_file_name(format!("{stem}-repaired.mcap"));
     let name = other.display();
     let file = File::create_new(&other).with_context(|| format!("cannot make {name}"))?;
-    let copied = copy(&mut recording, file);
+    let copied = copy(&mut recording, file, is_interrupted);
     if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
         // Nothing is left where nothing was saved.
         drop(std::fs::remove_file(&other));
@@ -62,17 +64,32 @@ fn repair(path: &Path) -> anyhow::Result<Done> {
     };
     ensure!(messages > 0, "{path} holds no message: {was}");
     let messages = counted(messages, "message");
-    writeln!(io::stdout(), "{path}: {was}; {messages} saved in {name}")?;
+    let saved = format!("{path}: {was}; {messages} saved in {name}");
+    let [read_mb, all_mb] = recording
+        .read_of_all_bytes()
+        .map(|bytes| bytes as f64 * 1e-6);
+    let part = format!("what is in the first {read_mb:.1} of {all_mb:.1} MB");
+    match damage {
+        None => writeln!(io::stdout(), "{saved}")?,
+        Some(ReadError::Damaged(_)) => writeln!(io::stdout(), "{saved} ({part})")?,
+        // The file may hold more than could be read now.
+        Some(_) => bail!("{saved} ({part})"),
+    }
     Ok(Done::Good)
 }
 
 /// The messages that were copied, and what ended them.
-fn copy(recording: &mut Recording, file: File) -> anyhow::Result<(u64, Option<ReadError>)> {
+fn copy(
+    recording: &mut Recording,
+    file: File,
+    is_interrupted: impl Fn() -> bool,
+) -> anyhow::Result<(u64, Option<ReadError>)> {
     let library = concat!("cdcrctl ", env!("CARGO_PKG_VERSION"));
     let mut writer = Writer::new(file, "ros2", library)?;
     let mut ids = BTreeMap::new();
     let mut messages = 0_u64;
     let damage = loop {
+        ensure!(!is_interrupted(), "interrupted");
         let item = match recording.next_item() {
             Ok(Some(item)) => item,
             Ok(None) => break None,
@@ -273,5 +290,35 @@ impl Seen {
             "largest_error_after_approach": extreme(self.largest_along, "position_error_m"),
             "least_clearance": extreme(self.least_clearance, "clearance_m"),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_scratch::Scratch;
+
+    use super::*;
+
+    #[test]
+    fn a_repair_that_is_interrupted_leaves_no_file_and_can_be_done_again() {
+        let folder = Scratch::temporary().unwrap();
+        let path = folder.path().join("run.mcap");
+        let file = File::create_new(&path).unwrap();
+        let mut writer = Writer::new(file, "ros2", "test").unwrap();
+        let channel = Topic::Telemetry.channel("cdcr").unwrap();
+        let id = writer.add_channel(&channel).unwrap();
+        let stamp = Stamp {
+            sequence: 0,
+            log_ns: 0,
+            publish_ns: 0,
+        };
+        writer.write(id, stamp, &[0; 8]).unwrap();
+        writer.finish().unwrap();
+        let repaired = path.with_file_name("run-repaired.mcap");
+        let error = repair(&path, || true).unwrap_err();
+        assert!(format!("{error:#}").ends_with("interrupted"), "{error:#}");
+        assert!(!repaired.exists());
+        repair(&path, || false).unwrap();
+        assert!(repaired.exists());
     }
 }
