@@ -637,9 +637,10 @@ function error_and_clearance() {
   const [, high] = extent(['error_mm']);
   if (high > -Infinity) {
     const values = high_of('error_mm').filter((value) => value !== null).sort((a, b) => a - b);
+    const positive = values.filter((value) => value > 0);
     // A few large values of the approach would flatten all others, and a few small ones stretch the axis.
     const log = high > 30 * values[values.length >> 1];
-    const floor = Math.max(values[values.length >> 6], 1e-9);
+    const floor = Math.max(positive[positive.length >> 6], 1e-9);
     const range = log ? [10 ** Math.floor(Math.log10(floor)), 10 ** Math.ceil(Math.log10(1.05 * high))] : [0, 1.06 * high || 1];
     section('error', 'Error', chart({ title: `distance of tip and reference while tracking${log ? ', logarithmic' : ''}`, unit: 'mm', series: [{ name: 'error_mm', label: 'error' }], range, log }));
   } else {
