@@ -37,7 +37,7 @@ pub(super) struct Intake {
 /// What came since the one before, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Reading {
-    /// What was sent until then is here, or was in one before.
+    /// What was sent until then is here, or was in one before, but for one that is being sent.
     pub(super) until_ns: u64,
     pub(super) records: Vec<Telemetry>,
     /// What their cycles took in is here, or was in one before.
