@@ -196,46 +196,50 @@ impl<'a> Opener<'a> {
     }
 
     /// The types of the messages of a service: the daemon's, and ours.
-    fn types(&self, of: Service, ours: &[&Layout]) -> String {
+    fn types(&self, service: Service, ours: &[&Layout]) -> String {
         let ours = joined(ours.iter().map(|layout| layout.type_name.to_owned()));
-        match self.found(of) {
+        match self.found(service) {
             Some(theirs) => format!("it has {theirs}, this program {ours}"),
             None => format!("this program has {ours}"),
         }
     }
 
-    fn found(&self, of: Service) -> Option<String> {
-        let name = of.name(&self.place.robot).ok()?;
-        let pattern = match of {
+    fn found(&self, service: Service) -> Option<String> {
+        let name = service.name(&self.place.robot).ok()?;
+        let pattern = match service {
             Service::Control => MessagingPattern::RequestResponse,
             _ => MessagingPattern::PublishSubscribe,
         };
         let found = ipc::Service::details(&name, self.node.config(), pattern).ok()??;
         let types = match found.static_details.messaging_pattern() {
-            Found::PublishSubscribe(service) => vec![service.message_type_details()],
-            Found::RequestResponse(service) => vec![
-                service.request_message_type_details(),
-                service.response_message_type_details(),
+            Found::PublishSubscribe(found) => vec![found.message_type_details()],
+            Found::RequestResponse(found) => vec![
+                found.request_message_type_details(),
+                found.response_message_type_details(),
             ],
             _ => return None,
         };
-        let names = types.iter().map(|of| of.payload.type_name().to_string());
+        let names = types
+            .iter()
+            .map(|details| details.payload.type_name().to_string());
         Some(joined(names))
     }
 
-    fn error(&self, of: Service, ours: &[&Layout], trouble: OpenTrouble) -> ConnectError {
+    fn error(&self, service: Service, ours: &[&Layout], trouble: OpenTrouble) -> ConnectError {
         let place = self.place.clone();
-        let service = of.key();
         match trouble {
             OpenTrouble::Missing => {
                 ConnectError::not_running(&place, "there are no services of that name")
             }
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
-                service,
-                types: self.types(of, ours).into(),
+                service: service.key(),
+                types: self.types(service, ours).into(),
             },
-            OpenTrouble::Full => ConnectError::Full { place, service },
+            OpenTrouble::Full => ConnectError::Full {
+                place,
+                service: service.key(),
+            },
             OpenTrouble::Other(cause) => memory_error(self.place, self.files, &cause),
         }
     }
