@@ -35,6 +35,12 @@ pub struct StatusLine {
     pub tracking_error_m: Option<f64>,
 }
 
+impl StatusLine {
+    fn is_same_state(&self, other: &Self) -> bool {
+        (self.mode, self.reason) == (other.mode, other.reason)
+    }
+}
+
 impl Display for StatusLine {
     /// `tracking (asked for): 200.0 Hz, 3 misses, 1 skipped period, error 0.012 mm`
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
@@ -69,8 +75,8 @@ pub struct ServiceManager {
     listener: Option<Listener>,
     watchdog: Option<Watchdog>,
     told: Option<(StatusLine, Instant)>,
-    /// When the last status line was not heard.
-    unheard: Option<Instant>,
+    /// The status line that was not heard since, and when.
+    unheard: Option<(StatusLine, Instant)>,
     said_ready: bool,
     said_stopping: bool,
     complained: bool,
@@ -145,7 +151,8 @@ impl ServiceManager {
         }
     }
 
-    /// Says how the loop does: at once when mode or reason changed, else at most once a second, as what was not heard.
+    /// Says how the loop does. At once when mode or reason changed, else at most once a second; a line that could not be sent is
+    /// sent again after a second at the earliest.
     pub fn tell(&mut self, line: &StatusLine) {
         self.tell_at(line, Instant::now());
     }
@@ -166,17 +173,18 @@ impl ServiceManager {
 
     fn tell_at(&mut self, line: &StatusLine, now: Instant) {
         let is_news = self.told.is_none_or(|(told, when)| {
-            let same_state = (told.mode, told.reason) == (line.mode, line.reason);
-            !same_state || (told != *line && now.duration_since(when) >= TELL_EVERY)
+            !told.is_same_state(line) || (told != *line && now.duration_since(when) >= TELL_EVERY)
         });
-        let may_be_heard = |at: Instant| now.duration_since(at) >= TELL_EVERY;
-        if !is_news || !self.unheard.is_none_or(may_be_heard) {
+        let may_be_heard = self.unheard.is_none_or(|(unheard, when)| {
+            !unheard.is_same_state(line) || now.duration_since(when) >= TELL_EVERY
+        });
+        if !is_news || !may_be_heard {
             return;
         }
         if self.say(&NotifyState::Status(&line.to_string())) {
             (self.told, self.unheard) = (Some((*line, now)), None);
         } else {
-            self.unheard = Some(now);
+            self.unheard = Some((*line, now));
         }
     }
 
@@ -392,12 +400,26 @@ mod tests {
         let away = manager.folder.path().join("away");
         std::fs::rename(&path, &away).unwrap();
         let mut service = ServiceManager::at(path.as_os_str(), None).unwrap();
-        let (line, begin) = (line(Mode::Tracking, 3), Instant::now());
-        service.tell_at(&line, begin);
+        let begin = Instant::now();
+        service.tell_at(&line(Mode::Tracking, 3), begin);
         std::fs::rename(&away, &path).unwrap();
-        service.tell_at(&line, begin + TELL_EVERY / 2);
+        service.tell_at(&line(Mode::Tracking, 4), begin + TELL_EVERY / 2);
         assert!(manager.heard().is_empty(), "too early");
-        service.tell_at(&line, begin + TELL_EVERY);
+        service.tell_at(&line(Mode::Tracking, 4), begin + TELL_EVERY);
+        assert_eq!(manager.heard().len(), 1);
+    }
+
+    #[test]
+    fn a_status_that_was_not_heard_holds_back_no_change_of_mode() {
+        let manager = Manager::start();
+        let path = manager.folder.path().join("notify");
+        let away = manager.folder.path().join("away");
+        std::fs::rename(&path, &away).unwrap();
+        let mut service = ServiceManager::at(path.as_os_str(), None).unwrap();
+        let begin = Instant::now();
+        service.tell_at(&line(Mode::Tracking, 3), begin);
+        std::fs::rename(&away, &path).unwrap();
+        service.tell_at(&line(Mode::Holding, 3), begin);
         assert_eq!(manager.heard().len(), 1);
     }
 
