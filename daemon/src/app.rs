@@ -170,11 +170,9 @@ fn run_with(
     exchange.go(&schedule);
     cycle.go(&schedule);
     announce(validated);
-    let should_end = || {
-        caretaker.wake_if_asked();
-        should_end() || caretaker.lost().is_some()
-    };
+    let should_end = || should_end() || caretaker.lost().is_some();
     supervisor.run(&clock, shared, &desk, should_end, || {
+        caretaker.wake_if_asked();
         // A thread that ends by itself takes the process with it.
         let ended = [&cycle, &exchange, &reporter].map(Started::is_finished);
         if ended.contains(&true) || desk.is_finished() {
