@@ -138,15 +138,24 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
 #[test]
 fn what_it_was_too_slow_for_is_told() {
     let daemon = Daemon::start(PATIENT);
-    let (mut view, _) = serve(&daemon);
+    let (mut view, port) = serve(&daemon);
+    let mut socket = viewer(port);
+    let channels = channels(&mut socket, Topic::ALL.len() + Drawn::ALL.len());
+    let channel = &channels[&format!("/cdcr/{}/telemetry", cdcr_tests::ROBOT)];
+    let subscriptions = [json!({"id": 0, "channelId": channel["id"]})];
+    let subscribe = json!({"op": "subscribe", "subscriptions": subscriptions});
+    socket.send(Message::text(subscribe.to_string())).unwrap();
     let mut telemetry = daemon.connect().telemetry().unwrap();
     view.signal(Signal::STOP);
     // More than its queue holds.
-    for _ in 0..300 {
-        telemetry.next_within(TIMEOUT).unwrap().unwrap();
-    }
+    let missed = (0..300).map(|_| telemetry.next_within(TIMEOUT).unwrap().unwrap());
+    let newest = missed.last().unwrap().header.sequence;
     view.signal(Signal::CONT);
-    std::thread::sleep(Duration::from_secs(1));
+    // Until it has read on.
+    let mut record = Telemetry::default();
+    while record.header.sequence <= newest {
+        decode(&next(&mut socket, 0).1, &mut record).unwrap();
+    }
     view.signal(Signal::INT);
     assert_says(&view.output(), 0, &["lost: ", "too slow"]);
 }
