@@ -310,12 +310,7 @@ impl Computer {
             && before.control_blocks == settings.control_blocks
             && (before.rate_change_weight > 0.0) == (settings.rate_change_weight > 0.0);
         let warm_plan = record.warm_plan.get(..record.plan_length as usize);
-        if *self.nmpc.settings() != settings {
-            self.nmpc.configure(settings)?;
-        }
-        // Nor is one of a version with other blocks.
-        let unknowns = self.nmpc.plan().len();
-        let warm_plan = warm_plan.filter(|plan| is_same_shape && plan.len() == unknowns);
+        let warm_plan = warm_plan.filter(|_| is_same_shape);
         let (seed, budget) = (record.report.seed, &mut Budget::unlimited());
         let (desired, report) =
             self.solve_with(record, &state, reference, settings, warm_plan, seed, budget)?;
