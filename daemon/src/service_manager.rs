@@ -277,6 +277,17 @@ mod tests {
             ServiceManager::at(path.as_os_str(), watchdog_period).unwrap()
         }
 
+        /// Its socket is elsewhere, or back.
+        fn move_away(&self, is_away: bool) {
+            let [from, to] = if is_away {
+                ["notify", "away"]
+            } else {
+                ["away", "notify"]
+            };
+            let path = |name: &str| self.folder.path().join(name);
+            std::fs::rename(path(from), path(to)).unwrap();
+        }
+
         /// What was said since the last call. Datagrams between local sockets are there when sent.
         fn heard(&self) -> Vec<String> {
             let mut heard = Vec::new();
@@ -380,14 +391,12 @@ mod tests {
     #[test]
     fn what_was_not_heard_is_said_again() {
         let manager = Manager::start();
-        let path = manager.folder.path().join("notify");
-        let away = manager.folder.path().join("away");
-        std::fs::rename(&path, &away).unwrap();
-        let mut service = ServiceManager::at(path.as_os_str(), Some(HOUR)).unwrap();
+        let mut service = manager.told_by(Some(HOUR));
+        manager.move_away(true);
         service.ready();
         service.feed_watchdog(1);
         assert!(service.complained && manager.heard().is_empty());
-        std::fs::rename(&away, &path).unwrap();
+        manager.move_away(false);
         service.ready();
         service.feed_watchdog(2);
         assert_eq!(manager.heard(), ["READY=1\n", "WATCHDOG=1\n"]);
@@ -396,13 +405,11 @@ mod tests {
     #[test]
     fn a_status_that_was_not_heard_is_said_again_once_a_second() {
         let manager = Manager::start();
-        let path = manager.folder.path().join("notify");
-        let away = manager.folder.path().join("away");
-        std::fs::rename(&path, &away).unwrap();
-        let mut service = ServiceManager::at(path.as_os_str(), None).unwrap();
+        let mut service = manager.told_by(None);
+        manager.move_away(true);
         let begin = Instant::now();
         service.tell_at(&line(Mode::Tracking, 3), begin);
-        std::fs::rename(&away, &path).unwrap();
+        manager.move_away(false);
         service.tell_at(&line(Mode::Tracking, 4), begin + TELL_EVERY / 2);
         assert!(manager.heard().is_empty(), "too early");
         service.tell_at(&line(Mode::Tracking, 4), begin + TELL_EVERY);
@@ -412,13 +419,11 @@ mod tests {
     #[test]
     fn a_status_that_was_not_heard_holds_back_no_change_of_mode() {
         let manager = Manager::start();
-        let path = manager.folder.path().join("notify");
-        let away = manager.folder.path().join("away");
-        std::fs::rename(&path, &away).unwrap();
-        let mut service = ServiceManager::at(path.as_os_str(), None).unwrap();
+        let mut service = manager.told_by(None);
+        manager.move_away(true);
         let begin = Instant::now();
         service.tell_at(&line(Mode::Tracking, 3), begin);
-        std::fs::rename(&away, &path).unwrap();
+        manager.move_away(false);
         service.tell_at(&line(Mode::Holding, 3), begin);
         assert_eq!(manager.heard().len(), 1);
     }
