@@ -1,7 +1,7 @@
 //! Tells whoever watches what each cycle did: the reporter thread.
 //!
 //! ```text
-//! loop { sleep for two periods, 1 ms at least and 20 ms at most
+//! loop { sleep for four periods, 1 ms at least and 20 ms at most
 //!          judge:   was the cycle late, and why
 //!          publish: telemetry of every cycle
 //!          hand on: bad cycles and a summary to the supervisor }
@@ -32,9 +32,9 @@ use crate::rt::clock::Clock;
 use crate::{convert, services};
 use measured_error::MeasuredError;
 
-/// It looks for reports every two periods, that is, for the cost of one wake-up in two cycles, and not more often than once a
+/// It looks for reports every four periods, that is, for the cost of one wake-up in four cycles, and not more often than once a
 /// millisecond.
-const PERIODS_PER_LOOK: u64 = 2;
+const PERIODS_PER_LOOK: u64 = 4;
 const LOOK_MIN: Duration = Duration::from_millis(1);
 /// By its looks a watchdog sees that the thread lives.
 const LOOK_MAX: Duration = Duration::from_millis(20);

@@ -25,7 +25,10 @@ use statistics::Statistics;
 use steal::{Steal, Stolen};
 use watchdog::Watchdog;
 
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Ten periods between two looks, in this range: a look costs a wake-up with cold caches.
+const PERIODS_PER_LOOK: u64 = 10;
+const LOOK_MIN: Duration = Duration::from_millis(20);
+const LOOK_MAX: Duration = Duration::from_millis(50);
 const STATUS_EVERY: Duration = Duration::from_millis(100);
 /// Without a summary for so long the status is not published: it would tell of a time long past.
 const SUMMARY_MAX: Duration = Duration::from_secs(1);
@@ -40,6 +43,7 @@ const RATE_EVERY: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Supervisor {
     ends: SupervisorEnds,
+    look_every: Duration,
     status: wire::Status,
     statistics: Statistics,
     resets: u64,
@@ -81,6 +85,7 @@ impl Supervisor {
         let now = Instant::now();
         Ok(Self {
             ends,
+            look_every: look_every(ns(validated.config.cycle.period_ms)),
             status: first_status(validated, daemon_id),
             statistics: Statistics::new(clock.now_ns())?,
             resets: 0,
@@ -152,7 +157,7 @@ impl Supervisor {
             } else {
                 self.watchdog.look(shared.beats(), Instant::now())?;
             }
-            std::thread::sleep(LOOK_EVERY);
+            sleep_unless_signalled(self.look_every);
         }
     }
 
@@ -309,6 +314,18 @@ impl Supervisor {
         }
         self.status.header.sent_ns = now_ns;
         self.ends.status.write(self.status);
+    }
+}
+
+fn look_every(period_ns: u64) -> Duration {
+    Duration::from_nanos(PERIODS_PER_LOOK * period_ns).clamp(LOOK_MIN, LOOK_MAX)
+}
+
+/// The signals that end the daemon or read the configuration again go to this thread, and end the sleep.
+fn sleep_unless_signalled(length: Duration) {
+    // It is far within range.
+    if let Ok(length) = length.try_into() {
+        let _ = rustix::thread::nanosleep(&length);
     }
 }
 
