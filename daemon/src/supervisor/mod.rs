@@ -157,7 +157,9 @@ impl Supervisor {
             } else {
                 self.watchdog.look(shared.beats(), Instant::now())?;
             }
-            sleep_unless_signalled(self.look_every);
+            // Who starts it waits for the first cycle.
+            let has_begun = self.newest.totals.cycles > 0;
+            sleep_unless_signalled(if has_begun { self.look_every } else { LOOK_MIN });
         }
     }
 
