@@ -2,10 +2,11 @@
 
 use std::ffi::OsString;
 use std::io::{ErrorKind, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use clap::{Args, Subcommand};
+use cdcr_controller::robot::SectionParameters;
+use clap::{Args, Subcommand, ValueHint};
 use serde::Serialize;
 
 use super::preset::Preset;
@@ -60,13 +61,13 @@ pub(super) struct Source {
     set: Vec<(String, String)>,
     /// Name of the robot in the service names: robot.name [env: CDCR_ROBOT]
     #[arg(long, value_name = "NAME")]
-    robot: Option<String>,
+    robot: Option<OsString>,
     /// Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]
     #[arg(long, value_name = "PREFIX")]
-    prefix: Option<String>,
+    prefix: Option<OsString>,
     /// Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]
-    #[arg(long, value_name = "DIR")]
-    root: Option<PathBuf>,
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::AnyPath)]
+    root: Option<OsString>,
 }
 
 /// An argument of `--set`.
@@ -78,7 +79,7 @@ fn assignment(text: &str) -> Result<(String, String), String> {
 }
 
 impl Source {
-    /// The configuration, checked. What is doubtful goes to the log.
+    /// The configuration, checked. Warnings go to the log.
     pub(super) fn load(&self) -> Result<Validated, ConfigError> {
         let validated = self.settings()?.validate()?;
         for warning in warnings(&validated.config) {
@@ -90,62 +91,41 @@ impl Source {
     /// The configuration, not yet checked, and where its values come from.
     pub(super) fn settings(&self) -> Result<Settings, ConfigError> {
         let mut layers = Layers::default();
-        let file = self
-            .config
-            .clone()
-            .or_else(|| variable("CDCR_CONFIG").map(PathBuf::from));
-        if let Some(file) = file {
+        let file = self.config.clone();
+        if let Some(file) = file.or_else(|| variable("CDCR_CONFIG").map(PathBuf::from)) {
             layers = layers.file(&file)?;
         }
-        let (layers, warnings) = layers.variables(std::env::vars_os())?;
+        let (mut layers, warnings) = layers.variables(std::env::vars_os())?;
         for warning in warnings {
             tracing::warn!("{warning}");
         }
-        self.options(aliases(layers)?)?.settings()
-    }
-
-    fn options(&self, mut layers: Layers) -> Result<Layers, ConfigError> {
+        for (key, name) in [
+            ("robot.name", "CDCR_ROBOT"),
+            ("transport.prefix", "CDCR_PREFIX"),
+            ("transport.root", "CDCR_ROOT"),
+        ] {
+            layers = with(
+                layers,
+                key,
+                variable(name),
+                &Origin::Variable(name.to_owned()),
+            )?;
+        }
         for (key, value) in self.preset.into_iter().flat_map(Preset::keys) {
-            layers = layers.key(key, value, Origin::Option("--preset"))?;
+            layers = layers.key(key, value, &Origin::Option("--preset"))?;
         }
         for (key, value) in &self.set {
-            layers = layers.key(key, value, Origin::Option("--set"))?;
+            layers = layers.key(key, value, &Origin::Option("--set"))?;
         }
-        if let Some(name) = &self.robot {
-            layers = layers.string("robot.name", name, Origin::Option("--robot"))?;
+        for (key, name, value) in [
+            ("robot.name", "--robot", &self.robot),
+            ("transport.prefix", "--prefix", &self.prefix),
+            ("transport.root", "--root", &self.root),
+        ] {
+            layers = with(layers, key, value.clone(), &Origin::Option(name))?;
         }
-        if let Some(prefix) = &self.prefix {
-            layers = layers.string("transport.prefix", prefix, Origin::Option("--prefix"))?;
-        }
-        if let Some(root) = &self.root {
-            let origin = Origin::Option("--root");
-            let root = text_of(absolute(root), "transport.root", &origin)?;
-            layers = layers.string("transport.root", &root, origin)?;
-        }
-        Ok(layers)
+        layers.settings()
     }
-}
-
-/// The variables of the options `--robot`, `--prefix` and `--root`.
-fn aliases(mut layers: Layers) -> Result<Layers, ConfigError> {
-    for (name, key) in [
-        ("CDCR_ROBOT", "robot.name"),
-        ("CDCR_PREFIX", "transport.prefix"),
-        ("CDCR_ROOT", "transport.root"),
-    ] {
-        let Some(value) = variable(name) else {
-            continue;
-        };
-        let value = if key == "transport.root" {
-            absolute(Path::new(&value))
-        } else {
-            value
-        };
-        let origin = Origin::Variable(name.to_owned());
-        let value = text_of(value, key, &origin)?;
-        layers = layers.string(key, &value, origin)?;
-    }
-    Ok(layers)
 }
 
 /// An environment variable that is set and not empty.
@@ -153,16 +133,21 @@ fn variable(name: &str) -> Option<OsString> {
     std::env::var_os(name).filter(|value| !value.is_empty())
 }
 
-fn absolute(path: &Path) -> OsString {
-    std::path::absolute(path).map_or_else(|_| path.into(), PathBuf::into_os_string)
-}
-
-fn text_of(value: OsString, key: &str, origin: &Origin) -> Result<String, ConfigError> {
-    value.into_string().map_err(|value| ConfigError::Value {
-        origin: origin.clone(),
-        key: key.to_owned(),
-        message: format!("{} is not UTF-8 text", value.display()),
-    })
+/// Sets a key to a text, if any; a folder becomes absolute.
+fn with(
+    layers: Layers,
+    key: &str,
+    value: Option<OsString>,
+    origin: &Origin,
+) -> Result<Layers, ConfigError> {
+    match value {
+        None => Ok(layers),
+        Some(folder) if key == "transport.root" => {
+            let absolute = std::path::absolute(&folder).map_or(folder, PathBuf::into_os_string);
+            layers.string(key, &absolute, origin)
+        }
+        Some(value) => layers.string(key, &value, origin),
+    }
 }
 
 /// Carries `cdcrd config …` out.
@@ -179,18 +164,15 @@ pub(super) fn check(source: &Source) -> Result<()> {
     let settings = source.settings()?;
     let changed = settings.changed();
     let validated = settings.validate()?;
-    let mut lines = vec!["the configuration is valid".to_owned()];
-    lines.extend(robot(&validated));
-    lines.extend(control(&validated));
+    let mut lines = summary(&validated);
     if !changed.is_empty() {
         lines.push("set".to_owned());
     }
     for (key, value, origin) in changed {
         lines.push(format!("  {key} = {}  ({origin})", shortened(&value)));
     }
-    for warning in warnings(&validated.config) {
-        lines.push(format!("warning: {warning}"));
-    }
+    let warnings = warnings(&validated.config).into_iter();
+    lines.extend(warnings.map(|warning| format!("warning: {warning}")));
     lines.push(String::new());
     say(&lines.join("\n"))
 }
@@ -206,53 +188,48 @@ fn say(text: &str) -> Result<()> {
 
 /// At most a line of a value.
 fn shortened(value: &str) -> String {
-    const LENGTH: usize = 60;
-    if value.chars().count() <= LENGTH {
-        return value.to_owned();
+    match value.char_indices().nth(60) {
+        Some((end, _)) => format!("{} …", &value[..end]),
+        None => value.to_owned(),
     }
-    let start: String = value.chars().take(LENGTH).collect();
-    format!("{start} …")
 }
 
-/// Says which robot it is.
-fn robot(validated: &Validated) -> Vec<String> {
-    let Validated { config, robot, .. } = validated;
-    let mut lines = vec![format!(
-        "robot      {} ({}), reach {:.3} m",
-        config.robot.name,
-        as_written(&config.link.kind),
-        robot.reach_m()
-    )];
-    lines.extend(robot.sections().iter().enumerate().map(|(index, section)| {
-        format!(
-            "  section {}  length {} m, bend ≤ {} rad, rate ≤ {} rad/s, cables at {} m",
-            index + 1,
-            section.length_m,
-            section.bend_max_rad,
-            section.rate_max_rad_s,
-            section.cable_radius_m
-        )
-    }));
-    lines
-}
-
-/// A choice by its name in the file.
-fn as_written(choice: &impl Serialize) -> String {
-    let value = serde_json::to_value(choice).unwrap_or_default();
-    value.as_str().unwrap_or_default().to_owned()
-}
-
-/// Says how and where it would be controlled.
-fn control(validated: &Validated) -> [String; 3] {
+/// Which robot it is, and how and where it would be controlled.
+fn summary(validated: &Validated) -> Vec<String> {
     let Validated {
-        config, location, ..
+        config,
+        robot,
+        location,
+        ..
     } = validated;
-    let nmpc = &config.controller;
-    [
+    let (link, cycle, nmpc, realtime) = (
+        &config.link,
+        &config.cycle,
+        &config.controller,
+        &config.realtime,
+    );
+    let sections = robot.sections().iter().zip(1..).map(|(section, number)| {
+        let SectionParameters { length_m, bend_max_rad, rate_max_rad_s, cable_radius_m, .. } = section;
+        format!(
+            "  section {number}  length {length_m} m, bend ≤ {bend_max_rad} rad, rate ≤ {rate_max_rad_s} rad/s, cables at \
+             {cable_radius_m} m"
+        )
+    });
+    let mut lines = vec![
+        "the configuration is valid".to_owned(),
+        format!(
+            "robot      {} ({}), reach {:.3} m",
+            config.robot.name,
+            as_written(&link.kind),
+            robot.reach_m()
+        ),
+    ];
+    lines.extend(sections);
+    lines.extend([
         format!(
             "cycle      {} ms, real time: {}",
-            config.cycle.period_ms,
-            as_written(&config.realtime.mode)
+            cycle.period_ms,
+            as_written(&realtime.mode)
         ),
         format!(
             "controller {}, N = {}, swarm {} x {}, {} refinement steps",
@@ -267,5 +244,12 @@ fn control(validated: &Validated) -> [String; 3] {
             location.prefix(),
             location.root().display()
         ),
-    ]
+    ]);
+    lines
+}
+
+/// A choice by its name in the file.
+fn as_written(choice: &impl Serialize) -> String {
+    let value = serde_json::to_value(choice).unwrap_or_default();
+    value.as_str().unwrap_or_default().to_owned()
 }

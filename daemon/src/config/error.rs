@@ -1,10 +1,9 @@
 use std::borrow::Cow;
 use std::io::ErrorKind;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::Origin;
-use super::origin::line_at;
+use super::layers::line_at;
+use super::{Origin, keys};
 
 /// What is wrong with a configuration, and where.
 #[derive(Debug, thiserror::Error)]
@@ -38,6 +37,16 @@ pub enum ConfigError {
         /// What is wrong, and what is allowed.
         message: String,
     },
+}
+
+impl ConfigError {
+    pub(super) fn unknown(key: &str, origin: Origin) -> Self {
+        Self::Unknown {
+            origin,
+            key: key.to_owned(),
+            nearest: keys::nearest(key),
+        }
+    }
 }
 
 /// Characters of a text that an error quotes: about a line of a terminal.
@@ -83,13 +92,13 @@ fn remedy(nearest: Option<&str>) -> String {
 }
 
 /// Where a text is no TOML, as the parser shows it: with the line itself, unless nobody could read that.
-pub(super) fn syntax(text: &str, span: Option<Range<usize>>, shown: &str, message: &str) -> String {
-    let shown = for_people(shown);
+pub(super) fn syntax(text: &str, error: &toml::de::Error) -> String {
+    let shown = for_people(&error.to_string());
     if shown.lines().all(|line| line.chars().count() <= QUOTED_MAX) {
         return shown;
     }
-    let line = line_at(text, span.map_or(0, |span| span.start));
-    format!("line {line}: {}", short(&for_people(message)))
+    let line = line_at(text, error.span().map_or(0, |span| span.start));
+    format!("line {line}: {}", short(&for_people(error.message())))
 }
 
 /// What the parser says, without the names that types have in Rust.

@@ -1,85 +1,91 @@
-use cdcr_controller::parameters::Parameter;
 use serde_json::Value;
 
-use super::{Config, ConfigError, Origin, Settings, keys, schema};
+use super::keys::{self, Key};
+use super::{Config, ConfigError, Origin, Settings};
+
+/// A JSON schema of the configuration (draft 2020-12), made of what is declared. It is committed, so that the program needs
+/// nothing to make it; a test compares it, and writes it when `CDCR_GENERATE` is set.
+pub const SCHEMA_TEXT: &str = include_str!("../../../configs/schema.json");
 
 /// Says all about a key, like `cycle.period_ms`, or about a table and its keys: what it is, its type, range and
 /// default, and the value in force and where that comes from.
 pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
-    let key = keys::without_indices(key);
-    if keys::declared(&key).is_none() {
-        return Err(ConfigError::Unknown {
-            origin: Origin::Default,
-            nearest: keys::nearest(&key),
-            key,
-        });
+    let name = keys::without_indices(key);
+    if keys::get(&name).is_none() {
+        return Err(ConfigError::unknown(&name, Origin::Default));
     }
-    let below = format!("{key}.");
+    let schema = serde_json::from_str(SCHEMA_TEXT).unwrap_or_default();
+    let below = format!("{name}.");
     let all = keys::all().iter();
     let about = all
-        .filter(|(known, _)| *known == key || known.starts_with(&below))
-        .map(|(key, parameter)| about(key, parameter, settings));
+        .filter(|key| key.name == name || key.name.starts_with(&below))
+        .map(|key| about(key, node(&schema, &key.name), settings));
     Ok(about.collect::<Vec<_>>().join("\n"))
 }
 
+/// What a schema says of a key or a table.
+fn node<'a>(schema: &'a Value, key: &str) -> &'a Value {
+    key.split('.').fold(schema, |node, part| {
+        let node = node.get("items").unwrap_or(node);
+        &node["properties"][part]
+    })
+}
+
 /// What there is to say about one key or the head of a table.
-fn about(key: &str, parameter: &Parameter, settings: &Settings) -> String {
-    let schema = schema::committed();
-    let node = schema::node(&schema, key).unwrap_or(&Value::Null);
-    let mut lines = vec![key.to_owned()];
+fn about(key: &Key, node: &Value, settings: &Settings) -> String {
+    let parameter = key.parameter;
+    let mut lines = vec![key.name.clone()];
     lines.extend(parameter.text().lines().map(|line| format!("  {line}")));
     lines.extend(choices(node));
-    let mut fact = |name: &str, text: String| lines.push(format!("  {name:<9} {text}"));
-    if let Some(kind) = kind(node) {
-        fact("type", kind);
-    }
-    if let Some(range) = parameter.range_text() {
-        let also = parameter.also.map(|also| format!(", {also}"));
-        fact("range", range + &also.unwrap_or_default());
-    }
-    if let Some(default) = value(&Config::default(), key) {
-        fact("default", default);
-    }
-    if let Some(value) = value(&settings.config, key) {
-        fact("value", value);
-        fact("from", settings.origins.of(key).to_string());
-    }
-    if keys::settable().contains_key(key) {
-        fact("variable", keys::variable(key));
-    }
+    let range = parameter.range_text().map(|range| match parameter.also {
+        Some(also) => format!("{range}, {also}"),
+        None => range,
+    });
+    let value_in_force = value(&settings.config, &key.name);
+    let origin = settings.origins.of(&key.name);
+    let facts = [
+        ("type", kind(node).map(str::to_owned)),
+        ("range", range),
+        ("default", value(&Config::default(), &key.name)),
+        ("value", value_in_force.clone()),
+        ("from", value_in_force.map(|_| origin.to_string())),
+        (
+            "variable",
+            key.default.as_ref().map(|_| keys::variable(&key.name)),
+        ),
+    ];
+    lines.extend(
+        facts
+            .into_iter()
+            .filter_map(|(name, fact)| Some(format!("  {name:<9} {}", fact?))),
+    );
     lines.push(String::new());
     lines.join("\n")
 }
 
 /// The values that a choice has, each with its meaning.
 fn choices(node: &Value) -> Vec<String> {
-    let choices = node.get("oneOf").and_then(Value::as_array);
-    let each = choices.into_iter().flatten().filter_map(|choice| {
-        let description = choice.get("description").and_then(Value::as_str);
-        let words = description.unwrap_or_default().replace('\n', " ");
-        Some(format!("    {}: {words}", choice.get("const")?))
+    let choices = node["oneOf"].as_array().into_iter().flatten();
+    let each = choices.map(|choice| {
+        let words = choice["description"].as_str().unwrap_or_default();
+        format!("    {}: {}", choice["const"], words.replace('\n', " "))
     });
     each.collect()
 }
 
 /// The type of a key in words; none for a table.
-fn kind(node: &Value) -> Option<String> {
-    if node.get("oneOf").is_some() {
-        return Some("one of these strings".to_owned());
+fn kind(node: &Value) -> Option<&'static str> {
+    match node["type"].as_str() {
+        _ if node.get("oneOf").is_some() => Some("one of these strings"),
+        _ if node.get("anyOf").is_some() => Some("number or \"auto\""),
+        Some("number") => Some("number"),
+        Some("integer") => Some("whole number"),
+        Some("boolean") => Some("true or false"),
+        Some("array") => Some("list"),
+        Some("string") => Some("string"),
+        Some("object") => Some("table"),
+        _ => None,
     }
-    if node.get("anyOf").is_some() {
-        return Some("number or \"auto\"".to_owned());
-    }
-    let words = match node.get("type")?.as_str()? {
-        "number" => "number",
-        "integer" => "whole number",
-        "boolean" => "true or false",
-        "array" => "list",
-        "string" => "string",
-        "object" => "table",
-        _ => return None,
-    };
-    Some(words.to_owned())
 }
 
 /// The value of a key; for a key of a list of tables, that of each table.
@@ -94,8 +100,10 @@ fn value(config: &Config, key: &str) -> Option<String> {
         });
     }
     let (list, name) = key.rsplit_once('.')?;
-    let tables = keys::value(&values, list)?.as_array()?;
-    let each = tables.iter().filter_map(|table| table.get(name));
-    let each: Vec<String> = each.map(ToString::to_string).collect();
-    Some(format!("{} (base first)", each.join(", ")))
+    let tables = keys::value(&values, list)?.as_array()?.iter();
+    let each = tables.filter_map(|table| Some(table.get(name)?.to_string()));
+    Some(format!(
+        "{} (base first)",
+        each.collect::<Vec<_>>().join(", ")
+    ))
 }

@@ -1,91 +1,75 @@
 //! The known keys, as the default configuration has them, and which of them is nearest to a misspelt one.
 
-use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::parameters::Parameter;
 use cdcr_controller::robot::SectionParameters;
 use toml::{Table, Value};
-use toml_edit::{Item, TableLike};
 
-use super::{
-    ActuatorConfig, Config, CycleConfig, EstimatorConfig, LinkConfig, MotionConfig,
-    ObstaclesConfig, RealtimeConfig, ReferenceConfig, RobotConfig, SafetyConfig, TransportConfig,
-};
+use super::Config;
 
 /// How alike two names must be for one to be called a misspelling of the other.
 const ALIKE: f64 = 0.8;
 /// How much a key of the same table comes before one of another table.
 const SAME_TABLE: f64 = 0.05;
-
 /// Length from which on a part of a name says which one is meant.
 const PART: usize = 5;
+/// Longest name that may be a misspelling \[bytes\].
+const MISSPELT_MAX: usize = 100;
 
-static SETTABLE: LazyLock<BTreeMap<String, Value>> = LazyLock::new(|| {
-    let tables = values(&Config::default()).into_iter();
-    let keys = tables.flat_map(|(table, keys)| {
-        let keys = keys.as_table().cloned().unwrap_or_default();
-        keys.into_iter()
-            .map(move |(key, value)| (format!("{table}.{key}"), value))
-    });
-    keys.collect()
+/// A table, a key that has a value of its own, or a key inside a list of tables.
+#[derive(Debug)]
+pub(super) struct Key {
+    /// Like `cycle.period_ms` or `robot.sections.length_m`.
+    pub(super) name: String,
+    /// What is declared of it.
+    pub(super) parameter: &'static Parameter,
+    /// `None`: it has no value of its own.
+    pub(super) default: Option<Value>,
+}
+
+static KEYS: LazyLock<Vec<Key>> = LazyLock::new(|| {
+    let mut keys = Vec::new();
+    collect("", &values(&Config::default()), &mut keys);
+    keys
 });
 
-/// Every table and every key with what is declared of it, in the order of the default file.
-static DECLARED: LazyLock<Vec<(String, &'static Parameter)>> = LazyLock::new(|| {
-    let mut declared = Vec::new();
-    for table in Config::PARAMETERS {
-        declared.push((table.name.to_owned(), table));
-        for parameter in below(table.name) {
-            let key = format!("{}.{}", table.name, parameter.name);
-            let inner = below(&key)
-                .iter()
-                .map(|inner| (format!("{key}.{}", inner.name), inner));
-            let inner: Vec<_> = inner.collect();
-            declared.push((key, parameter));
-            declared.extend(inner);
-        }
+fn collect(above: &str, defaults: &Table, keys: &mut Vec<Key>) {
+    for parameter in below(above) {
+        let dot = if above.is_empty() { "" } else { "." };
+        let name = format!("{above}{dot}{}", parameter.name);
+        keys.push(Key {
+            name: name.clone(),
+            parameter,
+            default: value(defaults, &name).cloned(),
+        });
+        collect(&name, defaults, keys);
     }
-    declared
-});
+}
 
-/// The parameters of a table, or of a list of tables.
-fn below(key: &str) -> &'static [Parameter] {
+/// What is declared below nothing, a table, or a list of tables.
+pub(super) fn below(key: &str) -> &'static [Parameter] {
     match key {
-        "robot" => RobotConfig::PARAMETERS,
+        "" => Config::PARAMETERS,
         "robot.sections" => SectionParameters::PARAMETERS,
-        "link" => LinkConfig::PARAMETERS,
-        "actuator" => ActuatorConfig::PARAMETERS,
-        "estimator" => EstimatorConfig::PARAMETERS,
-        "cycle" => CycleConfig::PARAMETERS,
-        "motion" => MotionConfig::PARAMETERS,
-        "safety" => SafetyConfig::PARAMETERS,
-        "obstacles" => ObstaclesConfig::PARAMETERS,
-        "reference" => ReferenceConfig::PARAMETERS,
-        "controller" => NmpcSettings::PARAMETERS,
-        "realtime" => RealtimeConfig::PARAMETERS,
-        "transport" => TransportConfig::PARAMETERS,
-        _ => &[],
+        table => Config::parameters_of(table),
     }
 }
 
-/// Every key that has a value of its own, like `cycle.period_ms`, with its default.
-pub(super) fn settable() -> &'static BTreeMap<String, Value> {
-    &SETTABLE
+/// Every key, in the order of the default file.
+pub(super) fn all() -> &'static [Key] {
+    &KEYS
 }
 
-/// Every table, every key that has a value of its own, and every key inside a list of tables, like
-/// `robot.sections.length_m`, with what is declared of it.
-pub(super) fn all() -> &'static [(String, &'static Parameter)] {
-    &DECLARED
+/// A key or a table by its name.
+pub(super) fn get(name: &str) -> Option<&'static Key> {
+    all().iter().find(|key| key.name == name)
 }
 
-/// What is declared of a key or a table.
-pub(super) fn declared(key: &str) -> Option<&'static Parameter> {
-    let mut all = all().iter();
-    all.find(|(known, _)| known == key)
-        .map(|(_, parameter)| *parameter)
+/// The names of those that have a value of their own, and their defaults.
+pub(super) fn settable() -> impl Iterator<Item = (&'static str, &'static Value)> {
+    let keys = all().iter();
+    keys.filter_map(|key| Some((&*key.name, key.default.as_ref()?)))
 }
 
 /// The values of a configuration, table by table.
@@ -102,10 +86,9 @@ pub(super) fn value<'a>(values: &'a Table, key: &str) -> Option<&'a Value> {
 /// The keys that have other values in one configuration than in the other.
 pub(crate) fn changed(one: &Config, other: &Config) -> Vec<String> {
     let (one, other) = (values(one), values(other));
-    let keys = settable().keys();
-    keys.filter(|key| value(&one, key) != value(&other, key))
-        .cloned()
-        .collect()
+    let names = settable().map(|(name, _)| name);
+    let changed = names.filter(|name| value(&one, name) != value(&other, name));
+    changed.map(str::to_owned).collect()
 }
 
 /// The environment variable that sets `key`.
@@ -115,149 +98,85 @@ pub(super) fn variable(key: &str) -> String {
 
 /// `robot.sections[1].length_m` as `robot.sections.length_m`.
 pub(super) fn without_indices(key: &str) -> String {
-    let parts = key.split('.').map(|part| match part.split_once('[') {
-        Some((name, _)) => name,
-        None => part,
-    });
-    parts.collect::<Vec<_>>().join(".")
+    let parts = key.split('.').map(|part| part.split('['));
+    let names = parts.filter_map(|mut part| part.next());
+    names.collect::<Vec<_>>().join(".")
 }
 
-/// Longest name that may be a misspelling \[bytes\]: the likeness of long ones takes long to tell.
-const MISSPELT_MAX: usize = 100;
-
-/// The known key that `unknown` most likely means.
-pub(super) fn nearest(unknown: &str) -> Option<&'static str> {
-    if unknown.len() > MISSPELT_MAX {
-        return None;
-    }
-    let unknown = without_indices(&unknown.to_lowercase());
-    let scored = all()
-        .iter()
-        .map(|(known, _)| (likeness(&unknown, known), known));
-    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| b.1.cmp(a.1)));
-    best.filter(|(score, _)| *score >= ALIKE)
-        .map(|(_, known)| known.as_str())
-}
-
-/// How alike a misspelt key and a known one are, 0 to a little more than 1.
-fn likeness(unknown: &str, known: &str) -> f64 {
-    let (table, name) = split(unknown);
-    let (known_table, known_name) = split(known);
-    let bonus = if table == known_table {
-        SAME_TABLE
-    } else {
-        0.0
-    };
-    let is_part = name.len() >= PART && known_name.contains(name);
-    let part = if is_part { ALIKE } else { 0.0 };
-    let of_names = strsim::jaro_winkler(name, known_name).max(part) + bonus;
-    let (flat, known_flat) = (unknown.replace('.', "_"), known.replace('.', "_"));
-    let of_paths = strsim::normalized_damerau_levenshtein(&flat, &known_flat);
-    of_names.max(of_paths)
-}
-
-fn split(key: &str) -> (&str, &str) {
-    key.rsplit_once('.').unwrap_or(("", key))
-}
-
-/// The variable of a known key that a variable of another name most likely means.
-pub(super) fn nearest_variable(unknown: &str) -> Option<String> {
-    if unknown.len() > MISSPELT_MAX {
-        return None;
-    }
-    let name = |variable: &str| variable.trim_start_matches("CDCR_").to_owned();
-    let known = settable().keys().map(|key| variable(key));
-    let scored = known.map(|known| {
-        let score = strsim::normalized_damerau_levenshtein(&name(unknown), &name(&known));
-        (score, known)
-    });
-    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0));
+/// The best of some names, if it is alike enough. The likeness of long ones takes long to compute.
+fn best<T: Ord>(
+    unknown: &str,
+    known: impl Iterator<Item = T>,
+    likeness: impl Fn(&T) -> f64,
+) -> Option<T> {
+    let scored = known
+        .take_while(|_| unknown.len() <= MISSPELT_MAX)
+        .map(|known| (likeness(&known), known));
+    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| b.1.cmp(&a.1)));
     best.filter(|(score, _)| *score >= ALIKE)
         .map(|(_, known)| known)
 }
 
-/// The first key of a document that is not known, and at which byte it stands.
-pub(super) fn first_unknown(root: &dyn TableLike) -> Option<(String, Option<usize>)> {
-    let mut unknown = Vec::new();
-    for (table, item) in root.iter() {
-        let is_known = declared(table).is_some();
-        match item.as_table_like() {
-            _ if !is_known => unknown.push((table.to_owned(), offset(root, table))),
-            Some(keys) => collect_unknown(keys, table, &mut unknown),
-            None => {}
-        }
-    }
-    unknown
-        .into_iter()
-        .min_by_key(|(_, offset)| offset.unwrap_or(usize::MAX))
+/// The known key that `unknown` most likely means.
+pub(super) fn nearest(unknown: &str) -> Option<&'static str> {
+    let plain = without_indices(&unknown.to_lowercase());
+    let known = all().iter().map(|key| &*key.name);
+    best(unknown, known, |known| likeness(&plain, known))
 }
 
-fn collect_unknown(keys: &dyn TableLike, table: &str, unknown: &mut Vec<(String, Option<usize>)>) {
-    for (name, item) in keys.iter() {
-        let key = format!("{table}.{name}");
-        if declared(&key).is_none() {
-            unknown.push((key, offset(keys, name)));
-            continue;
-        }
-        if below(&key).is_empty() {
-            continue;
-        }
-        for (index, element) in elements(item).enumerate() {
-            for (name, _) in element.iter() {
-                if declared(&format!("{key}.{name}")).is_none() {
-                    let key = format!("{key}[{index}].{name}");
-                    unknown.push((key, offset(element, name)));
-                }
-            }
-        }
-    }
+/// How alike a misspelt key and a known one are, 0 to a little more than 1.
+fn likeness(unknown: &str, known: &str) -> f64 {
+    let [(table, name), (known_table, known_name)] =
+        [unknown, known].map(|key| key.rsplit_once('.').unwrap_or(("", key)));
+    let is_part = name.len() >= PART && known_name.contains(name);
+    let part = if is_part { ALIKE } else { 0.0 };
+    let bonus = SAME_TABLE * f64::from(u8::from(table == known_table));
+    let of_names = strsim::jaro_winkler(name, known_name).max(part) + bonus;
+    let [flat, known_flat] = [unknown, known].map(|key| key.replace('.', "_"));
+    of_names.max(strsim::normalized_damerau_levenshtein(&flat, &known_flat))
 }
 
-/// The tables of a list, however it is written.
-fn elements(item: &Item) -> impl Iterator<Item = &dyn TableLike> {
-    let as_tables = item.as_array_of_tables().into_iter().flatten();
-    let as_values = item.as_array().into_iter().flatten();
-    as_tables.map(|table| table as &dyn TableLike).chain(
-        as_values.filter_map(|value| value.as_inline_table().map(|table| table as &dyn TableLike)),
-    )
-}
-
-/// At which byte a key of a table stands.
-fn offset(table: &dyn TableLike, name: &str) -> Option<usize> {
-    let (key, item) = table.get_key_value(name)?;
-    let span = key.span().or_else(|| item.span())?;
-    Some(span.start)
+/// The variable of a known key that a variable of another name most likely means.
+pub(super) fn nearest_variable(unknown: &str) -> Option<String> {
+    let name = |variable: &str| variable.trim_start_matches("CDCR_").to_owned();
+    best(unknown, settable().map(|(key, _)| variable(key)), |known| {
+        strsim::normalized_damerau_levenshtein(&name(unknown), &name(known))
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     #[test]
     fn the_nearest_key_is_the_one_that_was_meant() {
-        for (unknown, meant) in [
-            ("cycle.periodms", "cycle.period_ms"),
-            ("cycle.period", "cycle.period_ms"),
-            ("cycle.perriod_ms", "cycle.period_ms"),
-            ("cycle.PERIOD_MS", "cycle.period_ms"),
-            ("cycle_period_ms", "cycle.period_ms"),
-            ("period_ms", "cycle.period_ms"),
-            ("robot.period_ms", "cycle.period_ms"),
-            ("cycl", "cycle"),
-            ("cycles.period_ms", "cycle.period_ms"),
-            ("controler", "controller"),
-            ("nmpc.swarm_size", "controller.swarm_size"),
-            ("cycle.swarm_size", "controller.swarm_size"),
-            ("controller.swarmsize", "controller.swarm_size"),
-            ("controller.horizon", "controller.horizon_steps"),
-            ("robot.section", "robot.sections"),
-            ("robot.sections[1].lenght_m", "robot.sections.length_m"),
-            ("robot.length_m", "robot.sections.length_m"),
-            ("realtime.priority", "realtime.cycle_priority"),
-            ("safety.clearance_m", "safety.clearance_fault_m"),
-            ("link.timeout_ms", "link.measurement_timeout_ms"),
+        for (meant, misspelt) in [
+            (
+                "cycle.period_ms",
+                "cycle.periodms cycle.period cycle.perriod_ms cycle.PERIOD_MS cycle_period_ms period_ms robot.period_ms \
+                 cycles.period_ms",
+            ),
+            ("cycle", "cycl"),
+            ("controller", "controler"),
+            (
+                "controller.swarm_size",
+                "nmpc.swarm_size cycle.swarm_size controller.swarmsize",
+            ),
+            ("controller.horizon_steps", "controller.horizon"),
+            ("robot.sections", "robot.section"),
+            (
+                "robot.sections.length_m",
+                "robot.sections[1].lenght_m robot.length_m",
+            ),
+            ("realtime.cycle_priority", "realtime.priority"),
+            ("safety.clearance_fault_m", "safety.clearance_m"),
+            ("link.measurement_timeout_ms", "link.timeout_ms"),
         ] {
-            assert_eq!(nearest(unknown), Some(meant), "{unknown}");
+            for unknown in misspelt.split(' ') {
+                assert_eq!(nearest(unknown), Some(meant), "{unknown}");
+            }
         }
         for foreign in ["", ".", "xyz", "cycle.colour", "π.ß[", "logging.verbose"] {
             assert_eq!(nearest(foreign), None, "{foreign}");
@@ -265,29 +184,19 @@ mod tests {
     }
 
     #[test]
-    fn every_key_has_a_variable_of_its_own() {
-        let mut variables: Vec<String> = settable().keys().map(|key| variable(key)).collect();
-        variables
-            .extend(["CDCR_CONFIG", "CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"].map(String::from));
-        let count = variables.len();
-        variables.sort();
-        variables.dedup();
-        assert_eq!(variables.len(), count);
-        assert!(variables.contains(&"CDCR_CYCLE_PERIOD_MS".to_owned()));
-    }
-
-    #[test]
-    fn variables_of_other_programs_are_not_near() {
+    fn every_key_has_a_variable_of_its_own_and_those_of_other_programs_are_not_near() {
+        let short = ["CDCR_CONFIG", "CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"].map(str::to_owned);
+        let variables: Vec<String> = settable()
+            .map(|(key, _)| variable(key))
+            .chain(short)
+            .collect();
         assert_eq!(
-            nearest_variable("CDCR_CYCLE_PERIOD").as_deref(),
-            Some("CDCR_CYCLE_PERIOD_MS")
+            variables.iter().collect::<BTreeSet<_>>().len(),
+            variables.len()
         );
-        for foreign in [
-            "CDCR_TEST_SECONDS",
-            "CDCR_SOAK_MINUTES",
-            "CDCR_KEEP_PICTURES",
-            "CDCR_",
-        ] {
+        let near = nearest_variable("CDCR_CYCLE_PERIOD");
+        assert_eq!(near.as_deref(), Some("CDCR_CYCLE_PERIOD_MS"));
+        for foreign in "CDCR_TEST_SECONDS CDCR_SOAK_MINUTES CDCR_KEEP_PICTURES CDCR_".split(' ') {
             assert_eq!(nearest_variable(foreign), None, "{foreign}");
         }
     }

@@ -1,14 +1,13 @@
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 use std::str::FromStr;
 
+use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
-use toml_edit::{Document, DocumentMut, Item};
 
 use super::error::{for_people, syntax};
-use super::origin::{key_at, line_at};
 use super::{Config, ConfigError, Origin, Origins, Settings, keys};
 
 /// Largest configuration \[bytes\]: a hundred times one with every key.
@@ -24,34 +23,22 @@ pub struct Layers {
 impl Layers {
     /// Takes over what a file sets.
     pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
-        let text = read(path).map_err(|cause| ConfigError::Unreadable {
-            file: path.to_owned(),
-            cause,
-        })?;
+        let file = path.to_owned();
+        let text = read(path).map_err(|cause| ConfigError::Unreadable { file, cause })?;
         self.text(&text, path)
     }
 
     /// Takes over what the text of a file sets; `file` is for the messages.
     pub fn text(mut self, text: &str, file: &Path) -> Result<Self, ConfigError> {
-        let document = Document::parse(text.to_owned()).map_err(|error| ConfigError::Syntax {
+        let places = places(text).map_err(|error| ConfigError::Syntax {
             file: file.to_owned(),
-            cause: syntax(text, error.span(), &error.to_string(), error.message()),
+            cause: syntax(text, &error),
         })?;
-        if let Some((key, offset)) = keys::first_unknown(document.as_table()) {
-            let line = offset.map(|offset| line_at(text, offset));
-            let file = file.to_owned();
-            return Err(unknown(&key, Origin::File { file, line }));
-        }
-        let mistyped = |cause: &toml::de::Error| {
-            let line = cause.span().map(|span| line_at(text, span.start));
-            let file = file.to_owned();
-            mistyped(text, "the file", &Origin::File { file, line }, cause)
-        };
-        toml::from_str::<Config>(text).map_err(|cause| mistyped(&cause))?;
-        let values: Table = toml::from_str(text).map_err(|cause| mistyped(&cause))?;
-        self.take_over(values);
-        self.origins.set_file(file.to_owned(), document);
-        Ok(self)
+        self.origins.file = Some(file.to_owned());
+        self.add(text, &places, |offset| Origin::File {
+            file: file.to_owned(),
+            line: Some(line_at(text, offset)),
+        })
     }
 
     /// Takes over what the environment sets: `CDCR_CYCLE_PERIOD_MS` is `cycle.period_ms`. Empty variables
@@ -69,11 +56,10 @@ impl Layers {
             if value.is_empty() {
                 continue;
             }
-            let mut known = keys::settable().keys();
+            let mut known = keys::settable().map(|(key, _)| key);
             if let Some(key) = known.find(|key| keys::variable(key) == name) {
                 let origin = Origin::Variable(name.to_owned());
-                let text = text_of(&value, key, &origin)?;
-                self = self.key(key, text, origin)?;
+                self = self.key(key, text_of(&value, key, &origin)?, &origin)?;
             } else if let Some(near) = keys::nearest_variable(name) {
                 warnings.push(format!("{name} sets nothing: did you mean {near}?"));
             }
@@ -82,37 +68,57 @@ impl Layers {
     }
 
     /// Sets one key, as TOML; a string needs no quotes.
-    pub fn key(self, key: &str, text: &str, origin: Origin) -> Result<Self, ConfigError> {
-        let Some(default) = keys::settable().get(key) else {
-            return Err(not_settable(key, origin));
-        };
-        let value = value_of(text, default).map_err(|message| error(key, &origin, &message))?;
-        self.put(key, value, origin)
+    pub fn key(self, key: &str, text: &str, origin: &Origin) -> Result<Self, ConfigError> {
+        let known = keys::get(key).and_then(|known| known.default.as_ref());
+        let default = known.ok_or_else(|| not_settable(key, origin))?;
+        let value = value_of(text, default).map_err(|message| origin.error(key, &message))?;
+        self.put(key, &value, origin)
     }
 
     /// Sets one key to a string, whatever is in it.
-    pub fn string(self, key: &str, text: &str, origin: Origin) -> Result<Self, ConfigError> {
-        self.put(key, text.into(), origin)
+    pub fn string(self, key: &str, text: &OsStr, origin: &Origin) -> Result<Self, ConfigError> {
+        self.put(key, &text_of(text, key, origin)?.into(), origin)
     }
 
-    fn put(
+    fn put(self, key: &str, value: &Value, origin: &Origin) -> Result<Self, ConfigError> {
+        let text = format!("{key} = {value}");
+        let places = places(&text).map_err(|cause| origin.error(key, cause.message()))?;
+        self.add(&text, &places, |_| origin.clone())
+    }
+
+    /// Checks the keys and types of a text, and takes over what it sets; `origin` is that of a byte of the text.
+    fn add(
         mut self,
-        key: &str,
-        value: toml_edit::Value,
-        origin: Origin,
+        text: &str,
+        places: &[Place],
+        origin: impl Fn(usize) -> Origin,
     ) -> Result<Self, ConfigError> {
-        let document = document_of(key, value);
-        if let Some((inner, _)) = keys::first_unknown(document.as_table()) {
-            return Err(unknown(&inner, origin));
+        let mut each = places.iter();
+        if let Some(place) = each.find(|place| keys::get(&place.declared).is_none()) {
+            return Err(ConfigError::unknown(&place.key, origin(place.offset)));
         }
-        let text = document.to_string();
-        if let Err(cause) = toml::from_str::<Config>(&text) {
-            return Err(mistyped(&text, key, &origin, &cause));
+        // At the innermost key that holds the value.
+        let mistyped = |cause: toml::de::Error| {
+            let offset = cause.span().map_or(0, |span| span.start);
+            let inner = places.iter().rfind(|place| place.offset <= offset);
+            let key = inner.map_or("the file", |place| &place.key);
+            origin(offset).error(key, &for_people(cause.message()))
+        };
+        toml::from_str::<Config>(text).map_err(mistyped)?;
+        let values: Table = toml::from_str(text).map_err(mistyped)?;
+        for (table, keys) in values {
+            let below = self.values.entry(&table);
+            let below = below.or_insert_with(|| Table::new().into());
+            if let (Value::Table(below), Value::Table(keys)) = (below, keys) {
+                for key in keys.keys() {
+                    self.origins.forget(&format!("{table}.{key}"));
+                }
+                below.extend(keys);
+            }
         }
-        let values =
-            Table::from_str(&text).map_err(|cause| error(key, &origin, cause.message()))?;
-        self.take_over(values);
-        self.origins.set_key(key.to_owned(), origin);
+        for Place { key, offset, .. } in places {
+            self.origins.set(key.clone(), origin(*offset));
+        }
         Ok(self)
     }
 
@@ -121,104 +127,109 @@ impl Layers {
         let Self { values, origins } = self;
         // By way of the text that each layer was checked as: a second way would be compiled, too.
         let config = toml::from_str(&values.to_string())
-            .map_err(|cause| error("the configuration", &Origin::Default, cause.message()))?;
+            .map_err(|cause| Origin::Default.error("the configuration", cause.message()))?;
         Ok(Settings::new(config, origins))
-    }
-
-    fn take_over(&mut self, values: Table) {
-        for (table, keys) in values {
-            let below = self
-                .values
-                .entry(table)
-                .or_insert_with(|| Value::Table(Table::new()));
-            match (below, keys) {
-                (Value::Table(below), Value::Table(keys)) => below.extend(keys),
-                (below, other) => *below = other,
-            }
-        }
     }
 }
 
 /// The text of a file. What is no file is not opened: a pipe may never end, and a device may do something.
 fn read(path: &Path) -> io::Result<String> {
-    let refused = |words: &str| Err(io::Error::other(words));
-    let metadata = std::fs::metadata(path)?;
-    if !metadata.is_file() {
-        return refused("it is not a file");
+    if !std::fs::metadata(path)?.is_file() {
+        return Err(io::Error::other("it is not a file"));
     }
     let mut text = String::new();
     let file = File::open(path)?;
     file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text)?;
     if text.len() as u64 > FILE_BYTES_MAX {
-        return refused("it is larger than 1 MiB");
+        return Err(io::Error::other("it is larger than 1 MiB"));
     }
     Ok(text)
 }
 
-/// The error of a value in `text` that has not the type of its key, at the innermost key that holds it.
-fn mistyped(text: &str, key: &str, origin: &Origin, cause: &toml::de::Error) -> ConfigError {
-    let inner = cause.span().and_then(|span| {
-        let document = Document::parse(text).ok()?;
-        key_at(document.as_item(), span.start)
-    });
-    let key = inner.as_deref().unwrap_or(key);
-    error(key, origin, &for_people(cause.message()))
+/// A table, a key or an element of a list in a text.
+struct Place {
+    /// As it is declared: `robot.sections.length_m`.
+    declared: String,
+    /// As messages name it: `robot.sections[1].length_m`.
+    key: String,
+    /// At which byte it stands.
+    offset: usize,
 }
 
-/// The text of a variable.
-fn text_of<'a>(value: &'a OsString, key: &str, origin: &Origin) -> Result<&'a str, ConfigError> {
-    let text = value.to_str();
-    text.ok_or_else(|| error(key, origin, "the value is not UTF-8 text"))
+/// The places of a text, in its order.
+fn places(text: &str) -> Result<Vec<Place>, toml::de::Error> {
+    let mut places = Vec::new();
+    below_table(DeTable::parse(text)?.get_ref(), "", "", &mut places);
+    places.sort_by_key(|place| place.offset);
+    Ok(places)
 }
 
-fn error(key: &str, origin: &Origin, message: &str) -> ConfigError {
-    ConfigError::Value {
-        origin: origin.clone(),
-        key: key.to_owned(),
-        message: message.trim_end().to_owned(),
+fn below_table(table: &DeTable, declared: &str, key: &str, places: &mut Vec<Place>) {
+    let dot = if key.is_empty() { "" } else { "." };
+    for (name, value) in table {
+        let declared = format!("{declared}{dot}{}", name.get_ref());
+        let key = format!("{key}{dot}{}", name.get_ref());
+        below_value(value.get_ref(), &declared, &key, places);
+        places.push(Place {
+            declared,
+            key,
+            offset: name.span().start,
+        });
     }
 }
 
-fn unknown(key: &str, origin: Origin) -> ConfigError {
-    ConfigError::Unknown {
-        origin,
-        key: key.to_owned(),
-        nearest: keys::nearest(key),
+fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<Place>) {
+    match value {
+        DeValue::Table(table) if !keys::below(declared).is_empty() => {
+            below_table(table, declared, key, places);
+        }
+        DeValue::Array(list) if keys::get(declared).is_some() => {
+            for (index, element) in list.iter().enumerate() {
+                let key = format!("{key}[{index}]");
+                below_value(element.get_ref(), declared, &key, places);
+                places.push(Place {
+                    declared: declared.to_owned(),
+                    key,
+                    offset: element.span().start,
+                });
+            }
+        }
+        _ => {}
     }
+}
+
+/// The line, from 1, of a byte of a text.
+pub(super) fn line_at(text: &str, offset: usize) -> usize {
+    let before = text.as_bytes().iter().take(offset);
+    1 + before.filter(|byte| **byte == b'\n').count()
+}
+
+fn text_of<'a>(value: &'a OsStr, key: &str, origin: &Origin) -> Result<&'a str, ConfigError> {
+    let refused = || origin.error(key, &format!("{} is not UTF-8 text", value.display()));
+    value.to_str().ok_or_else(refused)
 }
 
 /// Why a key cannot be set by itself.
-fn not_settable(key: &str, origin: Origin) -> ConfigError {
+fn not_settable(key: &str, origin: &Origin) -> ConfigError {
     let plain = keys::without_indices(key);
-    if keys::declared(&plain).is_none() {
-        return unknown(key, origin);
+    if keys::get(&plain).is_none() {
+        return ConfigError::unknown(key, origin.clone());
     }
     let message = match plain.rsplit_once('.') {
         None => "it is a table: set its keys one by one".to_owned(),
         Some((list, _)) => format!("{list} is set as a whole: {list}=[{{ … }}, {{ … }}]"),
     };
-    error(key, &origin, &message)
+    origin.error(key, &message)
 }
 
 /// A value as TOML; where a string is expected, a bare word is one.
-fn value_of(text: &str, default: &Value) -> Result<toml_edit::Value, String> {
+fn value_of(text: &str, default: &Value) -> Result<Value, String> {
     let is_quoted = text.trim_start().starts_with(['"', '\'']);
     // What is "auto" by default may be a number.
     let is_number = default.as_str() == Some("auto") && text.trim().parse::<f64>().is_ok();
     if default.is_str() && !is_quoted && !is_number {
         return Ok(text.into());
     }
-    toml_edit::Value::from_str(text.trim())
+    Value::from_str(text.trim())
         .map_err(|_| format!("{text:?} is no TOML value: expected one like {default}"))
-}
-
-/// A document that sets nothing but `key`.
-fn document_of(key: &str, value: toml_edit::Value) -> DocumentMut {
-    let mut document = DocumentMut::new();
-    if let Some((table, name)) = key.split_once('.') {
-        let mut keys = toml_edit::Table::new();
-        keys.insert(name, Item::Value(value));
-        document.insert(table, Item::Table(keys));
-    }
-    document
 }

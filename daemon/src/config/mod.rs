@@ -21,87 +21,97 @@ macro_rules! table {
     };
 }
 
-mod actuator;
-mod cycle;
-#[cfg(test)]
-mod default_file;
+/// The whole configuration, table by table.
+macro_rules! tables {
+    ($($(#[doc = $doc:literal])+ $name:ident: $table:ty;)+) => {
+        table! {
+            /// Everything a user can set.
+            pub struct Config { $($(#[doc = $doc])+ $name: $table = <$table>::default();)+ }
+        }
+
+        impl Config {
+            /// What is declared of the keys of a table.
+            fn parameters_of(table: &str) -> &'static [Parameter] {
+                match table {
+                    $(stringify!($name) => <$table>::PARAMETERS,)+
+                    _ => &[],
+                }
+            }
+
+            /// The numbers of each table, in the order of its parameters.
+            fn numbers_by_table(&self) -> Vec<(String, Vec<Option<f64>>)> {
+                vec![$((stringify!($name).to_owned(), self.$name.numbers().to_vec()),)+]
+            }
+        }
+    };
+}
+
+mod control;
 mod error;
-mod estimator;
 mod explain;
 mod keys;
 mod layers;
 mod link;
-mod motion;
-mod obstacles;
 mod origin;
 mod ranges;
 mod realtime;
-mod reference;
 mod robot;
 mod rules;
-mod safety;
-mod schema;
 mod settings;
 mod transport;
 
 use std::path::Path;
 
 use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::parameters::Parameter;
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Location;
 
-pub use actuator::ActuatorConfig;
-pub use cycle::CycleConfig;
+pub use control::{
+    ActuatorConfig, ApproachKind, CycleConfig, EstimatorConfig, MotionConfig, ObstaclesConfig,
+    REST_MAX_S, ReferenceConfig, SafetyConfig, SourceSilent,
+};
 pub use error::ConfigError;
-pub use estimator::EstimatorConfig;
-pub use explain::explain;
+pub use explain::{SCHEMA_TEXT, explain};
 pub(crate) use keys::changed as changed_keys;
 pub use layers::Layers;
 pub use link::{Interface, LinkConfig, LinkKind, TipSensor};
-pub use motion::{ApproachKind, MotionConfig, REST_MAX_S};
-pub use obstacles::{ObstaclesConfig, SourceSilent};
 pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};
-pub use reference::ReferenceConfig;
 pub use robot::RobotConfig;
-pub use safety::SafetyConfig;
-pub use schema::SCHEMA_TEXT;
 pub use settings::Settings;
 pub use transport::TransportConfig;
 
 /// The default configuration as a commented file: what `cdcrd config default` prints.
 pub const DEFAULT_TEXT: &str = include_str!("../../../configs/default.toml");
 
-table! {
-    /// Everything a user can set.
-    pub struct Config {
-        /// What the robot is.
-        robot: RobotConfig = RobotConfig::default();
-        /// Where measurements come from and commands go to.
-        link: LinkConfig = LinkConfig::default();
-        /// How the robot's motors follow their commands. What is known here is not an error of the robot: measurements are moved on along
-        /// what the motors did, and they are commanded ahead of the reference by delay and time constant together.
-        actuator: ActuatorConfig = ActuatorConfig::default();
-        /// How the configuration of the robot is estimated.
-        estimator: EstimatorConfig = EstimatorConfig::default();
-        /// The period and what counts as late.
-        cycle: CycleConfig = CycleConfig::default();
-        /// Motions that the daemon makes by itself.
-        motion: MotionConfig = MotionConfig::default();
-        /// What counts as a fault of the robot, its sensors or its surroundings.
-        safety: SafetyConfig = SafetyConfig::default();
-        /// Supervision of the sources of obstacles.
-        obstacles: ObstaclesConfig = ObstaclesConfig::default();
-        /// The reference and its lease.
-        reference: ReferenceConfig = ReferenceConfig::default();
-        /// The optimal control problem and its solver.
-        controller: NmpcSettings = NmpcSettings::default();
-        /// Threads, priorities, memory.
-        realtime: RealtimeConfig = RealtimeConfig::default();
-        /// Where in shared memory daemon and clients meet.
-        transport: TransportConfig = TransportConfig::default();
-    }
+tables! {
+    /// What the robot is.
+    robot: RobotConfig;
+    /// Where measurements come from and commands go to.
+    link: LinkConfig;
+    /// How the robot's motors follow their commands. What is known here is not an error of the robot: measurements are moved on along
+    /// what the motors did, and they are commanded ahead of the reference by delay and time constant together.
+    actuator: ActuatorConfig;
+    /// How the configuration of the robot is estimated.
+    estimator: EstimatorConfig;
+    /// The period and what counts as late.
+    cycle: CycleConfig;
+    /// Motions that the daemon makes by itself.
+    motion: MotionConfig;
+    /// What counts as a fault of the robot, its sensors or its surroundings.
+    safety: SafetyConfig;
+    /// Supervision of the sources of obstacles.
+    obstacles: ObstaclesConfig;
+    /// The reference and its lease.
+    reference: ReferenceConfig;
+    /// The optimal control problem and its solver.
+    controller: NmpcSettings;
+    /// Threads, priorities, memory.
+    realtime: RealtimeConfig;
+    /// Where in shared memory daemon and clients meet.
+    transport: TransportConfig;
 }
 
 /// A configuration whose every part was checked, as domain values.

@@ -5,30 +5,60 @@ use super::{Config, ConfigError, Origins};
 /// Refuses the first pair of values that contradict each other.
 pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     check_times(config, origins)?;
-    check_priorities(config, origins)?;
-    check_following(config, origins)?;
-    check_source_timeout(config, origins)?;
+    let (realtime, safety) = (&config.realtime, &config.safety);
+    let (exchange, cycle) = (realtime.exchange_priority, realtime.cycle_priority);
+    let (warning_rad, fault_rad) = (safety.following_warning_rad, safety.following_fault_rad);
+    let timeout_ms = config.obstacles.source_timeout_ms;
+    let rules: [(bool, &[&str], String); 3] = [
+        (
+            exchange < cycle,
+            &["realtime.exchange_priority", "realtime.cycle_priority"],
+            format!(
+                "exchange_priority = {exchange} must be below cycle_priority = {cycle}, so that the cycle pre-empts the \
+                 exchange"
+            ),
+        ),
+        (
+            warning_rad <= fault_rad,
+            &["safety.following_fault_rad", "safety.following_warning_rad"],
+            format!(
+                "following_fault_rad = {fault_rad} must be at least following_warning_rad = {warning_rad}, so that the \
+                 warning comes first"
+            ),
+        ),
+        (
+            timeout_ms >= 0.0 || timeout_ms == -1.0,
+            &["obstacles.source_timeout_ms"],
+            format!(
+                "source_timeout_ms = {timeout_ms} is out of range: allowed is -1, or at least 0"
+            ),
+        ),
+    ];
+    if let Some((_, keys, message)) = rules.iter().find(|(is_kept, ..)| !is_kept) {
+        return Err(origins.error(keys, message));
+    }
     config.controller.validate().map_err(|error| {
         let key = format!("controller.{}", error.key);
-        let others: &[&str] = match error.key {
-            "control_blocks" | "terminal_weight" => &["controller.horizon_steps"],
+        let keys: &[&str] = match error.key {
+            "control_blocks" | "terminal_weight" => &[&key, "controller.horizon_steps"],
             "obstacle_slope_penalty" => &[
+                &key,
                 "controller.obstacle_step_penalty",
                 "controller.obstacle_square_penalty",
             ],
-            _ => &[],
+            _ => &[&key],
         };
-        let keys = [&[key.as_str()], others].concat();
-        origins.error(&keys, &error.to_string())
+        origins.error(keys, &error.to_string())
     })
 }
 
 /// Times that the period bounds.
 fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    let (cycle, realtime) = (&config.cycle, &config.realtime);
+    let (cycle, spin_us) = (&config.cycle, config.realtime.spin_us);
     let period_ms = cycle.period_ms;
     let (half_ms, endless) = (0.5 * period_ms, f64::INFINITY);
-    let rules = [
+    let spin_min_us = if spin_us == -1.0 { -1.0 } else { 0.0 };
+    for (key, value, low, high) in [
         ("cycle.deadline_ms", cycle.deadline_ms, 0.0, period_ms),
         ("cycle.budget_ms", cycle.budget_ms, 0.0, period_ms),
         (
@@ -44,12 +74,7 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
             10.0 * period_ms,
             endless,
         ),
-        (
-            "realtime.spin_us",
-            realtime.spin_us,
-            if realtime.spin_us == -1.0 { -1.0 } else { 0.0 },
-            1e3 * half_ms,
-        ),
+        ("realtime.spin_us", spin_us, spin_min_us, 1e3 * half_ms),
         // The estimator remembers 128 periods, and measurements have an age.
         (
             "actuator.delay_ms",
@@ -57,63 +82,17 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
             0.0,
             64.0 * period_ms,
         ),
-    ];
-    for (key, value, low, high) in rules {
-        if (low..=high).contains(&value) {
-            continue;
-        }
-        let limit = if value < low {
-            format!("at least {low}")
-        } else {
-            format!("at most {high}")
+    ] {
+        let limit = match value {
+            value if value < low => format!("at least {low}"),
+            value if value > high => format!("at most {high}"),
+            _ => continue,
         };
-        let name = key.rsplit('.').next().unwrap_or(key);
+        let (_, name) = key.split_once('.').unwrap_or_default();
         let message = format!(
             "{name} = {value} is out of range: with cycle.period_ms = {period_ms}, allowed is {limit}"
         );
         return Err(origins.error(&[key, "cycle.period_ms"], &message));
     }
     Ok(())
-}
-
-fn check_following(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    let warning_rad = config.safety.following_warning_rad;
-    let fault_rad = config.safety.following_fault_rad;
-    if warning_rad <= fault_rad {
-        return Ok(());
-    }
-    Err(origins.error(
-        &["safety.following_fault_rad", "safety.following_warning_rad"],
-        &format!(
-            "following_fault_rad = {fault_rad} must be at least following_warning_rad = {warning_rad}, so that the \
-             warning comes first"
-        ),
-    ))
-}
-
-/// Below 0, -1 alone has a meaning.
-fn check_source_timeout(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    let timeout_ms = config.obstacles.source_timeout_ms;
-    if timeout_ms >= 0.0 || timeout_ms == -1.0 {
-        return Ok(());
-    }
-    Err(origins.error(
-        &["obstacles.source_timeout_ms"],
-        &format!("source_timeout_ms = {timeout_ms} is out of range: allowed is -1, or at least 0"),
-    ))
-}
-
-fn check_priorities(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    let exchange = config.realtime.exchange_priority;
-    let cycle = config.realtime.cycle_priority;
-    if exchange < cycle {
-        return Ok(());
-    }
-    Err(origins.error(
-        &["realtime.exchange_priority", "realtime.cycle_priority"],
-        &format!(
-            "exchange_priority = {exchange} must be below cycle_priority = {cycle}, so that the cycle \
-             pre-empts the exchange"
-        ),
-    ))
 }

@@ -57,11 +57,10 @@ impl Settings {
     /// The values that were set and differ from the default: key, value as TOML, origin as words.
     pub fn changed(&self) -> Vec<(&'static str, String, String)> {
         let values = keys::values(&self.config);
-        let changed = keys::settable().iter().filter_map(|(key, default)| {
-            let value = keys::value(&values, key)?;
-            let origin = self.origins.of(key);
+        let changed = keys::settable().filter_map(|(key, default)| {
+            let (value, origin) = (keys::value(&values, key)?, self.origins.of(key));
             let is_changed = value != default && origin != Origin::Default;
-            is_changed.then(|| (key.as_str(), value.to_string(), origin.to_string()))
+            is_changed.then(|| (key, value.to_string(), origin.to_string()))
         });
         changed.collect()
     }

@@ -1,18 +1,247 @@
-//! Texts, variables and options that make a configuration, and the messages of those that make none.
+//! Texts, variables and options that make a configuration, and the messages of those that make none. Which layer wins:
+//! `daemon/tests/suite/command_line.rs`.
 
-mod defaults;
-mod explanation;
-mod layers;
-mod lines;
-mod messages;
-mod rules;
+mod generated;
 
 use std::path::Path;
 
-use super::Config;
+use cdcr_controller::robot::Configuration;
+use cdcr_scratch::Scratch;
+use rustix::fs::{CWD, Mode, mkfifoat};
+
+use super::{
+    Config, ConfigError, CycleConfig, DEFAULT_TEXT, Layers, Origin, Settings, explain, keys, ns,
+};
+use crate::warnings::warnings;
 
 fn error_of(text: &str) -> String {
-    Config::parse(text, Path::new("robot.toml"))
-        .expect_err("it is wrong")
-        .to_string()
+    let result = Config::parse(text, Path::new("robot.toml"));
+    result.expect_err("it is wrong").to_string()
+}
+
+/// The configuration of a case of `messages.txt`, or why it is refused.
+fn settings(case: &[&str]) -> Result<Settings, ConfigError> {
+    let is_layer = |line: &&str| line.starts_with("--set ") || line.starts_with("CDCR_");
+    let (set, file): (Vec<&str>, Vec<&str>) = case.iter().partition(|line| is_layer(line));
+    let mut layers = Layers::default().text(&file.join("\n"), Path::new("robot.toml"))?;
+    for (key, value) in set.iter().filter_map(|line| line.split_once('=')) {
+        layers = match key.strip_prefix("--set ") {
+            Some(key) => layers.key(key, &value.replace("\\n", "\n"), &Origin::Option("--set"))?,
+            None => layers.variables([(key.into(), value.into())])?.0,
+        };
+    }
+    layers.settings()
+}
+
+/// Asserts what a line of `messages.txt` says of a case.
+fn assert_is(case: &[&str], mark: &str, words: &str) {
+    if let Some((key, part)) = words.split_once(" | ").filter(|_| mark == "?") {
+        let text = explain(key, &settings(case).unwrap()).unwrap();
+        return assert!(text.contains(&part.replace("\\n", "\n")), "{text}");
+    }
+    match (settings(case).and_then(Settings::validate), mark) {
+        (Ok(validated), "~") => {
+            let warnings = warnings(&validated.config);
+            assert!(
+                warnings.len() == 1 && warnings[0].contains(words),
+                "{warnings:?}"
+            );
+        }
+        (Ok(validated), "ok") => assert_eq!(warnings(&validated.config), [""; 0]),
+        (Ok(validated), ">") => {
+            let expected: toml::Table = words.parse().unwrap();
+            let (key, _) = words.split_once(" = ").unwrap();
+            let values = keys::values(&validated.config);
+            assert_eq!(keys::value(&values, key), keys::value(&expected, key));
+        }
+        (Err(error), "=") => assert_eq!(error.to_string(), words),
+        (result, _) => panic!("{result:?}"),
+    }
+}
+
+#[test]
+fn each_configuration_gets_its_message() {
+    let mut case = Vec::new();
+    let mut is_over = true;
+    for (index, line) in include_str!("messages.txt").lines().enumerate() {
+        let (mark, words) = line.split_once(' ').unwrap_or((line, ""));
+        if mark == "##" || is_over && line.is_empty() {
+            case.clear();
+        } else if ["=", "~", ">", "?", "ok"].contains(&mark) {
+            eprintln!("messages.txt, line {}: {line}", index + 1);
+            assert_is(&case, mark, words);
+            is_over = true;
+        } else {
+            if is_over {
+                case.clear();
+            }
+            case.push(line);
+            is_over = false;
+        }
+    }
+}
+
+#[test]
+fn nothing_the_default_file_and_every_configuration_that_we_ship_are_good() {
+    let from_text: Config = toml::from_str(DEFAULT_TEXT).unwrap();
+    assert_eq!(from_text, Config::default());
+    let validated = Config::parse("", Path::new("x")).unwrap();
+    assert_eq!(validated.initial, Configuration::straight(3));
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
+    let files = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let files: Vec<_> = files
+        .filter(|file| file.extension().is_some_and(|end| end == "toml"))
+        .collect();
+    assert!(files.len() >= 4, "{files:?}");
+    for file in files {
+        let good = Config::load(&file).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(warnings(&good.config), Vec::<String>::new());
+    }
+}
+
+#[test]
+fn an_explanation_of_a_table_has_that_of_each_key() {
+    let settings = settings(&["[cycle]", "period_ms = 2.0"]).unwrap();
+    let table = explain("cycle", &settings).unwrap();
+    for parameter in CycleConfig::PARAMETERS {
+        assert!(
+            table.contains(&format!("\ncycle.{}\n", parameter.name)),
+            "{table}"
+        );
+    }
+    let error = explain("cycle.perod_ms", &settings).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "unknown key cycle.perod_ms: did you mean cycle.period_ms?"
+    );
+    let changed = settings.changed();
+    assert_eq!(
+        changed,
+        [(
+            "cycle.period_ms",
+            "2.0".to_owned(),
+            "robot.toml, line 2".to_owned()
+        )]
+    );
+}
+
+#[test]
+fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
+    let long = "a".repeat(40_000);
+    for text in [
+        format!("robot.name = \"{long}\""),
+        format!("transport.prefix = \"{long}\""),
+        format!("transport.root = \"/{long}\""),
+        format!("link.kind = \"{long}\""),
+        format!("cycle.period_ms = \"{long}\""),
+        format!("cycle.period_ms = {long}"),
+        format!("cycle.{long} = 1"),
+        format!("{long} = 1"),
+        format!("[cycle]\n= {long}"),
+    ] {
+        let message = error_of(&text);
+        assert!(message.starts_with("robot.toml"), "{message}");
+        assert!(message.len() < 500, "{} bytes", message.len());
+        let (key, value) = text.split_once(" = ").unwrap_or_default();
+        if let Err(error) = Layers::default().key(key, value, &Origin::Option("--set")) {
+            assert!(error.to_string().len() < 500);
+        }
+    }
+    let message = error_of(&format!("robot.name = \"{long}\""));
+    assert!(
+        message.ends_with("letters, digits, '-' and '_'"),
+        "{message}"
+    );
+}
+
+#[test]
+fn what_is_no_file_or_too_large_a_one_is_refused_at_once() {
+    let folder = Scratch::temporary().unwrap();
+    let [large, pipe, missing] = ["large", "pipe", "missing"].map(|name| folder.path().join(name));
+    std::fs::write(&large, " ".repeat((1 << 20) + 1)).unwrap();
+    mkfifoat(CWD, &pipe, Mode::from_raw_mode(0o600)).unwrap();
+    for (path, words) in [
+        (Path::new("/dev/zero"), "it is not a file"),
+        (folder.path(), "it is not a file"),
+        (&pipe, "it is not a file"),
+        (&large, "it is larger than 1 MiB"),
+        (&missing, "missing` writes one to start from"),
+    ] {
+        let message = Config::load(path).expect_err("refused").to_string();
+        assert!(message.ends_with(words), "{message}");
+    }
+    std::fs::write(&large, " ".repeat(1 << 20)).unwrap();
+    assert!(Config::load(&large).is_ok());
+}
+
+#[test]
+fn a_group_may_be_a_number() {
+    let validated = Config::parse("transport.group = \"1001\"", Path::new("x")).unwrap();
+    assert_eq!(validated.group_id, Some(1001));
+}
+
+#[test]
+fn no_text_makes_the_parser_panic() {
+    let texts = "\u{feff}¦\0¦=¦[¦[[¦a.b.c.d = 1¦robot = []¦robot.sections = 1¦\"\" = 1¦robot.sections = [1, {}]¦\
+        [robot.sections]¦[cycle.period_ms]¦[[cycle.period_ms]]¦[[cycle]]¦\"a.b[\" = 1¦[robot]\n\"sections[9]\" = 1¦\
+        cycle.'period_ms' = 1979-05-27¦controller.seed = 9223372036854775807¦controller.seed = -1¦[π]\nß = 'é'¦\
+        cycle.period_ms = inf¦link.initial_bend_rad = [[nan, nan], [nan, nan], [nan, nan]]¦\
+        # expected struct\n# expected struct é\nrobot = 1¦robot.sections = []";
+    for text in texts.split('¦') {
+        if let Err(error) = Config::parse(text, Path::new("x")) {
+            assert!(error.to_string().len() > 5);
+        }
+    }
+}
+
+#[test]
+fn every_number_is_refused_just_outside_its_range() {
+    let section = "length_m = 5.0\ncable_radius_m = 0.01\ncable_offset_rad = 0.0\nbend_max_rad = 2.8\n\
+                   rate_max_rad_s = 2.0\nbody_radius_m = 0.015\n";
+    for key in keys::all() {
+        let Some(range) = &key.parameter.range else {
+            continue;
+        };
+        let name = key.parameter.name;
+        let others = section.lines().filter(|line| !line.starts_with(name));
+        let others = others.collect::<Vec<_>>().join("\n");
+        let is_whole = key.default.as_ref().is_some_and(toml::Value::is_integer);
+        let with = |value: f64| match &key.default {
+            None => format!("[[robot.sections]]\n{others}\n{name} = {value:?}\n"),
+            Some(_) if is_whole => format!("{} = {value}\n", key.name),
+            Some(_) => format!("{} = {value:?}\n", key.name),
+        };
+        let (low, high) = (*range.start(), *range.end());
+        let outside = if is_whole {
+            [low - 1.0, high + 1.0]
+        } else {
+            [low.next_down(), high.next_up()]
+        };
+        for value in outside {
+            let message = error_of(&with(value));
+            assert!(
+                message.contains(name) && message.contains("line"),
+                "{message}"
+            );
+        }
+        for value in [low, high] {
+            let result = Config::parse(&with(value), Path::new("x"));
+            let is_good = result.is_ok() || key.parameter.also.is_some();
+            assert!(is_good, "{} = {value}: {:?}", key.name, result.err());
+        }
+    }
+}
+
+#[test]
+fn the_shortest_period_has_times_of_its_own() {
+    let text = "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.04\n";
+    let cycle = Config::parse(text, Path::new("x")).unwrap().config.cycle;
+    let times = [
+        ns(cycle.period_ms),
+        cycle.deadline_ns(),
+        cycle.budget_margin_ns(),
+    ];
+    assert_eq!(times, [100_000, 100_000, 40_000]);
 }

@@ -1,0 +1,142 @@
+//! The default file and the schema are made of what is declared: every key with its words, its range and its default.
+
+use std::path::Path;
+
+use cdcr_controller::parameters::Parameter;
+use cdcr_controller::robot::SectionParameters;
+use cdcr_controller::robot::ranges::SECTION_COUNT;
+use schemars::generate::SchemaSettings;
+use serde_json::{Map, Value, json};
+
+use crate::config::{Config, DEFAULT_TEXT, SCHEMA_TEXT, keys};
+
+const HEAD: &str = "\
+# The default configuration of cdcrd: the paper's robot with three sections, simulated.
+# Every key is here with its default; a file needs only the keys that differ.
+# Units end the names. Check a file with: cdcrd check --config FILE
+# One key, and where its value comes from: cdcrd config explain cycle.period_ms
+";
+
+fn compare(name: &str, made: &str, committed: &str) {
+    if std::env::var_os("CDCR_GENERATE").is_some() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
+        std::fs::write(folder.join(name), made).unwrap();
+    } else {
+        assert!(
+            made == committed,
+            "{name}: run `CDCR_GENERATE=1 cargo test -p cdcr-daemon --lib generated` and commit what it writes"
+        );
+    }
+}
+
+#[test]
+fn the_committed_file_is_what_is_declared() {
+    let values = keys::values(&Config::default());
+    let sections = values["robot"]["sections"].as_array().unwrap();
+    let mut text = HEAD.to_owned();
+    for key in keys::all() {
+        let name = key.parameter.name;
+        let (gap, setting) = match &key.default {
+            None if !key.name.contains('.') => ("\n", format!("[{name}]\n")),
+            None => ("", line(name, &sections[0][name])),
+            Some(_) if key.name == "robot.sections" => ("\n", format!("[[{}]]\n", key.name)),
+            Some(default) => ("", line(name, default)),
+        };
+        text += gap;
+        let words = key.parameter.text();
+        text.extend(words.lines().map(|line| format!("# {line}\n")));
+        text += &setting;
+        if key.name == "robot.sections.body_radius_m" {
+            for section in &sections[1..] {
+                let parameters = SectionParameters::PARAMETERS.iter();
+                let lines =
+                    parameters.map(|parameter| line(parameter.name, &section[parameter.name]));
+                text += "\n[[robot.sections]]\n";
+                text.extend(lines);
+            }
+        }
+    }
+    compare("default.toml", &text, DEFAULT_TEXT);
+}
+
+fn line(name: &str, value: &toml::Value) -> String {
+    match value.as_float() {
+        Some(number) if number != 0.0 && number.abs() < 1e-6 => format!("{name} = {number:e}\n"),
+        Some(angle) if angle != 0.0 && name == "cable_offset_rad" => {
+            let degrees = angle.to_degrees().round();
+            format!("{name} = {value} # {degrees} degrees\n")
+        }
+        _ => format!("{name} = {value}\n"),
+    }
+}
+
+#[test]
+fn the_committed_schema_is_what_is_declared() {
+    let mut settings = SchemaSettings::draft2020_12().for_deserialize();
+    // Editors follow no links.
+    settings.inline_subschemas = true;
+    let generator = settings.into_generator();
+    let mut schema = generator.into_root_schema_for::<Config>().to_value();
+    schema["title"] = json!("Configuration of cdcrd");
+    for key in keys::all() {
+        let node = key.name.split('.').fold(&mut schema, |node, part| {
+            let is_list = node.get("items").is_some();
+            let node = if is_list { &mut node["items"] } else { node };
+            &mut node["properties"][part]
+        });
+        complete(
+            node.as_object_mut().expect(&key.name),
+            &key.name,
+            key.parameter,
+        );
+    }
+    compare("schema.json", &format!("{schema:#}\n"), SCHEMA_TEXT);
+}
+
+/// Adds words and range.
+fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
+    let mut set = |name: &str, value: Value| node.insert(name.to_owned(), value);
+    set("description", json!(parameter.text().replace('\n', " ")));
+    if key == "robot.sections" {
+        set("minItems", json!(SECTION_COUNT.start()));
+        set("maxItems", json!(SECTION_COUNT.end()));
+    }
+    if let Some(range) = &parameter.range {
+        let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
+        for (name, limit) in [("minimum", *range.start()), ("maximum", *range.end())] {
+            let limit = if is_whole {
+                json!(limit as i64)
+            } else {
+                json!(limit)
+            };
+            node.insert(name.to_owned(), limit);
+        }
+    }
+    if let Some(items) = node.get_mut("items").and_then(Value::as_object_mut) {
+        // What Rust calls one table of a list is nothing to people.
+        items.remove("description");
+    }
+    if node.contains_key("properties") {
+        // The defaults are with the keys.
+        node.remove("default");
+    }
+}
+
+#[test]
+fn every_key_has_words_and_every_number_a_range_that_is_said() {
+    for key in keys::all() {
+        let (name, parameter) = (&key.name, key.parameter);
+        assert!(parameter.text().len() > 10, "{name}: {}", parameter.text());
+        let is_said = parameter.doc.iter().any(|line| line.contains("{range}"));
+        assert_eq!(is_said, parameter.range.is_some(), "{name}");
+        let has_range = is_said || name == "controller.seed";
+        if let Some(default) = &key.default {
+            let is_number = default.is_float() || default.is_integer();
+            assert_eq!(
+                has_range,
+                is_number || name == "controller.rate_weight",
+                "{name}"
+            );
+        }
+    }
+}
