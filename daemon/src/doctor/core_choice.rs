@@ -38,7 +38,7 @@ fn can_be_pinned(core: usize) -> bool {
 
 /// The best core for a loop. In this order: one that no other loop has, an isolated one, one of the fast ones, one with
 /// idle hyper-threads, the last one. Where the process `ours` has a loop, its core.
-fn choose(
+pub(super) fn choose(
     system: &System,
     ours: Option<u32>,
     can_be_pinned: impl Fn(usize) -> bool,
@@ -110,122 +110,49 @@ fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
     let before = look();
     std::thread::sleep(WATCHED);
     let loads = core_loads(&before, &look());
-    let is_busy = |other: usize| {
+    let is_busy = |other| {
         loads
             .get(&other)
             .is_some_and(|load| load.busy > SIBLING_SHARE)
     };
-    let shared = siblings
+    let busy = siblings
         .into_iter()
         .filter(|(_, others)| others.iter().any(is_busy));
-    shared.map(|(core, _)| core).collect()
+    busy.map(|(core, _)| core).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::fake::Fake;
+    use super::super::tests::Machine;
     use super::*;
 
-    /// A machine with cores 0 to 3, all of which the process may use.
-    fn machine() -> Fake {
-        Fake::new(&[
-            (&format!("{CPU}/online"), "0-3"),
-            ("/proc/self/status", "Cpus_allowed_list:\t0-3"),
-        ])
-    }
-
-    fn chosen(fake: &Fake) -> Option<usize> {
-        choose(&fake.scene.system, None, |_| true)
-    }
-
-    fn pin_loop(fake: &Fake, process: u32, program: &str, cores: &str) {
-        let task = format!("/proc/{process}/task/{process}");
-        fake.write(&format!("/proc/{process}/comm"), program);
-        fake.write(&format!("{task}/comm"), "cdcr-cycle");
-        fake.write(
-            &format!("{task}/status"),
-            &format!("Cpus_allowed_list:\t{cores}"),
-        );
-    }
-
-    #[test]
-    fn the_last_core_is_as_good_as_any_other() {
-        assert_eq!(chosen(&machine()), Some(3));
-        let fake = machine();
-        fake.write("/proc/self/status", "Cpus_allowed_list:\t0-1");
-        assert_eq!(chosen(&fake), Some(1));
-        // One that does not run is no choice.
-        fake.write(&format!("{CPU}/online"), "0,2-3");
-        assert_eq!(chosen(&fake), Some(0));
-        assert_eq!(chosen(&Fake::new(&[])), None);
-    }
-
-    #[test]
-    fn an_isolated_core_comes_first_where_it_may_be_used() {
-        let fake = machine();
-        fake.write(&format!("{CPU}/isolated"), "1-2");
-        fake.write("/proc/self/status", "Cpus_allowed_list:\t0,3");
-        assert_eq!(chosen(&fake), Some(2));
-        assert_eq!(choose(&fake.scene.system, None, |core| core != 2), Some(1));
-        assert_eq!(choose(&fake.scene.system, None, |_| false), Some(3));
-    }
-
-    #[test]
-    fn slow_cores_come_last() {
-        let fake = machine();
-        fake.write("/sys/devices/cpu_core/cpus", "0-1");
-        fake.write("/sys/devices/cpu_atom/cpus", "2-3");
-        assert_eq!(chosen(&fake), Some(1));
-        let fake = machine();
-        for (core, capacity) in [(0, "1024"), (1, "1024"), (2, "446"), (3, "446")] {
-            fake.write(&format!("{CPU}/cpu{core}/cpu_capacity"), capacity);
-        }
-        assert_eq!(chosen(&fake), Some(1));
-        // Who isolated one has chosen it.
-        fake.write(&format!("{CPU}/isolated"), "3");
-        assert_eq!(chosen(&fake), Some(3));
-    }
-
-    #[test]
-    fn the_core_of_another_loop_is_taken_only_where_there_is_no_other() {
-        let fake = machine();
-        fake.write(&format!("{CPU}/isolated"), "3");
-        pin_loop(&fake, 40, "cdcrd", "3");
-        assert_eq!(chosen(&fake), Some(2));
-        // The daemon that is looked at has its core already.
-        assert_eq!(choose(&fake.scene.system, Some(40), |_| true), Some(3));
-        // A loop that was not pinned has no core of its own, and a program may name its threads as it likes.
-        pin_loop(&fake, 41, "cdcrd", "0-3");
-        pin_loop(&fake, 42, "other", "2");
-        assert_eq!(chosen(&fake), Some(2));
-        for core in 0..4 {
-            pin_loop(&fake, 50 + core, "cdcrd", &core.to_string());
-        }
-        assert_eq!(chosen(&fake), Some(3));
-    }
-
+    /// Which cores there are, and whom a machine is taken by: `findings.txt`.
     #[test]
     fn a_core_whose_hyper_thread_is_at_work_is_left_alone() {
-        let fake = machine();
+        let files = [
+            ("/sys/devices/system/cpu/online", "0-3"),
+            ("/proc/self/status", "Cpus_allowed_list:\t0-3"),
+        ];
+        let machine = Machine::new(&files);
         for (core, siblings) in [(0, "0,2"), (1, "1,3"), (2, "0,2"), (3, "1,3")] {
             let path = format!("{CPU}/cpu{core}/topology/thread_siblings_list");
-            fake.write(&path, siblings);
+            machine.write(&path, siblings);
         }
         let stat = |busy: u64| {
             let cores = [0, busy, 0, 0].into_iter().enumerate();
             let lines = cores.map(|(core, busy)| format!("cpu{core} {busy} 0 0 1000 0 0 0 0\n"));
             lines.collect::<String>()
         };
-        fake.write("/proc/stat", &stat(0));
-        assert_eq!(chosen(&fake), Some(3));
+        machine.write("/proc/stat", &stat(0));
+        let system = &machine.scene.system;
+        assert_eq!(choose(system, None, |_| true), Some(3));
         // Written while it is watched.
         std::thread::scope(|scope| {
-            let system = &fake.scene.system;
             let choice = scope.spawn(|| choose(system, None, |_| true));
             let mut used = 0;
             while !choice.is_finished() {
                 used += 100;
-                fake.write("/proc/stat.new", &stat(used));
+                machine.write("/proc/stat.new", &stat(used));
                 let path = |name: &str| system.path(name);
                 std::fs::rename(path("/proc/stat.new"), path("/proc/stat")).unwrap();
                 std::thread::sleep(WATCHED / 20);

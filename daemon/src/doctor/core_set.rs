@@ -7,6 +7,7 @@ use std::fmt;
 const CORES_MAX: usize = 8192;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize))]
 pub(crate) struct CoreSet(BTreeSet<usize>);
 
 impl CoreSet {

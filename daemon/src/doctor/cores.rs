@@ -1,23 +1,26 @@
 //! The core of the real-time threads: whom it is kept from, with whom it shares, how fast it wakes up.
 
-use super::finding::{Assessed, warning};
+use super::Severity::Warning;
+use super::finding::{Assessed, problem};
 use super::scheduler::PERIOD_MS_FINE;
 use super::{CPU, CoreSet, Scene};
 
-pub(super) const TWO_CORES: &str = "use a machine with two cores or more";
 /// A sibling with less load is idle.
 pub(super) const SIBLING_SHARE: f64 = 0.05;
 /// A sleep with a shorter way out is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
 pub(super) fn cores(scene: &Scene) -> Assessed {
-    let [online, allowed] = [scene.system.online()?, scene.system.allowed()?];
-    let value = format!("{} online, {} allowed", online.count(), allowed.count());
-    if online.count().min(allowed.count()) > 1 {
-        return Ok(value);
+    let [online, allowed] =
+        [scene.system.online()?, scene.system.allowed()?].map(|set| set.count());
+    if online.min(allowed) > 1 {
+        return Ok(format!("{online} online, {allowed} allowed"));
     }
-    let remedy = "use a machine, or a control group, with two cores or more";
-    Err(warning(value, remedy))
+    problem!(
+        Warning,
+        "{online} online, {allowed} allowed",
+        "use a machine, or a control group, with two cores or more"
+    )
 }
 
 pub(super) fn isolation(scene: &Scene) -> Assessed {
@@ -27,21 +30,25 @@ pub(super) fn isolation(scene: &Scene) -> Assessed {
         return Ok(format!("core {core} is isolated"));
     }
     if let Some(better) = isolated.iter().next() {
-        return Err(warning(
-            format!("core {core} is not isolated, but {isolated} is"),
-            format!("set realtime.core = {better}"),
-        ));
+        return problem!(
+            Warning,
+            "core {core} is not isolated, but {isolated} is",
+            "set realtime.core = {better}"
+        );
     }
     if scene.system.online()?.count() < 2 {
-        return Err(warning("the only core cannot be isolated", TWO_CORES));
+        return problem!(
+            Warning,
+            "the only core cannot be isolated",
+            "use a machine with two cores or more"
+        );
     }
-    Err(warning(
-        format!("core {core} is open to everybody"),
-        format!(
-            "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set \
-             kernel.timer_migration=0 in /etc/sysctl.d/"
-        ),
-    ))
+    problem!(
+        Warning,
+        "core {core} is open to everybody",
+        "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 \
+         in /etc/sysctl.d/"
+    )
 }
 
 pub(super) fn tick(scene: &Scene) -> Assessed {
@@ -58,12 +65,11 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
     if has_no_tick || period_ms >= PERIOD_MS_FINE {
         return Ok(value.to_owned());
     }
-    Err(warning(
-        format!("{value}; the period is {period_ms} ms"),
-        format!(
-            "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/"
-        ),
-    ))
+    problem!(
+        Warning,
+        "{value}; the period is {period_ms} ms",
+        "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/"
+    )
 }
 
 pub(super) fn siblings(scene: &Scene) -> Assessed {
@@ -78,10 +84,10 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
     let percent = 100.0 * busy;
     let value = format!("shared with core {siblings}, busy for {percent:.0} % of this second");
     if busy < SIBLING_SHARE {
-        Ok(value)
-    } else {
-        Err(warning(value, rest_alone(scene, &siblings)?))
+        return Ok(value);
     }
+    let remedy = rest_alone(scene, &siblings)?;
+    problem!(Warning, "{value}", "{remedy}")
 }
 
 /// How the core gets its hardware alone. The siblings are switched off only where another core is left for
@@ -108,10 +114,7 @@ pub(super) fn governor(scene: &Scene) -> Assessed {
     match scene.system.read_if_there(&path)? {
         None => Ok("none: the system does not choose the frequency".to_owned()),
         Some(governor) if governor == "performance" => Ok(governor),
-        Some(other) => Err(warning(
-            other,
-            format!("echo performance | sudo tee {path}"),
-        )),
+        Some(other) => problem!(Warning, "{other}", "echo performance | sudo tee {path}"),
     }
 }
 
@@ -120,37 +123,35 @@ pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
         return Ok("none: the system does not choose how to sleep".to_owned());
     };
     let value = format!("{name}, {exit_us} µs to wake up");
-    if exit_us <= EXIT_US {
-        return Ok(value);
-    }
-    if !scene.realtime().no_deep_sleep {
-        return Err(warning(
-            format!("{value}; realtime.no_deep_sleep is false"),
-            "set realtime.no_deep_sleep = true",
-        ));
-    }
     match &scene.probe.deep_sleep_lock {
+        _ if exit_us <= EXIT_US => Ok(value),
+        _ if !scene.realtime().no_deep_sleep => problem!(
+            Warning,
+            "{value}; realtime.no_deep_sleep is false",
+            "set realtime.no_deep_sleep = true"
+        ),
         Ok(()) => Ok(format!("{value}; the daemon keeps it away")),
-        Err(refusal) => Err(warning(
-            format!("{value}; /dev/cpu_dma_latency cannot be opened: {refusal}"),
-            "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency",
-        )),
+        Err(refusal) => problem!(
+            Warning,
+            "{value}; /dev/cpu_dma_latency cannot be opened: {refusal}",
+            "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency"
+        ),
     }
 }
 
 /// Longest way out \[µs\] and name of the deepest sleep that is allowed.
 fn deepest_sleep(scene: &Scene) -> Assessed<Option<(i64, String)>> {
+    let system = &scene.system;
     let folder = format!("{CPU}/cpu{}/cpuidle", scene.core()?);
     let mut deepest: Option<(i64, String)> = None;
-    for state in scene.system.names(&folder) {
-        let path = |file: &str| format!("{folder}/{state}/{file}");
-        let is_off = scene.system.read_if_there(&path("disable"))?;
+    for state in system.names(&folder) {
+        let is_off = system.read_if_there(&format!("{folder}/{state}/disable"))?;
         if !state.starts_with("state") || is_off.is_some_and(|flag| flag != "0") {
             continue;
         }
-        let exit_us = scene.system.number(&path("latency"))?;
+        let exit_us = system.number(&format!("{folder}/{state}/latency"))?;
         if deepest.as_ref().is_none_or(|(known, _)| *known < exit_us) {
-            deepest = Some((exit_us, scene.system.read(&path("name"))?));
+            deepest = Some((exit_us, system.read(&format!("{folder}/{state}/name"))?));
         }
     }
     Ok(deepest)

@@ -42,37 +42,25 @@ pub(crate) struct Problem {
     pub(super) remedy: String,
 }
 
-impl Problem {
-    fn new(severity: Severity, value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self {
-            severity,
-            value: value.into(),
-            remedy: remedy.into(),
-        }
+/// A problem of a severity: what was seen, and the remedy, both as in `format!`.
+macro_rules! problem {
+    ($severity:expr, $value:literal, $remedy:literal) => {
+        Err($crate::doctor::finding::Problem {
+            severity: $severity,
+            value: format!($value),
+            remedy: format!($remedy),
+        })
+    };
+}
+pub(super) use problem;
+
+/// The problem of a file, or of what stands in it.
+pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Problem {
+    Problem {
+        severity: Severity::Unknown,
+        value: format!("{what} cannot be read: {cause}"),
+        remedy: "run `cdcrd doctor` as root, or look by hand".to_owned(),
     }
-
-    /// `what` is a file, or what stands in it.
-    pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Self {
-        unknown(
-            format!("{what} cannot be read: {cause}"),
-            "run `cdcrd doctor` as root, or look by hand",
-        )
-    }
-}
-
-/// Bad for timing.
-pub(super) fn warning(value: impl Into<String>, remedy: impl Into<String>) -> Problem {
-    Problem::new(Severity::Warning, value, remedy)
-}
-
-/// It keeps the daemon from starting.
-pub(super) fn fault(value: impl Into<String>, remedy: impl Into<String>) -> Problem {
-    Problem::new(Severity::Fault, value, remedy)
-}
-
-/// Not to be read; `remedy` makes it readable.
-pub(super) fn unknown(value: impl Into<String>, remedy: impl Into<String>) -> Problem {
-    Problem::new(Severity::Unknown, value, remedy)
 }
 
 /// One thing that matters, and how it is.
@@ -102,10 +90,8 @@ pub(crate) struct DoctorReport {
 impl DoctorReport {
     pub(crate) fn new(findings: Vec<Finding>) -> Self {
         let worst = findings.iter().map(|finding| finding.severity).max();
-        Self {
-            worst: worst.unwrap_or(Severity::Ok),
-            findings,
-        }
+        let worst = worst.unwrap_or(Severity::Ok);
+        Self { worst, findings }
     }
 
     pub(crate) fn count(&self, severity: Severity) -> usize {

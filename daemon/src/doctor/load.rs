@@ -1,7 +1,7 @@
 //! Who else uses the core.
 
-use super::cores::TWO_CORES;
-use super::finding::{Assessed, Problem, warning};
+use super::Severity::Warning;
+use super::finding::{Assessed, problem, unreadable};
 use super::sample::{Load, Thread};
 use super::{CoreSet, Scene};
 
@@ -11,30 +11,26 @@ const STEAL_SHARE: f64 = 0.01;
 const NEIGHBOUR_SHARE: f64 = 0.05;
 /// Interrupts of devices below this rate are rare beside the periods \[1/s\].
 const INTERRUPT_HZ: f64 = 100.0;
-/// How many of the largest are named.
-const NAMED: usize = 3;
 
 /// The first ones in words.
 fn named(all: impl Iterator<Item = String>) -> String {
-    all.take(NAMED).collect::<Vec<_>>().join(", ")
+    all.take(3).collect::<Vec<_>>().join(", ")
 }
 
 pub(super) fn steal(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let load = scene.load()?.cores.get(&core);
-    let hidden = || Problem::unreadable(&format!("the time of core {core}"), "not shown");
-    let load = load.ok_or_else(hidden)?;
-    let [now, since_start] = [load.steal, load.steal_since_start];
-    let value = format!(
-        "{:.1} % in this second, {:.2} % since the machine started",
-        100.0 * now,
-        100.0 * since_start
-    );
-    if now.max(since_start) < STEAL_SHARE {
+    let hidden = || unreadable(&format!("the time of core {core}"), "not shown");
+    let load = scene.load()?.cores.get(&core).ok_or_else(hidden)?;
+    let [now, since_start] = [load.steal, load.steal_since_start].map(|share| 100.0 * share);
+    let value = format!("{now:.1} % in this second, {since_start:.2} % since the machine started");
+    if now.max(since_start) < 100.0 * STEAL_SHARE {
         return Ok(value);
     }
-    let remedy = "ask for dedicated (pinned) cores for this virtual machine";
-    Err(warning(value, remedy))
+    problem!(
+        Warning,
+        "{value}",
+        "ask for dedicated (pinned) cores for this virtual machine"
+    )
 }
 
 pub(super) fn neighbours(scene: &Scene) -> Assessed {
@@ -44,10 +40,9 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
         return Ok(format!("nobody else on core {core}"));
     };
     let sum: f64 = neighbours.iter().map(|(_, share)| share).sum();
-    let each = neighbours.iter().map(|(thread, share)| {
-        let Thread { name, id, .. } = thread;
-        format!("{name} ({id}) {:.0} %", 100.0 * share)
-    });
+    let each = neighbours
+        .iter()
+        .map(|(Thread { name, id, .. }, share)| format!("{name} ({id}) {:.0} %", 100.0 * share));
     let value = format!("{:.0} % of core {core}: {}", 100.0 * sum, named(each));
     if sum < NEIGHBOUR_SHARE {
         return Ok(value);
@@ -58,10 +53,12 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
     } else if busiest.is_kernel || others.count() == 0 {
         "isolate the core (see `isolated core`)".to_owned()
     } else {
-        let id = busiest.id;
-        format!("sudo taskset -pc {others} {id}   (or isolate the core)")
+        format!(
+            "sudo taskset -pc {others} {}   (or isolate the core)",
+            busiest.id
+        )
     };
-    Err(warning(value, remedy))
+    problem!(Warning, "{value}", "{remedy}")
 }
 
 /// A thread that another daemon of ours has pinned here: its core is a matter of its configuration.
@@ -80,9 +77,8 @@ fn apart(others: &CoreSet) -> String {
 pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let limit = scene.realtime().exchange_priority;
-    let (kernel, programs): (Vec<_>, Vec<_>) = rivals(scene.load()?, core, limit)
-        .into_iter()
-        .partition(|thread| thread.is_kernel);
+    let rivals = rivals(scene.load()?, core, limit);
+    let (kernel, programs): (Vec<_>, Vec<_>) = rivals.iter().partition(|thread| thread.is_kernel);
     let described = |threads: &[&Thread]| named(threads.iter().map(|thread| described(thread)));
     let Some(first) = programs.first() else {
         return Ok(match kernel.len() {
@@ -98,9 +94,12 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
     } else {
         format!("sudo chrt -f -p 1 {}", first.id)
     };
-    let count = programs.len();
-    let value = format!("{count} may use core {core}: {}", described(&programs));
-    Err(warning(value, remedy))
+    let (count, described) = (programs.len(), described(&programs));
+    problem!(
+        Warning,
+        "{count} may use core {core}: {described}",
+        "{remedy}"
+    )
 }
 
 /// A real-time thread; one of the kernel with what it is there for.
@@ -127,9 +126,10 @@ fn errand(name: &str) -> &'static str {
         ("sugov:", ", sets the frequency"),
         ("irq/", ", serves a device"),
         ("rcu", ", frees memory of the kernel"),
+        ("", ", a helper of the kernel"),
     ];
     let found = known.iter().find(|(begin, _)| name.starts_with(begin));
-    found.map_or(", a helper of the kernel", |(_, errand)| errand)
+    found.map_or("", |(_, errand)| errand)
 }
 
 /// Threads that may go before the exchange on the core, and programs that are there for good.
@@ -148,27 +148,24 @@ pub(super) fn interrupts(scene: &Scene) -> Assessed {
     if rates.is_empty() {
         return Ok(format!("none on core {core}"));
     }
-    let each = rates.iter().map(|rate| {
-        format!(
-            "{} ({}) {:.0}/s",
-            rate.label, rate.description, rate.rate_hz
-        )
-    });
+    let each = rates
+        .iter()
+        .map(|one| format!("{} ({}) {:.0}/s", one.label, one.description, one.rate_hz));
     let devices: Vec<_> = rates.iter().filter(|rate| rate.is_device()).collect();
     let device_hz: f64 = devices.iter().map(|rate| rate.rate_hz).sum();
     let value = format!("{device_hz:.0}/s of devices; largest {}", named(each));
     let Some(worst) = devices.first().filter(|_| device_hz >= INTERRUPT_HZ) else {
         return Ok(value);
     };
-    let others = scene.other_cores()?;
-    let remedy = match others.count() {
-        0 => TWO_CORES.to_owned(),
-        _ => format!(
-            "echo {others} | sudo tee /proc/irq/{}/smp_affinity_list",
-            worst.label
+    let (others, label) = (scene.other_cores()?, &worst.label);
+    match others.count() {
+        0 => problem!(Warning, "{value}", "use a machine with two cores or more"),
+        _ => problem!(
+            Warning,
+            "{value}",
+            "echo {others} | sudo tee /proc/irq/{label}/smp_affinity_list"
         ),
-    };
-    Err(warning(value, remedy))
+    }
 }
 
 pub(super) fn irqbalance(scene: &Scene) -> Assessed {
@@ -185,11 +182,9 @@ pub(super) fn irqbalance(scene: &Scene) -> Assessed {
     if CoreSet::parse(banned.unwrap_or_default()).contains(core) {
         return Ok(format!("runs, and spares core {core}"));
     }
-    Err(warning(
+    problem!(
+        Warning,
         "runs, and does not spare the core",
-        format!(
-            "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl \
-             restart irqbalance"
-        ),
-    ))
+        "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl restart irqbalance"
+    )
 }

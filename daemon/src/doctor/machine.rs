@@ -1,59 +1,57 @@
-//! What kind of machine this is, and its memory: shared, huge, swapped.
+//! What kind of machine this is, its memory (shared, huge, swapped), and the folder in which daemon and clients find each other.
+
+use std::io::ErrorKind;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::Path;
 
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
+use rustix::fs::{Access, access};
 
 use super::Scene;
-use super::finding::{Assessed, Problem, fault, unknown, warning};
+use super::Severity::{Fault, Unknown, Warning};
+use super::finding::{Assessed, problem, unreadable};
 use super::system::chosen_of;
 use crate::services::daemon_bytes;
 
 /// Clocks that are read without a system call.
-const FAST: [&str; 9] = [
-    "tsc",
-    "kvm-clock",
-    "hyperv_clocksource_tsc_page",
-    "xen",
-    "arch_sys_counter",
-    "riscv_clocksource",
-    "timebase",
-    "tod",
-    "stp",
-];
+const FAST: &str = "tsc kvm-clock hyperv_clocksource_tsc_page xen arch_sys_counter riscv_clocksource timebase tod stp";
 /// Clocks that are read from a device, or count ticks.
-const SLOW: [&str; 6] = [
-    "hpet",
-    "acpi_pm",
-    "jiffies",
-    "refined-jiffies",
-    "pit",
-    "hyperv_clocksource_msr",
-];
+const SLOW: &str = "hpet acpi_pm jiffies refined-jiffies pit hyperv_clocksource_msr";
 
 pub(super) fn clock_source(scene: &Scene) -> Assessed {
+    let is_among = |names: &str, name: &str| names.split(' ').any(|known| known == name);
     let folder = "/sys/devices/system/clocksource/clocksource0";
     let current = scene
         .system
         .read(&format!("{folder}/current_clocksource"))?;
-    if FAST.contains(&&*current) {
+    if is_among(FAST, &current) {
         return Ok(current);
     }
-    let available = format!("{folder}/available_clocksource");
-    if !SLOW.contains(&&*current) {
-        let value = format!("{current}: its speed is not known here");
-        return Err(unknown(value, format!("cat {available}")));
+    if !is_among(SLOW, &current) {
+        return problem!(
+            Unknown,
+            "{current}: its speed is not known here",
+            "cat {folder}/available_clocksource"
+        );
     }
-    let available = scene.system.read(&available)?;
-    let mut available = available.split_whitespace();
-    Err(match available.find(|name| FAST.contains(name)) {
-        Some(better) => warning(
-            format!("{current}, though {better} is there"),
-            format!("echo {better} | sudo tee {folder}/current_clocksource"),
+    let available = scene
+        .system
+        .read(&format!("{folder}/available_clocksource"))?;
+    match available
+        .split_whitespace()
+        .find(|name| is_among(FAST, name))
+    {
+        Some(better) => problem!(
+            Warning,
+            "{current}, though {better} is there",
+            "echo {better} | sudo tee {folder}/current_clocksource"
         ),
-        None => warning(
-            format!("{current}; there is no fast one"),
-            "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable",
+        None => problem!(
+            Warning,
+            "{current}; there is no fast one",
+            "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable"
         ),
-    })
+    }
 }
 
 pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
@@ -65,33 +63,41 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
         text.unwrap_or_default()
     });
     let product = product.join(" ");
-    let known = [
+    let mut known = [
         "KVM",
         "QEMU",
         "VMware",
         "VirtualBox",
         "Virtual Machine",
         "Xen",
-    ];
-    if !has_flag && !known.iter().any(|name| product.contains(name)) {
+    ]
+    .iter();
+    if !has_flag && !known.any(|name| product.contains(name)) {
         return Ok("no".to_owned());
     }
-    let kind = match product.trim() {
-        "" => "of unknown make",
-        product => product,
+    let kind = if product == " " {
+        "of unknown make"
+    } else {
+        product.trim()
     };
-    let remedy = "run on the machine itself, or pin this virtual machine to cores of its own";
-    Err(warning(format!("yes, {kind}"), remedy))
+    problem!(
+        Warning,
+        "yes, {kind}",
+        "run on the machine itself, or pin this virtual machine to cores of its own"
+    )
 }
 
 /// What one client and one driver add that write everything they can \[bytes\].
 const fn client_bytes() -> u64 {
-    let reference = Service::Reference.queues();
-    let obstacles = Service::Obstacles.queues();
-    let measurement = Service::Measurement.queues();
-    reference.writer_bytes(size_of::<ReferenceChunk>())
-        + obstacles.writer_bytes(size_of::<ObstacleUpdate>())
-        + measurement.writer_bytes(size_of::<Measurement>())
+    Service::Reference
+        .queues()
+        .writer_bytes(size_of::<ReferenceChunk>())
+        + Service::Obstacles
+            .queues()
+            .writer_bytes(size_of::<ObstacleUpdate>())
+        + Service::Measurement
+            .queues()
+            .writer_bytes(size_of::<Measurement>())
 }
 
 /// Files (inodes) of a daemon, and what a client and a driver add.
@@ -100,7 +106,7 @@ const CLIENT_FILES: u64 = 60;
 
 pub(super) fn shared_memory(scene: &Scene) -> Assessed {
     let probe = &scene.probe;
-    let hidden = |cause| Problem::unreadable(&scene.root().display().to_string(), cause);
+    let hidden = |cause| unreadable(&scene.root().display().to_string(), cause);
     let (size, free) = probe.shared_memory_bytes.as_ref().map_err(hidden)?;
     // A daemon that runs has taken its part.
     let (daemon, daemon_files) = if scene.daemon_runs() {
@@ -114,22 +120,22 @@ pub(super) fn shared_memory(scene: &Scene) -> Assessed {
     let mount = probe.shared_memory_mount.display();
     let files = CLIENT_FILES + daemon_files;
     if let Some(free) = probe.shared_memory_files.filter(|free| *free < files) {
-        return Err(fault(
-            format!("{value}; {free} files can be made, still needed {files}"),
-            format!("sudo mount -o remount,nr_inodes=100k {mount}, or remove files there"),
-        ));
+        return problem!(
+            Fault,
+            "{value}; {free} files can be made, still needed {files}",
+            "sudo mount -o remount,nr_inodes=100k {mount}, or remove files there"
+        );
     }
+    if *free >= needed {
+        return Ok(value);
+    }
+    let severity = if *free < daemon { Fault } else { Warning };
     let enough = (size + needed).next_multiple_of(1 << 26) >> 20;
-    let remedy = format!(
+    problem!(
+        severity,
+        "{value}",
         "sudo mount -o remount,size={enough}M {mount}   (a container: --shm-size={enough}m)"
-    );
-    if *free < daemon {
-        Err(fault(value, remedy))
-    } else if *free < needed {
-        Err(warning(value, remedy))
-    } else {
-        Ok(value)
-    }
+    )
 }
 
 pub(super) fn huge_pages(scene: &Scene) -> Assessed {
@@ -137,55 +143,101 @@ pub(super) fn huge_pages(scene: &Scene) -> Assessed {
     let Some(text) = scene.system.read_if_there(path)? else {
         return Ok("the kernel has none".to_owned());
     };
-    let odd = || Problem::unreadable(path, format!("{text:?} has no choice in brackets"));
+    let odd = || unreadable(path, format!("{text:?} has no choice in brackets"));
     let chosen = chosen_of(&text, ['[', ']']).ok_or_else(odd)?;
     match &scene.probe.no_huge_pages {
         _ if chosen != "always" => Ok(chosen.to_owned()),
         Ok(()) => Ok("always, but not for the daemon: it exempts itself".to_owned()),
-        Err(refusal) => Err(warning(
-            format!("always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})"),
-            format!("echo madvise | sudo tee {path}"),
-        )),
+        Err(refusal) => problem!(
+            Warning,
+            "always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})",
+            "echo madvise | sudo tee {path}"
+        ),
     }
 }
 
 pub(super) fn swap(scene: &Scene) -> Assessed {
-    let areas = scene
-        .system
-        .read_if_there("/proc/swaps")?
-        .unwrap_or_default();
+    let areas = scene.system.read_if_there("/proc/swaps")?;
     // The first line is the head.
-    match areas.lines().skip(1).count() {
+    match areas.unwrap_or_default().lines().skip(1).count() {
         0 => Ok("none".to_owned()),
         count if scene.probe.memory_lock.is_ok() => {
             Ok(format!("{count} in use, and memory can be locked"))
         }
-        count => Err(warning(
-            format!("{count} in use, and memory is not locked"),
-            "sudo swapoff -a, or let the daemon lock its memory",
-        )),
+        count => problem!(
+            Warning,
+            "{count} in use, and memory is not locked",
+            "sudo swapoff -a, or let the daemon lock its memory"
+        ),
     }
+}
+
+pub(super) fn root_folder(scene: &Scene) -> Assessed {
+    let shown = scene.root().display();
+    if let Ok(false) = scene.probe.root_in_memory {
+        return problem!(
+            Fault,
+            "{shown} lies on a disk",
+            "choose a folder in memory (tmpfs), below /dev/shm or /run: --root DIR, or transport.root"
+        );
+    }
+    let path = scene.system.path(scene.root());
+    let user = scene.probe.user_id;
+    let fault = match std::fs::metadata(&path) {
+        Err(cause) if cause.kind() != ErrorKind::NotFound => format!("{shown}: {cause}"),
+        Err(_) if can_be_created(&path) => {
+            return Ok(format!("{shown}, created at the first start"));
+        }
+        Err(_) => format!("{shown} is not there and cannot be created"),
+        Ok(folder) if !folder.is_dir() => format!("{shown} is no folder"),
+        Ok(folder) if folder.uid() != user => {
+            format!("{shown} belongs to user id {}, not to {user}", folder.uid())
+        }
+        Ok(folder) => {
+            let mode = folder.permissions().mode() & 0o7777;
+            let value = format!("{shown}, owner {user}, mode {mode:o}");
+            let is_for_group = scene.validated.group_id.is_some();
+            let foreign = if is_for_group { 0o002 } else { 0o022 };
+            if mode & foreign == 0 {
+                return Ok(value);
+            }
+            return problem!(Warning, "{value}: others may write", "chmod 700 '{shown}'");
+        }
+    };
+    problem!(
+        Fault,
+        "{fault}",
+        "choose a folder of your own: --root DIR, or transport.root"
+    )
+}
+
+/// The daemon creates the folder, with all above it, if the first one that is there lets it.
+fn can_be_created(path: &Path) -> bool {
+    let above = path.ancestors().skip(1).find(|folder| folder.exists());
+    above.is_some_and(|folder| {
+        folder.is_dir() && access(folder, Access::WRITE_OK | Access::EXEC_OK).is_ok()
+    })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Severity::{Fault, Ok as Good, Warning};
-    use super::super::fake::Fake;
+    use super::super::Severity::Ok as Good;
+    use super::super::tests::Machine;
     use super::*;
 
     #[test]
     fn shared_memory_must_hold_a_daemon_and_a_client() {
-        let mut fake = Fake::new(&[("/run/cdcr/cdcr_cdcr.lock", "12\n")]);
+        let mut machine = Machine::new(&[("/run/cdcr/cdcr_cdcr.lock", "12\n")]);
         let mut with_free = |bytes: u64| {
-            fake.scene.probe.shared_memory_bytes = Ok((1 << 26, bytes));
-            fake.finding("shared_memory").severity
+            machine.scene.probe.shared_memory_bytes = Ok((1 << 26, bytes));
+            machine.finding("shared_memory").severity
         };
         assert_eq!(with_free(daemon_bytes() - 1), Fault);
         assert_eq!(with_free(daemon_bytes()), Warning);
         assert_eq!(with_free(daemon_bytes() + client_bytes()), Good);
         // A daemon that runs has taken its part.
         assert_eq!(with_free(client_bytes()), Fault);
-        fake.write("/proc/12/stat", "");
-        assert_eq!(fake.finding("shared_memory").severity, Good);
+        machine.write("/proc/12/stat", "");
+        assert_eq!(machine.finding("shared_memory").severity, Good);
     }
 }

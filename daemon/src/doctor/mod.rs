@@ -10,10 +10,7 @@
 mod core_choice;
 mod core_set;
 mod cores;
-#[cfg(test)]
-mod fake;
 mod finding;
-mod folder;
 mod load;
 mod machine;
 mod privileges;
@@ -21,6 +18,8 @@ mod probe;
 mod sample;
 mod scheduler;
 mod system;
+#[cfg(test)]
+mod tests;
 
 use std::path::Path;
 
@@ -30,7 +29,7 @@ pub(crate) use scheduler::kernel_share;
 pub(crate) use system::System;
 
 use core_set::CoreSet;
-use finding::{Assessed, Problem};
+use finding::{Assessed, Problem, unreadable};
 use probe::Probe;
 use sample::Load;
 
@@ -112,7 +111,7 @@ const CHECKS: &[Check] = checks! {
         "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile; hence the daemon exempts itself.";
     machine::swap, "swap",
         "Memory that is not locked may be on a disk when the cycle needs it.";
-    folder::root_folder, "root folder",
+    machine::root_folder, "root folder",
         "Whoever may write here can disturb the robot; where the daemon may not, it does not start.";
 };
 
@@ -139,7 +138,7 @@ pub(crate) fn examine(validated: &Validated) -> DoctorReport {
 }
 
 fn no_core() -> Problem {
-    Problem::unreadable("the core", "the system does not tell which cores it has")
+    unreadable("the core", "the system does not tell which cores it has")
 }
 
 /// The process id that the daemon of this robot left in its lock file.
@@ -193,108 +192,34 @@ impl Scene {
         Ok(self.system.online()?.without(self.core()?))
     }
 
-    /// A privilege is not granted: a fault where real time is required.
-    fn missing(&self, value: impl Into<String>, remedy: impl Into<String>) -> Problem {
+    /// How bad it is that a privilege is not granted.
+    fn missing(&self) -> Severity {
         match self.realtime().mode {
-            RealtimeMode::Require => finding::fault(value, remedy),
-            _ => finding::warning(value, remedy),
+            RealtimeMode::Require => Severity::Fault,
+            _ => Severity::Warning,
         }
     }
 }
 
 impl Check {
     fn finding(&self, scene: &Scene) -> Finding {
-        let concerns = scene.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&self.key);
+        let Self {
+            key, title, why, ..
+        } = *self;
+        let concerns = scene.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&key);
         let (severity, value, remedy) = match (self.assess)(scene) {
-            Err(Problem {
-                severity,
-                value,
-                remedy,
-            }) if concerns => (severity, value, remedy),
+            Err(problem) if concerns => (problem.severity, problem.value, problem.remedy),
             Ok(value) | Err(Problem { value, .. }) => {
                 (Severity::Ok, value, "nothing to do".to_owned())
             }
         };
         Finding {
-            key: self.key,
-            title: self.title,
+            key,
+            title,
             severity,
             value,
-            why: self.why,
+            why,
             remedy,
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::collections::HashSet;
-
-    use super::fake::Fake;
-    use super::*;
-
-    #[test]
-    fn every_check_has_a_name_of_its_own_and_a_reason() {
-        let keys: HashSet<_> = CHECKS.iter().map(|check| check.key).collect();
-        assert_eq!(keys.len(), CHECKS.len());
-        for check in CHECKS {
-            assert!(check.why.ends_with('.'), "{}: {}", check.key, check.why);
-        }
-    }
-
-    #[test]
-    fn each_machine_is_found_to_be_as_it_is() {
-        let mut assessed = HashSet::new();
-        let mut fake = Fake::new(&[]);
-        for (index, line) in include_str!("findings.txt").lines().enumerate() {
-            eprintln!("findings.txt, line {}: {line}", index + 1);
-            let (name, rest) = line.split_once(' ').unwrap_or_default();
-            match rest.strip_prefix('=').map(str::trim_start) {
-                _ if name == "##" => fake = Fake::new(&[]),
-                _ if name.is_empty() || name == "#" => {}
-                Some(text) if name.starts_with('/') => {
-                    let text = text.replace("\\n", "\n").replace("\\t", "\t");
-                    fake.write(name, &text.replace("\\0", "\0"));
-                }
-                Some(value) => fake.set(name, value),
-                None => {
-                    fake.expect(line);
-                    assessed.insert(name);
-                }
-            }
-        }
-        assert_eq!(assessed, CHECKS.iter().map(|check| check.key).collect());
-    }
-
-    #[test]
-    fn a_system_that_shows_nothing_is_unknown_and_not_good() {
-        let mut fake = Fake::new(&[]);
-        fake.scene.load = Err(Problem::unreadable("/proc/stat", "gone"));
-        fake.scene.probe.fifo = Err("no".to_owned());
-        let report = fake.scene.report();
-        assert!(report.count(Severity::Unknown) > 5, "{report:#?}");
-        assert!(report.worst >= Severity::Warning);
-        let unknown = report.findings.iter().find(|f| f.key == "steal");
-        assert!(unknown.is_some_and(|f| f.value.contains("/proc/stat") && !f.remedy.is_empty()));
-    }
-
-    #[test]
-    fn nothing_of_real_time_is_bad_where_none_is_asked_for() {
-        let mut fake = Fake::new(&[]);
-        fake.scene.validated.config.realtime.mode = RealtimeMode::Off;
-        fake.scene.probe.fifo = Err("no".to_owned());
-        fake.scene.probe.memory_lock = Err("no".to_owned());
-        let report = fake.scene.report();
-        let bad = report.findings.iter().filter(|f| f.severity > Severity::Ok);
-        let keys: Vec<_> = bad.map(|finding| finding.key).collect();
-        assert_eq!(keys, Vec::<&str>::new());
-    }
-
-    #[test]
-    fn what_is_ok_needs_no_mending() {
-        for finding in Fake::new(&[]).scene.report().findings {
-            let is_ok = finding.severity == Severity::Ok;
-            assert_eq!(is_ok, finding.remedy == "nothing to do", "{finding:?}");
         }
     }
 }

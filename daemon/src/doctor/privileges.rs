@@ -1,7 +1,7 @@
 //! Privileges: priority, core, locked memory.
 
 use super::Scene;
-use super::finding::{Assessed, Problem};
+use super::finding::{Assessed, problem, unreadable};
 
 /// A daemon had 179 to 215 MB locked; each client that connects adds what it shares.
 const LOCKED_BYTES: u64 = 512 << 20;
@@ -25,7 +25,7 @@ fn grant(limit: &str, container: &str) -> String {
 
 fn is_capable(scene: &Scene, capability: u32) -> Assessed<bool> {
     let field = scene.system.own_status("CapEff")?;
-    let odd = |_| Problem::unreadable("CapEff", format!("{field:?} is no number"));
+    let odd = |_| unreadable("CapEff", format!("{field:?} is no number"));
     let bits = u64::from_str_radix(&field, 16).map_err(odd)?;
     Ok(bits >> capability & 1 == 1)
 }
@@ -43,19 +43,20 @@ pub(super) fn fifo(scene: &Scene) -> Assessed {
         return Ok(format!("granted at priority {priority}"));
     };
     if may_have_priority(scene)? {
-        return Err(scene.missing(
-            format!("refused at priority {priority}, in spite of the privilege: {refusal}"),
-            "in a systemd unit: RestrictRealtime=no; else see `RT group` below",
-        ));
+        return problem!(
+            scene.missing(),
+            "refused at priority {priority}, in spite of the privilege: {refusal}",
+            "in a systemd unit: RestrictRealtime=no; else see `RT group` below"
+        );
     }
     let limit = scene.probe.rtprio_max.unwrap_or(u64::MAX);
     let enough = priority.max(RTPRIO);
-    Err(scene.missing(
-        format!(
-            "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
-        ),
-        grant(&format!("rtprio {enough}"), &format!("rtprio={enough}")),
-    ))
+    let remedy = grant(&format!("rtprio {enough}"), &format!("rtprio={enough}"));
+    problem!(
+        scene.missing(),
+        "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})",
+        "{remedy}"
+    )
 }
 
 pub(super) fn pin(scene: &Scene) -> Assessed {
@@ -65,31 +66,33 @@ pub(super) fn pin(scene: &Scene) -> Assessed {
     }
     let allowed = scene.system.own_status("Cpus_allowed_list")?;
     let online = scene.system.online()?;
-    let remedy = format!("set realtime.core to one of {allowed}");
     if !online.contains(core) {
-        let value = format!("core {core} does not run; online are {online}");
-        return Err(scene.missing(value, remedy));
+        return problem!(
+            scene.missing(),
+            "core {core} does not run; online are {online}",
+            "set realtime.core to one of {allowed}"
+        );
     }
     // An affinity that was inherited refuses nothing, only the cpuset of the group does.
-    Err(scene.missing(
-        format!("core {core} is refused by the control group; allowed are {allowed}"),
-        format!(
-            "{remedy}, or give the group core {core}, too (a unit: AllowedCPUs=, a container: --cpuset-cpus)"
-        ),
-    ))
+    problem!(
+        scene.missing(),
+        "core {core} is refused by the control group; allowed are {allowed}",
+        "set realtime.core to one of {allowed}, or give the group core {core}, too (a unit: AllowedCPUs=, a container: \
+         --cpuset-cpus)"
+    )
 }
 
 pub(super) fn memory_lock(scene: &Scene) -> Assessed {
     let limit = scene.probe.memlock_max_bytes;
-    let limit_text = limit.map_or("unlimited".to_owned(), |limit| {
-        format!("{:.1} MB", limit as f64 * 1e-6)
-    });
+    let megabytes = limit.map(|limit| format!("{:.1} MB", limit as f64 * 1e-6));
+    let shown = megabytes.unwrap_or_else(|| "unlimited".to_owned());
     let value = if let Err(refusal) = &scene.probe.memory_lock {
-        format!("refused: {refusal}; RLIMIT_MEMLOCK is {limit_text}")
+        format!("refused: {refusal}; RLIMIT_MEMLOCK is {shown}")
     } else if limit.is_none_or(|limit| limit >= LOCKED_BYTES) || is_capable(scene, CAP_IPC_LOCK)? {
         return Ok("granted".to_owned());
     } else {
-        format!("RLIMIT_MEMLOCK is {limit_text}; a daemon with clients may need 512 MiB")
+        format!("RLIMIT_MEMLOCK is {shown}; a daemon with clients may need 512 MiB")
     };
-    Err(scene.missing(value, grant("memlock unlimited", "memlock=-1")))
+    let remedy = grant("memlock unlimited", "memlock=-1");
+    problem!(scene.missing(), "{value}", "{remedy}")
 }

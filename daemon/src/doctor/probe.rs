@@ -16,6 +16,7 @@ use crate::instance::is_in_memory;
 use crate::rt::sys;
 
 #[derive(Debug, Clone)]
+#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct Probe {
     /// `SCHED_FIFO` at the cycle's priority, on a thread that ended at once; what the kernel said.
     pub(super) fifo: Result<(), String>,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks};
 
 use super::core_set::CoreSet;
-use super::finding::{Assessed, Problem};
+use super::finding::{Assessed, unreadable};
 use super::system::{System, field_of};
 
 const WATCHED: Duration = Duration::from_secs(1);
@@ -20,6 +20,7 @@ struct Snapshot {
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct Thread {
     pub(super) process: u32,
     pub(super) id: u32,
@@ -41,6 +42,7 @@ pub(super) struct Thread {
 
 /// What happened between two snapshots.
 #[derive(Debug, Clone, Default)]
+#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct Load {
     pub(super) cores: BTreeMap<usize, CoreLoad>,
     /// Threads that used time and were last seen on our core, with the share that each used; the busiest first.
@@ -55,6 +57,7 @@ pub(super) struct Load {
 
 /// Shares of one core's time, 0 to 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct CoreLoad {
     pub(super) busy: f64,
     /// Given to somebody else by the hypervisor, between the snapshots.
@@ -62,7 +65,8 @@ pub(super) struct CoreLoad {
     pub(super) steal_since_start: f64,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
+#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct InterruptRate {
     /// Number of a device's interrupt, name of another.
     pub(super) label: String,
@@ -86,7 +90,7 @@ impl Snapshot {
     fn take(system: &System, core: usize) -> Assessed<Self> {
         let cores = cores(&system.read("/proc/stat")?);
         if cores.is_empty() {
-            return Err(Problem::unreadable("/proc/stat", "no line of a core"));
+            return Err(unreadable("/proc/stat", "no line of a core"));
         }
         let interrupts = system.read_if_there("/proc/interrupts")?;
         Ok(Self {
@@ -167,16 +171,15 @@ fn printable(name: &str) -> String {
 fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
-    let ours = format!("CPU{core}");
-    let Some(column) = head.iter().position(|name| *name == ours) else {
+    let Some(column) = head.iter().position(|name| *name == format!("CPU{core}")) else {
         return BTreeMap::new();
     };
     let parsed = lines.filter_map(|line| {
         let (label, rest) = line.split_once(':')?;
         let (label, words) = (label.trim(), rest.split_whitespace().collect::<Vec<_>>());
         let count = words.get(column)?.parse().ok()?;
-        let described = words.get(head.len()..).unwrap_or_default();
         // Before the name of a device stand its controller and pin.
+        let described = words.get(head.len()..).unwrap_or_default();
         let skipped = if is_number(label) {
             described.len().saturating_sub(1)
         } else {
@@ -208,30 +211,24 @@ impl Load {
         seconds: f64,
         ours: &[u32],
     ) -> Self {
-        let threads = || {
-            after
-                .threads
-                .values()
-                .filter(|thread| !ours.contains(&thread.process))
-        };
+        let all = after.threads.values();
+        let threads: Vec<&Thread> = all
+            .filter(|thread| !ours.contains(&thread.process))
+            .collect();
         let total = since(&before.cores, &after.cores, core).total;
-        let mut neighbours: Vec<_> = threads()
-            .filter(|thread| thread.core == core)
-            .map(|thread| {
-                let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
-                // A thread that is new has used all its time meanwhile; so has one with the id of another.
-                let used = thread.ticks.checked_sub(earlier).unwrap_or(thread.ticks);
-                (thread.clone(), share(used, total))
-            })
-            .filter(|(_, share)| *share > 0.0)
-            .collect();
+        let here = threads.iter().filter(|thread| thread.core == core);
+        let used = here.map(|&thread| {
+            let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
+            // A thread that is new has used all its time meanwhile; so has one with the id of another.
+            let used = thread.ticks.checked_sub(earlier).unwrap_or(thread.ticks);
+            (thread.clone(), share(used, total))
+        });
+        let mut neighbours: Vec<_> = used.filter(|(_, share)| *share > 0.0).collect();
         neighbours.sort_by(|(_, a), (_, b)| b.total_cmp(a));
-        let mut realtime: Vec<_> = threads()
-            .filter(|thread| thread.is_realtime())
-            .cloned()
-            .collect();
+        let realtime = threads.iter().filter(|thread| thread.is_realtime());
+        let mut realtime: Vec<Thread> = realtime.map(|&thread| thread.clone()).collect();
         realtime.sort_by_key(|thread| (-thread.priority, thread.id));
-        let irqbalance = threads().find(|thread| thread.name == "irqbalance");
+        let irqbalance = threads.iter().find(|thread| thread.name == "irqbalance");
         Self {
             cores: core_loads(&before.cores, &after.cores),
             neighbours,
@@ -257,10 +254,7 @@ fn since(before: &Cores, after: &Cores, core: usize) -> CoreTicks {
 
 /// 0 to 1, and 0 of nothing.
 fn share(part: u64, total: u64) -> f64 {
-    if total == 0 {
-        return 0.0;
-    }
-    (part as f64 / total as f64).min(1.0)
+    (part as f64 / total.max(1) as f64).min(1.0)
 }
 
 /// Shares of each core's time between two readings.
@@ -293,7 +287,7 @@ fn interrupt_rates(before: &Snapshot, after: &Snapshot, seconds: f64) -> Vec<Int
 
 #[cfg(test)]
 mod tests {
-    use super::super::fake::Fake;
+    use super::super::tests::Machine;
     use super::*;
 
     /// A line of a thread, with those fields that matter here; `rt` is its priority and policy.
@@ -307,13 +301,13 @@ mod tests {
     }
 
     fn snapshot(stat_text: &str, interrupts: &str, threads: &[(u32, String)]) -> Snapshot {
-        let fake = Fake::new(&[("/proc/stat", stat_text), ("/proc/interrupts", interrupts)]);
+        let machine = Machine::new(&[("/proc/stat", stat_text), ("/proc/interrupts", interrupts)]);
         for (id, text) in threads {
-            fake.write(&format!("/proc/{id}/task/{id}/stat"), text);
+            machine.write(&format!("/proc/{id}/task/{id}/stat"), text);
             let status = "Name:\tx\nCpus_allowed_list:\t1\n";
-            fake.write(&format!("/proc/{id}/task/{id}/status"), status);
+            machine.write(&format!("/proc/{id}/task/{id}/status"), status);
         }
-        Snapshot::take(&fake.scene.system, 1).unwrap()
+        Snapshot::take(&machine.scene.system, 1).unwrap()
     }
 
     #[test]
@@ -373,8 +367,8 @@ mod tests {
         assert!(load.neighbours.is_empty() && load.interrupts.is_empty());
         let names: Vec<_> = nothing.threads.values().map(|t| &*t.name).collect();
         assert_eq!(names, ["?[31m?red"]);
-        let fake = Fake::new(&[("/proc/stat", "intr 5")]);
-        assert!(Snapshot::take(&fake.scene.system, 1).is_err());
+        let machine = Machine::new(&[("/proc/stat", "intr 5")]);
+        assert!(Snapshot::take(&machine.scene.system, 1).is_err());
         // Counters that run backwards (a core that was off) are no load.
         let high = snapshot("cpu1 5 0 0 5 0 0 0 0\n", "CPU1\n 1: 9 x\n", &[]);
         let low = snapshot("cpu1 1 0 0 1 0 0 0 0\n", "CPU1\n 1: 2 x\n", &[]);

@@ -2,7 +2,8 @@
 
 use crate::core_budget::{CoreBudget, Costs, KERNEL_SHARE};
 
-use super::finding::{Assessed, unknown, warning};
+use super::Severity::{Unknown, Warning};
+use super::finding::{Assessed, problem};
 use super::privileges::may_have_priority;
 use super::system::chosen_of;
 use super::{Scene, System};
@@ -15,10 +16,11 @@ const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 pub(crate) fn kernel_share(system: &System) -> Assessed<f64> {
     let runtime_us = system.number(RT_RUNTIME_US)?;
     let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
+    let share = runtime_us as f64 / period_us.max(1) as f64;
     Ok(if runtime_us < 0 {
         KERNEL_SHARE
     } else {
-        (runtime_us as f64 / period_us.max(1) as f64).min(KERNEL_SHARE)
+        share.min(KERNEL_SHARE)
     })
 }
 
@@ -36,10 +38,13 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
     } else if has("PREEMPT_DYNAMIC") {
         dynamic_preemption(scene)
     } else if has("PREEMPT") {
-        of_model(scene, "full", "PREEMPT".to_owned())
+        of_model(scene, "full", "PREEMPT")
     } else {
-        let value = "none or voluntary, fixed when the kernel was built";
-        of_model(scene, "none", value.to_owned())
+        of_model(
+            scene,
+            "none",
+            "none or voluntary, fixed when the kernel was built",
+        )
     }
 }
 
@@ -47,42 +52,45 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
 fn dynamic_preemption(scene: &Scene) -> Assessed {
     let text = scene.system.read("/sys/kernel/debug/sched/preempt");
     if let Some(model) = chosen_of(&text.unwrap_or_default(), ['(', ')']) {
-        return of_model(scene, model, format!("dynamic, {model}"));
+        return of_model(scene, model, &format!("dynamic, {model}"));
     }
     if let Some(model) = scene.system.boot_option("preempt")? {
-        return of_model(scene, &model, format!("dynamic, {model} at boot"));
+        return of_model(scene, &model, &format!("dynamic, {model} at boot"));
     }
-    Err(unknown(
+    problem!(
+        Unknown,
         "dynamic, the model in force cannot be read",
-        "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt",
-    ))
+        "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt"
+    )
 }
 
-fn of_model(scene: &Scene, model: &str, value: String) -> Assessed {
-    // A lazy kernel is lazy towards ordinary threads only.
-    if !matches!(model, "full" | "lazy") {
-        return Err(warning(
-            value,
-            "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a \
-             kernel with PREEMPT_RT",
-        ));
-    }
+fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
     let period_ms = scene.period_ms();
-    if period_ms < PERIOD_MS_FINE {
-        let value = format!("{value}; the period is {period_ms} ms");
-        return Err(warning(value, "install a kernel with PREEMPT_RT"));
+    // A lazy kernel is lazy towards ordinary threads only.
+    match model {
+        "full" | "lazy" if period_ms >= PERIOD_MS_FINE => Ok(value.to_owned()),
+        "full" | "lazy" => problem!(
+            Warning,
+            "{value}; the period is {period_ms} ms",
+            "install a kernel with PREEMPT_RT"
+        ),
+        _ => problem!(
+            Warning,
+            "{value}",
+            "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a kernel \
+             with PREEMPT_RT"
+        ),
     }
-    Ok(value)
 }
 
 pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
     let share = kernel_share(&scene.system)?;
-    let remedy = "sudo sysctl kernel.sched_rt_runtime_us=950000";
     if scene.system.number(RT_RUNTIME_US)? < 0 {
-        return Err(warning(
+        return problem!(
+            Warning,
             "off: nothing guards the core from a hung loop",
-            remedy,
-        ));
+            "sudo sysctl kernel.sched_rt_runtime_us=950000"
+        );
     }
     let usual = CoreBudget::new(&scene.validated.config);
     let budget = usual.with_kernel_share(share);
@@ -95,23 +103,28 @@ pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
         budget.describe(costs)
     );
     if budget.solve_ns(costs) == usual.solve_ns(costs) {
-        Ok(value)
-    } else {
-        Err(warning(value, remedy))
+        return Ok(value);
     }
+    problem!(
+        Warning,
+        "{value}",
+        "sudo sysctl kernel.sched_rt_runtime_us=950000"
+    )
 }
 
 pub(super) fn rt_group(scene: &Scene) -> Assessed {
     match group_runtime_us(scene)? {
-        Some((file, 0)) => Err(scene.missing(
+        Some((file, 0)) => problem!(
+            scene.missing(),
             "this control group has no real-time runtime",
-            format!("echo 950000 | sudo tee {file}   (and first in the groups above it)"),
-        )),
+            "echo 950000 | sudo tee {file}   (and first in the groups above it)"
+        ),
         Some((_, runtime_us)) => Ok(format!("{runtime_us} µs")),
-        None if scene.probe.fifo.is_err() && may_have_priority(scene)? => Err(scene.missing(
+        None if scene.probe.fifo.is_err() && may_have_priority(scene)? => problem!(
+            scene.missing(),
             "SCHED_FIFO is refused in spite of the privilege: probably CONFIG_RT_GROUP_SCHED",
-            "boot with rt_group_sched=0, or start cdcrd in the root control group",
-        )),
+            "boot with rt_group_sched=0, or start cdcrd in the root control group"
+        ),
         None => Ok("no limit of a group".to_owned()),
     }
 }
@@ -120,9 +133,21 @@ pub(super) fn rt_group(scene: &Scene) -> Assessed {
 /// groups with real-time groups.
 fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
     let system = &scene.system;
+    let has_cpu = |list: &str| list.split(',').any(|name| name == "cpu");
+    // Lines `1:cpu,cpuacct:/group`.
     let groups = system.read("/proc/self/cgroup")?;
+    let group = groups.lines().find_map(|line| {
+        let (controllers, group) = line.split_once(':')?.1.split_once(':')?;
+        has_cpu(controllers).then_some(group)
+    });
+    // Lines `cgroup /sys/fs/cgroup/cpu cgroup rw,cpu 0 0`.
     let mounts = system.read("/proc/mounts")?;
-    let (Some(group), Some(mount)) = (cpu_group(&groups), cpu_mount(&mounts)) else {
+    let mount = mounts.lines().find_map(|line| {
+        let mut words = line.split_whitespace().skip(1);
+        let (folder, kind, options) = (words.next()?, words.next()?, words.next()?);
+        (kind == "cgroup" && has_cpu(options)).then_some(folder)
+    });
+    let (Some(group), Some(mount)) = (group, mount) else {
         return Ok(None);
     };
     // In a container the mount is the group itself.
@@ -136,117 +161,60 @@ fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
     Ok(None)
 }
 
-fn has_cpu(list: &str) -> bool {
-    list.split(',').any(|name| name == "cpu")
-}
-
-/// Lines `1:cpu,cpuacct:/group`.
-fn cpu_group(groups: &str) -> Option<&str> {
-    groups.lines().find_map(|line| {
-        let (controllers, group) = line.split_once(':')?.1.split_once(':')?;
-        has_cpu(controllers).then_some(group)
-    })
-}
-
-/// Lines `cgroup /sys/fs/cgroup/cpu cgroup rw,cpu 0 0`.
-fn cpu_mount(mounts: &str) -> Option<&str> {
-    mounts.lines().find_map(|line| {
-        let mut words = line.split_whitespace().skip(1);
-        let (folder, kind, options) = (words.next()?, words.next()?, words.next()?);
-        (kind == "cgroup" && has_cpu(options)).then_some(folder)
-    })
-}
-
-/// When a setting matters.
-enum Matters {
-    Always,
-    /// Where the core has no tick, and so should be left alone.
-    WithoutTick,
-    /// Where microseconds count: without the tick, or at short periods.
-    Finely,
-}
-
-/// A setting, the value from which on it is good or, at 0, the only good one, and what it does otherwise.
-const SETTINGS: [(&str, i64, Matters, &str); 5] = [
-    (
-        "kernel.timer_migration",
-        0,
-        Matters::WithoutTick,
-        "timers of idle cores move to busy ones, nohz_full or not",
-    ),
-    (
-        "kernel.numa_balancing",
-        0,
-        Matters::Always,
-        "takes pages away to see who uses them, also locked ones",
-    ),
-    (
-        "vm.compact_unevictable_allowed",
-        0,
-        Matters::Always,
-        "moves locked pages, and who touches one waits",
-    ),
-    (
-        "kernel.nmi_watchdog",
-        0,
-        Matters::Finely,
-        "interrupts every core, whatever its priority",
-    ),
-    (
-        "vm.stat_interval",
-        10,
-        Matters::Finely,
-        "counts on every core so often (in s)",
-    ),
-];
+/// A setting of the kernel, the value from which on it is good or, at 0, the only good one, when it matters (always; where the
+/// core has no tick, and so should be left alone; where microseconds count: without the tick, or at short periods), and what
+/// it does otherwise.
+const SETTINGS: &str = "\
+kernel.timer_migration | 0 | tickless | timers of idle cores move to busy ones, nohz_full or not
+kernel.numa_balancing | 0 | always | takes pages away to see who uses them, also locked ones
+vm.compact_unevictable_allowed | 0 | always | moves locked pages, and who touches one waits
+kernel.nmi_watchdog | 0 | fine | interrupts every core, whatever its priority
+vm.stat_interval | 10 | fine | counts on every core so often (in s)";
 
 pub(super) fn sysctls(scene: &Scene) -> Assessed {
     let has_no_tick = scene.has_no_tick()?;
     let is_fine = has_no_tick || scene.period_ms() < PERIOD_MS_FINE;
-    let (mut values, mut remedies) = (Vec::new(), Vec::new());
-    for (name, good, matters, does) in SETTINGS {
-        let is_meant = match matters {
-            Matters::Always => true,
-            Matters::WithoutTick => has_no_tick,
-            Matters::Finely => is_fine,
+    let (mut values, mut settings) = (Vec::new(), Vec::new());
+    for setting in SETTINGS.lines() {
+        let parts: Vec<&str> = setting.split(" | ").collect();
+        let &[name, good, matters, does] = &parts[..] else {
+            continue;
         };
+        let is_meant = matters == "always" || (matters == "fine" && is_fine) || has_no_tick;
         let path = format!("/proc/sys/{}", name.replace('.', "/"));
         // A kernel without the feature has no file.
         if !is_meant || scene.system.read_if_there(&path)?.is_none() {
             continue;
         }
         let value = scene.system.number(&path)?;
-        let is_good = if good == 0 { value == 0 } else { value >= good };
-        if !is_good {
+        let limit: i64 = good.parse().unwrap_or(0);
+        if value != limit && (limit == 0 || value < limit) {
             values.push(format!("{name} = {value}: {does}"));
-            remedies.push(format!("{name}={good}"));
+            settings.push(format!("{name}={good}"));
         }
     }
     if values.is_empty() {
         return Ok("none that disturbs the loop".to_owned());
     }
-    let settings = remedies.join(" ");
-    let remedy = format!("sudo sysctl {settings}   (and for good in /etc/sysctl.d/)");
-    Err(warning(values.join("; "), remedy))
+    let [values, settings] = [values.join("; "), settings.join(" ")];
+    problem!(
+        Warning,
+        "{values}",
+        "sudo sysctl {settings}   (and for good in /etc/sysctl.d/)"
+    )
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::fake::Fake;
+    use super::super::tests::Machine;
     use super::*;
 
     #[test]
     fn the_kernels_share_is_read_and_no_limit_is_the_default_one() {
-        let fake = Fake::new(&[("/proc/sys/kernel/sched_rt_period_us", "1000000")]);
-        for (runtime_us, share) in [
-            ("950000", Some(0.95)),
-            ("500000", Some(0.5)),
-            ("1000000", Some(0.95)),
-            ("-1", Some(0.95)),
-            ("many", None),
-        ] {
-            fake.write(RT_RUNTIME_US, runtime_us);
-            assert_eq!(kernel_share(&fake.scene.system).ok(), share);
+        let machine = Machine::new(&[("/proc/sys/kernel/sched_rt_period_us", "1000000")]);
+        for (runtime_us, share) in [("500000", 0.5), ("1000000", 0.95), ("-1", 0.95)] {
+            machine.write(RT_RUNTIME_US, runtime_us);
+            assert_eq!(kernel_share(&machine.scene.system), Ok(share));
         }
     }
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use super::CPU;
 use super::core_set::CoreSet;
-use super::finding::{Assessed, Problem};
+use super::finding::{Assessed, unreadable};
 
 /// No file that is read here is longer: the longest, `/proc/interrupts`, has 5 MB on a machine with 512 cores.
 const FILE_BYTES_MAX: u64 = 64 << 20;
@@ -26,8 +26,7 @@ impl System {
 
     /// The text of a file without the white space around it. Bytes that are no UTF-8 are replaced.
     pub(super) fn read(&self, path: &str) -> Assessed {
-        self.text(path)
-            .map_err(|cause| Problem::unreadable(path, cause))
+        self.text(path).map_err(|cause| unreadable(path, cause))
     }
 
     /// As [`System::read`]; none when there is no such file.
@@ -35,14 +34,14 @@ impl System {
         match self.text(path) {
             Ok(text) => Ok(Some(text)),
             Err(cause) if cause.kind() == ErrorKind::NotFound => Ok(None),
-            Err(cause) => Err(Problem::unreadable(path, cause)),
+            Err(cause) => Err(unreadable(path, cause)),
         }
     }
 
     /// A number that stands alone in a file.
     pub(super) fn number(&self, path: &str) -> Assessed<i64> {
         let text = self.read(path)?;
-        let odd = |_| Problem::unreadable(path, format!("{text:?} is no number"));
+        let odd = |_| unreadable(path, format!("{text:?} is no number"));
         text.parse().map_err(odd)
     }
 
@@ -96,7 +95,7 @@ impl System {
     pub(super) fn own_status(&self, field: &str) -> Assessed {
         let path = "/proc/self/status";
         field_of(&self.read(path)?, field)
-            .ok_or_else(|| Problem::unreadable(path, format!("it has no {field}")))
+            .ok_or_else(|| unreadable(path, format!("it has no {field}")))
     }
 
     fn text(&self, path: &str) -> std::io::Result<String> {
@@ -125,12 +124,12 @@ pub(super) fn chosen_of(text: &str, brackets: [char; 2]) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::fake::Fake;
+    use super::super::tests::Machine;
 
     #[test]
     fn what_is_missing_differs_from_what_is_not_readable() {
-        let fake = Fake::new(&[("/number", " 12 \n"), ("/folder/odd", "x")]);
-        let system = &fake.scene.system;
+        let machine = Machine::new(&[("/number", " 12 \n"), ("/folder/odd", "x")]);
+        let system = &machine.scene.system;
         std::fs::write(system.0.join("folder/odd"), b"\xff\xfe\0 x".as_slice()).unwrap();
         assert_eq!(system.number("/number"), Ok(12));
         assert!(system.number("/folder/odd").is_err() && system.read("/folder/odd").is_ok());
