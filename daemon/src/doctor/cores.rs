@@ -16,11 +16,8 @@ pub(super) fn cores(scene: &Scene) -> Assessed {
     if online.min(allowed) > 1 {
         return Ok(format!("{online} online, {allowed} allowed"));
     }
-    problem!(
-        Warning,
-        "{online} online, {allowed} allowed",
-        "use a machine, or a control group, with two cores or more"
-    )
+    problem!(Warning, "{online} online, {allowed} allowed"
+        => "use a machine, or a control group, with two cores or more")
 }
 
 pub(super) fn isolation(scene: &Scene) -> Assessed {
@@ -30,25 +27,16 @@ pub(super) fn isolation(scene: &Scene) -> Assessed {
         return Ok(format!("core {core} is isolated"));
     }
     if let Some(better) = isolated.iter().next() {
-        return problem!(
-            Warning,
-            "core {core} is not isolated, but {isolated} is",
-            "set realtime.core = {better}"
-        );
+        return problem!(Warning, "core {core} is not isolated, but {isolated} is"
+            => "set realtime.core = {better}");
     }
     if scene.system.online()?.count() < 2 {
-        return problem!(
-            Warning,
-            "the only core cannot be isolated",
-            "use a machine with two cores or more"
-        );
+        return problem!(Warning, "the only core cannot be isolated"
+            => "use a machine with two cores or more");
     }
-    problem!(
-        Warning,
-        "core {core} is open to everybody",
-        "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 \
-         in /etc/sysctl.d/"
-    )
+    problem!(Warning, "core {core} is open to everybody"
+        => "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set \
+            kernel.timer_migration=0 in /etc/sysctl.d/")
 }
 
 pub(super) fn tick(scene: &Scene) -> Assessed {
@@ -65,11 +53,8 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
     if has_no_tick || period_ms >= PERIOD_MS_FINE {
         return Ok(value.to_owned());
     }
-    problem!(
-        Warning,
-        "{value}; the period is {period_ms} ms",
-        "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/"
-    )
+    problem!(Warning, "{value}; the period is {period_ms} ms"
+        => "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/")
 }
 
 pub(super) fn siblings(scene: &Scene) -> Assessed {
@@ -87,7 +72,7 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
         return Ok(value);
     }
     let remedy = rest_alone(scene, &siblings)?;
-    problem!(Warning, "{value}", "{remedy}")
+    problem!(Warning, "{value}" => "{remedy}")
 }
 
 /// How the core gets its hardware alone. The siblings are switched off only where another core is left for
@@ -114,7 +99,7 @@ pub(super) fn governor(scene: &Scene) -> Assessed {
     match scene.system.read_if_there(&path)? {
         None => Ok("none: the system does not choose the frequency".to_owned()),
         Some(governor) if governor == "performance" => Ok(governor),
-        Some(other) => problem!(Warning, "{other}", "echo performance | sudo tee {path}"),
+        Some(other) => problem!(Warning, "{other}" => "echo performance | sudo tee {path}"),
     }
 }
 
@@ -125,17 +110,15 @@ pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
     let value = format!("{name}, {exit_us} µs to wake up");
     match &scene.probe.deep_sleep_lock {
         _ if exit_us <= EXIT_US => Ok(value),
-        _ if !scene.realtime().no_deep_sleep => problem!(
-            Warning,
-            "{value}; realtime.no_deep_sleep is false",
-            "set realtime.no_deep_sleep = true"
-        ),
+        _ if !scene.realtime().no_deep_sleep => {
+            problem!(Warning, "{value}; realtime.no_deep_sleep is false"
+            => "set realtime.no_deep_sleep = true")
+        }
         Ok(()) => Ok(format!("{value}; the daemon keeps it away")),
-        Err(refusal) => problem!(
-            Warning,
-            "{value}; /dev/cpu_dma_latency cannot be opened: {refusal}",
-            "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency"
-        ),
+        Err(refusal) => {
+            problem!(Warning, "{value}; /dev/cpu_dma_latency cannot be opened: {refusal}"
+            => "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency")
+        }
     }
 }
 

@@ -44,7 +44,7 @@ pub(crate) struct Problem {
 
 /// A problem of a severity: what was seen, and the remedy, both as in `format!`.
 macro_rules! problem {
-    ($severity:expr, $value:literal, $remedy:literal) => {
+    ($severity:expr, $value:literal => $remedy:literal) => {
         Err($crate::doctor::finding::Problem {
             severity: $severity,
             value: format!($value),

@@ -26,23 +26,21 @@ pub(super) fn steal(scene: &Scene) -> Assessed {
     if now.max(since_start) < 100.0 * STEAL_SHARE {
         return Ok(value);
     }
-    problem!(
-        Warning,
-        "{value}",
-        "ask for dedicated (pinned) cores for this virtual machine"
-    )
+    problem!(Warning, "{value}" => "ask for dedicated (pinned) cores for this virtual machine")
 }
 
 pub(super) fn neighbours(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let neighbours = &scene.load()?.neighbours;
-    let Some((busiest, _)) = neighbours.first() else {
+    let threads = scene.load()?.threads.iter();
+    let here = threads.filter(|thread| thread.core == core && thread.share > 0.0);
+    let here: Vec<&Thread> = here.collect();
+    let Some(busiest) = here.first() else {
         return Ok(format!("nobody else on core {core}"));
     };
-    let sum: f64 = neighbours.iter().map(|(_, share)| share).sum();
-    let each = neighbours
+    let sum: f64 = here.iter().map(|thread| thread.share).sum();
+    let each = here
         .iter()
-        .map(|(Thread { name, id, .. }, share)| format!("{name} ({id}) {:.0} %", 100.0 * share));
+        .map(|t| format!("{} ({}) {:.0} %", t.name, t.id, 100.0 * t.share));
     let value = format!("{:.0} % of core {core}: {}", 100.0 * sum, named(each));
     if sum < NEIGHBOUR_SHARE {
         return Ok(value);
@@ -58,7 +56,7 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
             busiest.id
         )
     };
-    problem!(Warning, "{value}", "{remedy}")
+    problem!(Warning, "{value}" => "{remedy}")
 }
 
 /// A thread that another daemon of ours has pinned here: its core is a matter of its configuration.
@@ -95,11 +93,7 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
         format!("sudo chrt -f -p 1 {}", first.id)
     };
     let (count, described) = (programs.len(), described(&programs));
-    problem!(
-        Warning,
-        "{count} may use core {core}: {described}",
-        "{remedy}"
-    )
+    problem!(Warning, "{count} may use core {core}: {described}" => "{remedy}")
 }
 
 /// A real-time thread; one of the kernel with what it is there for.
@@ -139,7 +133,10 @@ fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
         let is_pinned_here = thread.allowed.count() == 1 && !thread.is_kernel;
         thread.allowed.contains(core) && (goes_before || is_pinned_here)
     };
-    load.realtime.iter().filter(is_rival).collect()
+    let realtime = load.threads.iter().filter(|thread| thread.is_realtime());
+    let mut rivals: Vec<&Thread> = realtime.filter(is_rival).collect();
+    rivals.sort_by_key(|thread| (-thread.priority, thread.id));
+    rivals
 }
 
 pub(super) fn interrupts(scene: &Scene) -> Assessed {
@@ -159,17 +156,15 @@ pub(super) fn interrupts(scene: &Scene) -> Assessed {
     };
     let (others, label) = (scene.other_cores()?, &worst.label);
     match others.count() {
-        0 => problem!(Warning, "{value}", "use a machine with two cores or more"),
-        _ => problem!(
-            Warning,
-            "{value}",
-            "echo {others} | sudo tee /proc/irq/{label}/smp_affinity_list"
-        ),
+        0 => problem!(Warning, "{value}" => "use a machine with two cores or more"),
+        _ => problem!(Warning, "{value}"
+            => "echo {others} | sudo tee /proc/irq/{label}/smp_affinity_list"),
     }
 }
 
 pub(super) fn irqbalance(scene: &Scene) -> Assessed {
-    let Some(process) = scene.load()?.irqbalance else {
+    let mut threads = scene.load()?.threads.iter();
+    let Some(Thread { process, .. }) = threads.find(|thread| thread.name == "irqbalance") else {
         return Ok("does not run".to_owned());
     };
     let core = scene.core()?;
@@ -182,9 +177,7 @@ pub(super) fn irqbalance(scene: &Scene) -> Assessed {
     if CoreSet::parse(banned.unwrap_or_default()).contains(core) {
         return Ok(format!("runs, and spares core {core}"));
     }
-    problem!(
-        Warning,
-        "runs, and does not spare the core",
-        "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl restart irqbalance"
-    )
+    problem!(Warning, "runs, and does not spare the core"
+        => "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl restart \
+            irqbalance")
 }

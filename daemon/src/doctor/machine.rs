@@ -28,11 +28,8 @@ pub(super) fn clock_source(scene: &Scene) -> Assessed {
         return Ok(current);
     }
     if !is_among(SLOW, &current) {
-        return problem!(
-            Unknown,
-            "{current}: its speed is not known here",
-            "cat {folder}/available_clocksource"
-        );
+        return problem!(Unknown, "{current}: its speed is not known here"
+            => "cat {folder}/available_clocksource");
     }
     let available = scene
         .system
@@ -41,16 +38,10 @@ pub(super) fn clock_source(scene: &Scene) -> Assessed {
         .split_whitespace()
         .find(|name| is_among(FAST, name))
     {
-        Some(better) => problem!(
-            Warning,
-            "{current}, though {better} is there",
-            "echo {better} | sudo tee {folder}/current_clocksource"
-        ),
-        None => problem!(
-            Warning,
-            "{current}; there is no fast one",
-            "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable"
-        ),
+        Some(better) => problem!(Warning, "{current}, though {better} is there"
+            => "echo {better} | sudo tee {folder}/current_clocksource"),
+        None => problem!(Warning, "{current}; there is no fast one"
+            => "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable"),
     }
 }
 
@@ -80,11 +71,8 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
     } else {
         product.trim()
     };
-    problem!(
-        Warning,
-        "yes, {kind}",
-        "run on the machine itself, or pin this virtual machine to cores of its own"
-    )
+    problem!(Warning, "yes, {kind}"
+        => "run on the machine itself, or pin this virtual machine to cores of its own")
 }
 
 /// What one client and one driver add that write everything they can \[bytes\].
@@ -120,22 +108,16 @@ pub(super) fn shared_memory(scene: &Scene) -> Assessed {
     let mount = probe.shared_memory_mount.display();
     let files = CLIENT_FILES + daemon_files;
     if let Some(free) = probe.shared_memory_files.filter(|free| *free < files) {
-        return problem!(
-            Fault,
-            "{value}; {free} files can be made, still needed {files}",
-            "sudo mount -o remount,nr_inodes=100k {mount}, or remove files there"
-        );
+        return problem!(Fault, "{value}; {free} files can be made, still needed {files}"
+            => "sudo mount -o remount,nr_inodes=100k {mount}, or remove files there");
     }
     if *free >= needed {
         return Ok(value);
     }
     let severity = if *free < daemon { Fault } else { Warning };
     let enough = (size + needed).next_multiple_of(1 << 26) >> 20;
-    problem!(
-        severity,
-        "{value}",
-        "sudo mount -o remount,size={enough}M {mount}   (a container: --shm-size={enough}m)"
-    )
+    problem!(severity, "{value}"
+        => "sudo mount -o remount,size={enough}M {mount}   (a container: --shm-size={enough}m)")
 }
 
 pub(super) fn huge_pages(scene: &Scene) -> Assessed {
@@ -148,11 +130,10 @@ pub(super) fn huge_pages(scene: &Scene) -> Assessed {
     match &scene.probe.no_huge_pages {
         _ if chosen != "always" => Ok(chosen.to_owned()),
         Ok(()) => Ok("always, but not for the daemon: it exempts itself".to_owned()),
-        Err(refusal) => problem!(
-            Warning,
-            "always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})",
-            "echo madvise | sudo tee {path}"
-        ),
+        Err(refusal) => {
+            problem!(Warning, "always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})"
+            => "echo madvise | sudo tee {path}")
+        }
     }
 }
 
@@ -164,22 +145,16 @@ pub(super) fn swap(scene: &Scene) -> Assessed {
         count if scene.probe.memory_lock.is_ok() => {
             Ok(format!("{count} in use, and memory can be locked"))
         }
-        count => problem!(
-            Warning,
-            "{count} in use, and memory is not locked",
-            "sudo swapoff -a, or let the daemon lock its memory"
-        ),
+        count => problem!(Warning, "{count} in use, and memory is not locked"
+            => "sudo swapoff -a, or let the daemon lock its memory"),
     }
 }
 
 pub(super) fn root_folder(scene: &Scene) -> Assessed {
     let shown = scene.root().display();
     if let Ok(false) = scene.probe.root_in_memory {
-        return problem!(
-            Fault,
-            "{shown} lies on a disk",
-            "choose a folder in memory (tmpfs), below /dev/shm or /run: --root DIR, or transport.root"
-        );
+        return problem!(Fault, "{shown} lies on a disk"
+            => "choose a folder in memory (tmpfs), below /dev/shm or /run: --root DIR, or transport.root");
     }
     let path = scene.system.path(scene.root());
     let user = scene.probe.user_id;
@@ -201,14 +176,10 @@ pub(super) fn root_folder(scene: &Scene) -> Assessed {
             if mode & foreign == 0 {
                 return Ok(value);
             }
-            return problem!(Warning, "{value}: others may write", "chmod 700 '{shown}'");
+            return problem!(Warning, "{value}: others may write" => "chmod 700 '{shown}'");
         }
     };
-    problem!(
-        Fault,
-        "{fault}",
-        "choose a folder of your own: --root DIR, or transport.root"
-    )
+    problem!(Fault, "{fault}" => "choose a folder of your own: --root DIR, or transport.root")
 }
 
 /// The daemon creates the folder, with all above it, if the first one that is there lets it.

@@ -43,20 +43,14 @@ pub(super) fn fifo(scene: &Scene) -> Assessed {
         return Ok(format!("granted at priority {priority}"));
     };
     if may_have_priority(scene)? {
-        return problem!(
-            scene.missing(),
-            "refused at priority {priority}, in spite of the privilege: {refusal}",
-            "in a systemd unit: RestrictRealtime=no; else see `RT group` below"
-        );
+        return problem!(scene.missing(), "refused at priority {priority}, in spite of the privilege: {refusal}"
+            => "in a systemd unit: RestrictRealtime=no; else see `RT group` below");
     }
     let limit = scene.probe.rtprio_max.unwrap_or(u64::MAX);
     let enough = priority.max(RTPRIO);
     let remedy = grant(&format!("rtprio {enough}"), &format!("rtprio={enough}"));
-    problem!(
-        scene.missing(),
-        "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})",
-        "{remedy}"
-    )
+    problem!(scene.missing(), "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
+        => "{remedy}")
 }
 
 pub(super) fn pin(scene: &Scene) -> Assessed {
@@ -67,19 +61,13 @@ pub(super) fn pin(scene: &Scene) -> Assessed {
     let allowed = scene.system.own_status("Cpus_allowed_list")?;
     let online = scene.system.online()?;
     if !online.contains(core) {
-        return problem!(
-            scene.missing(),
-            "core {core} does not run; online are {online}",
-            "set realtime.core to one of {allowed}"
-        );
+        return problem!(scene.missing(), "core {core} does not run; online are {online}"
+            => "set realtime.core to one of {allowed}");
     }
     // An affinity that was inherited refuses nothing, only the cpuset of the group does.
-    problem!(
-        scene.missing(),
-        "core {core} is refused by the control group; allowed are {allowed}",
-        "set realtime.core to one of {allowed}, or give the group core {core}, too (a unit: AllowedCPUs=, a container: \
-         --cpuset-cpus)"
-    )
+    problem!(scene.missing(), "core {core} is refused by the control group; allowed are {allowed}"
+        => "set realtime.core to one of {allowed}, or give the group core {core}, too (a unit: AllowedCPUs=, a \
+            container: --cpuset-cpus)")
 }
 
 pub(super) fn memory_lock(scene: &Scene) -> Assessed {
@@ -94,5 +82,5 @@ pub(super) fn memory_lock(scene: &Scene) -> Assessed {
         format!("RLIMIT_MEMLOCK is {shown}; a daemon with clients may need 512 MiB")
     };
     let remedy = grant("memlock unlimited", "memlock=-1");
-    problem!(scene.missing(), "{value}", "{remedy}")
+    problem!(scene.missing(), "{value}" => "{remedy}")
 }

@@ -19,7 +19,7 @@ struct Snapshot {
     interrupts: BTreeMap<String, (String, u64)>,
 }
 
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct Thread {
     pub(super) process: u32,
@@ -37,7 +37,9 @@ pub(super) struct Thread {
     /// Core on which it was seen last.
     pub(super) core: usize,
     /// Time that it has used, in the kernel's ticks.
-    pub(super) ticks: u64,
+    ticks: u64,
+    /// Share of our core's time that it used between the snapshots.
+    pub(super) share: f64,
 }
 
 /// What happened between two snapshots.
@@ -45,14 +47,10 @@ pub(super) struct Thread {
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct Load {
     pub(super) cores: BTreeMap<usize, CoreLoad>,
-    /// Threads that used time and were last seen on our core, with the share that each used; the busiest first.
-    pub(super) neighbours: Vec<(Thread, f64)>,
-    /// Every real-time thread of other processes.
-    pub(super) realtime: Vec<Thread>,
+    /// Every thread of other processes, the busiest first.
+    pub(super) threads: Vec<Thread>,
     /// Interrupts on our core, the most frequent first.
     pub(super) interrupts: Vec<InterruptRate>,
-    /// Process id of irqbalance, when it runs.
-    pub(super) irqbalance: Option<u32>,
 }
 
 /// Shares of one core's time, 0 to 1.
@@ -153,11 +151,12 @@ fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
         allowed: CoreSet::default(),
         core: usize::try_from(number(39)?).ok()?,
         ticks: number(14)?.saturating_add(number(15)?),
+        share: 0.0,
     })
 }
 
 impl Thread {
-    fn is_realtime(&self) -> bool {
+    pub(super) fn is_realtime(&self) -> bool {
         self.is_deadline || self.priority > 0
     }
 }
@@ -199,42 +198,51 @@ impl Load {
         std::thread::sleep(WATCHED);
         let after = Snapshot::take(system, core)?;
         let seconds = start.elapsed().as_secs_f64();
-        Ok(Self::between(&before, &after, core, seconds, ours))
+        Ok(Self::between(&before, after, core, seconds, ours))
     }
 
-    /// The difference of two snapshots that were taken `seconds` apart. `ours` are the processes that are
-    /// no neighbours: this one, and the daemon of this robot when it runs.
+    /// The difference of two snapshots that were taken `seconds` apart. `ours` are the processes that do not
+    /// count: this one, and the daemon of this robot when it runs.
     fn between(
         before: &Snapshot,
-        after: &Snapshot,
+        after: Snapshot,
         core: usize,
         seconds: f64,
         ours: &[u32],
     ) -> Self {
-        let all = after.threads.values();
-        let threads: Vec<&Thread> = all
-            .filter(|thread| !ours.contains(&thread.process))
-            .collect();
         let total = since(&before.cores, &after.cores, core).total;
-        let here = threads.iter().filter(|thread| thread.core == core);
-        let used = here.map(|&thread| {
+        let threads = after.threads.into_values().map(|thread| {
             let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
             // A thread that is new has used all its time meanwhile; so has one with the id of another.
             let used = thread.ticks.checked_sub(earlier).unwrap_or(thread.ticks);
-            (thread.clone(), share(used, total))
+            Thread {
+                share: share(used, total),
+                ..thread
+            }
         });
-        let mut neighbours: Vec<_> = used.filter(|(_, share)| *share > 0.0).collect();
-        neighbours.sort_by(|(_, a), (_, b)| b.total_cmp(a));
-        let realtime = threads.iter().filter(|thread| thread.is_realtime());
-        let mut realtime: Vec<Thread> = realtime.map(|&thread| thread.clone()).collect();
-        realtime.sort_by_key(|thread| (-thread.priority, thread.id));
-        let irqbalance = threads.iter().find(|thread| thread.name == "irqbalance");
+        let mut threads: Vec<_> = threads
+            .filter(|thread| !ours.contains(&thread.process))
+            .collect();
+        threads.sort_by(|a, b| b.share.total_cmp(&a.share));
+        let rates = after
+            .interrupts
+            .into_iter()
+            .map(|(label, (description, now))| {
+                let earlier = before.interrupts.get(&label).map_or(0, |(_, count)| *count);
+                let rate_hz = now.saturating_sub(earlier) as f64 / seconds.max(1e-3);
+                InterruptRate {
+                    label,
+                    description,
+                    rate_hz,
+                }
+            });
+        let mut interrupts: Vec<_> = rates.filter(|rate| rate.rate_hz > 0.0).collect();
+        interrupts.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
+        let cores = core_loads(&before.cores, &after.cores);
         Self {
-            cores: core_loads(&before.cores, &after.cores),
-            neighbours,
-            realtime,
-            interrupts: interrupt_rates(before, after, seconds),
-            irqbalance: irqbalance.map(|thread| thread.process),
+            cores,
+            threads,
+            interrupts,
         }
     }
 }
@@ -269,20 +277,6 @@ pub(super) fn core_loads(before: &Cores, after: &Cores) -> BTreeMap<usize, CoreL
         (*core, load)
     });
     loads.collect()
-}
-
-fn interrupt_rates(before: &Snapshot, after: &Snapshot, seconds: f64) -> Vec<InterruptRate> {
-    let rates = after.interrupts.iter().map(|(label, (description, now))| {
-        let earlier = before.interrupts.get(label).map_or(0, |(_, count)| *count);
-        InterruptRate {
-            label: label.clone(),
-            description: description.clone(),
-            rate_hz: now.saturating_sub(earlier) as f64 / seconds.max(1e-3),
-        }
-    });
-    let mut rates: Vec<_> = rates.filter(|rate| rate.rate_hz > 0.0).collect();
-    rates.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
-    rates
 }
 
 #[cfg(test)]
@@ -331,16 +325,25 @@ mod tests {
                 (53, stat(53, "ours", 90, 1, (80, 1))),
             ],
         );
-        let load = Load::between(&before, &after, 1, 1.0, &[53]);
+        let load = Load::between(&before, after, 1, 1.0, &[53]);
         let core = load.cores[&1];
         assert!((core.busy - 0.3).abs() < 1e-9 && (core.steal - 0.2).abs() < 1e-9);
         assert!((core.steal_since_start - 0.1).abs() < 1e-9);
         assert_eq!(load.cores.len(), 2);
-        let names: Vec<_> = load.neighbours.iter().map(|(t, _)| &*t.name).collect();
-        assert_eq!(names, ["a) (b", "fresh"]);
-        assert!((load.neighbours[0].1 - 0.2).abs() < 1e-9);
-        assert_eq!(load.realtime.len(), 1);
-        assert!(load.realtime[0].allowed.contains(1) && load.realtime[0].priority == 99);
+        let seen = load
+            .threads
+            .iter()
+            .map(|t| (&*t.name, t.core, (100.0 * t.share).round()));
+        let expected = [
+            ("elsewhere", 0, 30.0),
+            ("a) (b", 1, 20.0),
+            ("fresh", 1, 5.0),
+        ];
+        assert_eq!(seen.collect::<Vec<_>>(), expected);
+        let realtime: Vec<_> = load.threads.iter().filter(|t| t.is_realtime()).collect();
+        assert!(
+            realtime.len() == 1 && realtime[0].allowed.contains(1) && realtime[0].priority == 99
+        );
         let [device, timer] = &load.interrupts[..] else {
             panic!("{:?}", load.interrupts)
         };
@@ -362,17 +365,17 @@ mod tests {
                 (4, stat(4, "\u{1b}[31m\nred", 1, 1, (0, 0))),
             ],
         );
-        let load = Load::between(&nothing, &nothing, 1, 0.0, &[]);
-        assert_eq!(load.cores[&1], CoreLoad::default());
-        assert!(load.neighbours.is_empty() && load.interrupts.is_empty());
         let names: Vec<_> = nothing.threads.values().map(|t| &*t.name).collect();
         assert_eq!(names, ["?[31m?red"]);
+        let load = Load::between(&nothing.clone(), nothing, 1, 0.0, &[]);
+        assert_eq!(load.cores[&1], CoreLoad::default());
+        assert!(load.threads[0].share == 0.0 && load.interrupts.is_empty());
         let machine = Machine::new(&[("/proc/stat", "intr 5")]);
         assert!(Snapshot::take(&machine.scene.system, 1).is_err());
         // Counters that run backwards (a core that was off) are no load.
         let high = snapshot("cpu1 5 0 0 5 0 0 0 0\n", "CPU1\n 1: 9 x\n", &[]);
         let low = snapshot("cpu1 1 0 0 1 0 0 0 0\n", "CPU1\n 1: 2 x\n", &[]);
-        let load = Load::between(&high, &low, 1, 1.0, &[]);
+        let load = Load::between(&high, low, 1, 1.0, &[]);
         assert!(load.cores[&1].busy == 0.0 && load.interrupts.is_empty());
     }
 }

@@ -57,11 +57,8 @@ fn dynamic_preemption(scene: &Scene) -> Assessed {
     if let Some(model) = scene.system.boot_option("preempt")? {
         return of_model(scene, &model, &format!("dynamic, {model} at boot"));
     }
-    problem!(
-        Unknown,
-        "dynamic, the model in force cannot be read",
-        "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt"
-    )
+    problem!(Unknown, "dynamic, the model in force cannot be read"
+        => "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt")
 }
 
 fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
@@ -69,28 +66,19 @@ fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
     // A lazy kernel is lazy towards ordinary threads only.
     match model {
         "full" | "lazy" if period_ms >= PERIOD_MS_FINE => Ok(value.to_owned()),
-        "full" | "lazy" => problem!(
-            Warning,
-            "{value}; the period is {period_ms} ms",
-            "install a kernel with PREEMPT_RT"
-        ),
-        _ => problem!(
-            Warning,
-            "{value}",
-            "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a kernel \
-             with PREEMPT_RT"
-        ),
+        "full" | "lazy" => problem!(Warning, "{value}; the period is {period_ms} ms"
+            => "install a kernel with PREEMPT_RT"),
+        _ => problem!(Warning, "{value}"
+            => "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a \
+                kernel with PREEMPT_RT"),
     }
 }
 
 pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
     let share = kernel_share(&scene.system)?;
     if scene.system.number(RT_RUNTIME_US)? < 0 {
-        return problem!(
-            Warning,
-            "off: nothing guards the core from a hung loop",
-            "sudo sysctl kernel.sched_rt_runtime_us=950000"
-        );
+        return problem!(Warning, "off: nothing guards the core from a hung loop"
+            => "sudo sysctl kernel.sched_rt_runtime_us=950000");
     }
     let usual = CoreBudget::new(&scene.validated.config);
     let budget = usual.with_kernel_share(share);
@@ -105,26 +93,18 @@ pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
     if budget.solve_ns(costs) == usual.solve_ns(costs) {
         return Ok(value);
     }
-    problem!(
-        Warning,
-        "{value}",
-        "sudo sysctl kernel.sched_rt_runtime_us=950000"
-    )
+    problem!(Warning, "{value}" => "sudo sysctl kernel.sched_rt_runtime_us=950000")
 }
 
 pub(super) fn rt_group(scene: &Scene) -> Assessed {
     match group_runtime_us(scene)? {
-        Some((file, 0)) => problem!(
-            scene.missing(),
-            "this control group has no real-time runtime",
-            "echo 950000 | sudo tee {file}   (and first in the groups above it)"
-        ),
+        Some((file, 0)) => problem!(scene.missing(), "this control group has no real-time runtime"
+            => "echo 950000 | sudo tee {file}   (and first in the groups above it)"),
         Some((_, runtime_us)) => Ok(format!("{runtime_us} µs")),
-        None if scene.probe.fifo.is_err() && may_have_priority(scene)? => problem!(
-            scene.missing(),
-            "SCHED_FIFO is refused in spite of the privilege: probably CONFIG_RT_GROUP_SCHED",
-            "boot with rt_group_sched=0, or start cdcrd in the root control group"
-        ),
+        None if scene.probe.fifo.is_err() && may_have_priority(scene)? => {
+            problem!(scene.missing(), "SCHED_FIFO is refused in spite of the privilege: probably CONFIG_RT_GROUP_SCHED"
+            => "boot with rt_group_sched=0, or start cdcrd in the root control group")
+        }
         None => Ok("no limit of a group".to_owned()),
     }
 }
@@ -197,11 +177,7 @@ pub(super) fn sysctls(scene: &Scene) -> Assessed {
         return Ok("none that disturbs the loop".to_owned());
     }
     let [values, settings] = [values.join("; "), settings.join(" ")];
-    problem!(
-        Warning,
-        "{values}",
-        "sudo sysctl {settings}   (and for good in /etc/sysctl.d/)"
-    )
+    problem!(Warning, "{values}" => "sudo sysctl {settings}   (and for good in /etc/sysctl.d/)")
 }
 
 #[cfg(test)]
