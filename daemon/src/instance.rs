@@ -18,7 +18,7 @@ use rustix::fs::OFlags;
 use rustix::io::Errno;
 
 use crate::latch::Latch;
-use crate::services::{ServiceError, ask_for_room, stale};
+use crate::services::{ServiceError, ask_for_space, stale};
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
 
@@ -115,7 +115,7 @@ pub enum InstanceError {
     )]
     GroupRoot { root: String },
     #[error(transparent)]
-    NoRoom(ServiceError),
+    InsufficientSpace(ServiceError),
     #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
     File { path: String, cause: std::io::Error },
 }
@@ -124,7 +124,7 @@ impl InstanceError {
     /// Whether the file system of the root folder is full.
     pub(crate) fn is_full(&self) -> bool {
         match self {
-            Self::NoRoom(_) => true,
+            Self::InsufficientSpace(_) => true,
             Self::File { cause, .. } => cause.kind() == ErrorKind::StorageFull,
             _ => false,
         }
@@ -138,7 +138,8 @@ impl Instance {
         robot: &str,
         group_id: Option<u32>,
     ) -> Result<Self, InstanceError> {
-        Self::claim_now(location, robot, group_id).map_err(|error| with_lack(error, location))
+        Self::claim_now(location, robot, group_id)
+            .map_err(|error| with_missing_space(error, location))
     }
 
     fn claim_now(
@@ -259,9 +260,9 @@ fn is_file_at(file: &File, path: &Path) -> bool {
 }
 
 /// A full file system is told with what is needed and what is free.
-fn with_lack(error: InstanceError, location: &Location) -> InstanceError {
-    match error.is_full().then(|| ask_for_room(location)) {
-        Some(Err(lack)) => InstanceError::NoRoom(lack),
+fn with_missing_space(error: InstanceError, location: &Location) -> InstanceError {
+    match error.is_full().then(|| ask_for_space(location)) {
+        Some(Err(missing)) => InstanceError::InsufficientSpace(missing),
         _ => error,
     }
 }

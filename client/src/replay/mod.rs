@@ -149,7 +149,7 @@ impl Replayer {
             return Ok(None);
         };
         if follows_gap {
-            self.reference.doubt();
+            self.reference.miss_records();
             parts.modes.forget();
         }
         self.reference.move_on_to(&record);

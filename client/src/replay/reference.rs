@@ -31,7 +31,7 @@ pub(super) struct Reference {
     /// The trajectory is all there.
     is_known: bool,
     /// It may have been continued in records that are missing.
-    is_doubtful: bool,
+    has_gap: bool,
     /// Accepted requests that took effect with the present gather or later, in order.
     requests: VecDeque<(u64, InputEvent)>,
 }
@@ -68,16 +68,16 @@ impl Reference {
         let capacity = 2 * REFERENCE_POINTS_MAX;
         self.trajectory = Some(Trajectory::with_capacity(capacity, robot.reach_m()));
         self.in_force.clear();
-        (self.last, self.is_known, self.is_doubtful) = (None, false, false);
+        (self.last, self.is_known, self.has_gap) = (None, false, false);
     }
 
     /// Records are missing: the trajectory may have been continued or replaced.
-    pub(super) fn doubt(&mut self) {
-        self.is_doubtful = true;
+    pub(super) fn miss_records(&mut self) {
+        self.has_gap = true;
     }
 
     pub(super) fn is_known(&self) -> bool {
-        self.is_known && !self.is_doubtful
+        self.is_known && !self.has_gap
     }
 
     /// Repeats what the daemon did up to the gather of a record.
@@ -145,7 +145,7 @@ impl Reference {
 
     fn put(&mut self, chunk: Box<ReferenceChunk>, key: Key) {
         self.order.retain(|kept| *kept != key);
-        self.is_doubtful = false;
+        self.has_gap = false;
         self.last = Some(key);
         let begins = chunk.mode == ChunkMode::Replace.code();
         let Some((points, trajectory)) = reference_points(&chunk).zip(self.trajectory.as_mut())

@@ -12,7 +12,7 @@ use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
     The cycle thread of the configuration (core, priority, locked memory, period) wakes up as early as a cycle\n\
-    does (realtime.spin_us), spins to each release, reads the clock, and does nothing else. Judged as in cdcrd run; whatever is late is due to\n\
+    does (realtime.spin_us), spins to each release, reads the clock, and does nothing else. Evaluated as in cdcrd run; whatever is late is due to\n\
     the machine. Touches no shared memory, so it may run beside a daemon; on the same core the two\n\
     disturb each other. SIGINT and SIGTERM end it early, with what there is.\n\n\
     --format csv has a line for each cycle. run_delay_ns and page_faults are empty where the kernel does not\n\

@@ -62,7 +62,7 @@ pub enum ServiceError {
 }
 
 /// Whether a daemon has room at `location`.
-pub(crate) fn ask_for_room(location: &Location) -> Result<(), ServiceError> {
+pub(crate) fn ask_for_space(location: &Location) -> Result<(), ServiceError> {
     let room = ShmSpace::new(location.root(), &location.file_prefix());
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
     let needed_bytes = daemon_bytes().saturating_sub(room.taken_bytes());
@@ -81,7 +81,7 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         root: location.root().display().to_string(),
         cause,
     };
-    ask_for_room(location)?;
+    ask_for_space(location)?;
     let mut config = location
         .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;

@@ -122,10 +122,10 @@ fn run(link: &str) {
     assert_eq!(seen.missing(duration), None);
     assert!(daemon.runs(), "the daemon is gone\n{again}\n{log}");
     assert!(driver.is_none_or(|mut driver| driver.runs()));
-    // The robot is mended.
-    let mended = has_driver.then(|| DriverProcess::start(daemon.place()));
+    // The robot gets a new driver.
+    let driver = has_driver.then(|| DriverProcess::start(daemon.place()));
     come_back(&daemon);
-    drop(mended);
+    drop(driver);
     daemon.end_clean();
 }
 

@@ -228,7 +228,7 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
     }
     drop(flood);
     // Two never lived at a time: the first has its lock file again, or saw another's there and came to rest.
-    wait_until("it has mended its place, or ended", || {
+    wait_until("it has repaired its place, or ended", || {
         !daemon.runs() || location.lock_file(ROBOT).exists()
     });
     if daemon.runs() {

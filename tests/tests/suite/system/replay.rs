@@ -9,7 +9,7 @@ use cdcr_client::replay::{Outcome, Replayer};
 use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, events};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{
-    EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Judged, Reason,
+    EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Answer, Reason,
 };
 use cdcr_shared_types::{ReferenceChunk, Telemetry};
 
@@ -46,7 +46,7 @@ impl Recording {
         let sender = connection.obstacle_sender().unwrap();
         let header = sender.upsert(known).unwrap();
         let verdict = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
-        assert_eq!(verdict.unwrap(), Judged::Accepted);
+        assert_eq!(verdict.unwrap(), Answer::Accepted);
         let mut sent = connection.references().unwrap();
         until_undisturbed("a curve is tracked to its end", || {
             let mut recording = Self::default();
@@ -94,7 +94,7 @@ impl Recording {
         let takes = |record: &Telemetry| {
             let accepted = events(record).iter().filter(|event| {
                 (event.kind, event.outcome)
-                    == (EventKind::Reference.code(), Judged::Accepted.code())
+                    == (EventKind::Reference.code(), Answer::Accepted.code())
             });
             let gathers = accepted.map(|event| record.gather - u64::from(event.gathers_ago));
             gathers.filter(|gather| *gather > before.gather).min()

@@ -5,6 +5,7 @@ mod causes;
 mod config;
 mod cycle;
 mod daemon;
+mod diagnosis;
 mod pictures;
 mod place;
 mod report;
@@ -12,7 +13,6 @@ mod shape;
 mod sketch;
 mod steal;
 mod table;
-mod verdict;
 
 use std::fs;
 use std::io::Write;

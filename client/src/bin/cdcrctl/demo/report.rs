@@ -6,8 +6,8 @@ use serde::Serialize;
 use super::baseline::Baseline;
 use super::causes::{IncidentCauses, MissCauses};
 use super::cycle::Cycle;
+use super::diagnosis::Diagnosis;
 use super::steal::Steal;
-use super::verdict::Verdict;
 use crate::args::DemoOptions;
 use crate::spread::Spread;
 
@@ -48,7 +48,7 @@ pub(super) struct DemoReport {
     pub(super) baseline: Option<Baseline>,
     /// Why there is none.
     pub(super) baseline_error: Option<String>,
-    pub(super) verdict: Verdict,
+    pub(super) verdict: Diagnosis,
     pub(super) realtime: bool,
     pub(super) realtime_missing: Vec<&'static str>,
     pub(super) wake_us: Spread,
@@ -75,7 +75,7 @@ impl DemoReport {
         let spread = |of: fn(&Cycle) -> f64| Spread::of(cycles.iter().map(of)).unwrap_or_default();
         let causes = MissCauses::new(cycles, &run.incidents);
         let baseline = run.baseline.as_ref().ok();
-        let verdict = Verdict::new(&causes, baseline, run.steal, status.realtime_missing);
+        let verdict = Diagnosis::new(&causes, baseline, run.steal, status.realtime_missing);
         Ok(Self {
             sections: options.sections,
             cycles: cycles.len(),

@@ -4,8 +4,8 @@ use cdcr_client::{counted, realtime_missing};
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::LateCause;
 
+use super::diagnosis::Diagnosis;
 use super::report::DemoReport;
-use super::verdict::Verdict;
 use crate::spread::Spread;
 
 const WIDTH: usize = 80;
@@ -137,7 +137,7 @@ fn beside(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     Ok(())
 }
 
-fn verdict(out: &mut String, verdict: &Verdict) -> Result<(), Error> {
+fn verdict(out: &mut String, verdict: &Diagnosis) -> Result<(), Error> {
     writeln!(out, "\n{}", wrapped(&verdict.text))?;
     if let Some(grant) = verdict.grant {
         writeln!(out, "Grant real time: {grant}")?;

@@ -178,7 +178,7 @@ impl Recording {
         self.is_cut
     }
 
-    /// Says how to mend a recording that is cut.
+    /// Says how to repair a recording that is cut.
     pub(crate) fn warn_of_cut(&self) {
         if self.is_cut {
             let name = self.path.display();

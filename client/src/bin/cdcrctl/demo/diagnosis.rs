@@ -32,7 +32,7 @@ pub(super) enum Limit {
 
 /// What limits the loop on this machine, and what to do.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Verdict {
+pub(super) struct Diagnosis {
     pub(super) limited_by: Limit,
     /// One sentence.
     pub(super) text: String,
@@ -41,8 +41,8 @@ pub(super) struct Verdict {
     pub(super) grant: Option<&'static str>,
 }
 
-impl Verdict {
-    /// Judges a run by the causes of its misses, the bare loop before it, where there was one, and what it
+impl Diagnosis {
+    /// Evaluates a run by the causes of its misses, the bare loop before it, where there was one, and what it
     /// lacks for real time.
     pub(super) fn new(
         causes: &MissCauses,
@@ -180,15 +180,15 @@ mod tests {
         MissCauses::new(&missed(causes), &IncidentCauses::default())
     }
 
-    fn verdict(of: &[LateCause], missing: u32) -> Verdict {
-        Verdict::new(&causes(of), Some(&baseline(3, 4)), Some(TAKEN), missing)
+    fn verdict(of: &[LateCause], missing: u32) -> Diagnosis {
+        Diagnosis::new(&causes(of), Some(&baseline(3, 4)), Some(TAKEN), missing)
     }
 
     /// The first of the misses is explained by the steal.
-    fn stolen(of: &[LateCause], missing: u32) -> Verdict {
+    fn stolen(of: &[LateCause], missing: u32) -> Diagnosis {
         let cycles = missed(of);
         let causes = MissCauses::new(&cycles, &stolen_cycle(&cycles[0], 20_000_000, 20_000_000));
-        Verdict::new(&causes, Some(&baseline(3, 4)), Some(TAKEN), missing)
+        Diagnosis::new(&causes, Some(&baseline(3, 4)), Some(TAKEN), missing)
     }
 
     #[test]
@@ -241,7 +241,7 @@ mod tests {
              without work, missed 3 of 100 deadlines."
         );
         let with_baseline = |baseline: Option<Baseline>| {
-            Verdict::new(&causes(&[]), baseline.as_ref(), None, 0).text
+            Diagnosis::new(&causes(&[]), baseline.as_ref(), None, 0).text
         };
         assert_eq!(
             with_baseline(Some(baseline(0, 0))),
