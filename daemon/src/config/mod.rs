@@ -53,7 +53,6 @@ mod keys;
 mod layers;
 mod link;
 mod origin;
-mod ranges;
 mod realtime;
 mod robot;
 mod rules;

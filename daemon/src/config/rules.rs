@@ -1,9 +1,12 @@
-//! Rules between keys.
+//! What is allowed: the range that is declared of each number, and rules between keys.
 
-use super::{Config, ConfigError, Origins};
+use cdcr_controller::parameters::number_text;
 
-/// Refuses the first pair of values that contradict each other.
+use super::{Config, ConfigError, Origins, keys};
+
+/// Refuses the first number outside its range, and the first pair of values that contradict each other.
 pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
+    check_ranges(config, origins)?;
     check_times(config, origins)?;
     let (realtime, safety) = (&config.realtime, &config.safety);
     let (exchange, cycle) = (realtime.exchange_priority, realtime.cycle_priority);
@@ -93,6 +96,30 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
             "{name} = {value} is out of range: with cycle.period_ms = {period_ms}, allowed is {limit}"
         );
         return Err(origins.error(&[key, "cycle.period_ms"], &message));
+    }
+    Ok(())
+}
+
+/// Refuses the first number outside its range, NaN included.
+fn check_ranges(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
+    let sections = config.robot.sections.iter().enumerate();
+    let sections = sections.map(|(index, section)| {
+        let numbers = section.numbers().to_vec();
+        (format!("robot.sections[{index}]"), numbers)
+    });
+    for (table, numbers) in config.numbers_by_table().into_iter().chain(sections) {
+        let parameters = keys::below(&keys::without_indices(&table)).iter();
+        for (parameter, number) in parameters.zip(numbers) {
+            let (Some(range), Some(value)) = (&parameter.range, number) else {
+                continue;
+            };
+            if !range.contains(&value) {
+                let [low, high] = [range.start(), range.end()].map(|limit| number_text(*limit));
+                let message = format!("{value} is out of range: allowed is {low} to {high}");
+                let key = format!("{table}.{}", parameter.name);
+                return Err(origins.error(&[&key], &message));
+            }
+        }
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 use cdcr_controller::nmpc::RateWeight;
 
-use super::{Config, ConfigError, Origin, Origins, Validated, keys, ranges, rules};
+use super::{Config, ConfigError, Origin, Origins, Validated, keys, rules};
 
 /// A typed configuration, not yet checked, and where its values come from.
 #[derive(Debug, Clone, Default)]
@@ -32,7 +32,6 @@ impl Settings {
             mut config,
             origins,
         } = self;
-        ranges::check(&config, &origins)?;
         rules::check(&config, &origins)?;
         let robot = config.robot.robot(&origins)?;
         let flaws = config.link.flaws(&origins)?;
