@@ -12,6 +12,7 @@
 //! | [`robustness`] | how far robots that are not their model are from the reference |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
+//! | `watcher` | a client that sees every command of a daemon come |
 //! | [`progress`] | how far a run is |
 //! | [`benchmark`] | what every benchmark is: options, about how long it takes, a run |
 //! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
@@ -57,5 +58,6 @@ pub mod run_options;
 pub mod scene;
 pub mod simulation;
 pub mod solver;
+mod watcher;
 
 use cdcr_testbed::{interrupt, load, subject, system};

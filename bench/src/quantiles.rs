@@ -46,3 +46,12 @@ pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
 pub fn histogram() -> Result<Histogram<u64>> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
 }
+
+/// All of them together.
+pub fn pooled<'a>(all: impl IntoIterator<Item = &'a Histogram<u64>>) -> Result<Histogram<u64>> {
+    let mut sum = histogram()?;
+    for times_ns in all {
+        sum.add(times_ns)?;
+    }
+    Ok(sum)
+}

@@ -4,9 +4,8 @@
 //! other; the next round begins with another of them. So what the machine does of itself meets all of them
 //! alike, and the spread of the rounds says how far a difference can be believed.
 
-mod observer;
 mod report;
-mod segment;
+mod stretch;
 mod tally;
 
 use std::path::PathBuf;
@@ -17,7 +16,7 @@ use clap::ValueEnum;
 use serde_json::json;
 
 pub use report::misses_p_value;
-pub use segment::Subject;
+pub use stretch::Subject;
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
@@ -29,7 +28,7 @@ use crate::subject::cyclictest::Cyclictest;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 use report::{Cases, Key};
-use segment::Runner;
+use stretch::Runner;
 
 /// What is not counted at the beginning of a stretch: memory is mapped, caches fill.
 pub const WARM_UP: Duration = Duration::from_secs(1);
@@ -179,22 +178,18 @@ impl Benchmark for DeadlineOptions {
                 // One that fails is measured once more: a machine may stall for longer than a process can bear, and half
                 // an hour of measurements is not to be lost by that. It is told.
                 let measure = || runner.run(key.subject, key.load, key.setup);
-                let (tally, done) = measure().or_else(|failure| {
+                let tally = measure().or_else(|failure| {
                     interrupt::check()?;
                     failures.push(format!("{what}: {failure:#}"));
                     measure()
                 })?;
                 let start_s = (start - begin).as_secs_f64();
-                let case = cases.entry(key).or_default();
-                case.push(
-                    key,
-                    json!({ "round": round, "start_s": start_s, "load_did": done }),
-                    tally,
-                )?;
+                let of_round = json!({ "round": round, "start_s": start_s });
+                cases.entry(key).or_default().push(key, of_round, tally);
                 progress.advance(start.elapsed().as_secs_f64());
             }
         }
-        let period_ms = runner.period().as_secs_f64() * 1e3;
+        let period_ms = runner.period.as_secs_f64() * 1e3;
         let mut dataset = report::dataset(&cases, self, 1e3 * period_ms)?;
         dataset.fact("period_ms", period_ms);
         dataset.fact("realtime_granted", is_realtime);

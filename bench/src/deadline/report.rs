@@ -1,22 +1,24 @@
 //! What `deadline` found, as rows, plots and single numbers.
 
 use std::collections::BTreeMap;
+use std::slice;
 
 use anyhow::Result;
+use hdrhistogram::Histogram;
 use serde_json::{Map, Value, json};
 use statrs::distribution::{Binomial, DiscreteCDF};
 
-use super::segment::Subject;
-use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, times_json};
+use super::stretch::Subject;
+use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, empty_times, times_json};
 use super::{DeadlineOptions, Setup};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer, plot};
 use crate::dataset::{
-    Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, number, percent, plain, signed,
+    Column, Dataset, Recording, Sheet, each, fixed, joined, number, percent, plain, signed,
     together, word,
 };
 use crate::load::Load;
 use crate::metric::{median, range};
-use crate::quantiles::Quantiles;
+use crate::quantiles::{Quantiles, pooled};
 
 /// The least share of the cycles that is drawn.
 const SHARES: f64 = 1e-5;
@@ -82,6 +84,21 @@ const COUNTED: [&str; 9] = [
     "budget_hits",
 ];
 
+const PLOTS: [(Setup, &str, &str); 2] = [
+    (
+        Setup::Realtime,
+        "deadline-realtime",
+        "With real time: share of the cycles that started later than so much after their release, and of \
+         the commands that came later to the client. Both axes are logarithmic, and the same in all panels; the \
+         upright line is the period.",
+    ),
+    (
+        Setup::Ordinary,
+        "deadline-ordinary",
+        "The same without real time.",
+    ),
+];
+
 const TIMES: [Column; 9] = [
     word("load", "load"),
     word("set-up", "set_up"),
@@ -92,20 +109,6 @@ const TIMES: [Column; 9] = [
     fixed("p99", "p99", 1),
     fixed("p99.9", "p999", 1),
     fixed("max", "max", 1),
-];
-
-/// What two runs of a daemon are compared by, and of every subject.
-const MISSES: [(&str, &str, &str); 2] = [
-    ("own_misses", "", "own_misses"),
-    ("misses", "per million", "misses_per_million"),
-];
-const QUANTILES: [(&str, &str, &str); 6] = [
-    ("wake_p50", "µs", "wake_us_p50"),
-    ("wake_p99", "µs", "wake_us_p99"),
-    ("response_p50", "µs", "response_us_p50"),
-    ("response_p99", "µs", "response_us_p99"),
-    ("command_p50", "µs", "command_us_p50"),
-    ("command_p99", "µs", "command_us_p99"),
 ];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -126,88 +129,70 @@ impl Key {
     }
 }
 
-/// All rounds of one subject under one load: a row of each, and the latencies of all and of each.
-#[derive(Debug, Default)]
+/// All rounds of one subject under one load: a row and the latencies of each.
+#[derive(Default)]
 pub(super) struct Case {
     rounds: Vec<Value>,
-    times: Option<Times>,
-    of_rounds: Vec<(f64, Times)>,
+    times: Vec<Times>,
 }
 
 pub(super) type Cases = BTreeMap<Key, Case>;
 
 impl Case {
     /// Adds a round of which this is known beside what was measured.
-    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) -> Result<()> {
-        let start_s = number(&of_round, "start_s").unwrap_or(0.0);
-        let counts = tally.counts;
-        let misses = per_million((
-            counts.deadline_misses,
-            counts.cycles + counts.skipped_periods,
-        ));
-        self.rounds.push(joined([
-            key.json(),
-            of_round,
-            json!(counts),
-            times_json(&tally.times),
-            json!({ "misses_per_million": misses }),
-        ]));
-        let all = self.times.get_or_insert(Tally::new()?.times);
-        for (all, times) in all.iter_mut().zip(&tally.times) {
-            all.add(times)?;
-        }
-        self.of_rounds.push((start_s, tally.times));
-        Ok(())
+    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) {
+        let times = times_json(&tally.times);
+        let mut row = joined([key.json(), of_round, tally.counts, times]);
+        row["misses_per_million"] = per_million(misses(slice::from_ref(&row))).into();
+        self.rounds.push(row);
+        self.times.push(tally.times);
     }
 
     fn sum(&self, key: &str) -> Option<f64> {
         each(&self.rounds, key).reduce(|sum, value| sum + value)
     }
 
-    /// Misses of the deadline, and releases that were due: cycles that ran, and those that were skipped.
-    fn misses(&self) -> (u64, u64) {
-        let count = |key| self.sum(key).unwrap_or(0.0) as u64;
-        (
-            count("deadline_misses"),
-            count("cycles") + count("skipped_periods"),
-        )
+    /// A time of all rounds.
+    fn pooled(&self, time: usize) -> Result<Histogram<u64>> {
+        pooled(self.times.iter().map(|times| &times[time]))
     }
 
     /// All rounds together, their medians, and the rounds themselves.
-    fn row(&self, key: Key) -> Value {
+    fn row(&self, key: Key, times: &Times) -> Value {
         let mut all = together(&self.rounds, &COUNTED);
-        let of_rounds =
-            TIME_NAMES.map(|name| (format!("{name}_us"), all[format!("{name}_us")].clone()));
         for of_a_round in ["round", "start_s", "load_did"] {
             all.as_object_mut().and_then(|all| all.remove(of_a_round));
         }
+        let names = TIME_NAMES.map(|name| format!("{name}_us"));
         let own = json!({
             "steal_ms": self.sum("steal_ms"),
             "run_delay_ms": self.sum("run_delay_ms"),
             "tracking_share": each(&self.rounds, "tracking_share").reduce(f64::min),
-            "median_of_rounds": Map::from_iter(of_rounds),
+            "median_of_rounds": Map::from_iter(names.map(|name| (name.clone(), all[name].clone()))),
             "rounds": self.rounds,
         });
-        joined([
-            all,
-            key.json(),
-            json!(self.times.as_ref().map(times_json)),
-            own,
-        ])
+        joined([all, key.json(), times_json(times), own])
     }
+}
 
-    fn time_rows(&self, key: Key) -> Vec<Value> {
-        const TO: [&str; 4] = [
-            "start (wake-up)",
-            "hand-over, from the start (compute)",
-            "hand-over (response)",
-            "the client (command)",
-        ];
-        let measured = TO.into_iter().zip(self.times.iter().flatten());
-        let measured = measured.filter_map(|(to, times)| Some((to, Quantiles::of(times)?)));
-        let row = |(to, times)| joined([key.json(), json!({ "to": to }), json!(times)]);
-        measured.map(row).collect()
-    }
+fn time_rows(key: Key, times: &Times) -> Vec<Value> {
+    const TO: [&str; 4] = [
+        "start (wake-up)",
+        "hand-over, from the start (compute)",
+        "hand-over (response)",
+        "the client (command)",
+    ];
+    let measured = TO.into_iter().zip(times);
+    let measured = measured.filter_map(|(to, times)| Some((to, Quantiles::of(times)?)));
+    let row = |(to, times)| joined([key.json(), json!({ "to": to }), json!(times)]);
+    measured.map(row).collect()
+}
+
+/// Misses of the deadline, and releases that were due: cycles that ran, and those that were skipped.
+fn misses(rounds: &[Value]) -> (u64, u64) {
+    let count = |key| each(rounds, key).sum::<f64>() as u64;
+    let due = count("cycles") + count("skipped_periods");
+    (count("deadline_misses"), due)
 }
 
 fn per_million((misses, due): (u64, u64)) -> f64 {
@@ -236,22 +221,25 @@ fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
     pairs.filter_map(ratio).collect()
 }
 
-fn ratio(
-    dataset: &mut Dataset,
-    key: Key,
-    daemon: &Case,
-    bare: &Case,
-    unloaded: Option<&Case>,
-) -> Value {
+/// The daemon beside the bare loop, and beside itself without a load.
+fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
+    let of = |load, subject| {
+        cases.get(&Key {
+            load,
+            subject,
+            ..key
+        })
+    };
+    let (daemon, bare) = (of(key.load, Subject::Daemon)?, of(key.load, Subject::Bare)?);
+    let unloaded = of(Load::None, Subject::Daemon);
     let beyond = |row: &Value| Some(number(row, "command_us_p50")? - number(row, "wake_us_p50")?);
     let [wake_p50, wake_p99] = ["wake_us_p50", "wake_us_p99"].map(|key| over(daemon, bare, key));
     let command: Vec<f64> = daemon.rounds.iter().filter_map(beyond).collect();
-    let response = unloaded.map_or_else(Vec::new, |unloaded| {
-        over(daemon, unloaded, "response_us_p99")
-    });
+    let response = unloaded.map(|unloaded| over(daemon, unloaded, "response_us_p99"));
+    let response = response.unwrap_or_default();
     let middle = |rounds: &Vec<f64>| median(rounds.iter().copied());
     let ends = |rounds: &Vec<f64>| range(rounds.iter().copied());
-    let (ours, theirs) = (daemon.misses(), bare.misses());
+    let (ours, theirs) = (misses(&daemon.rounds), misses(&bare.rounds));
     let p_value = misses_p_value(ours, theirs);
     let row = json!({
         "load": key.load,
@@ -270,71 +258,62 @@ fn ratio(
         "command_beyond_wake_p50_us": middle(&command),
         "response_p99_to_unloaded": middle(&response),
     });
-    let path = format!("deadline/{}/{}", key.load.name(), key.setup.name());
     for (what, unit, rounds) in [
         ("wake_p50_to_bare", "", wake_p50),
         ("wake_p99_to_bare", "", wake_p99),
         ("command_beyond_wake_p50", "µs", command),
         ("response_p99_to_unloaded", "", response),
     ] {
-        dataset.lower(format!("{path}/{what}"), unit, rounds);
+        let (load, setup) = (key.load.name(), key.setup.name());
+        dataset.lower(format!("deadline/{load}/{setup}/{what}"), unit, rounds);
     }
-    row
+    Some(row)
 }
 
 pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) -> Result<Dataset> {
-    let mut dataset = Dataset {
-        name: "deadline",
-        heading: "Deadline misses and latencies, beside a bare loop",
-        explanation: EXPLANATION,
-        plots: plots(cases, period_us)?,
-        ..Dataset::default()
-    };
-    let of = |key: Key, load, subject| {
-        cases.get(&Key {
-            load,
-            subject,
-            ..key
-        })
-    };
-    let mut ratios = Vec::new();
-    // A ratio for each load that was measured with both the bare loop and the daemon.
-    for (key, daemon) in cases
-        .iter()
-        .filter(|(key, _)| key.subject == Subject::Daemon)
-    {
-        if let Some(bare) = of(*key, key.load, Subject::Bare) {
-            let unloaded = of(*key, Load::None, Subject::Daemon);
-            ratios.push(ratio(&mut dataset, *key, daemon, bare, unloaded));
-        }
-    }
-    let (mut rows, mut times, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
+    let heading = "Deadline misses and latencies, beside a bare loop";
+    let mut dataset = Dataset::new("deadline", heading, EXPLANATION);
+    let of_daemon = cases.keys().filter(|key| key.subject == Subject::Daemon);
+    let ratios = of_daemon.filter_map(|key| ratio(&mut dataset, *key, cases));
+    let ratios: Vec<Value> = ratios.collect();
+    let segment_s = options.segment().as_secs_f64();
+    let (mut rows, mut time_table, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
     for (key, case) in cases {
-        rows.push(case.row(*key));
-        times.extend(case.time_rows(*key));
+        let mut times = empty_times()?;
+        for (index, of_time) in times.iter_mut().enumerate() {
+            *of_time = case.pooled(index)?;
+        }
+        rows.push(case.row(*key, &times));
+        time_table.extend(time_rows(*key, &times));
         rounds.extend_from_slice(&case.rounds);
         let path = format!("deadline/{}", key.path("/"));
         if key.subject == Subject::Daemon {
-            dataset.compare(&path, &case.rounds, &MISSES);
+            let misses = ("misses", "per million", "misses_per_million");
+            let numbers = [("own_misses", "", "own_misses"), misses];
+            dataset.compare(&path, &case.rounds, &numbers);
         }
-        dataset.compare(&path, &case.rounds, &QUANTILES);
-        for (start_s, times) in &case.of_rounds {
-            let measured = TIME_NAMES
-                .iter()
-                .zip(times)
-                .filter(|(_, times)| !times.is_empty());
+        for time in ["wake", "response", "command"] {
+            for quantile in ["p50", "p99"] {
+                let rounds =
+                    each(&case.rounds, &format!("{time}_us_{quantile}")).collect::<Vec<_>>();
+                dataset.lower(format!("{path}/{time}_{quantile}"), "µs", rounds);
+            }
+        }
+        for (round, times) in case.rounds.iter().zip(&case.times) {
+            let measured = TIME_NAMES.iter().zip(times);
+            let measured = measured.filter(|(_, times)| !times.is_empty());
             dataset
                 .recordings
                 .extend(measured.map(|(name, times)| Recording {
                     tag: format!("{}.{name}", key.path(".")),
-                    start_s: *start_s,
-                    duration_s: options.segment().as_secs_f64(),
+                    start_s: number(round, "start_s").unwrap_or(0.0),
+                    duration_s: segment_s,
                     histogram_ns: times.clone(),
                 }));
         }
     }
     dataset.fact("rounds", options.rounds);
-    dataset.fact("segment_s", options.segment().as_secs_f64());
+    dataset.fact("segment_s", segment_s);
     let count = options.rounds;
     let of_ratios =
         format!("The daemon over the bare loop: medians of {count} rounds, and their range");
@@ -343,72 +322,49 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     dataset.sheets = vec![
         Sheet::of(&of_ratios, &RATIOS, ratios).key("ratios"),
         Sheet::of(of_cases, &COUNTS, rows).key("cases"),
-        Sheet::of("Latencies of all rounds together, µs", &TIMES, times),
+        Sheet::of("Latencies of all rounds together, µs", &TIMES, time_table),
         Sheet::of("", &COUNTS, rounds).file("deadline"),
     ];
+    for (setup, name, caption) in PLOTS {
+        let panels = panels(cases, setup, period_us)?;
+        if !panels.is_empty() {
+            dataset.plots.push(plot(name, caption, (2, 520), &panels)?);
+        }
+    }
     Ok(dataset)
 }
 
-fn plots(cases: &Cases, period_us: f64) -> Result<Vec<Plot>> {
-    let all = [
-        (
-            Setup::Realtime,
-            "deadline-realtime",
-            "With real time: share of the cycles that started later than so much after their release, and of \
-             the commands that came later to the client. Both axes are logarithmic, and the same in all panels; the \
-             upright line is the period.",
-        ),
-        (
-            Setup::Ordinary,
-            "deadline-ordinary",
-            "The same without real time.",
-        ),
-    ];
-    let drawn = all.into_iter().filter_map(|(setup, name, caption)| {
-        let panels = panels(cases, setup, period_us);
-        (!panels.is_empty()).then(|| plot(name, caption, (2, 520), &panels))
-    });
-    drawn.collect()
-}
-
 /// Of each load: how many wake-ups, or commands in the client's hands, were later than so much.
-fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
+fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Result<Vec<Panel>> {
     let keys = cases.keys().filter(|key| key.setup == setup);
     let mut loads: Vec<Load> = keys.map(|key| key.load).collect();
     loads.dedup();
-    // A daemon's deadline is its period, unless its configuration says otherwise.
-    let deadline = || Curve::upright("period", period_us, SHARES, DARK).width(2);
     let panel = |load: Load| {
-        let curve = |(subject, label, colour)| {
-            let key = Key {
+        let mut curves = Vec::new();
+        for (subject, time, label, colour) in [
+            (Subject::Daemon, COMMAND, "command at the client", GREY),
+            (Subject::Cyclictest, WAKE, "cyclictest", ORANGE),
+            (Subject::Daemon, WAKE, "daemon", BLUE),
+            (Subject::Bare, WAKE, "bare loop", GREEN),
+        ] {
+            if let Some(case) = cases.get(&Key {
                 setup,
                 load,
                 subject,
-            };
-            let times = cases.get(&key)?.times.as_ref()?;
-            let times = if colour == GREY {
-                &times[COMMAND]
-            } else {
-                &times[WAKE]
-            };
-            Some(Curve::line(label, longer(times), colour))
-        };
-        let curves = [
-            (Subject::Daemon, "command at the client", GREY),
-            (Subject::Cyclictest, "cyclictest", ORANGE),
-            (Subject::Daemon, "daemon", BLUE),
-            (Subject::Bare, "bare loop", GREEN),
-        ];
-        Panel::new(
+            }) {
+                curves.push(Curve::line(label, longer(&case.pooled(time)?), colour));
+            }
+        }
+        // A daemon's deadline is its period, unless its configuration says otherwise.
+        curves.push(Curve::upright("period", period_us, SHARES, DARK).width(2));
+        let axes = ["later than, µs after the release", "share of the cycles"];
+        let scale = Scale::LogLog { floor: SHARES };
+        Ok(Panel::new(
             format!("Load {}", load.name()),
-            ["later than, µs after the release", "share of the cycles"],
-            Scale::LogLog { floor: SHARES },
-            curves
-                .into_iter()
-                .filter_map(curve)
-                .chain([deadline()])
-                .collect(),
-        )
+            axes,
+            scale,
+            curves,
+        ))
     };
     loads.into_iter().map(panel).collect()
 }

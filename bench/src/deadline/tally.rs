@@ -3,26 +3,28 @@
 use anyhow::Result;
 use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
-use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::causes::Causes;
+use crate::dataset::joined;
 use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
-// The times of a cycle, all from the release that was due but for compute.
+// The times of a cycle, all from the release that was due but for compute: start to hand-over of the command. Response ends
+// with the hand-over, command in the client's hands.
 pub(super) const WAKE: usize = 0;
-/// Start to hand-over of the command.
 const COMPUTE: usize = 1;
-/// To the hand-over of the command.
 const RESPONSE: usize = 2;
-/// To the command in the client's hands.
 pub(super) const COMMAND: usize = 3;
 pub(super) const TIME_NAMES: [&str; 4] = ["wake", "compute", "response", "command"];
 
 /// All latencies \[ns\]; empty for what has no such time.
 pub(super) type Times = [Histogram<u64>; 4];
+
+pub(super) fn empty_times() -> Result<Times> {
+    Ok([histogram()?, histogram()?, histogram()?, histogram()?])
+}
 
 /// Of each time five numbers \[µs\], under its name with the unit; null for those that were not measured.
 pub(super) fn times_json(times: &Times) -> Value {
@@ -31,64 +33,34 @@ pub(super) fn times_json(times: &Times) -> Value {
     quantiles.collect()
 }
 
-/// What was counted; none of what a subject does not tell: cyclictest tells neither why it was late nor how long it
-/// waited for its core, and only a daemon has clients.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub(super) struct Counts {
-    pub(super) cycles: u64,
-    pub(super) late_starts: u64,
-    pub(super) deadline_misses: u64,
-    /// Of these, those that are ours: the computation took too long, or a page was missing.
-    pub(super) own_misses: Option<u64>,
-    pub(super) skipped_periods: u64,
-    pub(super) causes: Option<Causes>,
-    /// Records that never reached the observer.
-    pub(super) lost_records: Option<u64>,
-    /// Commands that never reached the observer, or came after it had stopped looking.
-    pub(super) lost_commands: Option<u64>,
-    pub(super) budget_hits: Option<u64>,
-    /// Share of the cycles in which the robot followed its reference.
-    pub(super) tracking_share: Option<f64>,
-    /// Time that the hypervisor kept the core from the machine \[ms\], in steps of 10 ms.
-    pub(super) steal_ms: f64,
-    /// Time that the thread was ready and another had the core \[ms\].
-    pub(super) run_delay_ms: Option<f64>,
-}
-
-#[derive(Debug, Clone)]
 pub(super) struct Tally {
-    pub(super) counts: Counts,
+    pub(super) counts: Value,
     pub(super) times: Times,
 }
 
 impl Tally {
-    pub(super) fn new() -> Result<Self> {
-        Ok(Self {
-            counts: Counts::default(),
-            times: [histogram()?, histogram()?, histogram()?, histogram()?],
-        })
+    /// With these counts; null is what a subject does not tell: cyclictest tells neither why it was late nor how long it waited for
+    /// its core, and only a daemon has clients.
+    fn new(counts: Value, times: Times) -> Self {
+        let untold = json!({
+            "own_misses": null, "causes": null, "run_delay_ms": null,
+            "lost_records": null, "lost_commands": null, "budget_hits": null, "tracking_share": null,
+        });
+        let counts = joined([untold, counts]);
+        Self { counts, times }
     }
 
     /// Of cycles; `computes` says whether what they handed over was computed.
     pub(super) fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
-        let mut tally = Self::new()?;
-        let (counts, times) = (&mut tally.counts, &mut tally.times);
-        let (mut causes, mut own_misses, mut run_delay_ns) = (Causes::default(), 0, 0);
+        let (mut times, mut causes) = (empty_times()?, Causes::default());
         let mut after_miss = false;
         for cycle in cycles {
-            counts.cycles += 1;
-            counts.late_starts += u64::from(cycle.late_start);
-            counts.deadline_misses += u64::from(cycle.deadline_miss);
-            let is_ours = matches!(cycle.cause, LateCause::Compute | LateCause::PageFault);
-            own_misses += u64::from(cycle.deadline_miss && is_ours);
-            counts.skipped_periods += u64::from(cycle.skipped_periods);
             let is_late = cycle.late_start || cycle.deadline_miss;
             // A punctual cycle whose releases the one before took has nothing to answer for.
             if is_late || (cycle.skipped_periods > 0 && !after_miss) {
                 causes.count(cycle.cause);
             }
             after_miss = cycle.deadline_miss;
-            run_delay_ns += cycle.run_delay_ns;
             times[WAKE].saturating_record(cycle.wake_ns);
             if computes {
                 let compute_ns = cycle.response_ns.saturating_sub(cycle.wake_ns);
@@ -96,10 +68,22 @@ impl Tally {
                 times[RESPONSE].saturating_record(cycle.response_ns);
             }
         }
-        counts.own_misses = Some(own_misses);
-        counts.causes = Some(causes);
-        counts.run_delay_ms = Some(run_delay_ns as f64 * 1e-6);
-        Ok(tally)
+        let count = |is: fn(&&Cycle) -> bool| cycles.iter().filter(is).count();
+        let sum = |number: fn(&Cycle) -> u64| cycles.iter().map(number).sum::<u64>();
+        let counts = json!({
+            "cycles": cycles.len(),
+            "late_starts": count(|cycle| cycle.late_start),
+            "deadline_misses": count(|cycle| cycle.deadline_miss),
+            // Those that are ours: the computation took too long, or a page was missing.
+            "own_misses": count(|cycle| {
+                cycle.deadline_miss && matches!(cycle.cause, LateCause::Compute | LateCause::PageFault)
+            }),
+            "skipped_periods": sum(|cycle| cycle.skipped_periods.into()),
+            "causes": causes,
+            // Time that the thread was ready and another had the core.
+            "run_delay_ms": sum(|cycle| cycle.run_delay_ns) as f64 * 1e-6,
+        });
+        Ok(Self::new(counts, times))
     }
 
     /// Of what cyclictest tells: a wake-up later than the deadline is a miss, later than the limit a late start.
@@ -108,13 +92,15 @@ impl Tally {
         deadline_ns: u64,
         late_ns: u64,
     ) -> Result<Self> {
-        let mut tally = Self::new()?;
-        tally.times[WAKE].add(&latencies.histogram_ns)?;
-        tally.counts.cycles = latencies.cycles;
-        tally.counts.skipped_periods = latencies.skipped_periods;
-        tally.counts.late_starts = latencies.later_than(late_ns);
-        tally.counts.deadline_misses = latencies.later_than(deadline_ns);
-        Ok(tally)
+        let mut times = empty_times()?;
+        times[WAKE].add(&latencies.histogram_ns)?;
+        let counts = json!({
+            "cycles": latencies.cycles,
+            "late_starts": latencies.later_than(late_ns),
+            "deadline_misses": latencies.later_than(deadline_ns),
+            "skipped_periods": latencies.skipped_periods,
+        });
+        Ok(Self::new(counts, times))
     }
 }
 
@@ -135,16 +121,6 @@ mod tests {
         }
     }
 
-    fn each_cause_once() -> Causes {
-        let mut causes = Causes::default();
-        for cause in LateCause::ALL {
-            if *cause != LateCause::None {
-                causes.count(*cause);
-            }
-        }
-        causes
-    }
-
     #[test]
     fn every_late_cycle_has_one_cause_and_only_our_misses_are_ours() {
         let mut cycles = [
@@ -159,16 +135,11 @@ mod tests {
         ];
         cycles[6].skipped_periods = 1;
         let tally = Tally::of(&cycles, true).unwrap();
-        let expected = Counts {
-            cycles: 7,
-            late_starts: 2,
-            deadline_misses: 4,
-            own_misses: Some(2),
-            skipped_periods: 5,
-            causes: Some(each_cause_once()),
-            run_delay_ms: Some(3.5),
-            ..Counts::default()
-        };
+        let expected = json!({
+            "cycles": 7, "late_starts": 2, "deadline_misses": 4, "own_misses": 2, "skipped_periods": 5,
+            "causes": { "platform": 1, "load": 1, "fault": 1, "other": 1, "compute": 1 }, "run_delay_ms": 3.5,
+            "lost_records": null, "lost_commands": null, "budget_hits": null, "tracking_share": null,
+        });
         assert_eq!(tally.counts, expected);
         assert_eq!(tally.times.map(|times| times.len()), [7, 7, 7, 0]);
     }

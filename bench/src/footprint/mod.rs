@@ -5,8 +5,7 @@
 //! a client, then while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
 //! from `/proc/PID/status`.
 
-mod round;
-mod start;
+mod daemon;
 
 use std::time::Duration;
 
@@ -15,13 +14,15 @@ use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREY, Panel, Scale, plot};
-use crate::dataset::{Column, Dataset, Sheet, each, fixed, number, shorted, together, word};
+use crate::dataset::{
+    Column, Dataset, Sheet, each, fixed, joined, number, shorted, together, word,
+};
 use crate::metric::{median, range};
 use crate::progress::Progress;
 use crate::subject::daemon::{Launch, program};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use round::MB;
+use daemon::MB;
 
 /// Share of the time of tracking that is measured without a client, too.
 const IDLE_SHARE: f64 = 0.4;
@@ -91,6 +92,8 @@ const THREAD_COLUMNS: [Column; 4] = [
     ),
 ];
 
+const PROGRAM_COLUMNS: [Column; 2] = [word("program", "name"), shorted("MB", "mb")];
+
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
     /// Daemons that are measured one after the other, 1 to 100.
@@ -142,7 +145,9 @@ impl Benchmark for FootprintOptions {
         let mut rounds = Vec::new();
         for round in 1..=self.rounds {
             progress.begin(&format!("daemon {round} of {}", self.rounds));
-            rounds.push(round::round(&launch, &cores, idle, self.duration)?);
+            let start = daemon::start_times(&launch, &cores)?;
+            let usage = daemon::usage(&launch, &cores, idle, self.duration)?;
+            rounds.push(joined([start, usage]));
             progress.advance(self.round_s());
         }
         dataset(rounds, realtime)
@@ -155,22 +160,7 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     } else {
         ", without SCHED_FIFO and locked memory (not granted)"
     };
-    let count = rounds.len();
-    let title =
-        format!("What a daemon takes at 200 Hz, three sections: medians of {count} daemons{how}");
-    let (threads, programs) = (threads(&rounds), programs());
-    let mut dataset = Dataset {
-        name: "footprint",
-        heading: "What a daemon takes",
-        explanation: EXPLANATION,
-        plots: vec![plot(
-            "footprint",
-            "Share of one core that each thread of the daemon uses at 200 Hz, tracking (blue) and idle (grey).",
-            (1, 60 * threads.len() as u32 + 260),
-            &[bars(&threads)],
-        )?],
-        ..Dataset::default()
-    };
+    let mut dataset = Dataset::new("footprint", "What a daemon takes", EXPLANATION);
     dataset.fact("realtime", realtime);
     for (_, key, unit, _) in QUANTITIES {
         let (name, values) = (format!("footprint/{key}"), each(&rounds, key));
@@ -180,22 +170,26 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
             dataset.lower(name, unit, values);
         }
     }
+    let (threads, programs) = (threads(&rounds), programs());
     for name in threads.iter().filter_map(|thread| thread["name"].as_str()) {
         let key = format!("threads_{name}_tracking_percent");
-        dataset.lower(
-            format!("footprint/thread/{name}/tracking"),
-            "%",
-            each(&rounds, &key),
-        );
+        let values = each(&rounds, &key);
+        dataset.lower(format!("footprint/thread/{name}/tracking"), "%", values);
     }
     for program in &programs {
         let name = program["name"].as_str().unwrap_or_default();
-        dataset.lower(
-            format!("footprint/program/{name}"),
-            "MB",
-            number(program, "mb"),
-        );
+        let size = number(program, "mb");
+        dataset.lower(format!("footprint/program/{name}"), "MB", size);
     }
+    dataset.plots.push(plot(
+        "footprint",
+        "Share of one core that each thread of the daemon uses at 200 Hz, tracking (blue) and idle (grey).",
+        (1, 60 * threads.len() as u32 + 260),
+        &[bars(&threads)],
+    )?);
+    let count = rounds.len();
+    let title =
+        format!("What a daemon takes at 200 Hz, three sections: medians of {count} daemons{how}");
     let of_threads = format!("Share of a core that each thread uses{how}");
     let of_programs = "Programs, as they were built, with line tables for backtraces";
     dataset.sheets = vec![
@@ -205,13 +199,9 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
         Sheet::of(&of_threads, &THREAD_COLUMNS, threads)
             .key("threads")
             .file("footprint-threads"),
-        Sheet::of(
-            of_programs,
-            &[word("program", "name"), shorted("MB", "mb")],
-            programs,
-        )
-        .key("programs")
-        .file("footprint-programs"),
+        Sheet::of(of_programs, &PROGRAM_COLUMNS, programs)
+            .key("programs")
+            .file("footprint-programs"),
         Sheet::of("", &[], rounds).key("rounds"),
     ];
     Ok(dataset)
@@ -235,21 +225,27 @@ fn figures(rounds: &[Value]) -> Vec<Value> {
     QUANTITIES.into_iter().filter_map(row).collect()
 }
 
+/// Each thread over the rounds, the busiest first.
 fn threads(rounds: &[Value]) -> Vec<Value> {
     let all = together(rounds, &[]);
-    let mut threads: Vec<(f64, Value)> = Vec::new();
-    for (name, shares) in all["threads"].as_object().into_iter().flatten() {
+    let row = |(name, shares): (&String, &Value)| {
         let percent = number(shares, "tracking_percent").unwrap_or(0.0);
-        let row = json!({
+        json!({
             "name": name,
             "idle_percent": shares["idle_percent"],
             "tracking_percent": percent,
             "tracking_us_per_cycle": 50.0 * percent,
-        });
-        threads.push((percent, row));
-    }
-    threads.sort_by(|one, other| other.0.total_cmp(&one.0));
-    threads.into_iter().map(|(_, row)| row).collect()
+        })
+    };
+    let mut threads: Vec<Value> = all["threads"]
+        .as_object()
+        .into_iter()
+        .flatten()
+        .map(row)
+        .collect();
+    let percent = |row: &Value| number(row, "tracking_percent").unwrap_or(0.0);
+    threads.sort_by(|one, other| percent(other).total_cmp(&percent(one)));
+    threads
 }
 
 /// Names and sizes of our programs, with their debug information, as they were built.

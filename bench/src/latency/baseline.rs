@@ -18,12 +18,11 @@ use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+use iceoryx2::service::port_factory::{PortFactory as _, publish_subscribe, request_response};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 
 use super::leg::Leg;
-use super::on_client_core;
 use super::round::Round;
 use crate::interrupt;
 use crate::subject::TIMEOUT;
@@ -32,6 +31,7 @@ use crate::subject::place::{self, Place};
 use crate::system::cores::Cores;
 use crate::system::process::Process;
 use crate::system::thread::pin;
+use crate::watcher::on_client_core;
 
 const WARM_UP: usize = 200;
 const GAP_NS: u64 = 200_000;
@@ -51,7 +51,6 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
     on_client_core(cores, false, || {
         let near = Near::open(place.location(), cores.is_alone());
         let near = near.context("a port of the bench")?;
-        near.wait()?;
         near.repeat(samples, round, |sequence| near.play(sequence))?;
         near.repeat(samples, round, |sequence| near.ask(sequence))
     })
@@ -72,20 +71,18 @@ fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
     cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
+/// Prefix and root of its place in shared memory, the process that started it, its core, and whether that is the core of both
+/// processes: then each lets the other one run.
 #[derive(Debug, clap::Args)]
 pub struct PeerOptions {
-    /// Prefix of the files in shared memory.
     #[arg(long)]
     prefix: String,
-    /// Root folder of iceoryx2.
     #[arg(long)]
     root: PathBuf,
-    /// The process that started it.
     #[arg(long)]
     parent: u32,
     #[arg(long)]
     core: usize,
-    /// Both processes are on one core: let the other one run.
     #[arg(long)]
     shares: bool,
 }
@@ -179,31 +176,30 @@ struct Near {
 }
 
 impl Near {
+    /// Opens the ports and waits for those of the peer: what is sent before they are there is lost.
     fn open(location: &Location, shares: bool) -> Result<Self> {
         let services = Services::open(location)?;
-        Ok(Self {
+        let near = Self {
             there: services.there.publisher_builder().create()?,
             back: services.back.subscriber_builder().create()?,
             control: services.control.client_builder().create()?,
             shares,
-        })
-    }
-
-    /// Waits until the peer answers: what was sent before it came is lost.
-    fn wait(&self) -> Result<()> {
+        };
+        let (there, control) = (
+            services.there.dynamic_config(),
+            services.control.dynamic_config(),
+        );
         let deadline = Instant::now() + TIMEOUT;
-        while Instant::now() < deadline {
+        while there.number_of_subscribers() == 0 || control.number_of_servers() == 0 {
             interrupt::check()?;
-            self.send(0)?;
+            let in_time = Instant::now() < deadline;
+            ensure!(
+                in_time,
+                "the peer of the bare measurement did not start within {TIMEOUT:?}"
+            );
             thread::sleep(Duration::from_millis(2));
-            if self.receive()?.is_some() {
-                // Whatever else was asked and answered in the meantime.
-                thread::sleep(Duration::from_millis(20));
-                while self.receive()?.is_some() {}
-                return Ok(());
-            }
         }
-        bail!("the peer of the bare measurement did not answer within {TIMEOUT:?}")
+        Ok(near)
     }
 
     fn send(&self, sequence: u64) -> Result<u64> {

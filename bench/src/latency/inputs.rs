@@ -3,31 +3,33 @@
 //! The exchange answers a renewal of the lease in the gather that takes it; the cycle decides a request
 //! about the mode, and the exchange answers it after the command of that cycle has left.
 
-use std::collections::VecDeque;
+use std::collections::HashMap;
 
 use anyhow::{Result, ensure};
 use cdcr_client::{Driver, ObstacleSender, ReferenceFeed, events, monotonic_ns};
 use cdcr_shared_types::codes::{
-    EventKind, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
+    EventKind, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind, timing,
 };
-use cdcr_shared_types::{Command, Measurement, Obstacle, Telemetry};
+use cdcr_shared_types::{Measurement, Obstacle, Telemetry};
 
-use super::hands::{Hands, Seen};
 use super::leg::Leg;
 use super::round::{Passage, Round};
-use super::scene;
-use crate::subject::asker::Asker;
+use super::{early_ns, scene};
+use crate::metric::median;
+use crate::watcher::{Seen, Watcher};
 
 /// So many of each kind are sent before one counts: ports map memory, caches fill.
 pub(super) const WARM_UP: usize = 10;
-/// What was sent so long ago and has shown no effect never will \[ns\].
-const FORGOTTEN_NS: u64 = 1_000_000_000;
+/// Records from which the lead of the gather is learned.
+const LEAD_RECORDS: usize = 20;
+/// So many messages may be without an effect, beside as many as count.
+const SPARE: usize = 500;
 /// Fractional part of the golden ratio: its multiples fill the circle more evenly than those of any other
 /// number, however many of them are taken.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// Moments that are spread evenly over the period.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Default)]
 pub(super) struct Phases {
     taken: u32,
 }
@@ -42,19 +44,10 @@ impl Phases {
 
 pub(super) enum Source {
     /// A reference chunk that replaces the one before.
-    Reference {
-        feed: ReferenceFeed,
-        length_m: f64,
-    },
+    Reference(ReferenceFeed),
     /// A small sphere that nobody comes near to.
-    Obstacle {
-        sender: ObstacleSender,
-        length_m: f64,
-    },
-    Measurement {
-        driver: Box<Driver>,
-        sections: u32,
-    },
+    Obstacle(ObstacleSender),
+    Measurement(Box<Driver>),
     /// A request that changes nothing while the robot follows: to renew the lease, or to track.
     Request(RequestKind),
 }
@@ -62,230 +55,218 @@ pub(super) enum Source {
 impl Source {
     fn way(&self) -> Leg {
         match self {
-            Self::Reference { .. } => Leg::ReferenceCommand,
-            Self::Obstacle { .. } => Leg::ObstacleCommand,
-            Self::Measurement { .. } => Leg::MeasurementCommand,
+            Self::Reference(_) => Leg::ReferenceCommand,
+            Self::Obstacle(_) => Leg::ObstacleCommand,
+            Self::Measurement(_) => Leg::MeasurementCommand,
             Self::Request(RequestKind::Track) => Leg::TrackAnswer,
             Self::Request(_) => Leg::LeaseAnswer,
         }
     }
 
-    /// Sends the message number `index`. Its sequence and stamp.
-    pub(super) fn send(
-        &self,
-        index: u32,
-        newest: Option<&Command>,
-        asker: Option<&mut Asker>,
-    ) -> Result<(u64, u64)> {
+    fn is_request(&self) -> bool {
+        matches!(self, Self::Request(_))
+    }
+
+    /// Sends the message number `index`. What a record knows it by, and its stamp.
+    pub(super) fn send(&self, index: usize, watcher: &mut Watcher) -> Result<(u64, u64)> {
+        let length_m = scene::length_m(watcher);
         let header = match self {
-            Self::Reference { feed, length_m } => {
-                scene::send(feed, scene::on_circle(index, *length_m))?
-            }
-            Self::Obstacle { sender, length_m } => sender.upsert(&[Obstacle {
+            Self::Reference(feed) => scene::send(feed, scene::on_circle(index, length_m))?,
+            Self::Obstacle(sender) => sender.upsert(&[Obstacle {
                 id: 1,
                 start_m: [0.0, 0.0, -10.0 * length_m],
                 radius_m: 0.01 * length_m,
                 measured_ns: monotonic_ns(),
                 ..Obstacle::default()
             }])?,
-            Self::Measurement { driver, sections } => {
+            Self::Measurement(driver) => {
+                let newest = watcher.newest.as_ref();
                 let measured_ns = monotonic_ns();
-                let header = driver.send(Measurement {
+                driver.send(Measurement {
                     measured_ns,
                     kind: MeasurementKind::Configuration.code(),
-                    sections: *sections,
+                    sections: watcher.status.robot.sections,
                     bend_rad: newest.map_or([0.0; _], |command| command.bend_target_rad),
                     ..Measurement::default()
                 })?;
-                return Ok((header.sequence, measured_ns));
+                return Ok((measured_ns, measured_ns));
             }
-            Self::Request(kind) => {
-                ensure!(asker.is_some(), "nobody asks");
-                return asker.map_or(Ok((0, 0)), |asker| asker.ask(*kind));
-            }
+            Self::Request(kind) => return watcher.ask(*kind),
         };
         Ok((header.sequence, header.sent_ns))
     }
 
-    /// The event that a record tells of it, and its detail.
-    fn event(&self) -> Option<(EventKind, Option<RequestKind>)> {
-        match self {
-            Self::Reference { .. } => Some((EventKind::Reference, None)),
-            Self::Obstacle { .. } => Some((EventKind::Obstacles, None)),
-            Self::Measurement { .. } => None,
-            Self::Request(kind) => Some((EventKind::Request, Some(*kind))),
-        }
+    /// What the record says was taken of this source: what it knows it by, the gather that took it, the outcome.
+    fn taken(&self, sender_id: u64, record: &Telemetry) -> Vec<(u64, u64, u32)> {
+        let (kind, request) = match self {
+            Self::Reference(_) => (EventKind::Reference, None),
+            Self::Obstacle(_) => (EventKind::Obstacles, None),
+            Self::Request(kind) => (EventKind::Request, Some(*kind)),
+            // The measurement that the record's cycle used for the first time.
+            Self::Measurement(_) if record.measurement_state == MeasurementState::Used.code() => {
+                let (measured_ns, outcome) = (record.measurement.measured_ns, Outcome::Accepted);
+                return vec![(measured_ns, record.gather_ns, outcome.code())];
+            }
+            Self::Measurement(_) => return Vec::new(),
+        };
+        let is_of_cycle = request == Some(RequestKind::Track);
+        let ours = events(record).iter().filter(|event| {
+            event.kind == kind.code()
+                && event.sender_id == sender_id
+                && request.is_none_or(|request| event.detail == request.code())
+        });
+        let taken = ours.map(|event| {
+            let gathers_ns = [event.judged_ns, record.gather_ns];
+            (
+                event.sequence,
+                gathers_ns[usize::from(is_of_cycle)],
+                event.outcome,
+            )
+        });
+        taken.collect()
     }
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Sent {
-    sequence: u64,
-    stamp_ns: u64,
-    counts: bool,
-    received_ns: Option<u64>,
 }
 
 /// One source, and what became of what it sent.
 struct Line {
     source: Source,
-    sent: VecDeque<Sent>,
+    sent: HashMap<u64, Sent>,
     count: usize,
     recorded: usize,
 }
 
+struct Sent {
+    stamp_ns: u64,
+    counts: bool,
+    answered_ns: Option<u64>,
+}
+
 impl Line {
-    fn send(&mut self, newest: Option<&Command>, asker: Option<&mut Asker>) -> Result<()> {
-        let (sequence, stamp_ns) = self.source.send(self.count as u32, newest, asker)?;
+    fn send(&mut self, watcher: &mut Watcher) -> Result<()> {
+        let (key, stamp_ns) = self.source.send(self.count, watcher)?;
         self.count += 1;
-        self.sent.push_back(Sent {
-            sequence,
+        let sent = Sent {
             stamp_ns,
             counts: self.count > WARM_UP,
-            received_ns: None,
-        });
-        self.sent
-            .retain(|sent| sent.stamp_ns + FORGOTTEN_NS >= stamp_ns);
+            answered_ns: None,
+        };
+        self.sent.insert(key, sent);
         Ok(())
     }
 
-    fn remove(&mut self, is_it: impl Fn(&Sent) -> bool) -> Option<Sent> {
-        let at = self.sent.iter().position(is_it)?;
-        self.sent.remove(at)
-    }
-
-    /// What the record says of the messages of this line, with the gather that took each.
-    fn taken(&mut self, sender_id: u64, record: &Telemetry) -> Result<Vec<(Sent, u64)>> {
-        let Some((kind, request)) = self.source.event() else {
-            // The measurement that the record's cycle used for the first time.
-            let is_used = record.measurement_state == MeasurementState::Used.code();
-            let measured_ns = record.measurement.measured_ns;
-            let sent = self.remove(|sent| is_used && sent.stamp_ns == measured_ns);
-            return Ok(sent
-                .map(|sent| (sent, record.gather_ns))
-                .into_iter()
-                .collect());
-        };
-        let mut taken = Vec::new();
-        for event in events(record) {
-            let is_ours = event.kind == kind.code()
-                && event.sender_id == sender_id
-                && request.is_none_or(|request| event.detail == request.code());
-            let Some(sent) = self.remove(|sent| is_ours && sent.sequence == event.sequence) else {
+    /// Records what a cycle says of the messages of this line.
+    fn take(&mut self, cycle: &Seen, sender_id: u64, round: &mut Round) -> Result<()> {
+        for (key, gather_ns, outcome) in self.source.taken(sender_id, &cycle.record) {
+            let Some(sent) = self.sent.remove(&key) else {
                 continue;
             };
+            let way = self.source.way();
             ensure!(
-                event.outcome == Outcome::Accepted.code(),
+                outcome == Outcome::Accepted.code(),
                 "the daemon refused what the bench sent ({}): {}",
-                kind.text(),
-                Outcome::text_of(event.outcome)
+                way.name(),
+                Outcome::text_of(outcome)
             );
-            let is_of_cycle = request == Some(RequestKind::Track);
-            let gather_ns = if is_of_cycle {
-                record.gather_ns
-            } else {
-                event.judged_ns
-            };
-            taken.push((sent, gather_ns));
-        }
-        Ok(taken)
-    }
-}
-
-/// Sends from each source in turn, at phases spread over the period, until `samples` of each count; requests one at a time.
-pub(super) fn measure(
-    hands: &mut Hands,
-    sources: Vec<Source>,
-    samples: usize,
-    round: &mut Round,
-) -> Result<()> {
-    let asks = matches!(sources[..], [Source::Request(_), ..]);
-    let line = |source| Line {
-        source,
-        sent: VecDeque::new(),
-        count: 0,
-        recorded: 0,
-    };
-    let mut lines: Vec<Line> = sources.into_iter().map(line).collect();
-    // Periods from one message to the next: of every source one in each second period.
-    let gap = if asks || lines.len() == 1 { 2 } else { 1 };
-    let (grid, sender_id) = (hands.grid, hands.connection.sender_id());
-    // An answer may come as soon as the inputs are gathered.
-    let before_ns = grid.early_ns() + if asks { grid.lead_ns } else { 0 };
-    let mut phases = Phases::default();
-    let mut plan = |due_ns: u64| {
-        let planned = grid.cycle_at(due_ns) + gap;
-        let cycle = planned.max(grid.cycle_at(monotonic_ns()) + 1);
-        grid.release_ns(cycle) + phases.next_ns(grid.period_ns)
-    };
-    hands.begin(2 * gap * (lines.len() * (samples + WARM_UP)) as u64)?;
-    let (mut planned_ns, mut number, count) = (plan(0), 0, lines.len());
-    let mut due_ns = planned_ns;
-    while hands.waits_since_ns().is_some() || lines.iter().any(|line| line.recorded < samples) {
-        let turn = hands.turn(before_ns, &mut due_ns, &mut |newest, asker| {
-            lines[number % count].send(newest, asker)?;
-            number += 1;
-            planned_ns = plan(planned_ns);
-            Ok(planned_ns)
-        })?;
-        for answer in turn.answers {
-            answer.accepted()?;
-            let mut all = lines.iter_mut().flat_map(|line| &mut line.sent);
-            if let Some(sent) = all.find(|sent| sent.sequence == answer.sequence) {
-                sent.received_ns = Some(answer.received_ns);
+            if !sent.counts {
+                continue;
             }
-        }
-        for seen in &turn.seen {
-            take(seen, &mut lines, sender_id, round)?;
-        }
-    }
-    Ok(())
-}
-
-/// What a cycle says of the messages of all lines.
-fn take(cycle: &Seen, lines: &mut [Line], sender_id: u64, round: &mut Round) -> Result<()> {
-    let record = &cycle.record;
-    let follows = record.mode == Mode::Tracking.code();
-    let mut is_simulated = true;
-    for line in lines {
-        let is_asked = matches!(line.source, Source::Request(_));
-        is_simulated &= line.source.event().is_some() && !is_asked && line.count > WARM_UP;
-        let taken = line.taken(sender_id, record)?;
-        for (sent, gather_ns) in taken.into_iter().filter(|(sent, _)| sent.counts) {
-            let why = record.reason;
             ensure!(
-                follows,
+                cycle.is_in(Mode::Tracking),
                 "the robot no longer follows its reference: {}",
-                Reason::text_of(why)
+                Reason::text_of(cycle.record.reason)
             );
-            let received_ns = if is_asked {
-                sent.received_ns
+            let is_request = self.source.is_request();
+            let received_ns = if is_request {
+                sent.answered_ns
             } else {
                 cycle.received_ns
             };
             // A command that never came, because the client was away too long, is no latency.
             let Some(received_ns) = received_ns else {
-                round.unmeasured.without_command += u64::from(!is_asked);
+                round.without_command += u64::from(!is_request);
                 continue;
             };
-            line.recorded += 1;
+            self.recorded += 1;
             let passage = Passage {
                 sent_ns: sent.stamp_ns,
                 gather_ns,
                 received_ns,
             };
-            round.record_way(line.source.way(), &passage);
+            round.record_way(way, &passage);
         }
+        Ok(())
     }
-    if is_simulated && follows {
-        record_command(cycle, round);
+}
+
+/// Sends from each source in turn, at phases spread over the period, until `samples` of each count; requests one at a time.
+/// `lead_ns` before a release the daemon gathers.
+pub(super) fn measure(
+    watcher: &mut Watcher,
+    lead_ns: u64,
+    sources: Vec<Source>,
+    samples: usize,
+    round: &mut Round,
+) -> Result<()> {
+    watcher.before_ns = early_ns(watcher);
+    if sources.iter().any(Source::is_request) {
+        // An answer may come as soon as the inputs are gathered.
+        watcher.before_ns += lead_ns;
     }
-    Ok(())
+    let is_simulated = sources
+        .iter()
+        .all(|source| matches!(source, Source::Reference(_) | Source::Obstacle(_)));
+    // Periods from one message to the next: of every source one in each second period; an answer takes two.
+    let gap = if is_simulated { 1 } else { 2 };
+    let line = |source| Line {
+        source,
+        sent: HashMap::new(),
+        count: 0,
+        recorded: 0,
+    };
+    let mut lines: Vec<Line> = sources.into_iter().map(line).collect();
+    let sender_id = watcher.connection.sender_id();
+    let (mut phases, mut cycle) = (Phases::default(), 0);
+    watcher.begin()?;
+    for number in 0..2 * lines.len() * (samples + WARM_UP) + SPARE {
+        cycle = (cycle + gap).max(watcher.cycle_at(monotonic_ns()) + 1);
+        let phase_ns = phases.next_ns(watcher.status.period_ns);
+        watcher.watch_until(watcher.release_ns(cycle) + phase_ns)?;
+        while watcher.waits_for_answer() {
+            watcher.watch_release()?;
+        }
+        for answer in watcher.answers.drain(..) {
+            answer.accepted()?;
+            let mut all = lines
+                .iter_mut()
+                .filter_map(|line| line.sent.get_mut(&answer.sequence));
+            if let Some(sent) = all.next() {
+                sent.answered_ns = Some(answer.received_ns);
+            }
+        }
+        for seen in std::mem::take(&mut watcher.seen) {
+            for line in &mut lines {
+                line.take(&seen, sender_id, round)?;
+            }
+            let is_warm = lines.iter().all(|line| line.count > WARM_UP);
+            if is_simulated && is_warm && seen.is_in(Mode::Tracking) {
+                record_command(&seen, round);
+            }
+        }
+        if lines.iter().all(|line| line.recorded >= samples) {
+            return Ok(());
+        }
+        let count = lines.len();
+        lines[number % count].send(watcher)?;
+    }
+    anyhow::bail!(
+        "the daemon did not answer as it should: the machine stalls, or the configuration keeps the robot from \
+         following its reference"
+    )
 }
 
 fn record_command(cycle: &Seen, round: &mut Round) {
     let Some(received_ns) = cycle.received_ns else {
-        round.unmeasured.without_command += 1;
+        round.without_command += 1;
         return;
     };
     let record = &cycle.record;
@@ -296,6 +277,25 @@ fn record_command(cycle: &Seen, round: &mut Round) {
     ] {
         round.record(leg, received_ns.saturating_sub(from_ns));
     }
+}
+
+/// The daemon does not tell how long before a release it gathers; its records do. The median: a single gather
+/// may be late, and a single cycle may sleep for an old release.
+pub(super) fn learn_lead_ns(watcher: &mut Watcher) -> Result<u64> {
+    for _ in 0..LEAD_RECORDS {
+        watcher.watch_release()?;
+    }
+    let seen = watcher.seen.drain(..);
+    let leads_ns = seen.filter_map(|seen| Some(lead_ns(&seen.record)? as f64));
+    Ok(median(leads_ns).unwrap_or(0.0) as u64)
+}
+
+/// How long before the release that its cycle slept for a record's inputs were gathered; an old gather says
+/// nothing.
+fn lead_ns(record: &Telemetry) -> Option<u64> {
+    let is_fresh = record.timing_flags & timing::STALE_INPUTS == 0;
+    let lead_ns = record.due_ns.saturating_sub(record.gather_ns);
+    is_fresh.then_some(lead_ns.min(record.period_ns))
 }
 
 #[cfg(test)]
@@ -309,10 +309,23 @@ mod tests {
         for _ in 0..200 {
             tenths[phases.next_ns(10) as usize] += 1;
         }
-        let shares = 18..=22;
         assert!(
-            tenths.iter().all(|count| shares.contains(count)),
+            tenths.iter().all(|count| (18..=22).contains(count)),
             "{tenths:?}"
         );
+    }
+
+    #[test]
+    fn the_lead_is_that_before_the_release_that_was_slept_for() {
+        let mut record = Telemetry {
+            release_ns: 25_000_000,
+            due_ns: 5_000_000,
+            gather_ns: 4_800_000,
+            period_ns: 5_000_000,
+            ..Telemetry::default()
+        };
+        assert_eq!(lead_ns(&record), Some(200_000));
+        record.timing_flags = timing::STALE_INPUTS;
+        assert_eq!(lead_ns(&record), None);
     }
 }

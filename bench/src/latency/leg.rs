@@ -62,9 +62,7 @@ impl Leg {
     /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
     /// that two runs cannot differ in it.
     pub fn is_grid(self) -> bool {
-        self.name()
-            .split_once('.')
-            .is_some_and(|(_, part)| part == "grid")
+        matches!(self.name().split_once('.'), Some((_, "grid")))
     }
 
     /// This whole, and what follows it in the list: its part that waits for the grid, and the machinery.

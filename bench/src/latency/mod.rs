@@ -9,7 +9,6 @@
 
 pub mod baseline;
 
-mod hands;
 mod inputs;
 mod leg;
 mod report;
@@ -18,10 +17,9 @@ mod scene;
 mod stops;
 
 use std::path::PathBuf;
-use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, RequestKind, realtime};
@@ -29,17 +27,15 @@ use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
-use crate::named::named;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::system::cores::Cores;
-use crate::system::thread::{WATCHER_PRIORITY, may_be_realtime, pin, set_fifo};
-use hands::Hands;
-use hands::Looks;
+use crate::system::thread::may_be_realtime;
+use crate::watcher::{Looks, Watcher, on_client_core};
 use inputs::Source;
 pub use leg::Leg;
 pub use report::STOP_MARGIN_US;
-pub use round::{Round, Sampled, Unmeasured};
+use round::Round;
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
@@ -50,6 +46,8 @@ const BARE_PER_SAMPLE: usize = 8;
 /// What a daemon takes to start and to end \[s\].
 const AROUND_S: f64 = 1.0;
 const PERIOD_S: f64 = 5e-3;
+/// The client is awake this long before what it waits for \[ns\]; on a short period a quarter of that.
+const EARLY_NS: u64 = 200_000;
 
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub struct LatencyOptions {
@@ -136,13 +134,11 @@ impl Benchmark for LatencyOptions {
         let (mut rounds, mut daemon) = (Vec::new(), OfDaemon::default());
         for number in 1..=self.rounds {
             let mut round = Round::new(began_ns)?;
-            for (part, seconds) in Part::ALL.into_iter().zip(seconds(self)) {
-                let (all, part_name) = (self.rounds, part.name());
-                progress.begin(&format!("round {number} of {all}, {part_name}"));
+            for (part, seconds) in PARTS.into_iter().zip(seconds(self)) {
+                progress.begin(&format!("round {number} of {}, {part}", self.rounds));
                 match part {
-                    Part::Bare => baseline::measure(&bench.cores, self.bare(), &mut round)?,
-                    Part::Simulated => bench.simulated(&mut round, &mut daemon)?,
-                    Part::Driven => bench.driven(&mut round, &mut daemon)?,
+                    BARE => baseline::measure(&bench.cores, self.bare(), &mut round)?,
+                    link => bench.with_daemon(link, &mut round, &mut daemon)?,
                 }
                 progress.advance(seconds);
             }
@@ -152,28 +148,26 @@ impl Benchmark for LatencyOptions {
     }
 }
 
-named! {
-    enum Part {
-        Bare = "iceoryx2 alone",
-        Simulated = "a simulated robot",
-        Driven = "a robot behind a driver",
-    }
-}
+const BARE: &str = "iceoryx2 alone";
+const SIMULATED: &str = "simulated";
+/// The parts of a round: iceoryx2 alone, and daemons by their `link.kind`.
+const PARTS: [&str; 3] = [BARE, SIMULATED, "driver"];
 
-/// How long the parts of a round take, about: bare, simulated robot, driver \[s\].
+/// How long the parts of a round take, about \[s\].
 fn seconds(options: &LatencyOptions) -> [f64; 3] {
-    let period_s = options
-        .period
-        .map_or(PERIOD_S, |period| period.as_secs_f64());
-    let samples = (options.samples() + inputs::WARM_UP) as f64;
-    // References and obstacles share their periods; requests are of two kinds.
-    let simulated = 2.0 * samples + 4.0 * samples;
+    let period = options.period.map(|period| period.as_secs_f64());
+    let samples_s = (options.samples() + inputs::WARM_UP) as f64 * period.unwrap_or(PERIOD_S);
     let stops_s = STOP_S * options.stops() as f64;
     [
         baseline::expected_s(options.bare()),
-        AROUND_S + simulated * period_s + stops_s,
-        AROUND_S + 2.0 * samples * period_s,
+        // References and obstacles share their periods; requests are of two kinds.
+        AROUND_S + (2.0 + 4.0) * samples_s + stops_s,
+        AROUND_S + 2.0 * samples_s,
     ]
+}
+
+fn early_ns(watcher: &Watcher) -> u64 {
+    EARLY_NS.min(watcher.status.period_ns / 4)
 }
 
 struct Bench<'a> {
@@ -183,61 +177,58 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn simulated(&self, round: &mut Round, daemon: &mut OfDaemon) -> Result<()> {
-        let samples = self.options.samples();
-        self.with_daemon("simulated", |location| {
-            let mut hands = Hands::open(location)?;
-            let length_m = hands.length_m();
-            let reference = Source::Reference {
-                feed: scene::follow(&hands, None)?,
-                length_m,
-            };
-            let obstacle = Source::Obstacle {
-                sender: hands.connection.obstacle_sender()?,
-                length_m,
-            };
-            inputs::measure(&mut hands, vec![reference, obstacle], samples, round)?;
-
-            hands.open_asker(location)?;
-            let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
-            inputs::measure(&mut hands, requests.into(), samples, round)?;
-
-            let feed = hands.connection.reference_feed()?;
-            stops::measure(&mut hands, &feed, self.options.stops(), round)?;
-            daemon.add(&hands);
-            Ok(())
-        })
-    }
-
-    fn driven(&self, round: &mut Round, daemon: &mut OfDaemon) -> Result<()> {
-        let samples = self.options.samples();
-        self.with_daemon("driver", |location| {
-            let mut hands = Hands::open(location)?;
-            let measurement = Source::Measurement {
-                driver: Box::new(hands.connection.driver(Interface::Velocity)?),
-                sections: hands.status.robot.sections,
-            };
-            scene::awaken(&hands, &measurement)?;
-            let _feed = scene::follow(&hands, Some(&measurement))?;
-            inputs::measure(&mut hands, vec![measurement], samples, round)?;
-            daemon.add(&hands);
-            Ok(())
-        })
-    }
-
-    /// Starts a daemon, and does `work` on a thread on the client's core, before every ordinary thread if
-    /// the system grants that.
-    fn with_daemon(
-        &self,
-        link: &str,
-        work: impl FnOnce(&Location) -> Result<()> + Send,
-    ) -> Result<()> {
+    /// Starts a daemon, and measures it on the client's core, before every ordinary thread if the system grants that.
+    fn with_daemon(&self, link: &str, round: &mut Round, told: &mut OfDaemon) -> Result<()> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
         let location = daemon.location();
-        let worked = on_client_core(&self.cores, self.may_be_realtime, || work(location));
+        let worked = on_client_core(&self.cores, self.may_be_realtime, || {
+            let mut watcher = Watcher::open(location, EARLY_NS)?;
+            let lead_ns = inputs::learn_lead_ns(&mut watcher)?;
+            match link {
+                SIMULATED => self.simulated(location, &mut watcher, lead_ns, round)?,
+                _ => self.driven(&mut watcher, lead_ns, round)?,
+            }
+            told.add(&watcher, lead_ns);
+            Ok(())
+        });
         worked.with_context(|| format!("with link.kind = {link}"))?;
         daemon.stop()
+    }
+
+    fn simulated(
+        &self,
+        location: &Location,
+        watcher: &mut Watcher,
+        lead_ns: u64,
+        round: &mut Round,
+    ) -> Result<()> {
+        let samples = self.options.samples();
+        let sources = vec![
+            Source::Reference(scene::follow(watcher, None)?),
+            Source::Obstacle(watcher.connection.obstacle_sender()?),
+        ];
+        inputs::measure(watcher, lead_ns, sources, samples, round)?;
+
+        watcher.open_asker(location)?;
+        let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
+        inputs::measure(watcher, lead_ns, requests.into(), samples, round)?;
+
+        let feed = watcher.connection.reference_feed()?;
+        stops::measure(watcher, &feed, self.options.stops(), round)
+    }
+
+    fn driven(&self, watcher: &mut Watcher, lead_ns: u64, round: &mut Round) -> Result<()> {
+        let driver = watcher.connection.driver(Interface::Velocity)?;
+        let measurement = Source::Measurement(Box::new(driver));
+        let _feed = scene::follow(watcher, Some(&measurement))?;
+        inputs::measure(
+            watcher,
+            lead_ns,
+            vec![measurement],
+            self.options.samples(),
+            round,
+        )
     }
 
     fn title(&self, daemon: &OfDaemon) -> String {
@@ -268,23 +259,6 @@ impl Bench<'_> {
     }
 }
 
-/// Does `work` on a thread of its own on the client's core; with `realtime` before all ordinary tasks.
-fn on_client_core(
-    cores: &Cores,
-    realtime: bool,
-    work: impl FnOnce() -> Result<()> + Send,
-) -> Result<()> {
-    let work = || {
-        if realtime {
-            set_fifo(WATCHER_PRIORITY);
-        }
-        pin(cores.client());
-        work()
-    };
-    let worked = thread::scope(|scope| scope.spawn(work).join());
-    worked.map_err(|_| anyhow!("the client of the bench panicked"))?
-}
-
 /// What the daemons told of themselves, and how their client did.
 #[derive(Default)]
 struct OfDaemon {
@@ -297,12 +271,12 @@ struct OfDaemon {
 }
 
 impl OfDaemon {
-    fn add(&mut self, hands: &Hands) {
-        let (grid, missing) = (&hands.grid, hands.status.realtime_missing);
-        self.period_us = grid.period_ns as f64 * 1e-3;
-        self.gather_lead_us = self.gather_lead_us.max(grid.lead_ns as f64 * 1e-3);
-        self.refused |= missing & (realtime::FIFO | realtime::OFF) != 0;
-        self.looks += hands.looks;
+    fn add(&mut self, watcher: &Watcher, lead_ns: u64) {
+        let status = &watcher.status;
+        self.period_us = status.period_ns as f64 * 1e-3;
+        self.gather_lead_us = self.gather_lead_us.max(lead_ns as f64 * 1e-3);
+        self.refused |= status.realtime_missing & (realtime::FIFO | realtime::OFF) != 0;
+        self.looks += watcher.looks;
     }
 }
 

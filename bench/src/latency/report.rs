@@ -5,7 +5,7 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use super::leg::Leg;
-use super::round::{Round, Sampled, Unmeasured};
+use super::round::Round;
 use crate::chart::{
     BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer, plot,
 };
@@ -13,7 +13,7 @@ use crate::dataset::{
     Column, Dataset, Recording, Sheet, each, fixed, number, plain, together, word,
 };
 use crate::metric::{median, range};
-use crate::quantiles::Quantiles;
+use crate::quantiles::{Quantiles, pooled};
 
 /// What may be added to a period from a stop to zero rates \[µs\].
 pub const STOP_MARGIN_US: f64 = 100.0;
@@ -77,69 +77,69 @@ const UNMEASURED_COLUMNS: [Column; 4] = [
     ),
 ];
 
+/// What is drawn together: the legs of a panel.
+#[rustfmt::skip]
+const PANELS: [(&str, &[Leg]); 4] = [
+    ("Commands beside iceoryx2 alone",
+        &[Leg::BareOneWay, Leg::BareRoundTrip, Leg::CommandHop, Leg::CommandHandover, Leg::CommandRelease]),
+    ("Sent → first command that uses it: whole, and without the wait for the grid",
+        &[Leg::ReferenceCommand, Leg::ReferenceMachinery, Leg::ObstacleCommand, Leg::ObstacleMachinery,
+            Leg::MeasurementCommand, Leg::MeasurementMachinery]),
+    ("Request → answer beside iceoryx2 alone",
+        &[Leg::BareRequest, Leg::LeaseMachinery, Leg::LeaseAnswer, Leg::TrackMachinery, Leg::TrackAnswer]),
+    ("Stop → zero rates, without the ramp",
+        &[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]),
+];
+
 /// Of all rounds, under this title, with how they were measured.
 pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
     let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
-    let mut dataset = Dataset {
-        name: "latency",
-        heading: "Latency: how long messages take",
-        explanation: EXPLANATION,
-        recordings: recordings(rounds),
-        ..Dataset::default()
-    };
+    let heading = "Latency: how long messages take";
+    let mut dataset = Dataset::new("latency", heading, EXPLANATION);
     let (mut legs, mut of_rounds) = (Vec::new(), Vec::new());
     for leg in Leg::ALL {
-        let each_round: Vec<Value> = round_rows(leg, rounds);
-        legs.extend(row(leg, rounds, &each_round));
+        let each_round = round_rows(leg, rounds);
+        legs.extend(row(leg, rounds, &each_round)?);
         if !leg.is_grid() {
             let name = leg.name().replace('.', "/");
-            for (quantile, key) in [("p50", "latency_us_p50"), ("p99", "latency_us_p99")] {
+            let latency = [("p50", "latency_us_p50"), ("p99", "latency_us_p99")];
+            for (quantile, key) in latency {
                 let values = each(&each_round, key);
                 dataset.lower(format!("latency/{name}_{quantile}"), "µs", values);
             }
         }
         of_rounds.extend(each_round);
+        let recordings = rounds.iter().filter_map(|round| recording(leg, round));
+        dataset.recordings.extend(recordings);
     }
-    let mut ratios = Vec::new();
-    for (leg, to) in RATIOS {
-        let of_round = |round: &Round| {
-            Some(round.leg(leg).quantile_us(0.5)? / round.leg(to).quantile_us(0.5)?)
-        };
-        let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
-        let [name, to_name] = [leg, to].map(|leg| leg.name().replace('.', "_"));
-        let (p50, range) = (median(values.clone()), range(values.clone()));
-        ratios.extend(p50.map(
-            |p50| json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values }),
-        ));
-        dataset.lower(format!("latency/{name}_per_{to_name}_p50"), "", values);
-    }
-    let mut unmeasured = Unmeasured::default();
-    for round in rounds {
-        unmeasured += round.unmeasured;
-    }
+    let ratios = RATIOS.map(|legs| ratio(&mut dataset, legs, rounds));
     let stops = legs
         .iter()
         .filter(|row| BOUND.iter().any(|leg| row["leg"] == leg.name()));
     let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
+    let sum = |count: fn(&Round) -> u64| rounds.iter().map(count).sum::<u64>();
+    let unmeasured = json!({
+        "spoilt_stops": sum(|round| round.spoilt_stops),
+        "without_command": sum(|round| round.without_command),
+    });
     let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
     dataset.fact("setting", setting);
-    dataset.fact("unmeasured", json!(unmeasured));
+    dataset.fact("unmeasured", unmeasured);
     dataset.plots.push(plot(
         "latency",
         "How long messages take: the share of the samples that took longer than so much. Last: to zero rates, \
          without the ramp.",
         (1, 700),
-        &panels(rounds, limit_us),
+        &panels(rounds, limit_us)?,
     )?);
     let shown = legs.iter().map(shown).collect();
+    let (of_ratios, ratios) = (
+        "Beside iceoryx2 alone: ratio of the medians",
+        ratios.into_iter().flatten().collect(),
+    );
     dataset.sheets = vec![
         Sheet::of(title, &COLUMNS, shown),
-        Sheet::of(
-            "Beside iceoryx2 alone: ratio of the medians",
-            &RATIO_COLUMNS,
-            ratios,
-        )
-        .key("ratios"),
+        Sheet::of(of_ratios, &RATIO_COLUMNS, ratios).key("ratios"),
         Sheet::of("Stops beside their bound", &TARGET_COLUMNS, targets).key("targets"),
         Sheet::of("What was not measured", &UNMEASURED_COLUMNS, vec![counts]),
         Sheet::of("From which stamp to which", &DEFINITIONS, legs)
@@ -163,10 +163,11 @@ fn round_rows(leg: Leg, rounds: &[Round]) -> Vec<Value> {
     rounds.iter().enumerate().filter_map(row).collect()
 }
 
-fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Option<Value> {
-    let all = pooled(leg, rounds)?;
+/// All rounds together; none without samples.
+fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
+    let all = of_all(leg, rounds)?;
     let (from, to) = leg.definition();
-    Some(json!({
+    let row = json!({
         "leg": leg,
         "from": from,
         "to": to,
@@ -174,7 +175,24 @@ fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Option<Value> {
         "samples_of_round_least": each(each_round, "samples").reduce(f64::min),
         "latency_us": Quantiles::of(&all),
         "rounds_us": together(each_round, &[])["latency_us"],
-    }))
+    });
+    Ok((!all.is_empty()).then_some(row))
+}
+
+fn of_all(leg: Leg, rounds: &[Round]) -> Result<Histogram<u64>> {
+    pooled(rounds.iter().map(|round| &round.leg(leg).latencies))
+}
+
+/// The medians of one leg over those of another.
+fn ratio(dataset: &mut Dataset, (leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
+    let p50 = |round: &Round, leg| Some(Quantiles::of(&round.leg(leg).latencies)?.p50);
+    let of_round = |round: &Round| Some(p50(round, leg)? / p50(round, to)?);
+    let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
+    let [name, to_name] = [leg, to].map(|leg| leg.name().replace('.', "_"));
+    let (p50, range) = (median(values.clone())?, range(values.clone()));
+    let row = json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values });
+    dataset.lower(format!("latency/{name}_per_{to_name}_p50"), "", values);
+    Some(row)
 }
 
 /// For people: without the percentiles of fewer values than they need.
@@ -199,81 +217,36 @@ fn target(row: &Value, limit_us: f64) -> Value {
     json!({ "leg": row["leg"], "samples": row["samples"], "limit_us": limit_us, "p99_us": p99_us, "kept": kept })
 }
 
-fn recordings(rounds: &[Round]) -> Vec<Recording> {
-    let recording = |(leg, sampled): (Leg, &Sampled)| {
-        let (first_ns, last_ns) = sampled.span_ns?;
-        Some(Recording {
-            tag: leg.name().to_owned(),
-            start_s: first_ns as f64 * 1e-9,
-            duration_s: (last_ns - first_ns) as f64 * 1e-9,
-            histogram_ns: sampled.latencies.clone(),
-        })
-    };
-    let of_round = |round| Leg::ALL.map(|leg| (leg, Round::leg(round, leg)));
-    rounds
-        .iter()
-        .flat_map(of_round)
-        .filter_map(recording)
-        .collect()
+fn recording(leg: Leg, round: &Round) -> Option<Recording> {
+    let sampled = round.leg(leg);
+    let (first_ns, last_ns) = sampled.span_ns?;
+    Some(Recording {
+        tag: leg.name().to_owned(),
+        start_s: first_ns as f64 * 1e-9,
+        duration_s: (last_ns - first_ns) as f64 * 1e-9,
+        histogram_ns: sampled.latencies.clone(),
+    })
 }
 
-/// All rounds together; none without samples.
-fn pooled(leg: Leg, rounds: &[Round]) -> Option<Histogram<u64>> {
-    let mut of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
-    let mut all = of_rounds.next()?.clone();
-    for latencies in of_rounds {
-        // All have the same bounds.
-        all.add(latencies).ok()?;
-    }
-    (!all.is_empty()).then_some(all)
-}
-
-fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
-    use Leg::{
-        BareOneWay, BareRequest, BareRoundTrip, CommandHandover, CommandHop, CommandRelease,
-        LeaseAnswer, LeaseMachinery, MeasurementCommand, MeasurementMachinery, ObstacleCommand,
-        ObstacleMachinery, ReferenceCommand, ReferenceMachinery, TrackAnswer, TrackMachinery,
-    };
-    let curves = |legs: &[Leg]| {
-        let colours = [BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE];
-        let curve = |(leg, colour): (&Leg, _)| {
-            let times = pooled(*leg, rounds)?;
-            Some(Curve::line(leg.name(), longer(&times), colour))
-        };
-        let drawn = legs.iter().zip(colours).filter_map(curve);
-        drawn.collect::<Vec<_>>()
-    };
-    let panel = |title: &str, curves: Vec<Curve>| {
+fn panels(rounds: &[Round], limit_us: f64) -> Result<Vec<Panel>> {
+    let panel = |(title, legs): (&str, &[Leg])| {
+        let mut curves = Vec::new();
+        for (leg, colour) in legs.iter().zip([BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE]) {
+            let times = longer(&of_all(*leg, rounds)?);
+            curves.push(Curve::line(leg.name(), times, colour));
+        }
+        if legs.contains(&BOUND[0]) {
+            curves.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
+        }
         let axes = ["longer than, µs", "share of the samples"];
-        Panel::new(title, axes, Scale::LogLog { floor: SHARES }, curves)
+        Ok(Panel::new(
+            title,
+            axes,
+            Scale::LogLog { floor: SHARES },
+            curves,
+        ))
     };
-    let commands = [
-        BareOneWay,
-        BareRoundTrip,
-        CommandHop,
-        CommandHandover,
-        CommandRelease,
-    ];
-    #[rustfmt::skip]
-    let inputs = [
-        ReferenceCommand, ReferenceMachinery, ObstacleCommand, ObstacleMachinery, MeasurementCommand, MeasurementMachinery,
-    ];
-    let requests = [
-        BareRequest,
-        LeaseMachinery,
-        LeaseAnswer,
-        TrackMachinery,
-        TrackAnswer,
-    ];
-    let of_inputs = "Sent → first command that uses it: whole, and without the wait for the grid";
-    let mut stops = curves(&[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]);
-    stops.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
-    vec![
-        panel("Commands beside iceoryx2 alone", curves(&commands)),
-        panel(of_inputs, curves(&inputs)),
-        panel("Request → answer beside iceoryx2 alone", curves(&requests)),
-        panel("Stop → zero rates, without the ramp", stops),
-    ]
+    PANELS.into_iter().map(panel).collect()
 }
 
 #[cfg(test)]
@@ -334,7 +307,9 @@ mod tests {
             for us in 1..=count {
                 rounds[0].record(leg, 1000 * us);
             }
-            let row = row(leg, &rounds, &round_rows(leg, &rounds)).expect("samples");
+            let row = row(leg, &rounds, &round_rows(leg, &rounds))
+                .expect("bounds")
+                .expect("samples");
             let times = ["latency_us_p99", "latency_us_p999", "rounds_us_p99"];
             assert_eq!(times.map(|key| number(&shown(&row), key).is_none()), absent);
             assert_eq!(target(&row, 1.0)["kept"].is_null(), count < 100);

@@ -2,38 +2,22 @@
 
 use anyhow::Result;
 use cdcr_client::monotonic_ns;
-use derive_more::AddAssign;
 use hdrhistogram::Histogram;
-use serde::Serialize;
 
 use super::leg::Leg;
-use crate::quantiles::{histogram, quantile_us};
+use crate::quantiles::histogram;
 
-#[derive(Debug, Clone)]
-pub struct Sampled {
-    pub latencies: Histogram<u64>,
+pub(super) struct Sampled {
+    pub(super) latencies: Histogram<u64>,
     /// When the first and the last one were recorded, after the start of the run \[ns\].
-    pub span_ns: Option<(u64, u64)>,
+    pub(super) span_ns: Option<(u64, u64)>,
 }
 
-impl Sampled {
-    pub fn quantile_us(&self, quantile: f64) -> Option<f64> {
-        (!self.latencies.is_empty()).then(|| quantile_us(&self.latencies, quantile))
-    }
-}
-
-/// What was tried and could not be measured.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, AddAssign)]
-pub struct Unmeasured {
+pub(super) struct Round {
     /// Stops that could not be judged: a record or a command is missing, or the robot was hardly moving.
-    pub spoilt_stops: u64,
+    pub(super) spoilt_stops: u64,
     /// Samples whose command never was in the client's hands, because the client was away too long.
-    pub without_command: u64,
-}
-
-#[derive(Debug, Clone)]
-pub struct Round {
-    pub unmeasured: Unmeasured,
+    pub(super) without_command: u64,
     began_ns: u64,
     legs: Vec<Sampled>,
 }
@@ -49,7 +33,7 @@ pub(super) struct Passage {
 
 impl Round {
     /// An empty one of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
-    pub fn new(began_ns: u64) -> Result<Self> {
+    pub(super) fn new(began_ns: u64) -> Result<Self> {
         let empty = || {
             Ok(Sampled {
                 latencies: histogram()?,
@@ -57,18 +41,19 @@ impl Round {
             })
         };
         Ok(Self {
-            unmeasured: Unmeasured::default(),
+            spoilt_stops: 0,
+            without_command: 0,
             began_ns,
             legs: Leg::ALL.iter().map(|_| empty()).collect::<Result<_>>()?,
         })
     }
 
-    pub fn leg(&self, leg: Leg) -> &Sampled {
+    pub(super) fn leg(&self, leg: Leg) -> &Sampled {
         &self.legs[leg as usize]
     }
 
     /// Adds a latency; one longer than a minute counts as a minute.
-    pub fn record(&mut self, leg: Leg, latency_ns: u64) {
+    pub(super) fn record(&mut self, leg: Leg, latency_ns: u64) {
         let now_ns = monotonic_ns().saturating_sub(self.began_ns);
         let sampled = &mut self.legs[leg as usize];
         sampled.latencies.saturating_record(latency_ns);

@@ -4,14 +4,14 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use cdcr_client::{ReferenceFeed, RequestError, monotonic_ns};
+use cdcr_client::{ReferenceFeed, RequestError, monotonic_ns, section_lengths_m};
 use cdcr_shared_types::codes::{ChunkMode, Interpolation, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{Header, ReferencePoint};
 
-use super::hands::Hands;
 use super::inputs::Source;
 use crate::interrupt;
 use crate::subject::TIMEOUT;
+use crate::watcher::Watcher;
 
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
@@ -32,45 +32,41 @@ pub(super) fn send(feed: &ReferenceFeed, position_m: [f64; 3]) -> Result<Header>
     Ok(feed.send(ChunkMode::Replace, Interpolation::Linear, &points)?)
 }
 
+pub(super) fn length_m(watcher: &Watcher) -> f64 {
+    section_lengths_m(&watcher.status.robot).iter().sum()
+}
+
 /// Places on a small circle, one after the other, for a robot of this length: it always has a little to do.
-pub(super) fn on_circle(index: u32, length_m: f64) -> [f64; 3] {
-    let (sin, cos) = (0.1 * f64::from(index)).sin_cos();
+pub(super) fn on_circle(index: usize, length_m: f64) -> [f64; 3] {
+    let (sin, cos) = (0.1 * index as f64).sin_cos();
     [0.2 * length_m * cos, 0.2 * length_m * sin, 0.7 * length_m]
 }
 
 /// A place far to one side, or to the other.
-pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
+pub(super) fn aside(index: usize, length_m: f64) -> [f64; 3] {
     let side = if index.is_multiple_of(2) { 0.4 } else { -0.4 };
     [side * length_m, 0.1 * length_m, 0.5 * length_m]
 }
 
-/// Measures until the daemon knows the robot behind its driver, and holds it.
-pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
-    let deadline = Instant::now() + TIMEOUT;
-    while hands.connection.status(TIMEOUT)?.mode != Mode::Holding.code() {
-        ensure!(
-            Instant::now() < deadline,
-            "the daemon does not see the robot of its driver"
-        );
+/// Takes the lease and lets the robot follow. One behind a driver is measured meanwhile: the daemon takes silence for a
+/// fault, and knows and holds the robot only once it was measured.
+pub(super) fn follow(watcher: &mut Watcher, driver: Option<&Source>) -> Result<ReferenceFeed> {
+    let measure = |watcher: &mut Watcher| -> Result<()> {
         interrupt::check()?;
-        measurement.send(0, None, None)?;
+        driver.map_or(Ok(()), |source| source.send(0, watcher).map(|_| ()))
+    };
+    let deadline = Instant::now() + TIMEOUT;
+    while watcher.connection.status(TIMEOUT)?.mode == Mode::Starting.code() {
+        let in_time = Instant::now() < deadline;
+        ensure!(in_time, "the daemon does not see the robot of its driver");
+        measure(watcher)?;
     }
-    Ok(())
-}
-
-/// Takes the lease and lets the robot follow. One behind a driver is measured meanwhile: the daemon takes silence for a fault.
-pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<ReferenceFeed> {
-    let connection = &hands.connection;
-    connection.request(RequestKind::AcquireLease)?;
-    let feed = connection.reference_feed()?;
-    send(&feed, on_circle(0, hands.length_m()))?;
-    let deadline = Instant::now() + TIMEOUT;
+    watcher.connection.request(RequestKind::AcquireLease)?;
+    let feed = watcher.connection.reference_feed()?;
+    send(&feed, on_circle(0, length_m(watcher)))?;
     loop {
-        interrupt::check()?;
-        if let Some(source) = measurement {
-            source.send(0, None, None)?;
-        }
-        match connection.request(RequestKind::Track) {
+        measure(watcher)?;
+        match watcher.connection.request(RequestKind::Track) {
             Ok(_) => return Ok(feed),
             // The reference comes with the next gather.
             Err(RequestError::Refused {
@@ -78,7 +74,7 @@ pub(super) fn follow(hands: &Hands, measurement: Option<&Source>) -> Result<Refe
                 ..
             }) if Instant::now() < deadline => thread::sleep(ASK_AGAIN),
             Err(error) => {
-                let why = Reason::text_of(connection.status(TIMEOUT)?.reason);
+                let why = Reason::text_of(watcher.connection.status(TIMEOUT)?.reason);
                 return Err(error).context(format!("the robot shall follow a reference ({why})"));
             }
         }

@@ -5,32 +5,28 @@
 //! deceleration · T in each cycle: a speed of n steps is zero in the n-th command. The ramp, which is the
 //! robot's and not the daemon's, is n - 1 periods.
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
-use super::hands::{Hands, Seen, Turn};
 use super::inputs::Phases;
 use super::leg::Leg;
 use super::round::{Passage, Round};
-use super::scene;
+use super::{early_ns, scene};
+use crate::watcher::{Seen, Watcher};
 
 /// How fast the rates shrink: a stop from the largest rate of the default robot takes 20 cycles of 5 ms.
 pub(super) const DECELERATION_RAD_S2: f64 = 20.0;
 /// A robot is at speed at this part of its largest rate.
 const AT_SPEED: f64 = 0.4;
 const WARM_UP: usize = 1;
-/// Releases that one stop may take at most: it needs 15 to 40.
-const TURNS_OF_A_STOP: u64 = 200;
 /// A robot that is not at speed after so many releases is sent elsewhere.
 const SPEED_UP_MAX: u32 = 100;
+/// Releases that it may take from there to rest: it needs 15 to 40. A machine may stall.
+const REST_MAX: u32 = 1000;
 
 impl Seen {
-    fn is_in(&self, mode: Mode) -> bool {
-        self.record.mode == mode.code()
-    }
-
     /// Of the fastest component of its command.
     fn speed_rad_s(&self) -> f64 {
         largest(&self.record.command.bend_rate_rad_s)
@@ -39,31 +35,32 @@ impl Seen {
 
 /// Stops the robot until `samples` stops count. A stop is spoilt when records are missing, or the robot was hardly moving.
 pub(super) fn measure(
-    hands: &mut Hands,
+    watcher: &mut Watcher,
     feed: &ReferenceFeed,
     samples: usize,
     round: &mut Round,
 ) -> Result<()> {
     let (mut recorded, mut spoilt, most) = (0, 0, samples + WARM_UP);
-    let mut phases = Phases::default();
-    hands.begin(TURNS_OF_A_STOP * most as u64)?;
+    let (mut phases, length_m) = (Phases::default(), scene::length_m(watcher));
+    watcher.before_ns = early_ns(watcher);
+    watcher.begin()?;
     for number in 0.. {
-        scene::send(feed, scene::aside(number, hands.length_m()))?;
+        scene::send(feed, scene::aside(number, length_m))?;
         // Refused to a robot that follows already: it goes on to the new reference.
-        ask(hands, RequestKind::Reset, Outcome::WrongMode)?;
+        ask(watcher, RequestKind::Reset, Outcome::WrongMode)?;
         // It came so late that the chunk was not there, or no longer ahead.
-        if ask(hands, RequestKind::Track, Outcome::NoReference)? != Outcome::Accepted {
+        if ask(watcher, RequestKind::Track, Outcome::NoReference)? != Outcome::Accepted {
             continue;
         }
-        match stop(hands, &mut phases)? {
-            Some(stopped) if number as usize >= WARM_UP => {
+        match stop(watcher, &mut phases)? {
+            Some(stopped) if number >= WARM_UP => {
                 recorded += 1;
                 stopped.record(round);
             }
             Some(_) => {}
             None => {
                 spoilt += 1;
-                round.unmeasured.spoilt_stops += 1;
+                round.spoilt_stops += 1;
             }
         }
         ensure!(
@@ -78,74 +75,60 @@ pub(super) fn measure(
 }
 
 /// Asks for something, and waits for the answer: accepted, or refused for the reason that is expected.
-fn ask(hands: &mut Hands, kind: RequestKind, expected: Outcome) -> Result<Outcome> {
-    let mut due_ns = 0;
-    loop {
-        let turn = turn(hands, &mut due_ns, kind)?.0;
-        if let Some(answer) = turn.answers.first() {
-            match Outcome::try_from(answer.response.outcome) {
-                Ok(outcome) if outcome == expected => return Ok(expected),
-                _ => answer.accepted()?,
-            }
-            return Ok(Outcome::Accepted);
-        }
+fn ask(watcher: &mut Watcher, kind: RequestKind, expected: Outcome) -> Result<Outcome> {
+    watcher.ask(kind)?;
+    while watcher.waits_for_answer() {
+        watcher.watch_release()?;
     }
+    let answer = watcher.answers.pop().context("no answer")?;
+    if answer.response.outcome == expected.code() {
+        return Ok(expected);
+    }
+    answer.accepted()?;
+    Ok(Outcome::Accepted)
 }
 
-/// One turn, in which this is asked once when it is due. With the stamp of the request, if it was sent.
-fn turn(hands: &mut Hands, due_ns: &mut u64, kind: RequestKind) -> Result<(Turn, Option<u64>)> {
-    let (before_ns, mut sent_ns) = (hands.grid.early_ns(), None);
-    let turn = hands.turn(before_ns, due_ns, &mut |_, asker| {
-        let asker = asker.context("nobody asks")?;
-        sent_ns = Some(asker.ask(kind)?.1);
-        Ok(u64::MAX)
-    })?;
-    for seen in &turn.seen {
+/// The records until the next command is there.
+fn release(watcher: &mut Watcher) -> Result<Vec<Seen>> {
+    watcher.watch_release()?;
+    let seen = std::mem::take(&mut watcher.seen);
+    for seen in &seen {
         let why = Reason::text_of(seen.record.reason);
         ensure!(!seen.is_in(Mode::Faulted), "the robot is faulted: {why}");
     }
-    Ok((turn, sent_ns))
+    Ok(seen)
 }
 
 /// Waits until the robot is at speed, stops it at a time within the next period, and waits until it rests.
-fn stop(hands: &mut Hands, phases: &mut Phases) -> Result<Option<Stopped>> {
-    let robot = &hands.status.robot;
+fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
+    let robot = &watcher.status.robot;
     let sections = robot.section[..robot.sections as usize].iter();
-    let slowest_rad_s = sections
-        .map(|section| section.rate_max_rad_s)
-        .fold(f64::INFINITY, f64::min);
-    let (mut records, mut due_ns, mut sent_ns) = (Vec::new(), u64::MAX, None);
-    for releases in 0.. {
-        let (turn, sent) = turn(hands, &mut due_ns, RequestKind::Stop)?;
-        sent_ns = sent_ns.or(sent);
-        for answer in &turn.answers {
+    let rates_rad_s = sections.map(|section| section.rate_max_rad_s);
+    let fast_rad_s = AT_SPEED * rates_rad_s.fold(f64::INFINITY, f64::min);
+    let is_fast = |seen: &Seen| seen.speed_rad_s() > fast_rad_s;
+    let (mut records, mut releases): (Vec<Seen>, _) = (Vec::new(), 0);
+    while !records.last().is_some_and(is_fast) {
+        releases += 1;
+        if releases > SPEED_UP_MAX {
+            return Ok(None);
+        }
+        let seen = release(watcher)?.into_iter();
+        // Records come later than answers: the first ones may be of the stop before.
+        records.extend(seen.filter(|seen| seen.is_in(Mode::Tracking)));
+    }
+    watcher.watch_until(monotonic_ns() + phases.next_ns(watcher.status.period_ns))?;
+    let (_, sent_ns) = watcher.ask(RequestKind::Stop)?;
+    for _ in 0..REST_MAX {
+        records.extend(release(watcher)?);
+        for answer in watcher.answers.drain(..) {
             answer.accepted()?;
         }
-        let is_going = due_ns == u64::MAX && sent_ns.is_none();
-        if is_going {
-            // Records come later than answers: the first ones may be of the stop before.
-            records.extend(
-                turn.seen
-                    .into_iter()
-                    .filter(|seen| seen.is_in(Mode::Tracking)),
-            );
-            let is_fast = |seen: &Seen| seen.speed_rad_s() > AT_SPEED * slowest_rad_s;
-            if records.last().is_some_and(is_fast) {
-                due_ns = monotonic_ns() + phases.next_ns(hands.grid.period_ns);
-            } else if releases >= SPEED_UP_MAX {
-                return Ok(None);
-            }
-            continue;
-        }
-        records.extend(turn.seen);
         let rests = |seen: &Seen| seen.is_in(Mode::Stopped) && seen.speed_rad_s() == 0.0;
-        if let Some(sent_ns) = sent_ns.filter(|_| hands.waits_since_ns().is_none())
-            && records.last().is_some_and(rests)
-        {
+        if !watcher.waits_for_answer() && records.last().is_some_and(rests) {
             return Ok(evaluate(&records, sent_ns));
         }
     }
-    Ok(None)
+    bail!("the robot does not come to rest")
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -7,10 +7,11 @@ mod report;
 mod trial;
 
 use anyhow::Result;
+use cdcr_client::monotonic_ns;
 
 pub use case::Case;
 pub use report::picture;
-pub use trial::{Length, Observed, Trial, TrialMetrics, TrialOutcome};
+pub use trial::{Trial, TrialOutcome};
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
@@ -24,13 +25,11 @@ use case::Stage;
 const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
 /// The periods that the default is shown with \[ms\]: the 200 Hz that are asked, 1, 2, 5 and 10 kHz.
 const STEPS_MS: [f64; 5] = [5.0, 1.0, 0.5, 0.2, 0.1];
-const LENGTH: Length = Length {
-    least_s: 2.0,
-    least_periods: 4000,
-};
 const FIRST_GUESS: usize = 4;
 /// Trials that the search for one case takes, about: the border from both sides, and a repetition.
 const TRIALS: f64 = 3.2;
+/// What start, begin of tracking, warm-up and end of a trial take, about \[s\].
+const AROUND_S: f64 = 1.0;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct RateOptions {
@@ -46,8 +45,9 @@ pub struct RateOptions {
     /// of the period. Without it, as the daemon does by default.
     #[arg(long = "spin", value_name = "US", value_parser = spin_us)]
     pub spin_us: Option<f64>,
-    #[arg(skip = LENGTH)]
-    pub length: Length,
+    /// How long a trial measures at least: seconds, and periods.
+    #[arg(skip = (2.0, 4000.0))]
+    pub length: (f64, f64),
     #[arg(skip = Case::all())]
     pub cases: Vec<Case>,
     /// The periods that are tried, longest first \[ms\].
@@ -66,13 +66,27 @@ fn spin_us(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "must be 0 to 1000".to_owned())
 }
 
+impl RateOptions {
+    fn measured_s(&self, period_ms: f64) -> f64 {
+        let (least_s, least_periods) = self.length;
+        least_s.max(least_periods * period_ms * 1e-3)
+    }
+
+    /// How long a trial takes altogether, about \[s\].
+    fn trial_s(&self, period_ms: f64) -> f64 {
+        self.measured_s(period_ms) + AROUND_S
+    }
+
+    /// How long the search for one case takes, about \[s\].
+    fn search_s(&self) -> f64 {
+        let shortest_ms = self.periods_ms.last();
+        shortest_ms.map_or(0.0, |period_ms| TRIALS * self.trial_s(*period_ms))
+    }
+}
+
 impl Benchmark for RateOptions {
     fn quicken(&mut self) {
-        self.rounds = 1;
-        self.length = Length {
-            least_s: 0.5,
-            least_periods: 400,
-        };
+        (self.rounds, self.length) = (1, (0.5, 400.0));
         let is_default = |case: &Case| (case.sections, case.horizon_steps) == (3, 2);
         self.cases.retain(is_default);
     }
@@ -86,12 +100,10 @@ impl Benchmark for RateOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let whole_s = |period_ms: &f64| self.length.whole_s(*period_ms);
-        let round_s: f64 = self.steps_ms.iter().map(whole_s).sum();
-        f64::from(self.rounds) * round_s + self.cases.len() as f64 * search_s(self)
+        let round_s: f64 = self.steps_ms.iter().map(|ms| self.trial_s(*ms)).sum();
+        f64::from(self.rounds) * round_s + self.cases.len() as f64 * self.search_s()
     }
 
-    /// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         report::dataset(measure(self, progress)?)
     }
@@ -111,66 +123,71 @@ pub struct Measured {
     pub shortest: Vec<Shortest>,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Shortest {
     pub case: Case,
-    /// In their order.
+    /// In their order; the last of a period decides.
     pub trials: Vec<Trial>,
-    /// Those of the shortest period that held, the last of which decides; none when not even the longest did.
-    pub held: Vec<Trial>,
-    /// Those of the next shorter period; none when there is no shorter one.
-    pub failed: Vec<Trial>,
+    /// The shortest period that held; none when not even the longest did.
+    pub held_ms: Option<f64>,
+    /// The next shorter one; none when there is none.
+    pub failed_ms: Option<f64>,
 }
 
-/// How long the search for one case takes, about \[s\].
-fn search_s(options: &RateOptions) -> f64 {
-    let shortest_ms = options.periods_ms.last();
-    shortest_ms.map_or(0.0, |period_ms| TRIALS * options.length.whole_s(*period_ms))
+impl Shortest {
+    pub fn trials_with(&self, period_ms: Option<f64>) -> Vec<&Trial> {
+        let is_it = |trial: &&Trial| Some(trial.period_ms) == period_ms;
+        self.trials.iter().filter(is_it).collect()
+    }
 }
 
+/// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
 pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measured> {
     let cores = Cores::find()?;
     cores.stay_off();
-    let stage = Stage::new(cores, may_be_realtime(), options.spin_us)?;
+    let stage = Stage {
+        cores,
+        realtime: may_be_realtime(),
+        spin_us: options.spin_us,
+    };
     let mut measured = Measured {
         realtime: stage.realtime,
         spin_us: options.spin_us,
-        begin_ns: cdcr_client::monotonic_ns(),
-        steps: Vec::new(),
+        begin_ns: monotonic_ns(),
+        steps: options.steps_ms.iter().map(|_| Vec::new()).collect(),
         shortest: Vec::new(),
     };
-    let length = options.length;
-    let trial = |progress: &mut Progress, case: Case, period_ms: f64| {
+    let mut trial = |case: Case, period_ms: f64, more_s: f64| {
         interrupt::check()?;
+        progress.expect(more_s);
         progress.begin(&format!("{} every {period_ms} ms", case.name()));
-        let trial = Trial::run(&stage, case, period_ms, length)?;
-        progress.advance(length.whole_s(period_ms));
+        let trial = Trial::run(&stage, case, period_ms, options.measured_s(period_ms))?;
+        progress.advance(options.trial_s(period_ms));
         anyhow::Ok(trial)
     };
-    // The default with each of its periods, one after the other in each round.
-    measured.steps.resize(options.steps_ms.len(), Vec::new());
     for _ in 0..options.rounds {
         for (step, period_ms) in measured.steps.iter_mut().zip(&options.steps_ms) {
-            step.push(trial(progress, Case::DEFAULT, *period_ms)?);
+            step.push(trial(Case::DEFAULT, *period_ms, 0.0)?);
         }
     }
     // Each search begins where the one before it ended.
     let mut guess = FIRST_GUESS;
     for case in &options.cases {
-        let (index, found) = search(*case, &options.periods_ms, guess, |period_ms| {
-            trial(progress, *case, period_ms)
-        })?;
-        guess = index.unwrap_or(0);
         // How many trials a search takes, and how long ones, is known only now.
-        let whole_s = |trial: &Trial| length.whole_s(trial.period_ms);
-        let spent_s: f64 = found.trials.iter().map(whole_s).sum();
-        progress.expect(spent_s - search_s(options));
+        let mut known_s = options.search_s();
+        let found = search(*case, &options.periods_ms, guess, |period_ms| {
+            let more_s = options.trial_s(period_ms) - std::mem::take(&mut known_s);
+            trial(*case, period_ms, more_s)
+        })?;
+        let mut periods_ms = options.periods_ms.iter();
+        let held = periods_ms.position(|period_ms| Some(*period_ms) == found.held_ms);
+        guess = held.unwrap_or(0);
         measured.shortest.push(found);
     }
     Ok(measured)
 }
 
-/// The shortest of these periods that holds, longest first, and its index. Goes step by step from the guess towards the
+/// The shortest of these periods that holds, longest first. Goes step by step from the guess towards the
 /// border, so that a good guess costs two trials. It takes for granted what is so in every loop: with more time a
 /// period does not hold worse.
 fn search(
@@ -178,63 +195,58 @@ fn search(
     periods_ms: &[f64],
     guess: usize,
     mut trial: impl FnMut(f64) -> Result<Trial>,
-) -> Result<(Option<usize>, Shortest)> {
-    let mut tried = vec![Vec::new(); periods_ms.len()];
-    let mut trials = Vec::new();
+) -> Result<Shortest> {
+    let mut trials: Vec<Trial> = Vec::new();
     let mut index = guess.min(periods_ms.len().saturating_sub(1));
-    while let Some(period_ms) = periods_ms.get(index).filter(|_| tried[index].is_empty()) {
-        let of_period: &mut Vec<Trial> = &mut tried[index];
-        while of_period
-            .last()
-            .is_none_or(|trial| !trial.decides(of_period.len()))
-        {
-            of_period.push(trial(*period_ms)?);
+    while let Some(period_ms) = periods_ms.get(index) {
+        if trials.iter().any(|trial| trial.period_ms == *period_ms) {
+            break;
         }
-        trials.extend(of_period.iter().cloned());
-        index = match of_period.last() {
-            Some(trial) if trial.holds() => index + 1,
+        let mut outcome = None;
+        for count in 1.. {
+            let tried = trial(*period_ms)?;
+            let decides = count >= tried.outcome.trials();
+            outcome = Some(tried.outcome);
+            trials.push(tried);
+            if decides {
+                break;
+            }
+        }
+        index = match outcome {
+            Some(TrialOutcome::Holds) => index + 1,
             _ => index.saturating_sub(1),
         };
     }
-    let held = tried
-        .iter()
-        .rposition(|trials| trials.iter().any(Trial::holds));
-    let mut take = |index: usize| tried.get_mut(index).map(std::mem::take).unwrap_or_default();
-    let found = Shortest {
-        case,
-        trials,
-        held: held.map(&mut take).unwrap_or_default(),
-        failed: take(held.map_or(0, |index| index + 1)),
+    let holds = |period_ms: &f64| {
+        let mut trials = trials.iter();
+        trials.any(|trial| trial.period_ms == *period_ms && trial.holds())
     };
-    Ok((held, found))
+    let held = periods_ms.iter().rposition(holds);
+    Ok(Shortest {
+        case,
+        held_ms: held.map(|index| periods_ms[index]),
+        failed_ms: periods_ms.get(held.map_or(0, |index| index + 1)).copied(),
+        trials,
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::quantiles::histogram;
-    use trial::tests::{lossy, quiet};
+    use trial::tests::{lossy, observed};
 
     /// A trial that holds, or in which the machine or the loop lost releases.
     pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
-        let metrics = match outcome {
-            TrialOutcome::Holds => quiet(),
-            TrialOutcome::Machine => lossy(0, 40, [3, 0, 0, 0, 0]),
-            TrialOutcome::Own => lossy(0, 40, [0, 0, 3, 0, 0]),
-            TrialOutcome::Slow => lossy(0, 40, [0; 5]),
+        let found = match outcome {
+            TrialOutcome::Holds => Ok(observed()),
+            TrialOutcome::Machine => Ok(lossy(0, 40, [3, 0, 0, 0, 0])),
+            TrialOutcome::Own => Ok(lossy(0, 40, [0, 0, 3, 0, 0])),
+            TrialOutcome::Slow => Ok(lossy(0, 40, [0; 5])),
+            TrialOutcome::NotFollowed => Err("too short".to_owned()),
         };
-        assert_eq!(metrics.outcome(period_ms), outcome);
-        let observed = Observed {
-            metrics,
-            responses: histogram().unwrap(),
-            begin_ns: 1,
-        };
-        Trial {
-            case: Case::DEFAULT,
-            period_ms,
-            spin_us: None,
-            found: Ok(observed),
-        }
+        let trial = Trial::new(Case::DEFAULT, period_ms, None, found);
+        assert_eq!(trial.outcome, outcome);
+        trial
     }
 
     /// Searches where `outcome` says what the trial of a period ends like, the how many-th of that period.
@@ -245,33 +257,32 @@ mod tests {
             counts[index] += 1;
             Ok(trial(period_ms, outcome(index, counts[index])))
         });
-        found.unwrap().1
+        found.unwrap()
     }
 
-    /// The period of some trials, how many held, and how many there are.
-    fn tally(trials: &[Trial]) -> Option<(f64, usize, usize)> {
+    /// Of trials, how many held, and how many there are.
+    fn tally(trials: &[&Trial]) -> (usize, usize) {
         let held = trials.iter().filter(|trial| trial.holds()).count();
-        Some((trials.first()?.period_ms, held, trials.len()))
+        (held, trials.len())
     }
 
     #[test]
     fn the_border_lies_between_what_held_and_what_failed() {
-        for failing in [TrialOutcome::Machine, TrialOutcome::Own, TrialOutcome::Slow] {
+        use TrialOutcome::{Holds, Machine, NotFollowed, Own, Slow};
+        for failing in [Machine, Own, Slow, NotFollowed] {
             let all = (0..=7).flat_map(|holding| (0..9).map(move |first| (holding, first)));
             for (holding, guess) in all {
-                let holds = |index| {
-                    if index < holding {
-                        TrialOutcome::Holds
-                    } else {
-                        failing
-                    }
-                };
-                let found = find(guess, |index, _| holds(index));
+                let found = find(
+                    guess,
+                    |index, _| if index < holding { Holds } else { failing },
+                );
                 let period_ms = |index: usize| PERIODS_MS.get(index).copied();
-                let held_ms = holding.checked_sub(1).and_then(period_ms);
-                assert_eq!(tally(&found.held), held_ms.map(|ms| (ms, 1, 1)));
-                let failed = period_ms(holding).map(|ms| (ms, 0, failing.trials()));
-                assert_eq!(tally(&found.failed), failed);
+                assert_eq!(found.held_ms, holding.checked_sub(1).and_then(period_ms));
+                assert_eq!(found.failed_ms, period_ms(holding));
+                let [held, failed] = [found.held_ms, found.failed_ms]
+                    .map(|period_ms| tally(&found.trials_with(period_ms)));
+                assert!(held == (1, 1) || holding == 0);
+                assert!(failed == (0, failing.trials()) || holding == 7);
                 let mut trials = found.trials.iter();
                 assert!(trials.all(|trial| trial.holds() || !trial.remarks().is_empty()));
                 if guess + 1 == holding && holding < 7 {
@@ -280,16 +291,18 @@ mod tests {
             }
         }
         assert!(search(Case::DEFAULT, &PERIODS_MS, 3, |_| anyhow::bail!("no")).is_err());
+        // A period that the machine spoilt holds when it is tried again.
+        for spoilt in 0..Machine.trials() {
+            let found = find(2, |_, count| if count > spoilt { Holds } else { Machine });
+            assert_eq!((found.held_ms, found.failed_ms), (Some(0.1), None));
+            assert_eq!(tally(&found.trials_with(found.held_ms)), (1, spoilt + 1));
+            assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
+        }
     }
 
     #[test]
-    fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
-        use TrialOutcome::{Holds, Machine};
-        for spoilt in 0..Machine.trials() {
-            let found = find(2, |_, count| if count > spoilt { Holds } else { Machine });
-            assert_eq!(tally(&found.held), Some((0.1, 1, spoilt + 1)));
-            assert!(found.failed.is_empty());
-            assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
-        }
+    fn a_trial_is_as_long_as_both_limits_ask() {
+        let options = RateOptions::of_report(false);
+        assert_eq!([5.0, 0.1].map(|ms| options.measured_s(ms)), [20.0, 2.0]);
     }
 }

@@ -8,8 +8,8 @@ use super::trial::Trial;
 use super::{Measured, Shortest};
 use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, plot};
 use crate::dataset::{
-    Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, percent, plain, power, together,
-    word,
+    Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, number, percent, plain, power,
+    together, word,
 };
 
 const EXPLANATION: &str = "<p>A period holds when, of a daemon that really tracks the spiral, at most 0.1 % of the releases were lost \
@@ -74,78 +74,75 @@ const COUNTS: [&str; 8] = [
     "late_cycles",
 ];
 
+/// What two runs are compared by at each rate.
+const NUMBERS: [(&str, &str, &str); 6] = [
+    ("response_p50", "µs", "response_us_p50"),
+    ("response_p99", "µs", "response_us_p99"),
+    ("response_p999", "µs", "response_us_p999"),
+    ("core", "%", "core_share"),
+    ("cut_short", "%", "budget_hit_share"),
+    ("own_misses", "", "own_misses"),
+];
+
 pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
-    let Measured {
-        realtime,
-        spin_us,
-        begin_ns,
-        steps,
-        shortest,
-    } = measured;
-    let how = how(realtime, spin_us);
+    let how = how(measured.realtime, measured.spin_us);
     let mut dataset = Dataset::new("rate", "How fast the loop can go", EXPLANATION);
+    dataset.fact("realtime", measured.realtime);
+    dataset.fact("spin_us", measured.spin_us);
     let (mut default, mut rounds) = (Vec::new(), Vec::new());
-    for step in &steps {
-        let of_step: Vec<Value> = step.iter().map(Trial::row).collect();
-        let period_ms = step.first().map_or(f64::NAN, |trial| trial.period_ms);
-        let path = format!("rate/default/{:.0}-hz", 1e3 / period_ms);
-        dataset.compare(
-            &path,
-            &of_step,
-            &[
-                ("response_p50", "µs", "response_us_p50"),
-                ("response_p99", "µs", "response_us_p99"),
-                ("response_p999", "µs", "response_us_p999"),
-                ("core", "%", "core_share"),
-                ("cut_short", "%", "budget_hit_share"),
-                ("own_misses", "", "own_misses"),
-            ],
-        );
-        default.push(step_row(period_ms, step, &of_step));
+    for step in &measured.steps {
+        let of_step = rows(step);
+        let row = step_row(step, &of_step);
+        let rate_hz = number(&row, "rate_hz").unwrap_or(f64::NAN);
+        let path = format!("rate/default/{rate_hz:.0}-hz");
+        dataset.compare(&path, &of_step, &NUMBERS);
+        default.push(row);
         rounds.extend(of_step);
     }
     let (mut found, mut trials) = (Vec::new(), Vec::new());
-    for case in &shortest {
-        let held_ms = case.held.first().map(|held| held.period_ms);
-        dataset.lower(format!("rate/shortest/{}", case.case.key()), "ms", held_ms);
-        found.push(shortest_row(case));
-        trials.extend(case.trials.iter().map(Trial::row));
+    for shortest in &measured.shortest {
+        let name = format!("rate/shortest/{}", shortest.case.key());
+        dataset.lower(name, "ms", shortest.held_ms);
+        found.push(shortest_row(shortest));
+        trials.extend(rows(&shortest.trials));
     }
-    let title = format!(
-        "The default ({}) with shorter and shorter periods, medians over rounds{how}",
-        Case::DEFAULT.name()
-    );
     dataset.plots.push(picture(&default)?);
+    let (of_default, of_shortest) = (
+        format!(
+            "The default ({}) with shorter and shorter periods, medians over rounds{how}",
+            Case::DEFAULT.name()
+        ),
+        format!("Shortest period that holds{how}"),
+    );
     dataset.sheets = vec![
-        Sheet::of(
-            &format!("Shortest period that holds{how}"),
-            &SHORTEST,
-            found,
-        )
-        .key("shortest")
-        .file("rate"),
-        Sheet::of(&title, &STEPS, default)
+        Sheet::of(&of_shortest, &SHORTEST, found)
+            .key("shortest")
+            .file("rate"),
+        Sheet::of(&of_default, &STEPS, default)
             .key("default")
             .file("rate-default"),
         Sheet::of("", &[], [&rounds[..], &trials].concat()).file("rate-trials"),
         Sheet::of("", &[], rounds).key("default_rounds"),
         Sheet::of("", &[], trials).key("trials"),
     ];
-    dataset.fact("realtime", realtime);
-    dataset.fact("spin_us", spin_us);
+    let begin_ns = measured.begin_ns;
     let recording = |trial: Trial| {
         let (solver, rate_hz) = (trial.case.solver.name(), 1e3 / trial.period_ms);
-        let observed = trial.found.ok()?;
+        let observed = trial.observed?;
         Some(Recording {
             tag: format!("{solver}.{rate_hz:.0}-hz.response"),
             start_s: observed.begin_ns.saturating_sub(begin_ns) as f64 * 1e-9,
-            duration_s: observed.metrics.duration_s,
+            duration_s: observed.duration_s,
             histogram_ns: observed.responses,
         })
     };
-    let trials = steps.into_iter().flatten();
+    let trials = measured.steps.into_iter().flatten();
     dataset.recordings = trials.filter_map(recording).collect();
     Ok(dataset)
+}
+
+fn rows(trials: &[Trial]) -> Vec<Value> {
+    trials.iter().map(|trial| trial.row.clone()).collect()
 }
 
 fn how(realtime: bool, spin_us: Option<f64>) -> String {
@@ -198,51 +195,50 @@ pub fn picture(rows: &[Value]) -> Result<Plot> {
 }
 
 fn shortest_row(shortest: &Shortest) -> Value {
-    let Shortest { held, failed, .. } = shortest;
-    let period_ms = |trials: &[Trial]| trials.first().map(|trial| trial.period_ms);
-    let failed_remarks = failed.last().map(Trial::remarks);
-    let ended_by = match (period_ms(failed), held.is_empty()) {
-        (Some(failed_ms), _) => {
-            let (held_in, remarks) = (
-                held_in(failed),
-                failed_remarks.as_deref().unwrap_or_default(),
-            );
-            format!("{failed_ms} ms, held in {held_in} trials: {remarks}")
+    let Shortest {
+        held_ms, failed_ms, ..
+    } = *shortest;
+    let [held, failed] = [held_ms, failed_ms].map(|ms| shortest.trials_with(ms));
+    let remarks = failed.last().map(|trial| trial.remarks());
+    let ended_by = match (failed_ms, remarks) {
+        (Some(ms), Some(remarks)) => {
+            format!("{ms} ms, held in {} trials: {remarks}", held_in(&failed))
         }
-        (None, false) => "nothing: no shorter one was tried".to_owned(),
-        (None, true) => String::new(),
+        _ if held.is_empty() => String::new(),
+        _ => "nothing: no shorter one was tried".to_owned(),
     };
     let own = json!({
-        "shortest_period_ms": period_ms(held),
-        "rate_hz": period_ms(held).map(|held_ms| 1e3 / held_ms),
-        "trials_held": count_held(held),
+        "shortest_period_ms": held_ms,
+        "rate_hz": held_ms.map(|held_ms| 1e3 / held_ms),
+        "trials_held": count_held(&held),
         "trials": held.len(),
         "ended_by": ended_by,
-        "held_in": if held.is_empty() { String::new() } else { held_in(held) },
-        "failed_period_ms": period_ms(failed),
-        "failed_trials_held": count_held(failed),
+        "held_in": if held.is_empty() { String::new() } else { held_in(&held) },
+        "failed_period_ms": failed_ms,
+        "failed_trials_held": count_held(&failed),
         "failed_trials": failed.len(),
-        "failed_remarks": failed_remarks,
-        "held": held.last().map(Trial::row),
+        "failed_remarks": remarks,
+        "held": held.last().map(|trial| &trial.row),
     });
     joined([json!(shortest.case), own])
 }
 
-fn count_held(trials: &[Trial]) -> usize {
+fn count_held(trials: &[&Trial]) -> usize {
     trials.iter().filter(|trial| trial.holds()).count()
 }
 
-fn held_in(trials: &[Trial]) -> String {
+fn held_in(trials: &[&Trial]) -> String {
     format!("{} of {}", count_held(trials), trials.len())
 }
 
 /// Medians over the rounds, and sums of what was counted.
-fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Value {
+fn step_row(trials: &[Trial], rounds: &[Value]) -> Value {
     // Those of the first round that did not hold, or else of the last one.
-    let failed = trials.iter().find(|trial| !trial.holds());
-    let shown = failed.or(trials.last());
+    let shown = trials.iter().find(|trial| !trial.holds()).or(trials.last());
+    let period_ms = shown.map_or(f64::NAN, |trial| trial.period_ms);
     let all = together(rounds, &COUNTS);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
+    let trials: Vec<&Trial> = trials.iter().collect();
     let own = json!({
         "sections": Case::DEFAULT.sections,
         "horizon_steps": Case::DEFAULT.horizon_steps,
@@ -250,44 +246,39 @@ fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Value {
         "period_us": 1e3 * period_ms,
         "rate_hz": 1e3 / period_ms,
         "rounds": trials.len(),
-        "rounds_held": count_held(trials),
-        "held_in": held_in(trials),
+        "rounds_held": count_held(&trials),
+        "held_in": held_in(&trials),
         "lost_share": sum(&["deadline_misses", "skipped_periods"]) / sum(&["cycles", "skipped_periods"]).max(1.0),
         "tracking_share_least": each(rounds, "tracking_share").reduce(f64::min).unwrap_or(0.0),
-        "remarks": shown.map_or_else(String::new, Trial::remarks),
+        "remarks": shown.map(Trial::remarks).unwrap_or_default(),
     });
     joined([all, own])
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::TrialOutcome;
+    use super::super::TrialOutcome::{Holds, NotFollowed};
     use super::super::tests::trial;
     use super::*;
 
     #[test]
     fn what_failed_is_told_and_is_no_value_of_a_metric() {
-        let tried = |period_ms, holds: &[bool]| {
-            let of_round = |holds: &bool| {
-                let mut tried = trial(period_ms, TrialOutcome::Holds);
-                if !holds {
-                    tried.found = Err("too short".to_owned());
-                }
-                tried
-            };
-            holds.iter().map(of_round).collect::<Vec<_>>()
+        let tried = |period_ms, outcomes: &[_]| -> Vec<Trial> {
+            let outcomes = outcomes.iter();
+            outcomes.map(|outcome| trial(period_ms, *outcome)).collect()
         };
-        let (held, failed) = (tried(0.5, &[false, true]), tried(0.25, &[false; 3]));
+        let mut trials = tried(0.5, &[NotFollowed, Holds]);
+        trials.extend(tried(0.25, &[NotFollowed; 3]));
         let found = dataset(Measured {
             realtime: false,
             spin_us: Some(0.0),
             begin_ns: 0,
-            steps: vec![tried(5.0, &[true, true]), tried(0.1, &[true, false])],
+            steps: vec![tried(5.0, &[Holds; 2]), tried(0.1, &[Holds, NotFollowed])],
             shortest: vec![Shortest {
                 case: Case::DEFAULT,
-                trials: [&held[..], &failed].concat(),
-                held,
-                failed,
+                trials,
+                held_ms: Some(0.5),
+                failed_ms: Some(0.25),
             }],
         })
         .unwrap();
@@ -295,26 +286,28 @@ mod tests {
         assert_eq!(json["default"][1]["rounds_held"], 1);
         assert_eq!(json["default"][1]["remarks"], "too short");
         assert_eq!(json["default"][0]["cycles"], 8000);
-        assert_eq!(json["shortest"][0]["shortest_period_ms"], 0.5);
-        assert_eq!(json["shortest"][0]["failed_period_ms"], 0.25);
+        let row = &json["shortest"][0];
+        assert_eq!(
+            (&row["shortest_period_ms"], &row["failed_period_ms"]),
+            (&json!(0.5), &json!(0.25))
+        );
+        assert_eq!(row["ended_by"], "0.25 ms, held in 0 of 3 trials: too short");
+        assert_eq!(row["held_in"], "1 of 2");
         assert_eq!(json["trials"][2]["holds"], false);
         let text = found.text();
-        for words in [
-            "0.25 ms, held in 0 of 3 trials: too short",
-            "1 of 2",
-            "not granted",
-            "without rehearsal",
+        assert!(
+            text.contains("not granted") && text.contains("without rehearsal"),
+            "{text}"
+        );
+        for (name, rounds) in [
+            ("rate/default/200-hz/response_p50", &[30.0, 30.0][..]),
+            ("rate/default/10000-hz/response_p50", &[30.0]),
+            ("rate/default/10000-hz/core", &[20.0]),
+            ("rate/shortest/3-sections/kpso-refined/n2", &[0.5]),
         ] {
-            assert!(text.contains(words), "{text}");
-        }
-        let is = |name: &str, rounds: &[f64]| {
             let metric = found.metrics.iter().find(|metric| metric.name == name);
             assert_eq!(metric.unwrap().rounds, rounds, "{name}");
-        };
-        is("rate/default/200-hz/response_p50", &[30.0, 30.0]);
-        is("rate/default/10000-hz/response_p50", &[30.0]);
-        is("rate/default/10000-hz/core", &[20.0]);
-        is("rate/shortest/3-sections/kpso-refined/n2", &[0.5]);
+        }
         assert_eq!(found.recordings.len(), 3);
     }
 }

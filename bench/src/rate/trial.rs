@@ -28,8 +28,6 @@ const READ_EVERY: Duration = Duration::from_millis(2);
 const EASY_MS: f64 = 2.0;
 /// How often a trial begins anew in which the daemon sent nothing for a second: that says nothing about its period.
 const HELD_UP_MAX: usize = 2;
-/// What start, begin of tracking, warm-up and end take, about \[s\].
-const AROUND_S: f64 = 1.0;
 /// From this share of a core on, the system may halt real-time threads: Linux leaves them 95 %.
 const FULL: f64 = 0.93;
 /// From this share on, a remark says that solves were cut short, or that inputs were stale.
@@ -37,40 +35,23 @@ const WORTH_A_REMARK: f64 = 0.01;
 /// A period holds when at most this share of its releases got no cycle in time.
 const LOST_MAX: f64 = 1e-3;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Length {
-    pub least_s: f64,
-    pub least_periods: u32,
-}
-
-impl Length {
-    pub fn measured_s(&self, period_ms: f64) -> f64 {
-        let periods_s = f64::from(self.least_periods) * period_ms * 1e-3;
-        self.least_s.max(periods_s)
-    }
-
-    /// How long a trial takes altogether, about \[s\].
-    pub fn whole_s(&self, period_ms: f64) -> f64 {
-        self.measured_s(period_ms) + AROUND_S
-    }
-}
-
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Trial {
     pub case: Case,
     pub period_ms: f64,
-    /// How long before each release it was asked to spin \[µs\]; none: the daemon's default.
-    pub spin_us: Option<f64>,
-    /// What was measured, or why the robot did not follow its reference all the time.
-    pub found: Result<Observed, String>,
+    pub outcome: TrialOutcome,
+    /// All that is told of it.
+    pub row: Value,
+    /// None of a robot that did not follow.
+    pub observed: Option<Observed>,
 }
 
 impl Trial {
-    pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
-        let measured = Duration::from_secs_f64(length.measured_s(period_ms));
+    pub fn run(stage: &Stage, case: Case, period_ms: f64, measured_s: f64) -> Result<Self> {
         let observe = || {
             let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
-            let observed = Observed::from_daemon(&daemon, stage, measured);
+            let length = Duration::from_secs_f64(measured_s);
+            let observed = Observed::from_daemon(&daemon, stage, length);
             daemon.stop().and(observed)
         };
         let mut found = observe();
@@ -89,51 +70,48 @@ impl Trial {
             }
             found => Ok(found?),
         };
-        Ok(Self {
+        let spin_us = stage.spin_within_us(period_ms);
+        Ok(Self::new(case, period_ms, spin_us, found))
+    }
+
+    /// What was measured, or why the robot did not follow its reference all the time.
+    pub(super) fn new(
+        case: Case,
+        period_ms: f64,
+        spin_us: Option<f64>,
+        found: Result<Observed, String>,
+    ) -> Self {
+        let (outcome, remarks, measured) = match &found {
+            Ok(observed) => (
+                observed.outcome(period_ms),
+                observed.remarks(period_ms),
+                observed.row(),
+            ),
+            Err(why) => (TrialOutcome::NotFollowed, why.clone(), Value::Null),
+        };
+        let own = json!({
+            "period_ms": period_ms,
+            // How long before each release it was asked to spin; null: the daemon's default.
+            "spin_us": spin_us,
+            "holds": outcome == TrialOutcome::Holds,
+            // What failed, and what is worth knowing, in words.
+            "remarks": remarks,
+        });
+        Self {
             case,
             period_ms,
-            spin_us: stage.spin_within_us(period_ms),
-            found,
-        })
-    }
-
-    pub fn metrics(&self) -> Option<&TrialMetrics> {
-        self.found.as_ref().ok().map(|observed| &observed.metrics)
-    }
-
-    pub fn holds(&self) -> bool {
-        let outcome = self
-            .metrics()
-            .map(|metrics| metrics.outcome(self.period_ms));
-        outcome == Some(TrialOutcome::Holds)
-    }
-
-    /// What failed, and what is worth knowing, in words; empty when there is nothing.
-    pub fn remarks(&self) -> String {
-        match &self.found {
-            Ok(observed) => observed.metrics.remarks(self.period_ms),
-            Err(why) => why.clone(),
+            outcome,
+            row: joined([json!(case), own, measured]),
+            observed: found.ok(),
         }
     }
 
-    /// Whether it says, as the `count`-th trial of its period, whether that holds. A robot that did not follow has
-    /// no second trial.
-    pub fn decides(&self, count: usize) -> bool {
-        let outcome = self
-            .metrics()
-            .map(|metrics| metrics.outcome(self.period_ms));
-        count >= outcome.map_or(1, TrialOutcome::trials)
+    pub fn holds(&self) -> bool {
+        self.outcome == TrialOutcome::Holds
     }
 
-    pub fn row(&self) -> Value {
-        let own = json!({
-            "period_ms": self.period_ms,
-            "spin_us": self.spin_us,
-            "holds": self.holds(),
-            "remarks": self.remarks(),
-        });
-        let metrics = self.metrics().map(TrialMetrics::row);
-        joined([json!(self.case), own, json!(metrics)])
+    pub fn remarks(&self) -> &str {
+        self.row["remarks"].as_str().unwrap_or_default()
     }
 }
 
@@ -144,10 +122,8 @@ fn feed_error(error: &anyhow::Error) -> Option<&FeedError> {
 
 /// Whether the machine held the whole daemon up for so long that it was taken for dead.
 fn was_held_up(error: &anyhow::Error) -> bool {
-    matches!(
-        feed_error(error),
-        Some(FeedError::Link(LinkError::Silent { .. }))
-    )
+    let error = feed_error(error);
+    matches!(error, Some(FeedError::Link(LinkError::Silent { .. })))
 }
 
 /// Whether this error says that the robot does not follow; every other one says nothing about the period.
@@ -155,18 +131,6 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
     let mut words = error.chain().map(ToString::to_string);
     matches!(feed_error(error), Some(FeedError::LeftTracking { .. }))
         || words.any(|words| words.starts_with(DOES_NOT_FOLLOW))
-}
-
-#[derive(Debug, Clone, PartialEq)]
-pub struct TrialMetrics {
-    pub duration_s: f64,
-    pub counted: Statistics,
-    /// Share of their core that cycle and exchange used, by the kernel's count.
-    pub core_shares: [f64; 2],
-    /// Share of the cycles in which the robot followed its reference, of those whose record a client got.
-    pub tracking_share: f64,
-    /// Distance of the tip from its reference, as the client's records say: median and 99th percentile \[mm\].
-    pub error_mm: [f64; 2],
 }
 
 /// What a trial says about its period.
@@ -180,122 +144,35 @@ pub enum TrialOutcome {
     Machine,
     /// Too many releases were lost, and nothing says that only the machine lost them.
     Slow,
+    /// The robot did not follow its reference all the time.
+    NotFollowed,
 }
 
 impl TrialOutcome {
     /// How many trials a period may have when one of them ends like this.
     pub fn trials(self) -> usize {
         match self {
-            Self::Holds | Self::Own => 1,
+            Self::Holds | Self::Own | Self::NotFollowed => 1,
             Self::Slow => 2,
             Self::Machine => 3,
         }
     }
 }
 
-impl TrialMetrics {
-    /// Whether the period held, and if not, by whose doing.
-    pub fn outcome(&self, period_ms: f64) -> TrialOutcome {
-        // What a release takes when the machine only does its usual part.
-        let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;
-        if self.causes().own() > 0 {
-            TrialOutcome::Own
-        } else if self.lost_share() <= LOST_MAX {
-            TrialOutcome::Holds
-        } else if self.causes().all() > 0 && work_ns as f64 <= period_ms * 1e6 {
-            TrialOutcome::Machine
-        } else {
-            TrialOutcome::Slow
-        }
-    }
-
-    fn causes(&self) -> Causes {
-        Causes::reported(&self.counted)
-    }
-
-    fn share_of_cycles(&self, count: u64) -> f64 {
-        count as f64 / self.counted.cycles.max(1) as f64
-    }
-
-    /// Releases that got no command in time (no cycle, or one that missed its deadline), as a share of those that were due.
-    pub fn lost_share(&self) -> f64 {
-        let skipped = self.counted.skipped_periods;
-        let due = self.counted.cycles + skipped;
-        (self.counted.deadline_misses + skipped) as f64 / due.max(1) as f64
-    }
-
-    /// Share of the core that both real-time threads used together.
-    pub fn core_share(&self) -> f64 {
-        self.core_shares.iter().sum()
-    }
-
-    fn row(&self) -> Value {
-        let (counted, causes) = (&self.counted, self.causes());
-        json!({
-            "duration_s": self.duration_s,
-            "cycles": counted.cycles,
-            "late_starts": counted.late_starts,
-            "deadline_misses": counted.deadline_misses,
-            "skipped_periods": counted.skipped_periods,
-            "dropped_records": counted.dropped_records,
-            "causes": causes,
-            "own_misses": causes.own(),
-            "late_cycles": causes.all(),
-            "lost_share": self.lost_share(),
-            "budget_hit_share": self.share_of_cycles(counted.budget_hits),
-            "stale_input_share": self.share_of_cycles(counted.stale_inputs),
-            "wake_us": Quantiles::reported(&counted.wake),
-            "solve_us": Quantiles::reported(&counted.solve),
-            "compute_us": Quantiles::reported(&counted.compute),
-            "response_us": Quantiles::reported(&counted.response),
-            "cycle_core_share": self.core_shares[0],
-            "exchange_core_share": self.core_shares[1],
-            "core_share": self.core_share(),
-            "tracking_share": self.tracking_share,
-            "error_p50_mm": self.error_mm[0],
-            "error_p99_mm": self.error_mm[1],
-        })
-    }
-
-    fn remarks(&self, period_ms: f64) -> String {
-        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-        let (counted, causes) = (&self.counted, self.causes());
-        let whose = match self.outcome(period_ms) {
-            TrialOutcome::Machine => "the machine: ",
-            _ => "",
-        };
-        let (late, skipped) = (counted.deadline_misses, counted.skipped_periods);
-        let words = match causes.words() {
-            words if words.is_empty() => words,
-            words => format!(" ({words})"),
-        };
-        let core = percent(self.core_share());
-        let cut = self.share_of_cycles(counted.budget_hits);
-        let stale = self.share_of_cycles(counted.stale_inputs);
-        let (dropped, followed) = (counted.dropped_records, 100.0 * self.tracking_share);
-        #[rustfmt::skip]
-        let remarks = [
-            (causes.own() > 0, cdcr_client::counted(causes.own(), "own miss")),
-            (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
-            (self.core_share() >= FULL, format!("core full ({core}): the system halts its threads")),
-            (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
-            (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
-            (dropped > 0, cdcr_client::counted(dropped, "record") + " dropped"),
-            (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
-        ];
-        let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
-        let notable: Vec<_> = notable.map(|(_, words)| words).collect();
-        notable.join("; ")
-    }
-}
-
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Observed {
-    pub metrics: TrialMetrics,
-    /// Responses of the cycles whose records a client got \[ns\].
-    pub responses: Histogram<u64>,
     /// When the measurement began, on the clock of the daemon \[ns\].
     pub begin_ns: u64,
+    pub duration_s: f64,
+    pub counted: Statistics,
+    /// Share of their core that cycle and exchange used, by the kernel's count.
+    core_shares: [f64; 2],
+    /// Share of the cycles in which the robot followed its reference, of those whose record a client got.
+    tracking_share: f64,
+    /// Distance of the tip from its reference, as the client's records say: median and 99th percentile \[mm\].
+    error_mm: [f64; 2],
+    /// Responses of the cycles whose records a client got \[ns\].
+    pub responses: Histogram<u64>,
 }
 
 impl Observed {
@@ -340,18 +217,107 @@ impl Observed {
         ensure!(counted.response.count > 0, "the daemon ran no cycle");
         errors_m.sort_by(f64::total_cmp);
         let share = |name| core_share(&before, &after, name, passed);
-        let metrics = TrialMetrics {
+        Ok(Self {
+            begin_ns,
             duration_s: (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9,
             counted,
             core_shares: ["cdcr-cycle", "cdcr-exchange"].map(share),
             tracking_share: errors_m.len() as f64 / received.max(1) as f64,
             error_mm: [0.5, 0.99].map(|quantile| quantile_mm(&errors_m, quantile)),
-        };
-        Ok(Self {
-            metrics,
             responses,
-            begin_ns,
         })
+    }
+
+    /// Whether the period held, and if not, by whose doing.
+    fn outcome(&self, period_ms: f64) -> TrialOutcome {
+        // What a release takes when the machine only does its usual part.
+        let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;
+        if self.causes().own() > 0 {
+            TrialOutcome::Own
+        } else if self.lost_share() <= LOST_MAX {
+            TrialOutcome::Holds
+        } else if self.causes().all() > 0 && work_ns as f64 <= period_ms * 1e6 {
+            TrialOutcome::Machine
+        } else {
+            TrialOutcome::Slow
+        }
+    }
+
+    fn causes(&self) -> Causes {
+        Causes::reported(&self.counted)
+    }
+
+    fn share_of_cycles(&self, count: u64) -> f64 {
+        count as f64 / self.counted.cycles.max(1) as f64
+    }
+
+    /// Releases that got no command in time (no cycle, or one that missed its deadline), as a share of those that were due.
+    fn lost_share(&self) -> f64 {
+        let skipped = self.counted.skipped_periods;
+        let due = self.counted.cycles + skipped;
+        (self.counted.deadline_misses + skipped) as f64 / due.max(1) as f64
+    }
+
+    /// Share of the core that both real-time threads used together.
+    fn core_share(&self) -> f64 {
+        self.core_shares.iter().sum()
+    }
+
+    fn row(&self) -> Value {
+        let (counted, causes) = (&self.counted, self.causes());
+        json!({
+            "duration_s": self.duration_s,
+            "cycles": counted.cycles,
+            "late_starts": counted.late_starts,
+            "deadline_misses": counted.deadline_misses,
+            "skipped_periods": counted.skipped_periods,
+            "dropped_records": counted.dropped_records,
+            "causes": causes,
+            "own_misses": causes.own(),
+            "late_cycles": causes.all(),
+            "lost_share": self.lost_share(),
+            "budget_hit_share": self.share_of_cycles(counted.budget_hits),
+            "stale_input_share": self.share_of_cycles(counted.stale_inputs),
+            "wake_us": Quantiles::reported(&counted.wake),
+            "solve_us": Quantiles::reported(&counted.solve),
+            "compute_us": Quantiles::reported(&counted.compute),
+            "response_us": Quantiles::reported(&counted.response),
+            "cycle_core_share": self.core_shares[0],
+            "exchange_core_share": self.core_shares[1],
+            "core_share": self.core_share(),
+            "tracking_share": self.tracking_share,
+            "error_p50_mm": self.error_mm[0],
+            "error_p99_mm": self.error_mm[1],
+        })
+    }
+
+    fn remarks(&self, period_ms: f64) -> String {
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let (counted, causes) = (&self.counted, self.causes());
+        let is_excused = self.outcome(period_ms) == TrialOutcome::Machine;
+        let whose = if is_excused { "the machine: " } else { "" };
+        let (late, skipped) = (counted.deadline_misses, counted.skipped_periods);
+        let words = match causes.words() {
+            words if words.is_empty() => words,
+            words => format!(" ({words})"),
+        };
+        let core = percent(self.core_share());
+        let cut = self.share_of_cycles(counted.budget_hits);
+        let stale = self.share_of_cycles(counted.stale_inputs);
+        let (dropped, followed) = (counted.dropped_records, 100.0 * self.tracking_share);
+        #[rustfmt::skip]
+        let remarks = [
+            (causes.own() > 0, cdcr_client::counted(causes.own(), "own miss")),
+            (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
+            (self.core_share() >= FULL, format!("core full ({core}): the system halts its threads")),
+            (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
+            (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
+            (dropped > 0, cdcr_client::counted(dropped, "record") + " dropped"),
+            (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
+        ];
+        let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
+        let notable: Vec<_> = notable.map(|(_, words)| words).collect();
+        notable.join("; ")
     }
 }
 
@@ -368,18 +334,19 @@ fn quantile_mm(sorted_m: &[f64], quantile: f64) -> f64 {
 pub(super) mod tests {
     use cdcr_client::Liveness;
     use cdcr_shared_types::LatencySummary;
-    use cdcr_shared_types::codes::LateCause;
+    use cdcr_shared_types::codes::LateCause::{Compute, Load, PageFault, Platform, Stall};
 
     use super::*;
 
-    pub(in crate::rate) fn quiet() -> TrialMetrics {
+    pub(in crate::rate) fn observed() -> Observed {
         let us = |us: u64| LatencySummary {
             count: 4000,
             p50_ns: 1000 * us,
             p999_ns: 3000 * us,
             ..LatencySummary::default()
         };
-        TrialMetrics {
+        Observed {
+            begin_ns: 1,
             duration_s: 2.0,
             counted: Statistics {
                 cycles: 4000,
@@ -391,22 +358,20 @@ pub(super) mod tests {
             core_shares: [0.1; 2],
             tracking_share: 1.0,
             error_mm: [1e-9; 2],
+            responses: histogram().unwrap(),
         }
     }
 
     /// The same with these counts of misses, skipped periods, and causes: platform, load, compute, page fault, stall.
-    pub(in crate::rate) fn lossy(misses: u64, skipped: u64, causes: [u64; 5]) -> TrialMetrics {
-        use LateCause::{Compute, Load, PageFault, Platform, Stall};
-        let mut metrics = quiet();
-        metrics.counted.deadline_misses = misses;
-        metrics.counted.skipped_periods = skipped;
-        for (cause, count) in [Platform, Load, Compute, PageFault, Stall]
-            .into_iter()
-            .zip(causes)
-        {
-            metrics.counted.causes[cause.code() as usize] = count;
+    pub(in crate::rate) fn lossy(misses: u64, skipped: u64, causes: [u64; 5]) -> Observed {
+        let mut observed = observed();
+        observed.counted.deadline_misses = misses;
+        observed.counted.skipped_periods = skipped;
+        let order = [Platform, Load, Compute, PageFault, Stall];
+        for (cause, count) in order.into_iter().zip(causes) {
+            observed.counted.causes[cause.code() as usize] = count;
         }
-        metrics
+        observed
     }
 
     #[test]
@@ -431,56 +396,37 @@ pub(super) mod tests {
             (0, 0, [0, 0, 1, 0, 0], 0.5, Own, "1 own miss"),
             (0, 1000, [10, 0, 0, 1, 0], 0.5, Own, fault),
         ] {
-            let metrics = lossy(misses, skipped, causes);
-            assert_eq!(metrics.outcome(period_ms), outcome, "{metrics:?}");
-            assert_eq!(metrics.remarks(period_ms), remarks);
+            let observed = lossy(misses, skipped, causes);
+            assert_eq!(observed.outcome(period_ms), outcome, "{observed:?}");
+            assert_eq!(observed.remarks(period_ms), remarks);
         }
-        assert!(Machine.trials() > Slow.trials());
         // What costs quality is said even when the period holds.
-        let mut cut = quiet();
+        let mut cut = observed();
         cut.counted.budget_hits = 1600;
         (cut.core_shares, cut.tracking_share) = ([0.9, 0.1], 0.5);
         assert_eq!(cut.outcome(0.5), Holds);
         let expected = "core full (100 %): the system halts its threads; 40 % of the solves cut short; followed in 50.0 %";
         assert_eq!(cut.remarks(0.5), expected);
-    }
-
-    #[test]
-    fn only_a_robot_that_does_not_follow_did_not_follow() {
-        let left = FeedError::LeftTracking {
-            played_s: 1.0,
-            mode: "holding",
-            reason: "deadline misses",
-            remedy: "",
-        };
-        let wrapped = |error: FeedError| anyhow::Error::new(error).context("the feed");
-        assert!(did_not_follow(&wrapped(left)));
-        assert!(!did_not_follow(&wrapped(FeedError::Restarted {
-            played_s: 1.0
-        })));
-        assert!(!did_not_follow(&anyhow::anyhow!(
-            "the daemon ended by itself"
-        )));
-        let silent = wrapped(FeedError::Link(LinkError::Silent {
-            service: "telemetry",
-            waited: Duration::from_secs(1),
-            liveness: Liveness::Unknown,
-        }));
-        assert!(was_held_up(&silent) && !did_not_follow(&silent));
-        assert!(did_not_follow(&anyhow::anyhow!(
-            "{DOES_NOT_FOLLOW} within 10 s"
-        )));
-    }
-
-    #[test]
-    fn a_trial_is_as_long_as_both_limits_ask_and_its_errors_are_in_millimetres() {
-        let length = Length {
-            least_s: 2.0,
-            least_periods: 4000,
-        };
-        assert_eq!([5.0, 0.1].map(|ms| length.measured_s(ms)), [20.0, 2.0]);
         let errors_m: Vec<f64> = (0..=100).map(|index| f64::from(index) * 1e-3).collect();
         assert!((quantile_mm(&errors_m, 0.99) - 99.0).abs() < 1e-9);
         assert!(quantile_mm(&[], 0.5).is_nan());
+    }
+
+    #[test]
+    #[rustfmt::skip]
+    fn only_a_robot_that_does_not_follow_did_not_follow() {
+        let (played_s, waited) = (1.0, Duration::from_secs(1));
+        let left = FeedError::LeftTracking { played_s, mode: "holding", reason: "deadline misses", remedy: "" };
+        let silent = LinkError::Silent { service: "telemetry", waited, liveness: Liveness::Unknown };
+        let fed = |error: FeedError| anyhow::Error::new(error).context("the feed");
+        for (error, expected) in [
+            (fed(left), [true, false]),
+            (fed(FeedError::Restarted { played_s }), [false, false]),
+            (fed(FeedError::Link(silent)), [false, true]),
+            (anyhow::anyhow!("the daemon ended by itself"), [false, false]),
+            (anyhow::anyhow!("{DOES_NOT_FOLLOW} within 10 s"), [true, false]),
+        ] {
+            assert_eq!([did_not_follow(&error), was_held_up(&error)], expected, "{error:#}");
+        }
     }
 }

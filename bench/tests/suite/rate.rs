@@ -2,15 +2,14 @@
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{self, Case, Length, Measured, RateOptions, Trial, TrialOutcome};
+use cdcr_bench::rate::{self, Case, Measured, RateOptions, Trial};
+
+use crate::number;
 
 fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
     let options = RateOptions {
         rounds: 1,
-        length: Length {
-            least_s: 0.2,
-            least_periods: 60,
-        },
+        length: (0.2, 60.0),
         cases,
         periods_ms: periods_ms.to_vec(),
         steps_ms: steps_ms.to_vec(),
@@ -19,26 +18,25 @@ fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
     rate::measure(&options, &mut Progress::silent()).unwrap()
 }
 
-/// Whatever the machine did meanwhile: the metrics belong together.
+/// Whatever the machine did meanwhile: the numbers belong together.
 fn assert_consistent(trial: &Trial) {
-    let observed = trial.found.as_ref().unwrap();
-    let metrics = &observed.metrics;
-    let counted = &metrics.counted;
-    let (wake, response) = (&counted.wake, &counted.response);
+    let row = &trial.row;
+    assert_eq!(row["holds"], trial.holds());
     assert!(
-        counted.cycles > 0 && metrics.duration_s >= 0.2,
-        "{metrics:?}"
+        number(row, "cycles") > 0.0 && number(row, "duration_s") >= 0.2,
+        "{row}"
     );
-    let outcome = metrics.outcome(trial.period_ms);
-    assert_eq!(trial.holds(), outcome == TrialOutcome::Holds);
-    assert!(!trial.holds() || metrics.lost_share() <= 1e-3);
-    assert!(trial.holds() || !trial.remarks().is_empty());
-    assert!(wake.p50_ns <= response.p50_ns, "{metrics:?}");
-    assert!(response.p999_ns <= response.max_ns, "{metrics:?}");
-    assert!(!observed.responses.is_empty());
-    assert!(counted.budget_hits.max(counted.stale_inputs) <= counted.cycles);
-    let share = metrics.tracking_share;
-    assert!(share > 0.0 && share <= 1.0, "{metrics:?}");
+    assert!(!trial.holds() || number(row, "lost_share") <= 1e-3, "{row}");
+    assert!(trial.holds() || !trial.remarks().is_empty(), "{row}");
+    let (wake, response) = (&row["wake_us"], &row["response_us"]);
+    assert!(number(wake, "p50") <= number(response, "p50"), "{row}");
+    assert!(number(response, "p999") <= number(response, "max"), "{row}");
+    assert!(!trial.observed.as_ref().unwrap().responses.is_empty());
+    for key in ["budget_hit_share", "stale_input_share"] {
+        assert!((0.0..=1.0).contains(&number(row, key)), "{row}");
+    }
+    let share = number(row, "tracking_share");
+    assert!(share > 0.0 && share <= 1.0, "{row}");
 }
 
 #[test]
@@ -58,11 +56,13 @@ fn the_border_lies_between_what_held_and_what_failed() {
         panic!("one case: {:?}", report.shortest);
     };
     assert_eq!(shortest.case, case);
-    assert!(!shortest.held.is_empty() || !shortest.failed.is_empty());
+    assert!(shortest.held_ms.is_some() || shortest.failed_ms.is_some());
     // Two periods with up to three trials each; only the last one decides.
     assert!((1..=6).contains(&shortest.trials.len()));
-    assert!(shortest.held.last().is_none_or(Trial::holds));
-    assert!(shortest.failed.iter().all(|trial| !trial.holds()));
+    let held = shortest.trials_with(shortest.held_ms);
+    assert!(held.last().is_none_or(|trial| trial.holds()));
+    let mut failed = shortest.trials_with(shortest.failed_ms).into_iter();
+    assert!(failed.all(|trial| !trial.holds()));
     for trial in shortest.trials.iter().chain(step) {
         assert_consistent(trial);
     }

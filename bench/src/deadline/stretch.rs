@@ -1,0 +1,289 @@
+//! One stretch of one subject under one load: started, warmed up, measured, ended.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use cdcr_client::monotonic_ns;
+use cdcr_shared_types::codes::{LateCause, Mode, timing};
+use cdcr_shared_types::{Location, Telemetry};
+use serde_json::json;
+
+use super::tally::{COMMAND, Tally};
+use super::{DeadlineOptions, Setup, WARM_UP};
+use crate::benchmark::with_period;
+use crate::dataset::joined;
+use crate::interrupt;
+use crate::load::{Load, Running};
+use crate::named::named;
+use crate::subject::baseline::Baseline;
+use crate::subject::cyclictest::Cyclictest;
+use crate::subject::daemon::{Daemon, Launch};
+use crate::subject::tracking::Tracking;
+use crate::subject::{Cycle, TIMEOUT};
+use crate::system::cores::Cores;
+use crate::system::counts::steal_ms;
+use crate::system::thread::may_be_realtime;
+use crate::watcher::{Seen, Watcher, on_client_core};
+
+/// Priority of whatever is measured with real time: that of the daemon's cycle thread, whatever its configuration says.
+const CYCLE_PRIORITY: u8 = 80;
+/// How long before a release the client wakes up \[ns\]: about what a late wake-up takes. A quarter of shorter periods.
+const EARLY_NS: u64 = 100_000;
+/// How often it takes what came, so that little of it is in memory \[ns\].
+const TAKE_EVERY_NS: u64 = 100_000_000;
+/// How long the last records and incidents may take to arrive \[ns\]: the daemon's reporter is late where the machine stalls.
+const LAST_NS: u64 = 300_000_000;
+
+named! {
+    pub enum Subject {
+        /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
+        Bare = "bare",
+        Daemon = "daemon",
+        /// cyclictest of rt-tests, with the daemon's period and priority.
+        Cyclictest = "cyclictest",
+    }
+}
+
+pub(super) struct Runner<'a> {
+    options: &'a DeadlineOptions,
+    cores: Cores,
+    cyclictest: Option<Cyclictest>,
+    pub(super) period: Duration,
+    deadline_ns: u64,
+    late_start_ns: u64,
+}
+
+impl<'a> Runner<'a> {
+    /// On these cores. A daemon is started once, to see that the configuration is good and to learn its period.
+    pub(super) fn new(options: &'a DeadlineOptions, cores: Cores) -> Result<Self> {
+        let daemon = Daemon::start(&launch(options), &cores)?;
+        let connection = daemon.connect()?;
+        let status = connection.status(TIMEOUT)?;
+        let record = connection.telemetry()?.next_within(TIMEOUT)?;
+        drop(connection);
+        daemon.stop()?;
+        Ok(Self {
+            options,
+            cores,
+            cyclictest: Cyclictest::find(),
+            period: Duration::from_nanos(status.period_ns),
+            deadline_ns: status.deadline_ns,
+            late_start_ns: record.context("the daemon runs no cycle")?.late_start_ns,
+        })
+    }
+
+    /// How what is measured is started. With real time means with all of it: whoever lacks a part is refused, and
+    /// not called real-time.
+    fn launch(&self, setup: Setup) -> Launch {
+        let launch = launch(self.options).placed(&self.cores, setup == Setup::Realtime);
+        match setup {
+            Setup::Realtime => launch.with("realtime.mode", "require"),
+            Setup::Ordinary => launch,
+        }
+    }
+
+    pub(super) fn may_be_realtime(&self) -> bool {
+        let start = || Daemon::start(&self.launch(Setup::Realtime), &self.cores);
+        may_be_realtime() && start().and_then(Daemon::stop).is_ok()
+    }
+
+    pub(super) fn subjects(&self, setup: Setup) -> Vec<Subject> {
+        let mut subjects = Subject::ALL.to_vec();
+        subjects.retain(|subject| {
+            *subject != Subject::Cyclictest
+                || (setup == Setup::Realtime && self.cyclictest.is_some())
+        });
+        subjects
+    }
+
+    /// What the subject came to, with what the load did meanwhile, its warm-up included. The clients of a load
+    /// need a daemon: where none is measured, they get a decoy that keeps off the core that is.
+    pub(super) fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Tally> {
+        let decoy = || {
+            Daemon::start(
+                &self.launch(Setup::Ordinary),
+                &self.cores.without_realtime(),
+            )
+        };
+        let daemon = match subject {
+            Subject::Daemon => Some(Daemon::start(&self.launch(setup), &self.cores)?),
+            _ => load.needs_daemon().then(decoy).transpose()?,
+        };
+        let location = daemon.as_ref().map(Daemon::location);
+        let tally = self.beside_load(subject, load, setup, location);
+        let words = || daemon.as_ref().map(Daemon::stderr_tail);
+        let tally = tally.with_context(|| words().unwrap_or_default())?;
+        daemon.map_or(Ok(()), Daemon::stop)?;
+        Ok(tally)
+    }
+
+    fn beside_load(
+        &self,
+        subject: Subject,
+        load: Load,
+        setup: Setup,
+        location: Option<&Location>,
+    ) -> Result<Tally> {
+        let followed = location.filter(|_| subject == Subject::Daemon);
+        let follow = |location| Tracking::start(location, self.cores.client());
+        let tracking = followed.map(follow).transpose()?;
+        let load = Running::start(load, &self.cores, location)?;
+        let tally = match (subject, followed) {
+            (_, Some(location)) => {
+                let observe = || self.observe(location, setup);
+                on_client_core(&self.cores, setup == Setup::Realtime, observe)
+            }
+            (Subject::Cyclictest, _) => self.cyclictest(),
+            _ => self.bare(setup),
+        };
+        let done = load.stop();
+        tracking.map_or(Ok(()), Tracking::stop)?;
+        let mut tally = tally?;
+        tally.counts["load_did"] = json!(done?);
+        Ok(tally)
+    }
+
+    fn bare(&self, setup: Setup) -> Result<Tally> {
+        let duration = WARM_UP + self.options.segment();
+        let bare = Baseline::start(&self.launch(setup), &self.cores, duration)?;
+        interrupt::sleep(WARM_UP)?;
+        self.with_steal(setup, || {
+            let cycles = bare.wait()?;
+            let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
+            let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
+            // As the client sees the daemon: a stall over the end of the warm-up counts, with all that it skipped.
+            let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
+            Tally::of(&cycles[warm..], false)
+        })
+    }
+
+    fn cyclictest(&self) -> Result<Tally> {
+        let cyclictest = self.cyclictest.as_ref().context("cyclictest is gone")?;
+        let cycles = |time: Duration| (time.as_nanos() / self.period.as_nanos().max(1)) as u64;
+        let (warm, counted) = (cycles(WARM_UP), cycles(self.options.segment()));
+        let (core, priority) = (self.cores.realtime, Some(CYCLE_PRIORITY));
+        let running = cyclictest.start(self.period, priority, core, warm + counted)?;
+        interrupt::sleep(WARM_UP)?;
+        self.with_steal(Setup::Realtime, || {
+            let latencies = running.wait()?.without_first(warm)?;
+            Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)
+        })
+    }
+
+    /// Sees every command of a daemon come, after a warm-up. With real time it goes before every load on its core, so that what is
+    /// measured is the daemon and not how the load shares a core with its client.
+    fn observe(&self, location: &Location, setup: Setup) -> Result<Tally> {
+        let mut watcher = Watcher::open(location, EARLY_NS)?;
+        let mut incidents = watcher.connection.incidents()?;
+        let begin_ns = monotonic_ns() + WARM_UP.as_nanos() as u64;
+        let end_ns = begin_ns + self.options.segment().as_nanos() as u64;
+        watcher.watch_until(begin_ns)?;
+        let (lost_before, before_ms) = (watcher.lost(), self.stolen_ms(setup));
+        let mut records = Vec::new();
+        // The incidents know more than the records: what the hypervisor took from the core.
+        let mut causes = HashMap::new();
+        let mut watch_until = |until_ns: u64| {
+            while monotonic_ns() < until_ns {
+                watcher.watch_until(until_ns.min(monotonic_ns() + TAKE_EVERY_NS))?;
+                let seen = watcher.seen.drain(..).map(|seen| Record::of(&seen));
+                records.extend(seen.filter(|it| (begin_ns..end_ns).contains(&it.cycle.due_ns)));
+                while let Some(incident) = incidents.try_next()? {
+                    let cause = LateCause::try_from(incident.telemetry.scheduling.late_cause);
+                    causes.extend(cause.map(|cause| (incident.telemetry.cycle, cause)));
+                }
+            }
+            anyhow::Ok(())
+        };
+        watch_until(end_ns)?;
+        let stolen_ms = self.stolen_ms(setup) - before_ms;
+        watch_until(end_ns + LAST_NS)?;
+        for record in &mut records {
+            let cause = causes.get(&record.number);
+            record.cycle.cause = cause.copied().unwrap_or(record.cycle.cause);
+        }
+        let mut tally = tally(&records, watcher.lost() - lost_before)?;
+        tally.counts["steal_ms"] = stolen_ms.into();
+        Ok(tally)
+    }
+
+    /// A tally with what the hypervisor took meanwhile.
+    fn with_steal(&self, setup: Setup, measure: impl FnOnce() -> Result<Tally>) -> Result<Tally> {
+        let before_ms = self.stolen_ms(setup);
+        let mut tally = measure()?;
+        tally.counts["steal_ms"] = (self.stolen_ms(setup) - before_ms).into();
+        Ok(tally)
+    }
+
+    /// What the hypervisor has taken since the start of the machine from the real-time core, in as far as it is counted
+    /// \[ms\]; without real time from all, because the threads are where the system puts them.
+    fn stolen_ms(&self, setup: Setup) -> f64 {
+        let own = self.cores.realtime;
+        let others = self.cores.others.iter().copied();
+        let others = others.filter(|core| setup == Setup::Ordinary && *core != own);
+        others.chain([own]).filter_map(steal_ms).sum()
+    }
+}
+
+fn launch(options: &DeadlineOptions) -> Launch {
+    // A driver is not there: the robot is simulated, whatever the configuration says.
+    let launch = Launch::patient(options.config.clone())
+        .with("link.kind", "simulated")
+        .with("realtime.cycle_priority", CYCLE_PRIORITY);
+    match options.period {
+        Some(period) => with_period(launch, period.as_secs_f64() * 1e3),
+        None => launch,
+    }
+}
+
+/// What is kept of a daemon's cycle.
+struct Record {
+    number: u64,
+    cycle: Cycle,
+    tracking: bool,
+    budget_spent: bool,
+    /// From the release to the command in the client's hands.
+    command_ns: Option<u64>,
+}
+
+impl Record {
+    fn of(seen: &Seen) -> Self {
+        let telemetry: &Telemetry = &seen.record;
+        let has = |flag: u32| telemetry.timing_flags & flag != 0;
+        let since_due_ns = |time_ns: u64| time_ns.saturating_sub(telemetry.due_ns);
+        let cause = LateCause::try_from(telemetry.scheduling.late_cause);
+        Self {
+            number: telemetry.cycle,
+            cycle: Cycle {
+                due_ns: telemetry.due_ns,
+                wake_ns: since_due_ns(telemetry.start_ns),
+                response_ns: since_due_ns(telemetry.handed_over_ns),
+                late_start: has(timing::LATE_START),
+                deadline_miss: has(timing::DEADLINE_MISS),
+                skipped_periods: telemetry.skipped_periods,
+                cause: cause.unwrap_or(LateCause::None),
+                run_delay_ns: telemetry.scheduling.run_delay_ns,
+            },
+            tracking: telemetry.mode == Mode::Tracking.code(),
+            budget_spent: telemetry.report.budget_spent != 0,
+            command_ns: seen.received_ns.map(since_due_ns),
+        }
+    }
+}
+
+fn tally(records: &[Record], lost_records: u64) -> Result<Tally> {
+    let cycles: Vec<Cycle> = records.iter().map(|record| record.cycle).collect();
+    let mut tally = Tally::of(&cycles, true)?;
+    for command_ns in records.iter().filter_map(|record| record.command_ns) {
+        tally.times[COMMAND].saturating_record(command_ns);
+    }
+    let count = |is: fn(&&Record) -> bool| records.iter().filter(is).count();
+    let of_clients = json!({
+        "lost_records": lost_records,
+        "lost_commands": count(|record| record.command_ns.is_none()),
+        "budget_hits": count(|record| record.budget_spent),
+        "tracking_share": count(|record| record.tracking) as f64 / records.len().max(1) as f64,
+    });
+    tally.counts = joined([tally.counts, of_clients]);
+    Ok(tally)
+}

@@ -1,0 +1,291 @@
+//! One daemon from its start to its end: how long the start takes, what it takes then, idle and tracking.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::MetadataExt as _;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow};
+use cdcr_client::{Connection, monotonic_ns};
+use cdcr_scratch::Scratch;
+use cdcr_shared_types::codes::realtime;
+use serde_json::{Value, json};
+
+use crate::interrupt;
+use crate::subject::TIMEOUT;
+use crate::subject::daemon::{Daemon, Launch};
+use crate::subject::place::ROBOT;
+use crate::subject::tracking::Tracking;
+use crate::system::cores::Cores;
+use crate::system::counts::{core_share, threads};
+
+pub(super) const MB: f64 = 1e6;
+/// Between a change and what is measured after it.
+const SETTLE: Duration = Duration::from_millis(500);
+/// The pause of a client between two looks whether there is a daemon.
+const LOOK_EVERY: Duration = Duration::from_millis(1);
+/// Those of the real-time core.
+const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
+
+/// Starts a daemon that a client looks for from the beginning, measures how long that takes from the start of the
+/// process, and ends it.
+pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
+    let (daemon, begin_ns, manager) = start(launch, cores)?;
+    let deadline = Instant::now() + TIMEOUT;
+    let connection = loop {
+        interrupt::check()?;
+        match Connection::open(daemon.location(), ROBOT) {
+            Err(_) if Instant::now() < deadline => thread::sleep(LOOK_EVERY),
+            connected => break connected.with_context(|| late(&daemon, "status"))?,
+        }
+    };
+    let record = connection.telemetry()?.next_within(TIMEOUT)?;
+    let record_ns = monotonic_ns();
+    record.with_context(|| late(&daemon, "record"))?;
+    let ready_ns = ready(&daemon, manager)?;
+    let status = connection.status(TIMEOUT)?;
+    drop(connection);
+    daemon.stop()?;
+    let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
+    Ok(json!({
+        // To the first release of its grid.
+        "first_release_ms": since_ms(status.origin_ns + status.period_ns),
+        // To what it tells a service manager after its first good cycle (`READY=1`).
+        "ready_ms": since_ms(ready_ns),
+        // To the first record in the hands of a client that pauses for a millisecond between two looks for the daemon.
+        "first_record_ms": since_ms(record_ns),
+    }))
+}
+
+/// When `READY=1` came \[ns\], heard in a thread of its own: a look of a client may last longer than what is measured.
+type Manager = JoinHandle<Result<Option<u64>>>;
+
+/// Starts a daemon under a service manager, and tells when its start began \[ns\].
+fn start(launch: &Launch, cores: &Cores) -> Result<(Daemon, u64, Manager)> {
+    let folder = Scratch::temporary().context("a folder for temporary files")?;
+    let path = folder.path().join("notify");
+    let socket = UnixDatagram::bind(&path).context("a socket for READY=1")?;
+    socket.set_read_timeout(Some(Duration::from_millis(100)))?;
+    let mut begin_ns = 0;
+    let daemon = Daemon::start_with(launch, cores, |command| {
+        command.env("NOTIFY_SOCKET", path);
+        begin_ns = monotonic_ns();
+    })?;
+    let manager = thread::spawn(move || {
+        let _folder = folder;
+        hear_ready(&socket)
+    });
+    Ok((daemon, begin_ns, manager))
+}
+
+fn ready(daemon: &Daemon, manager: Manager) -> Result<u64> {
+    let heard = manager.join();
+    let ready_ns = heard.map_err(|_| anyhow!("the service manager panicked"))??;
+    ready_ns.with_context(|| late(daemon, "READY=1"))
+}
+
+fn late(daemon: &Daemon, missing: &str) -> String {
+    let words = daemon.stderr_tail();
+    format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
+}
+
+/// When `READY=1` came \[ns\]; none within the time that a daemon may take.
+fn hear_ready(socket: &UnixDatagram) -> Result<Option<u64>> {
+    let deadline = Instant::now() + TIMEOUT;
+    let mut message = [0; 4096];
+    while Instant::now() < deadline {
+        interrupt::check()?;
+        let received = socket.recv(&mut message);
+        let now_ns = monotonic_ns();
+        if received.is_ok_and(|length| says_ready(&message[..length])) {
+            return Ok(Some(now_ns));
+        }
+    }
+    Ok(None)
+}
+
+/// Whether one of the lines is `READY=1` (`sd_notify(3)`).
+fn says_ready(message: &[u8]) -> bool {
+    let mut lines = message.split(|byte| *byte == b'\n');
+    lines.any(|line| line == b"READY=1")
+}
+
+/// Starts a daemon that no client disturbs before it is measured for so long, idle, then tracking. What was measured, under the
+/// keys of the quantities.
+pub(super) fn usage(
+    launch: &Launch,
+    cores: &Cores,
+    idle: Duration,
+    tracking: Duration,
+) -> Result<Value> {
+    let (daemon, _, manager) = start(launch, cores)?;
+    ready(&daemon, manager)?;
+    let measured = measure(&daemon, cores, idle, tracking);
+    daemon.stop().and(measured)
+}
+
+fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Value> {
+    let memory = || Memory::of(daemon.id());
+    let after_start = memory()?;
+    interrupt::sleep(SETTLE)?;
+    let idle = watch(daemon, idle)?;
+    let before_client = memory()?;
+
+    let client = Tracking::start(daemon.location(), cores.client())?;
+    interrupt::sleep(SETTLE)?;
+    let before_tracking = memory()?;
+    let tracking = watch(daemon, tracking)?;
+    let after_tracking = memory()?;
+    // Those of the tracking client are among them.
+    let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
+    let (root_files, _) = files(&[daemon.location().root().to_owned()]);
+    let status = daemon.connect()?.status(TIMEOUT)?;
+    client.stop()?;
+
+    let mb = |key| after_tracking.mb(key);
+    let growth_kb =
+        |from: &Memory, to: &Memory| anyhow::Ok(1e3 * (to.mb("VmRSS")? - from.mb("VmRSS")?));
+    let core = |shares: &Shares| sum(CORE_THREADS.iter().filter_map(|name| shares.get(*name)));
+    let all = |shares: &Shares| sum(shares.values());
+    let mut threads = json!({});
+    for (name, percent) in &tracking {
+        let idle_percent = idle.get(name).unwrap_or(&0.0);
+        threads[name] = json!({ "idle_percent": idle_percent, "tracking_percent": percent });
+    }
+    // Switched off, it is not asked for either.
+    let is_locked = status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0;
+    Ok(json!({
+        "core_tracking_percent": core(&tracking),
+        "resident_mb": mb("VmRSS")?,
+        "growth_kb": growth_kb(&before_tracking, &after_tracking)?,
+        "page_faults": (after_tracking.page_faults - before_tracking.page_faults) as f64,
+        "resident_start_mb": after_start.mb("VmRSS")?,
+        "growth_idle_kb": growth_kb(&after_start, &before_client)?,
+        "growth_by_client_kb": growth_kb(&before_client, &before_tracking)?,
+        "locked": f64::from(is_locked),
+        "core_idle_percent": core(&idle),
+        "all_tracking_percent": all(&tracking),
+        "all_idle_percent": all(&idle),
+        "peak_mb": mb("VmHWM")?,
+        "own_mb": mb("RssAnon")?,
+        "shared_mb": mb("RssShmem")?,
+        "file_mb": mb("RssFile")?,
+        "locked_mb": mb("VmLck")?,
+        "memory_files": memory_files as f64,
+        "memory_stored_mb": stored_bytes as f64 / MB,
+        "root_files": root_files as f64,
+        "threads": threads,
+    }))
+}
+
+/// Share of a core that each thread used \[%\].
+type Shares = BTreeMap<String, f64>;
+
+/// None where the kernel does not count what threads use.
+fn sum<'a>(percents: impl Iterator<Item = &'a f64>) -> Option<f64> {
+    percents.copied().reduce(|sum, percent| sum + percent)
+}
+
+/// In the time to come. Threads of one name are added up.
+fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
+    let (before, begin) = (threads(daemon.id()), Instant::now());
+    interrupt::sleep(length)?;
+    let (after, passed) = (threads(daemon.id()), begin.elapsed());
+    let percent = |name: &str| 100.0 * core_share(&before, &after, name, passed);
+    let names = after.iter().map(|thread| thread.name.clone());
+    Ok(names.map(|name| (name.clone(), percent(&name))).collect())
+}
+
+struct Memory {
+    /// `/proc/PID/status`. `VmLck` is counted by address range: more than what is resident.
+    status: String,
+    /// Since its start.
+    page_faults: u64,
+}
+
+impl Memory {
+    fn of(process: u32) -> Result<Self> {
+        let read = |name: &str| {
+            let file = format!("/proc/{process}/{name}");
+            fs::read_to_string(&file).with_context(|| format!("cannot read {file}"))
+        };
+        Ok(Self {
+            status: read("status")?,
+            page_faults: faults_in(&read("stat")?).context("/proc/PID/stat has no faults")?,
+        })
+    }
+
+    fn mb(&self, key: &str) -> Result<f64> {
+        let bytes = bytes_in(&self.status, key);
+        let bytes = bytes.with_context(|| format!("/proc/PID/status has no {key}"))?;
+        Ok(bytes as f64 / MB)
+    }
+}
+
+/// A value of `/proc/PID/status`, which the kernel gives in units of 1024 bytes (proc(5)).
+fn bytes_in(status: &str, key: &str) -> Option<u64> {
+    let mut lines = status.lines();
+    let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
+    let kilobytes: u64 = value.split_ascii_whitespace().next()?.parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
+/// The 10th and 12th number of `/proc/PID/stat`, minor and major. The 2nd is a name in brackets that may hold anything.
+fn faults_in(stat: &str) -> Option<u64> {
+    let behind_name = &stat[stat.rfind(')')? + 1..];
+    let mut numbers = behind_name.split_ascii_whitespace().skip(7).step_by(2);
+    let mut next = || numbers.next()?.parse::<u64>().ok();
+    Some(next()? + next()?)
+}
+
+/// How many files these are, folders searched, and what is really there of them \[bytes\]: pages that nobody touched
+/// take nothing.
+fn files(paths: &[PathBuf]) -> (u64, u64) {
+    let within = |path: &Path| {
+        let entries = fs::read_dir(path).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect::<Vec<_>>()
+    };
+    let of = |path: &PathBuf| match fs::symlink_metadata(path) {
+        Ok(metadata) if metadata.is_dir() => files(&within(path)),
+        Ok(metadata) => (1, metadata.blocks() * 512),
+        Err(_) => (0, 0),
+    };
+    let all = paths.iter().map(of);
+    all.fold((0, 0), |sum, more| (sum.0 + more.0, sum.1 + more.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ready_is_a_line_of_its_own() {
+        assert!(says_ready(b"READY=1"));
+        assert!(says_ready(b"STATUS=holding\nREADY=1\nMAINPID=7"));
+        assert!(!says_ready(b"STATUS=READY=1") && !says_ready(b"READY=0"));
+    }
+
+    #[test]
+    fn memory_is_read_as_proc_says() {
+        let ours = Memory::of(std::process::id()).unwrap();
+        assert!(ours.mb("VmRSS").unwrap() > 0.0 && ours.page_faults > 0);
+        let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\nRssAnon:\t 0 kB\n";
+        assert_eq!(bytes_in(status, "VmRSS"), Some(10_240));
+        assert_eq!(bytes_in(status, "Vm"), None);
+        assert_eq!(faults_in("7 (a ) b) S 1 2 3 4 5 6 70 8 90 10"), Some(160));
+        assert_eq!(faults_in("7 (a"), None);
+    }
+
+    #[test]
+    fn files_below_a_folder_are_counted() {
+        let folder = Scratch::temporary().unwrap();
+        fs::create_dir(folder.path().join("inner")).unwrap();
+        fs::write(folder.path().join("a"), [1; 10]).unwrap();
+        fs::write(folder.path().join("inner/b"), [1; 5]).unwrap();
+        let gone = folder.path().join("none");
+        assert_eq!(files(&[folder.path().to_owned(), gone]).0, 2);
+    }
+}

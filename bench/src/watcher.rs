@@ -1,0 +1,254 @@
+//! A client that has every command in its hands as soon as it is there, as a driver of a robot would.
+//!
+//! It sleeps until shortly before each release, looks for the command until it is there, and sleeps again: it is awake
+//! when the command comes, and does not hold its core all the time. Whatever else is done, to send and to ask, happens
+//! on the same thread in between, so that no second thread is in the way.
+
+use std::collections::VecDeque;
+use std::thread;
+
+use anyhow::{Context, Result, anyhow, ensure};
+use cdcr_client::{CommandStream, Connection, TelemetryStream, monotonic_ns};
+use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_shared_types::{Command, Location, Status, Telemetry};
+
+use crate::interrupt;
+use crate::subject::TIMEOUT;
+use crate::subject::asker::{Answer, Asker};
+use crate::subject::place::ROBOT;
+use crate::system::cores::Cores;
+use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
+
+/// So long after the release it looks for an answer without a rest \[ns\]: a thread that never rests is halted.
+const RESTLESS_NS: u64 = 500_000;
+const REST_NS: u64 = 20_000;
+/// Commands that are remembered until their telemetry comes.
+const REMEMBERED: usize = 1024;
+/// How long a daemon may send no record \[ns\].
+const SILENCE_NS: u64 = 2_000_000_000;
+
+/// A cycle, and when its command was in the client's hands; none when it never was.
+#[derive(Debug, Clone)]
+pub(crate) struct Seen {
+    pub(crate) record: Box<Telemetry>,
+    pub(crate) received_ns: Option<u64>,
+}
+
+impl Seen {
+    pub(crate) fn is_in(&self, mode: Mode) -> bool {
+        self.record.mode == mode.code()
+    }
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
+pub(crate) struct Looks {
+    all: u64,
+    /// The command was there before its first look.
+    late: u64,
+}
+
+pub(crate) struct Watcher {
+    pub(crate) connection: Connection,
+    pub(crate) status: Status,
+    /// How long before each release it wakes up \[ns\].
+    pub(crate) before_ns: u64,
+    pub(crate) looks: Looks,
+    /// What came since somebody took it.
+    pub(crate) seen: Vec<Seen>,
+    pub(crate) answers: Vec<Answer>,
+    pub(crate) newest: Option<Command>,
+    /// Who asks, once somebody has to.
+    asker: Option<Asker>,
+    commands: CommandStream,
+    telemetry: TelemetryStream,
+    /// The release that is watched next, and whether it is looked for already.
+    next: u64,
+    is_awake: bool,
+    received: VecDeque<(u64, u64)>,
+    last_record_ns: u64,
+}
+
+impl Watcher {
+    /// Connects. To be called on the thread that watches.
+    pub(crate) fn open(location: &Location, early_ns: u64) -> Result<Self> {
+        let connection = Connection::open_within(location, ROBOT, TIMEOUT)?;
+        let status = connection.status(TIMEOUT)?;
+        let mut watcher = Self {
+            before_ns: early_ns.min(status.period_ns / 4),
+            looks: Looks::default(),
+            seen: Vec::new(),
+            answers: Vec::new(),
+            newest: None,
+            asker: None,
+            commands: connection.commands()?,
+            telemetry: connection.telemetry()?,
+            next: 0,
+            is_awake: false,
+            received: VecDeque::with_capacity(REMEMBERED),
+            last_record_ns: 0,
+            connection,
+            status,
+        };
+        watcher.begin()?;
+        Ok(watcher)
+    }
+
+    pub(crate) fn release_ns(&self, cycle: u64) -> u64 {
+        self.status.origin_ns + cycle * self.status.period_ns
+    }
+
+    pub(crate) fn cycle_at(&self, time_ns: u64) -> u64 {
+        time_ns.saturating_sub(self.status.origin_ns) / self.status.period_ns
+    }
+
+    /// Records that never came.
+    pub(crate) fn lost(&self) -> u64 {
+        self.telemetry.lost()
+    }
+
+    pub(crate) fn open_asker(&mut self, location: &Location) -> Result<()> {
+        self.asker = Some(Asker::open(location, ROBOT, self.connection.sender_id())?);
+        Ok(())
+    }
+
+    /// Sends a request; one at a time. Its sequence and stamp.
+    pub(crate) fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
+        self.asker.as_mut().context("nobody asks")?.ask(kind)
+    }
+
+    pub(crate) fn waits_for_answer(&self) -> bool {
+        self.waits_since_ns().is_some()
+    }
+
+    fn waits_since_ns(&self) -> Option<u64> {
+        self.asker.as_ref()?.waits_since_ns()
+    }
+
+    /// Begins anew: what came while nobody watched is no measurement.
+    pub(crate) fn begin(&mut self) -> Result<()> {
+        while self.telemetry.try_next()?.is_some() {}
+        self.receive()?;
+        self.received.clear();
+        self.last_record_ns = monotonic_ns();
+        self.go_on();
+        Ok(())
+    }
+
+    pub(crate) fn watch_until(&mut self, time_ns: u64) -> Result<()> {
+        while monotonic_ns() < time_ns {
+            self.watch(time_ns)?;
+        }
+        Ok(())
+    }
+
+    /// Watches until the command of the next release is there.
+    pub(crate) fn watch_release(&mut self) -> Result<()> {
+        while !self.watch(u64::MAX)? {}
+        Ok(())
+    }
+
+    /// Watches one release. Whether it is over; not when this time came before.
+    fn watch(&mut self, time_ns: u64) -> Result<bool> {
+        interrupt::check()?;
+        let release_ns = self.release_ns(self.next);
+        let wake_ns = release_ns.saturating_sub(self.before_ns);
+        sleep_until(wake_ns.min(time_ns));
+        if wake_ns >= time_ns || !self.catch(release_ns, time_ns)? {
+            return Ok(false);
+        }
+        self.read_records()?;
+        let silent_ns = monotonic_ns().saturating_sub(self.last_record_ns);
+        ensure!(
+            silent_ns < SILENCE_NS,
+            "the daemon has sent no record for {} s",
+            silent_ns / 1_000_000_000
+        );
+        self.go_on();
+        Ok(true)
+    }
+
+    fn go_on(&mut self) {
+        self.next = (self.next + 1).max(self.cycle_at(monotonic_ns()) + 1);
+        self.is_awake = false;
+    }
+
+    /// Looks for the command of a release, and for the answer that the gather before it can have given, until both are there
+    /// or it is time for the next.
+    fn catch(&mut self, release_ns: u64, time_ns: u64) -> Result<bool> {
+        let next_wake_ns = release_ns + self.status.period_ns - self.before_ns;
+        if !self.is_awake {
+            self.is_awake = true;
+            self.looks.all += 1;
+            self.looks.late += u64::from(self.receive()?);
+        }
+        loop {
+            let is_there = self.receive()?;
+            let now_ns = monotonic_ns();
+            if let Some(asker) = &mut self.asker {
+                self.answers.extend(asker.look()?);
+            }
+            // The gather may come late, and take what was sent until shortly before the release.
+            let sent_ns = self.waits_since_ns();
+            let has_all = sent_ns.is_none_or(|sent_ns| sent_ns >= release_ns);
+            if (is_there && has_all) || now_ns + REST_NS >= next_wake_ns {
+                return Ok(true);
+            }
+            if now_ns >= time_ns {
+                return Ok(false);
+            }
+            if is_there && now_ns > release_ns + RESTLESS_NS {
+                sleep_until(now_ns + REST_NS);
+            }
+        }
+    }
+
+    /// Takes the commands that are there. Whether that of the watched cycle is among all that came.
+    fn receive(&mut self) -> Result<bool> {
+        while let Some(command) = self.commands.try_next()? {
+            let received_ns = monotonic_ns();
+            if self.received.len() == REMEMBERED {
+                self.received.pop_front();
+            }
+            self.received.push_back((command.cycle, received_ns));
+            self.newest = Some(command);
+        }
+        let newest = self.newest.as_ref();
+        Ok(newest.is_some_and(|newest| newest.cycle >= self.next))
+    }
+
+    fn read_records(&mut self) -> Result<()> {
+        while let Some(record) = self.telemetry.try_next()? {
+            self.last_record_ns = monotonic_ns();
+            // The daemon sends it before the record.
+            self.receive()?;
+            let is_older = |(cycle, _): &(u64, u64)| *cycle < record.cycle;
+            while self.received.front().is_some_and(is_older) {
+                self.received.pop_front();
+            }
+            let received = self.received.front().copied();
+            let received = received.filter(|(cycle, _)| *cycle == record.cycle);
+            self.seen.push(Seen {
+                record: Box::new(record),
+                received_ns: received.map(|(_, received_ns)| received_ns),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Does `work` on a thread of its own on the client's core; with `realtime` before all ordinary tasks.
+pub(crate) fn on_client_core<T: Send>(
+    cores: &Cores,
+    realtime: bool,
+    work: impl FnOnce() -> Result<T> + Send,
+) -> Result<T> {
+    let work = || {
+        if realtime {
+            set_fifo(WATCHER_PRIORITY);
+        }
+        pin(cores.client());
+        work()
+    };
+    let worked = thread::scope(|scope| scope.spawn(work).join());
+    worked.map_err(|_| anyhow!("the client of the bench panicked"))?
+}
