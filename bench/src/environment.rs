@@ -49,10 +49,8 @@ impl Environment {
     }
 
     fn of(root: &Root, cores: &Cores, realtime: bool) -> Self {
-        let first_number = |text: String| text.split_ascii_whitespace().next()?.parse::<f64>().ok();
-        let memory_kib = root
-            .field("proc/meminfo", "MemTotal")
-            .and_then(first_number);
+        let number = |text: Option<String>| first_number(&text?);
+        let memory_kib = number(root.field("proc/meminfo", "MemTotal"));
         let all = json!({
             // When the run began, in UTC, like `2026-11-21T12:00:00Z`.
             "started_utc": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
@@ -69,7 +67,7 @@ impl Environment {
             "kernel": root.kernel(),
             "memory_mb": memory_kib.map(|kib| (kib * 1024.0 / 1e6) as u64),
             // Of the last minute before the start; 1 is one busy core.
-            "load_average": root.read("proc/loadavg").and_then(first_number),
+            "load_average": number(root.read("proc/loadavg")),
             // Threads with SCHED_FIFO, and as much locked memory as it likes.
             "privileges": { "realtime": realtime, "lock_memory": root.may_lock() },
             "cores": { "realtime": cores.realtime, "others": cores.others },
@@ -154,10 +152,7 @@ impl Root {
 
     /// The value of the first line `key : value`.
     fn field(&self, file: &str, key: &str) -> Option<String> {
-        let text = self.read(file)?;
-        let mut lines = text.lines().filter_map(|line| line.split_once(':'));
-        let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
-        Some(value.trim().to_owned()).filter(|value| !value.is_empty())
+        Some(field(&self.read(file)?, key)?.to_owned())
     }
 
     /// The kernel and what it was told that matters to a punctual loop.
@@ -222,24 +217,21 @@ impl Root {
     /// Whether the processor says that a hypervisor runs it; none where processors have no such flag.
     fn is_virtual(&self) -> Option<bool> {
         let flags = self.field("proc/cpuinfo", "flags")?;
-        Some(
-            flags
-                .split_ascii_whitespace()
-                .any(|flag| flag == "hypervisor"),
-        )
+        let mut flags = flags.split_ascii_whitespace();
+        Some(flags.any(|flag| flag == "hypervisor"))
     }
 
     /// Name of the hypervisor; none on a machine that is not virtual, or does not tell: there it would be its maker.
     fn hypervisor(&self) -> Option<String> {
+        let is_virtual = self.is_virtual();
         let firmware = || {
-            self.is_virtual()?;
             let names = ["sys_vendor", "product_name"].into_iter();
             let names = names.filter_map(|name| self.read(&format!("sys/class/dmi/id/{name}")));
-            Some(names.collect::<Vec<_>>().join(" ")).filter(|names| !names.is_empty())
+            let names = names.collect::<Vec<_>>().join(" ");
+            (is_virtual == Some(true) && !names.is_empty()).then_some(names)
         };
-        let is_real = self.is_virtual() == Some(false);
         let name = self.read("sys/hypervisor/type").or_else(firmware);
-        name.filter(|_| !is_real)
+        name.filter(|_| is_virtual != Some(false))
     }
 
     /// As the capability and the limit of the process say.
@@ -250,6 +242,17 @@ impl Root {
         bits.is_some_and(|bits| bits >> CAP_IPC_LOCK & 1 == 1)
             || getrlimit(Resource::Memlock).current.is_none()
     }
+}
+
+/// The value of the first line `key : value`, unless it is empty.
+pub(crate) fn field<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let mut lines = text.lines().filter_map(|line| line.split_once(':'));
+    let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
+    Some(value.trim()).filter(|value| !value.is_empty())
+}
+
+pub(crate) fn first_number(text: &str) -> Option<f64> {
+    text.split_ascii_whitespace().next()?.parse().ok()
 }
 
 /// The word in brackets of a text that lists what could be chosen.
@@ -263,10 +266,11 @@ fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
 /// this project.
 fn commit() -> Option<String> {
     let git = |arguments: &str| {
-        let arguments = arguments.split(' ');
         // It only looks.
-        let mut command = Command::new("git");
-        let output = command.arg("--no-optional-locks").args(arguments).output();
+        let arguments = ["--no-optional-locks"]
+            .into_iter()
+            .chain(arguments.split(' '));
+        let output = Command::new("git").args(arguments).output();
         let output = output.ok().filter(|output| output.status.success())?;
         Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
     };

@@ -148,7 +148,7 @@ impl Watcher {
     }
 
     /// Watches one release. Whether it is over; not when this time came before.
-    fn watch(&mut self, time_ns: u64) -> Result<bool> {
+    pub(crate) fn watch(&mut self, time_ns: u64) -> Result<bool> {
         interrupt::check()?;
         let release_ns = self.release_ns(self.next);
         let wake_ns = release_ns.saturating_sub(self.before_ns);

@@ -88,20 +88,19 @@ impl DeadlineOptions {
     fn stretches(&self, runner: &Runner<'_>, is_realtime: bool, round: u32) -> Vec<Key> {
         let mut keys = Vec::new();
         for setup in Setup::ALL {
-            if setup == Setup::Realtime && !is_realtime {
-                continue;
-            }
             let mut subjects = runner.subjects(setup);
             let count = subjects.len();
             subjects.rotate_left((round - 1) as usize % count);
             for load in self.loads(setup) {
-                keys.extend(subjects.iter().map(|subject| Key {
+                let key = |subject| Key {
                     setup,
                     load,
-                    subject: *subject,
-                }));
+                    subject,
+                };
+                keys.extend(subjects.iter().copied().map(key));
             }
         }
+        keys.retain(|key| is_realtime || key.setup == Setup::Ordinary);
         keys
     }
 

@@ -30,8 +30,6 @@ use crate::watcher::{Seen, Watcher, on_client_core};
 const CYCLE_PRIORITY: u8 = 80;
 /// How long before a release the client wakes up \[ns\]: about what a late wake-up takes. A quarter of shorter periods.
 const EARLY_NS: u64 = 100_000;
-/// How often it takes what came, so that little of it is in memory \[ns\].
-const TAKE_EVERY_NS: u64 = 100_000_000;
 /// How long the last records and incidents may take to arrive \[ns\]: the daemon's reporter is late where the machine stalls.
 const LAST_NS: u64 = 300_000_000;
 
@@ -184,8 +182,8 @@ impl<'a> Runner<'a> {
         // The incidents know more than the records: what the hypervisor took from the core.
         let mut causes = HashMap::new();
         let mut watch_until = |until_ns: u64| {
-            while monotonic_ns() < until_ns {
-                watcher.watch_until(until_ns.min(monotonic_ns() + TAKE_EVERY_NS))?;
+            // Only between releases: whatever is done while a command is looked for makes it late.
+            while watcher.watch(until_ns)? {
                 let seen = watcher.seen.drain(..).map(|seen| Record::of(&seen));
                 records.extend(seen.filter(|it| (begin_ns..end_ns).contains(&it.cycle.due_ns)));
                 while let Some(incident) = incidents.try_next()? {

@@ -14,6 +14,7 @@ use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::realtime;
 use serde_json::{Value, json};
 
+use crate::environment::{field, first_number};
 use crate::interrupt;
 use crate::subject::TIMEOUT;
 use crate::subject::daemon::{Daemon, Launch};
@@ -218,19 +219,12 @@ impl Memory {
         })
     }
 
+    /// A value that the kernel gives in units of 1024 bytes (proc(5)).
     fn mb(&self, key: &str) -> Result<f64> {
-        let bytes = bytes_in(&self.status, key);
-        let bytes = bytes.with_context(|| format!("/proc/PID/status has no {key}"))?;
-        Ok(bytes as f64 / MB)
+        let kib = first_number(field(&self.status, key).unwrap_or_default());
+        let kib = kib.with_context(|| format!("/proc/PID/status has no {key}"))?;
+        Ok(kib * 1024.0 / MB)
     }
-}
-
-/// A value of `/proc/PID/status`, which the kernel gives in units of 1024 bytes (proc(5)).
-fn bytes_in(status: &str, key: &str) -> Option<u64> {
-    let mut lines = status.lines();
-    let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
-    let kilobytes: u64 = value.split_ascii_whitespace().next()?.parse().ok()?;
-    Some(kilobytes * 1024)
 }
 
 /// The 10th and 12th number of `/proc/PID/stat`, minor and major. The 2nd is a name in brackets that may hold anything.
@@ -272,9 +266,14 @@ mod tests {
     fn memory_is_read_as_proc_says() {
         let ours = Memory::of(std::process::id()).unwrap();
         assert!(ours.mb("VmRSS").unwrap() > 0.0 && ours.page_faults > 0);
-        let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\nRssAnon:\t 0 kB\n";
-        assert_eq!(bytes_in(status, "VmRSS"), Some(10_240));
-        assert_eq!(bytes_in(status, "Vm"), None);
+        let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\n".to_owned();
+        let page_faults = 0;
+        let of_text = Memory {
+            status,
+            page_faults,
+        };
+        assert_eq!(of_text.mb("VmRSS").unwrap(), 0.01024);
+        assert!(of_text.mb("Vm").is_err());
         assert_eq!(faults_in("7 (a ) b) S 1 2 3 4 5 6 70 8 90 10"), Some(160));
         assert_eq!(faults_in("7 (a"), None);
     }

@@ -71,18 +71,20 @@ fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
     cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
-/// Prefix and root of its place in shared memory, the process that started it, its core, and whether that is the core of both
-/// processes: then each lets the other one run.
 #[derive(Debug, clap::Args)]
 pub struct PeerOptions {
+    /// Prefix of the files in shared memory.
     #[arg(long)]
     prefix: String,
+    /// Root folder of iceoryx2.
     #[arg(long)]
     root: PathBuf,
+    /// The process that started it.
     #[arg(long)]
     parent: u32,
     #[arg(long)]
     core: usize,
+    /// Both processes are on one core: let the other one run.
     #[arg(long)]
     shares: bool,
 }

@@ -5,7 +5,7 @@
 
 use std::collections::HashMap;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use cdcr_client::{Driver, ObstacleSender, ReferenceFeed, events, monotonic_ns};
 use cdcr_shared_types::codes::{
     EventKind, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind, timing,
@@ -224,33 +224,16 @@ pub(super) fn measure(
         recorded: 0,
     };
     let mut lines: Vec<Line> = sources.into_iter().map(line).collect();
-    let sender_id = watcher.connection.sender_id();
     let (mut phases, mut cycle) = (Phases::default(), 0);
     watcher.begin()?;
     for number in 0..2 * lines.len() * (samples + WARM_UP) + SPARE {
         cycle = (cycle + gap).max(watcher.cycle_at(monotonic_ns()) + 1);
         let phase_ns = phases.next_ns(watcher.status.period_ns);
-        watcher.watch_until(watcher.release_ns(cycle) + phase_ns)?;
-        while watcher.waits_for_answer() {
-            watcher.watch_release()?;
-        }
-        for answer in watcher.answers.drain(..) {
-            answer.accepted()?;
-            let mut all = lines
-                .iter_mut()
-                .filter_map(|line| line.sent.get_mut(&answer.sequence));
-            if let Some(sent) = all.next() {
-                sent.answered_ns = Some(answer.received_ns);
-            }
-        }
-        for seen in std::mem::take(&mut watcher.seen) {
-            for line in &mut lines {
-                line.take(&seen, sender_id, round)?;
-            }
-            let is_warm = lines.iter().all(|line| line.count > WARM_UP);
-            if is_simulated && is_warm && seen.is_in(Mode::Tracking) {
-                record_command(&seen, round);
-            }
+        let due_ns = watcher.release_ns(cycle) + phase_ns;
+        let until_ns = |is_waiting| if is_waiting { u64::MAX } else { due_ns };
+        // Only between releases: whatever is done while a command is looked for makes it late.
+        while watcher.watch(until_ns(watcher.waits_for_answer()))? {
+            take(watcher, &mut lines, is_simulated, round)?;
         }
         if lines.iter().all(|line| line.recorded >= samples) {
             return Ok(());
@@ -258,10 +241,36 @@ pub(super) fn measure(
         let count = lines.len();
         lines[number % count].send(watcher)?;
     }
-    anyhow::bail!(
+    bail!(
         "the daemon did not answer as it should: the machine stalls, or the configuration keeps the robot from \
          following its reference"
     )
+}
+
+/// What came, said of the messages of all lines.
+fn take(
+    watcher: &mut Watcher,
+    lines: &mut [Line],
+    is_simulated: bool,
+    round: &mut Round,
+) -> Result<()> {
+    for answer in watcher.answers.drain(..) {
+        answer.accepted()?;
+        let mut all = lines.iter_mut();
+        if let Some(sent) = all.find_map(|line| line.sent.get_mut(&answer.sequence)) {
+            sent.answered_ns = Some(answer.received_ns);
+        }
+    }
+    for seen in watcher.seen.drain(..) {
+        for line in &mut *lines {
+            line.take(&seen, watcher.connection.sender_id(), round)?;
+        }
+        let is_warm = lines.iter().all(|line| line.count > WARM_UP);
+        if is_simulated && is_warm && seen.is_in(Mode::Tracking) {
+            record_command(&seen, round);
+        }
+    }
+    Ok(())
 }
 
 fn record_command(cycle: &Seen, round: &mut Round) {
