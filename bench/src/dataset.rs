@@ -57,7 +57,7 @@ pub struct Plot {
     pub svg: String,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Recording {
     /// What was measured where: words joined by dots, like `none.daemon.response`.
     pub tag: String,

@@ -204,23 +204,6 @@ impl Near {
         Ok(near)
     }
 
-    fn send(&self, sequence: u64) -> Result<u64> {
-        let header = header(sequence);
-        let message = Command {
-            header,
-            ..Command::default()
-        };
-        let sent = self.there.send_copy(message);
-        sent.context("cannot send to the peer")?;
-        Ok(header.sent_ns)
-    }
-
-    fn receive(&self) -> Result<Option<Command>> {
-        let sample = self.back.receive();
-        let sample = sample.context("cannot hear the peer")?;
-        Ok(sample.map(|sample| *sample.payload()))
-    }
-
     /// Looks until `look` finds something, without a rest.
     fn wait_for<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<(T, u64)> {
         let begin = Instant::now();
@@ -261,11 +244,20 @@ impl Near {
     }
 
     fn play(&self, sequence: u64) -> Result<(u64, [(Leg, u64); 2])> {
-        let sent_ns = self.send(sequence)?;
-        let is_it = |back: &Command| back.header.sequence == sequence;
-        let (back, received_ns) = self.wait_for(|| Ok(self.receive()?.filter(is_it)))?;
-        let one_way = (Leg::BareOneWay, back.header.sent_ns);
-        Ok((received_ns, [(Leg::BareRoundTrip, sent_ns), one_way]))
+        let header = header(sequence);
+        let message = Command {
+            header,
+            ..Command::default()
+        };
+        let sent = self.there.send_copy(message);
+        sent.context("cannot send to the peer")?;
+        let (back, received_ns) = self.wait_for(|| {
+            let sample = self.back.receive().context("cannot hear the peer")?;
+            let back = sample.map(|sample| sample.header);
+            Ok(back.filter(|back| back.sequence == sequence))
+        })?;
+        let round_trip = (Leg::BareRoundTrip, header.sent_ns);
+        Ok((received_ns, [round_trip, (Leg::BareOneWay, back.sent_ns)]))
     }
 
     fn ask(&self, sequence: u64) -> Result<(u64, [(Leg, u64); 1])> {
@@ -276,10 +268,8 @@ impl Near {
         };
         let pending = self.control.send_copy(request);
         let pending = pending.context("cannot ask the peer")?;
-        let ((), received_ns) = self.wait_for(|| {
-            let response = pending.receive().context("no answer of the peer")?;
-            Ok(response.map(|_| ()))
-        })?;
+        let (_, received_ns) =
+            self.wait_for(|| pending.receive().context("no answer of the peer"))?;
         Ok((received_ns, [(Leg::BareRequest, header.sent_ns)]))
     }
 }

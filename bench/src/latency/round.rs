@@ -2,16 +2,10 @@
 
 use anyhow::Result;
 use cdcr_client::monotonic_ns;
-use hdrhistogram::Histogram;
 
 use super::leg::Leg;
+use crate::dataset::Recording;
 use crate::quantiles::histogram;
-
-pub(super) struct Sampled {
-    pub(super) latencies: Histogram<u64>,
-    /// When the first and the last one were recorded, after the start of the run \[ns\].
-    pub(super) span_ns: Option<(u64, u64)>,
-}
 
 pub(super) struct Round {
     /// Stops that could not be judged: a record or a command is missing, or the robot was hardly moving.
@@ -19,7 +13,7 @@ pub(super) struct Round {
     /// Samples whose command never was in the client's hands, because the client was away too long.
     pub(super) without_command: u64,
     began_ns: u64,
-    legs: Vec<Sampled>,
+    legs: Vec<Recording>,
 }
 
 /// When something was sent, taken in and answered \[ns, `CLOCK_MONOTONIC`\].
@@ -34,31 +28,35 @@ pub(super) struct Passage {
 impl Round {
     /// An empty one of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
     pub(super) fn new(began_ns: u64) -> Result<Self> {
-        let empty = || {
-            Ok(Sampled {
-                latencies: histogram()?,
-                span_ns: None,
+        let empty = |leg: Leg| {
+            Ok(Recording {
+                tag: leg.name().to_owned(),
+                start_s: 0.0,
+                duration_s: 0.0,
+                histogram_ns: histogram()?,
             })
         };
         Ok(Self {
             spoilt_stops: 0,
             without_command: 0,
             began_ns,
-            legs: Leg::ALL.iter().map(|_| empty()).collect::<Result<_>>()?,
+            legs: Leg::ALL.into_iter().map(empty).collect::<Result<_>>()?,
         })
     }
 
-    pub(super) fn leg(&self, leg: Leg) -> &Sampled {
+    pub(super) fn leg(&self, leg: Leg) -> &Recording {
         &self.legs[leg as usize]
     }
 
     /// Adds a latency; one longer than a minute counts as a minute.
     pub(super) fn record(&mut self, leg: Leg, latency_ns: u64) {
-        let now_ns = monotonic_ns().saturating_sub(self.began_ns);
-        let sampled = &mut self.legs[leg as usize];
-        sampled.latencies.saturating_record(latency_ns);
-        let first_ns = sampled.span_ns.map_or(now_ns, |(first_ns, _)| first_ns);
-        sampled.span_ns = Some((first_ns, now_ns));
+        let now_s = monotonic_ns().saturating_sub(self.began_ns) as f64 * 1e-9;
+        let recording = &mut self.legs[leg as usize];
+        if recording.histogram_ns.is_empty() {
+            recording.start_s = now_s;
+        }
+        recording.duration_s = now_s - recording.start_s;
+        recording.histogram_ns.saturating_record(latency_ns);
     }
 
     /// Adds a whole way and its two parts. A message that came while its gather was under way did not wait.
@@ -89,18 +87,20 @@ mod tests {
                 received_ns: 1000,
             };
             round.record_way(Leg::StopCommand, &passage);
-            let newest = |leg: Leg| round.leg(leg).latencies.max();
+            let newest = |leg: Leg| round.leg(leg).histogram_ns.max();
             assert_eq!(newest(Leg::StopCommand), 900);
-            assert_eq!(round.leg(Leg::StopGrid).latencies.count_at(grid), 1);
+            assert_eq!(round.leg(Leg::StopGrid).histogram_ns.count_at(grid), 1);
             assert_eq!(
-                round.leg(Leg::StopMachinery).latencies.count_at(machinery),
+                round
+                    .leg(Leg::StopMachinery)
+                    .histogram_ns
+                    .count_at(machinery),
                 1
             );
         }
-        let sampled = round.leg(Leg::StopCommand);
-        assert_eq!(sampled.latencies.len(), 2);
-        let (first_ns, last_ns) = sampled.span_ns.expect("two were recorded");
-        assert!(first_ns <= last_ns);
-        assert_eq!(round.leg(Leg::LeaseGrid).span_ns, None);
+        let recording = round.leg(Leg::StopCommand);
+        assert_eq!(recording.histogram_ns.len(), 2);
+        assert!(recording.start_s > 0.0 && recording.duration_s >= 0.0);
+        assert!(round.leg(Leg::LeaseGrid).histogram_ns.is_empty());
     }
 }

@@ -1,5 +1,7 @@
 //! Whose shortest period is looked for, and how a daemon is started for it.
 
+use std::time::Instant;
+
 use cdcr_client::{PAPER_SECTION_M, counted};
 use serde::Serialize;
 
@@ -71,6 +73,7 @@ pub struct Stage {
     pub realtime: bool,
     /// How long before a release they wake up to spin \[µs\], at most a quarter of the period; none: the daemon's default.
     pub spin_us: Option<f64>,
+    pub begun: Instant,
 }
 
 impl Stage {
@@ -111,6 +114,7 @@ mod tests {
                 cores,
                 realtime,
                 spin_us,
+                begun: Instant::now(),
             };
             let launch = stage.launch(&Case::new(sections, Solver::Kpso, 10), period_ms);
             let set = [

@@ -6,8 +6,9 @@ mod case;
 mod report;
 mod trial;
 
+use std::time::Instant;
+
 use anyhow::Result;
-use cdcr_client::monotonic_ns;
 
 pub use case::Case;
 pub use report::picture;
@@ -116,8 +117,6 @@ pub struct Measured {
     /// How long they were asked to spin before each release \[µs\], at most a quarter of the period; none: the daemon's
     /// default.
     pub spin_us: Option<f64>,
-    /// When the run began \[ns, `CLOCK_MONOTONIC`\].
-    pub begin_ns: u64,
     /// The rounds of the default with each period.
     pub steps: Vec<Vec<Trial>>,
     pub shortest: Vec<Shortest>,
@@ -149,11 +148,11 @@ pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measure
         cores,
         realtime: may_be_realtime(),
         spin_us: options.spin_us,
+        begun: Instant::now(),
     };
     let mut measured = Measured {
         realtime: stage.realtime,
         spin_us: options.spin_us,
-        begin_ns: monotonic_ns(),
         steps: options.steps_ms.iter().map(|_| Vec::new()).collect(),
         shortest: Vec::new(),
     };

@@ -8,8 +8,8 @@ use super::trial::Trial;
 use super::{Measured, Shortest};
 use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, plot};
 use crate::dataset::{
-    Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, number, percent, plain, power,
-    together, word,
+    Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
+    word,
 };
 
 const EXPLANATION: &str = "<p>A period holds when, of a daemon that really tracks the spiral, at most 0.1 % of the releases were lost \
@@ -125,19 +125,8 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         Sheet::of("", &[], rounds).key("default_rounds"),
         Sheet::of("", &[], trials).key("trials"),
     ];
-    let begin_ns = measured.begin_ns;
-    let recording = |trial: Trial| {
-        let (solver, rate_hz) = (trial.case.solver.name(), 1e3 / trial.period_ms);
-        let observed = trial.observed?;
-        Some(Recording {
-            tag: format!("{solver}.{rate_hz:.0}-hz.response"),
-            start_s: observed.begin_ns.saturating_sub(begin_ns) as f64 * 1e-9,
-            duration_s: observed.duration_s,
-            histogram_ns: observed.responses,
-        })
-    };
     let trials = measured.steps.into_iter().flatten();
-    dataset.recordings = trials.filter_map(recording).collect();
+    dataset.recordings = trials.filter_map(|trial| trial.responses).collect();
     Ok(dataset)
 }
 
@@ -272,7 +261,6 @@ mod tests {
         let found = dataset(Measured {
             realtime: false,
             spin_us: Some(0.0),
-            begin_ns: 0,
             steps: vec![tried(5.0, &[Holds; 2]), tried(0.1, &[Holds, NotFollowed])],
             shortest: vec![Shortest {
                 case: Case::DEFAULT,

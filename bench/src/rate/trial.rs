@@ -6,12 +6,11 @@ use anyhow::{Result, ensure};
 use cdcr_client::{FeedError, LinkError, monotonic_ns};
 use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::Mode;
-use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use super::case::{Case, Stage};
 use crate::causes::Causes;
-use crate::dataset::joined;
+use crate::dataset::{Recording, joined};
 use crate::interrupt;
 use crate::quantiles::{Quantiles, histogram};
 use crate::subject::TIMEOUT;
@@ -42,8 +41,8 @@ pub struct Trial {
     pub outcome: TrialOutcome,
     /// All that is told of it.
     pub row: Value,
-    /// None of a robot that did not follow.
-    pub observed: Option<Observed>,
+    /// Responses of the cycles whose records a client got; none of a robot that did not follow.
+    pub responses: Option<Recording>,
 }
 
 impl Trial {
@@ -51,7 +50,8 @@ impl Trial {
         let observe = || {
             let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
             let length = Duration::from_secs_f64(measured_s);
-            let observed = Observed::from_daemon(&daemon, stage, length);
+            let tag = format!("{}.{:.0}-hz.response", case.solver.name(), 1e3 / period_ms);
+            let observed = Observed::from_daemon(&daemon, stage, length, tag);
             daemon.stop().and(observed)
         };
         let mut found = observe();
@@ -102,7 +102,7 @@ impl Trial {
             period_ms,
             outcome,
             row: joined([json!(case), own, measured]),
-            observed: found.ok(),
+            responses: found.ok().map(|observed| observed.responses),
         }
     }
 
@@ -160,23 +160,20 @@ impl TrialOutcome {
 }
 
 #[derive(Debug)]
-pub struct Observed {
-    /// When the measurement began, on the clock of the daemon \[ns\].
-    pub begin_ns: u64,
-    pub duration_s: f64,
-    pub counted: Statistics,
+pub(super) struct Observed {
+    duration_s: f64,
+    counted: Statistics,
     /// Share of their core that cycle and exchange used, by the kernel's count.
     core_shares: [f64; 2],
     /// Share of the cycles in which the robot followed its reference, of those whose record a client got.
     tracking_share: f64,
     /// Distance of the tip from its reference, as the client's records say: median and 99th percentile \[mm\].
     error_mm: [f64; 2],
-    /// Responses of the cycles whose records a client got \[ns\].
-    pub responses: Histogram<u64>,
+    responses: Recording,
 }
 
 impl Observed {
-    fn from_daemon(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<Self> {
+    fn from_daemon(daemon: &Daemon, stage: &Stage, length: Duration, tag: String) -> Result<Self> {
         let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
         let connection = daemon.connect()?;
         let mut telemetry = connection.telemetry()?;
@@ -217,14 +214,19 @@ impl Observed {
         ensure!(counted.response.count > 0, "the daemon ran no cycle");
         errors_m.sort_by(f64::total_cmp);
         let share = |name| core_share(&before, &after, name, passed);
+        let duration_s = (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9;
         Ok(Self {
-            begin_ns,
-            duration_s: (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9,
+            duration_s,
             counted,
             core_shares: ["cdcr-cycle", "cdcr-exchange"].map(share),
             tracking_share: errors_m.len() as f64 / received.max(1) as f64,
             error_mm: [0.5, 0.99].map(|quantile| quantile_mm(&errors_m, quantile)),
-            responses,
+            responses: Recording {
+                tag,
+                start_s: (begin - stage.begun).as_secs_f64(),
+                duration_s,
+                histogram_ns: responses,
+            },
         })
     }
 
@@ -346,7 +348,6 @@ pub(super) mod tests {
             ..LatencySummary::default()
         };
         Observed {
-            begin_ns: 1,
             duration_s: 2.0,
             counted: Statistics {
                 cycles: 4000,
@@ -358,7 +359,12 @@ pub(super) mod tests {
             core_shares: [0.1; 2],
             tracking_share: 1.0,
             error_mm: [1e-9; 2],
-            responses: histogram().unwrap(),
+            responses: Recording {
+                tag: String::new(),
+                start_s: 0.0,
+                duration_s: 2.0,
+                histogram_ns: histogram().unwrap(),
+            },
         }
     }
 

@@ -31,7 +31,7 @@ fn assert_consistent(trial: &Trial) {
     let (wake, response) = (&row["wake_us"], &row["response_us"]);
     assert!(number(wake, "p50") <= number(response, "p50"), "{row}");
     assert!(number(response, "p999") <= number(response, "max"), "{row}");
-    assert!(!trial.observed.as_ref().unwrap().responses.is_empty());
+    assert!(!trial.responses.as_ref().unwrap().histogram_ns.is_empty());
     for key in ["budget_hit_share", "stale_input_share"] {
         assert!((0.0..=1.0).contains(&number(row, key)), "{row}");
     }
