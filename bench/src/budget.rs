@@ -15,29 +15,22 @@ use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, plot};
-use crate::closed_loop::{self, ClosedLoop, PlanEvaluator};
-use crate::dataset::{
-    Column, Dataset, Sheet, fixed, joined, number, percent, plain, together, word,
-};
+use crate::closed_loop::{self, ClosedLoop, End, PlanEvaluator, timed_solve};
+use crate::dataset::{Column, Dataset, RoundTable, fixed, percent, plain, word};
 use crate::experiment::{Solver, Task};
-use crate::interrupt;
 use crate::progress::Progress;
 use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
 use crate::solver::Size;
+use crate::study::{self, Case};
 
 pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 
 /// What a solve takes beside its budget and the wait before it, about \[s\].
 const AROUND_S: f64 = 3e-4;
-const CASES: usize = 3;
+const WAYS: usize = 3;
 
-const EXPLANATION: &str = "\
-<p>A solve asks a clock whether its budget is spent, and hands over the best solution so far when it is. \
-This is how much later than the budget it ends; 0 where it ended earlier. Before each solve a loop without \
-work waits for the same budget in the same way: what that loop is late by is the machine's, the rest the \
-solver's. No plan may cost more than the warm start. Times are medians of the rounds, the largest of all \
-rounds.</p>\n";
+const EXPLANATION: &str = include_str!("budget.html");
 
 const COLUMNS: [Column; 11] = [
     word("case", "case"),
@@ -53,7 +46,18 @@ const COLUMNS: [Column; 11] = [
     plain("worse than warm start", "worse_than_warm_start"),
 ];
 
-const COUNTS: [&str; 3] = ["solves", "ended_by_budget", "worse_than_warm_start"];
+const TABLE: RoundTable = RoundTable {
+    key: "cases",
+    file: "budget",
+    title: "How much later than its budget a solve ends, beside a loop without work",
+    columns: &COLUMNS,
+    counts: &["solves", "ended_by_budget", "worse_than_warm_start"],
+    numbers: &[
+        ("over_p50", "µs", "over_us_p50"),
+        ("over_p99", "µs", "over_us_p99"),
+    ],
+    path: "budget/{case}/{budget_us}us",
+};
 
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct BudgetOptions {
@@ -80,70 +84,40 @@ impl Benchmark for BudgetOptions {
 
     fn expected_s(&self) -> f64 {
         let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, self.solves));
-        f64::from(self.rounds) * CASES as f64 * budgets.sum::<f64>()
+        f64::from(self.rounds) * WAYS as f64 * budgets.sum::<f64>()
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let cases = cases()?;
-        let with_budgets = cases
-            .iter()
-            .flat_map(|case| BUDGETS_US.map(|us| (case, us)));
-        let mut all: Vec<_> = with_budgets
-            .map(|(case, us)| (case, us, Vec::new()))
-            .collect();
-        for round in 1..=self.rounds {
-            for (case, budget_us, rounds) in &mut all {
-                interrupt::check()?;
-                progress.begin(&format!("round {round} of {}", self.rounds));
-                rounds.push(case.measure(*budget_us, self.solves)?);
-                progress.advance(of_budget_s(*budget_us, self.solves));
-            }
+        let (ways, solves) = (ways()?, self.solves);
+        let mut cases = Vec::new();
+        for (way, us) in ways.iter().flat_map(|way| BUDGETS_US.map(|us| (way, us))) {
+            cases.push(Case {
+                table: TABLE.key,
+                what: way.name.to_owned(),
+                expected_s: of_budget_s(us, solves),
+                measure: Box::new(move |_| Ok(vec![way.measure(us, solves)?])),
+            });
         }
-        let all = all
-            .into_iter()
-            .map(|(case, us, rounds)| (case.name, us, rounds));
-        dataset(&all.collect::<Vec<_>>(), self.rounds)
+        let mut dataset = Dataset::new(
+            "budget",
+            "How exactly a solve keeps its budget, offline",
+            EXPLANATION,
+        );
+        dataset.add_rounds(&TABLE, &study::run(self.rounds, &cases, progress)?);
+        dataset.fact("rounds", self.rounds);
+        dataset.plots.push(plot(
+            "budget-overrun",
+            "How much later than its budget a solve ends, beside a loop that only waits.",
+            (2, 520),
+            &panels(dataset.rows(TABLE.key)),
+        )?);
+        Ok(dataset)
     }
 }
 
 /// Twice the budget: once without work.
 fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
     solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
-}
-
-/// Of each case with each budget \[µs\], and its rounds.
-fn dataset(all: &[(&str, u64, Vec<Value>)], rounds: u32) -> Result<Dataset> {
-    let mut dataset = Dataset::new(
-        "budget",
-        "How exactly a solve keeps its budget, offline",
-        EXPLANATION,
-    );
-    let mut rows = Vec::new();
-    for (case, budget_us, rounds) in all {
-        let path = format!("budget/{case}/{budget_us}us");
-        let numbers = [
-            ("over_p50", "µs", "over_us_p50"),
-            ("over_p99", "µs", "over_us_p99"),
-        ];
-        dataset.compare(&path, rounds, &numbers);
-        let all = together(rounds, &COUNTS);
-        let of_all = |key| Some(number(&all, key)? / number(&all, "solves")?);
-        let share = json!({ "ended_by_budget_share": of_all("ended_by_budget") });
-        let case = json!({ "case": case, "budget_us": budget_us });
-        rows.push(joined([case, all, share]));
-    }
-    dataset.fact("rounds", rounds);
-    dataset.plots.push(plot(
-        "budget-overrun",
-        "How much later than its budget a solve ends, beside a loop that only waits.",
-        (2, 520),
-        &panels(&rows),
-    )?);
-    let title = "How much later than its budget a solve ends, beside a loop without work";
-    dataset
-        .sheets
-        .push(Sheet::of(title, &COLUMNS, rows).key("cases").file("budget"));
-    Ok(dataset)
 }
 
 fn panels(rows: &[Value]) -> Vec<Panel> {
@@ -164,17 +138,17 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
     of_case.map(panel).collect()
 }
 
-struct Case {
+struct Way {
     name: &'static str,
     scene: Scene,
     settings: NmpcSettings,
     /// Commands that lead along the curve, the same for every budget.
-    way: Vec<BendRates>,
+    commands: Vec<BendRates>,
 }
 
 /// The cases: the default, the paper's swarm for an orientation of the tip, and many particles and steps
 /// among obstacles.
-fn cases() -> Result<[Case; CASES]> {
+fn ways() -> Result<Vec<Way>> {
     let default = Size::paper(Task::Spiral { sections: 3 }, Solver::KpsoRefined);
     let line = Task::Line {
         rate_limit_rad_s: 2.0,
@@ -185,14 +159,17 @@ fn cases() -> Result<[Case; CASES]> {
         obstacles: 16,
         ..default
     };
-    Ok([
-        Case::new("default", &default)?,
-        Case::new("tip-axis", &Size::paper(line, Solver::KpsoRefined))?,
-        Case::new("obstacles", &obstacles)?,
-    ])
+    let axis = Size::paper(line, Solver::KpsoRefined);
+    let all = [
+        ("default", default),
+        ("tip-axis", axis),
+        ("obstacles", obstacles),
+    ]
+    .into_iter();
+    all.map(|(name, size)| Way::new(name, &size)).collect()
 }
 
-impl Case {
+impl Way {
     fn new(name: &'static str, size: &Size) -> Result<Self> {
         let (scene, settings) = (size.scene()?, size.settings());
         let samples = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
@@ -200,94 +177,69 @@ impl Case {
             name,
             scene,
             settings,
-            way: samples.into_iter().map(|sample| sample.rates).collect(),
+            commands: samples.into_iter().map(|sample| sample.rates).collect(),
         })
     }
 
     /// Solves along the way with this budget. Every solve has another seed and starts from zero rates, so
     /// that work is left; the way begins anew at its end.
     fn measure(&self, budget_us: u64, solves: u64) -> Result<Value> {
-        let mut runner = Runner::new(self, Duration::from_micros(budget_us))?;
+        let budget = Duration::from_micros(budget_us);
+        let mut nmpc = Nmpc::new(self.scene.robot.clone(), self.scene.period_s, self.settings)?;
+        let mut evaluator = PlanEvaluator::new(&self.scene, self.settings)?;
         let mut closed = ClosedLoop::new(&self.scene, self.settings)?;
+        let [mut over_ns, mut bare_over_ns] = [histogram()?, histogram()?];
+        let (mut ended_by_budget, mut worse) = (0_u64, 0_u64);
+        // Touches all memory that a solve may need.
+        nmpc.solve(&closed.input(), &mut Budget::unlimited());
         for solve in 0..solves {
             let input = SolveInput {
                 seed: cycle_seed(self.settings.seed, solve),
                 ..closed.input()
             };
-            runner.wait();
-            runner.solve(&input);
-            closed.advance(&self.way[solve as usize % self.way.len()]);
+            record(&mut bare_over_ns, wait(budget), budget);
+            nmpc.forget_plan();
+            let (_, report, time) = timed_solve(&mut nmpc, &input, End::After(budget));
+            record(&mut over_ns, time, budget);
+            ended_by_budget += u64::from(report.budget_spent);
+            let [plan_cost, warm_cost] =
+                [nmpc.plan(), nmpc.warm_plan()].map(|plan| evaluator.cost(&input, plan));
+            worse += u64::from(plan_cost > warm_cost);
+            closed.advance(&self.commands[solve as usize % self.commands.len()]);
             if closed.is_over() {
                 closed = ClosedLoop::new(&self.scene, self.settings)?;
             }
         }
-        let (name, worse) = (self.name, runner.worse);
+        let name = self.name;
         ensure!(
             worse == 0,
             "{name}, {budget_us} µs: {worse} of {solves} plans cost more than the warm start"
         );
         Ok(json!({
+            "case": name,
+            "budget_us": budget_us,
             "solves": solves,
             // Solves that the budget ended; the others had nothing left to do.
-            "ended_by_budget": runner.ended_by_budget,
+            "ended_by_budget": ended_by_budget,
+            "ended_by_budget_share": ended_by_budget as f64 / solves as f64,
             // How much later than the budget a solve ended, and the loop without work.
-            "over_us": Quantiles::of(&runner.over_ns),
-            "bare_over_us": Quantiles::of(&runner.bare_over_ns),
+            "over_us": Quantiles::of(&over_ns),
+            "bare_over_us": Quantiles::of(&bare_over_ns),
             // Solves whose plan costs more than the warm start.
             "worse_than_warm_start": worse,
         }))
     }
 }
 
-struct Runner {
-    budget: Duration,
-    nmpc: Nmpc,
-    evaluator: PlanEvaluator,
-    over_ns: Histogram<u64>,
-    bare_over_ns: Histogram<u64>,
-    ended_by_budget: u64,
-    worse: u64,
+/// Asks the budget until it is spent, and does nothing else.
+fn wait(budget: Duration) -> Duration {
+    let begin = Instant::now();
+    let mut is_spent = || begin.elapsed() >= budget;
+    let mut waiting = Budget::new(&mut is_spent);
+    while waiting.left() {}
+    begin.elapsed()
 }
 
-impl Runner {
-    fn new(case: &Case, budget: Duration) -> Result<Self> {
-        let (robot, period_s) = (case.scene.robot.clone(), case.scene.period_s);
-        let mut nmpc = Nmpc::new(robot, period_s, case.settings)?;
-        // Touches all memory that a solve may need.
-        let closed = ClosedLoop::new(&case.scene, case.settings)?;
-        nmpc.solve(&closed.input(), &mut Budget::unlimited());
-        Ok(Self {
-            budget,
-            nmpc,
-            evaluator: PlanEvaluator::new(&case.scene, case.settings)?,
-            over_ns: histogram()?,
-            bare_over_ns: histogram()?,
-            ended_by_budget: 0,
-            worse: 0,
-        })
-    }
-
-    /// Asks the budget until it is spent, and does nothing else.
-    fn wait(&mut self) {
-        let begin = Instant::now();
-        let mut is_spent = || begin.elapsed() >= self.budget;
-        let mut budget = Budget::new(&mut is_spent);
-        while budget.left() {}
-        let over = begin.elapsed().saturating_sub(self.budget);
-        self.bare_over_ns.saturating_record(over.as_nanos() as u64);
-    }
-
-    fn solve(&mut self, input: &SolveInput) {
-        self.nmpc.forget_plan();
-        let begin = Instant::now();
-        let mut is_spent = || begin.elapsed() >= self.budget;
-        let mut budget = Budget::new(&mut is_spent);
-        let (_, report) = self.nmpc.solve(input, &mut budget);
-        let over = begin.elapsed().saturating_sub(self.budget);
-        self.over_ns.saturating_record(over.as_nanos() as u64);
-        self.ended_by_budget += u64::from(report.budget_spent);
-        let [plan_cost, warm_cost] =
-            [self.nmpc.plan(), self.nmpc.warm_plan()].map(|plan| self.evaluator.cost(input, plan));
-        self.worse += u64::from(plan_cost > warm_cost);
-    }
+fn record(over_ns: &mut Histogram<u64>, time: Duration, budget: Duration) {
+    over_ns.saturating_record(time.saturating_sub(budget).as_nanos() as u64);
 }

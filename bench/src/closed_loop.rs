@@ -1,11 +1,11 @@
 //! One robot tracking one curve, cycle by cycle, as fast as it computes.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use cdcr_client::Orientation as Wanted;
 use cdcr_controller::closed_loop;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolverKind};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
@@ -50,9 +50,8 @@ impl Sample {
 impl<'a> ClosedLoop<'a> {
     pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Result<Self> {
         let reference_at = |time_s| ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: Vector3::from(scene.curve.position_m(time_s)),
             orientation: orientation(scene, time_s),
+            ..inside(scene.curve.position_m(time_s).into())
         };
         let inner = closed_loop::ClosedLoop::new(
             &scene.robot,
@@ -70,7 +69,7 @@ impl<'a> ClosedLoop<'a> {
     }
 
     /// What the cycle before this one led to.
-    pub fn sample(&self, solve_ns: u64) -> Sample {
+    pub fn sample(&self, solve_time: Duration) -> Sample {
         let configuration = *self.inner.configuration();
         Sample {
             time_s: self.inner.time_s(),
@@ -79,7 +78,7 @@ impl<'a> ClosedLoop<'a> {
             configuration,
             rates: self.inner.command().rates,
             clearance_m: self.inner.clearance_m(),
-            solve_ns,
+            solve_ns: solve_time.as_nanos() as u64,
         }
     }
 }
@@ -94,17 +93,49 @@ fn orientation(scene: &Scene, time_s: f64) -> Orientation {
     }
 }
 
+/// A point of a reference that is inside its curve, without an orientation.
+pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
+    ReferenceSample {
+        state: ReferenceState::Inside,
+        position_m,
+        orientation: Orientation::Free,
+    }
+}
+
+/// What ends a solve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    Never,
+    After(Duration),
+    AfterQuanta(u32),
+}
+
+/// Solves, and tells how long that took.
+pub fn timed_solve(
+    nmpc: &mut Nmpc,
+    input: &SolveInput,
+    end: End,
+) -> (BendRates, SolveReport, Duration) {
+    let begin = Instant::now();
+    let mut is_spent = || matches!(end, End::After(time) if begin.elapsed() >= time);
+    let mut budget = match end {
+        End::Never => Budget::unlimited(),
+        End::After(_) => Budget::new(&mut is_spent),
+        End::AfterQuanta(quanta) => Budget::of_quanta(quanta),
+    };
+    let (rates, report) = nmpc.solve(input, &mut budget);
+    (rates, report, begin.elapsed())
+}
+
 /// Runs the scene with one controller and tells of every cycle.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
     let mut closed = ClosedLoop::new(scene, settings)?;
     let mut samples = Vec::with_capacity(scene.cycles as usize);
     while !closed.is_over() {
-        let begin = Instant::now();
-        let (desired_rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
-        let solve_ns = begin.elapsed().as_nanos() as u64;
+        let (desired_rates, _, time) = timed_solve(&mut nmpc, &closed.input(), End::Never);
         closed.advance(&desired_rates);
-        samples.push(closed.sample(solve_ns));
+        samples.push(closed.sample(time));
     }
     Ok(samples)
 }

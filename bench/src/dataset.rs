@@ -16,6 +16,7 @@ use column::Show;
 pub use column::{Column, fixed, percent, plain, power, shorted, signed, word};
 
 use crate::metric::{Better, Metric, median};
+use crate::study::Rounds;
 
 /// The result of one benchmark: for people, for programs, and for the next run to be compared with.
 #[derive(Default)]
@@ -45,10 +46,12 @@ pub struct RoundTable {
     pub file: &'static str,
     pub title: &'static str,
     pub columns: &'static [Column],
+    /// What the rounds count together: see [`together`].
+    pub counts: &'static [&'static str],
     /// A name, a unit and the key of a row: see [`Dataset::compare`].
     pub numbers: &'static [(&'static str, &'static str, &'static str)],
-    /// Begin of the names of a row's numbers.
-    pub path: fn(&Value) -> String,
+    /// Begin of the names of a row's numbers: see [`filled`].
+    pub path: &'static str,
 }
 
 pub struct Plot {
@@ -102,18 +105,26 @@ impl Dataset {
         }
     }
 
-    /// Adds a table of rows that every round measured in the same order, see [`together`], and the numbers of each row.
-    pub fn add_rounds(&mut self, table: &RoundTable, rounds: &[Vec<Value>]) -> Vec<Value> {
+    /// Adds a table of rows that every round measured in the same order, see [`together`], and the numbers of each row; nothing
+    /// when it was not measured.
+    pub(crate) fn add_rounds(&mut self, table: &RoundTable, found: &Rounds) {
         let mut rows = Vec::new();
-        for index in 0..rounds.first().map_or(0, Vec::len) {
-            let of_row: Vec<Value> = rounds.iter().map(|rows| rows[index].clone()).collect();
-            let row = together(&of_row, &[]);
-            self.compare(&(table.path)(&row), &of_row, table.numbers);
+        for of_row in by_rows(found.of(table.key)) {
+            let row = together(&of_row, table.counts);
+            self.compare(&filled(table.path, &row), &of_row, table.numbers);
             rows.push(row);
         }
-        let sheet = Sheet::of(table.title, table.columns, rows.clone());
-        self.sheets.push(sheet.key(table.key).file(table.file));
-        rows
+        if !rows.is_empty() {
+            let sheet = Sheet::of(table.title, table.columns, rows);
+            self.sheets.push(sheet.key(table.key).file(table.file));
+        }
+    }
+
+    /// The rows under a key of the JSON.
+    pub fn rows(&self, key: &str) -> &[Value] {
+        let mut sheets = self.sheets.iter();
+        let sheet = sheets.find(|sheet| sheet.key == Some(key));
+        sheet.map_or(&[], |sheet| &sheet.rows)
     }
 
     pub fn fact(&mut self, key: &str, value: impl Into<Value>) {
@@ -267,6 +278,24 @@ impl Sheet {
     }
 }
 
+/// Of rounds that have the same rows, each row in all of them.
+pub(crate) fn by_rows(rounds: &[Vec<Value>]) -> Vec<Vec<Value>> {
+    let count = rounds.first().map_or(0, Vec::len);
+    let of_row = |index: usize| rounds.iter().map(|rows| rows[index].clone()).collect();
+    (0..count).map(of_row).collect()
+}
+
+/// A name with the values of a row in the place of their keys, which stand in braces.
+pub(crate) fn filled(name: &'static str, row: &Value) -> String {
+    let values = flat(row);
+    let parts = name.split(['{', '}']).enumerate();
+    let part = |(place, part): (usize, &'static str)| match place % 2 {
+        0 => part.to_owned(),
+        _ => plain("", part).cell(&values),
+    };
+    parts.map(part).collect()
+}
+
 /// The number under a key, as CSV joins it; none where it is missing.
 pub fn number(row: &Value, key: &str) -> Option<f64> {
     flat(row).get(key)?.as_f64()
@@ -278,7 +307,7 @@ pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> 
 }
 
 /// Rounds as one row: what these keys count is summed up, an object of counts field by field; of other numbers it is the
-/// median, but the least of `min…` and the largest of `max…`. Numbers and texts that are the same in all rounds stay; other
+/// median, but the least of `min…` and the largest of `max…` and `below…`. Numbers and texts that are the same in all rounds stay; other
 /// texts, and lists, are left out.
 pub fn together(rounds: &[Value], counts: &[&str]) -> Value {
     merged(rounds, &|key| counts.contains(&key))
@@ -301,7 +330,9 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
                 values[0].clone()
             }
             Some(Value::Number(_)) if key.starts_with("min") => numbers().reduce(f64::min).into(),
-            Some(Value::Number(_)) if key.starts_with("max") => numbers().reduce(f64::max).into(),
+            Some(Value::Number(_)) if key.starts_with("max") || key.starts_with("below") => {
+                numbers().reduce(f64::max).into()
+            }
             Some(Value::Number(_)) => median(numbers()).into(),
             Some(_) => return None,
             None => Value::Null,

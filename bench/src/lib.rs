@@ -18,6 +18,7 @@
 //! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
 //! | [`report`], `chart`, [`hlog`] | results as documents and one page, plots, raw latencies |
 //! | [`environment`], [`run_options`] | the machine that a result comes from, and what was asked for |
+//! | `study` | cases that are measured in turns, round by round |
 //! | [`compare`] | what changed between two runs beyond noise |
 //!
 //! `deadline`, `latency`, `rate` and `footprint` measure the program `cdcrd` as a process, with real time where it is
@@ -58,6 +59,7 @@ pub mod run_options;
 pub mod scene;
 pub mod simulation;
 pub mod solver;
+mod study;
 mod watcher;
 
 use cdcr_testbed::{interrupt, load, subject, system};

@@ -11,22 +11,7 @@ use crate::plots::plots;
 use crate::progress::Progress;
 use crate::simulation::{self, Effort, Outcome, work};
 
-const EXPLANATION: &str = "\
-<p>The three simulations of <em>Nonlinear Model Predictive Control for Trajectory Tracking of a Class of Continuum \
-Robots</em>, each with the paper's parameters and four solvers, beside what the paper states. <code>kpso</code> is the \
-knowledge-based swarm with an inertia weight, <code>kpso-verbatim</code> the same with Eq. 6 as printed, \
-<code>gauss-newton</code> damped Gauss-Newton steps alone, and <code>kpso-refined</code> those steps after the swarm. \
-Controls are the rates of the bend vectors or of the paper's angles. An error is the distance of the tip from the exact \
-reference at the end of a cycle; of several seeds the median of the means is shown. The paper's times are those of MATLAB \
-on an i3-2310M. The pictures show the first seed.</p>\n\
-<p><b>Spiral.</b> One, two and three sections follow the spiral that the last section reaches while those below it \
-stay straight: 994 samples of 5 ms, N = 2, 6 particles and 30 iterations. <b>Line with a vertical tip.</b> 510 samples of \
-5 ms, N = 2, 15 particles and 70 iterations; the paper names no limit on the rates, so there are two. A straight robot \
-cannot move along its own axis, so the first samples are late. <b>Circle with an obstacle.</b> One section comes from \
-straight to a circle and goes round once, with a point in its way at t = π/2 from which the whole body keeps the distance D: \
-N = 20, 6 particles and 30 iterations. Outside means after the approach (the error was below 0.02 mm once) and where the \
-reference is at least 2 D from the obstacle. The printed constants of the circle are rounded, which alone leaves \
-7.2e-3 mm.</p>\n";
+const EXPLANATION: &str = include_str!("paper.html");
 
 /// Time of a unit of work, about \[s\].
 const WORK_S: f64 = 2.5e-4;

@@ -11,23 +11,22 @@ pub mod hard;
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
-use cdcr_controller::optimizer::{Budget, Simd};
+use cdcr_controller::optimizer::Simd;
 use cdcr_controller::robot::{Obstacle, Robot, Shape};
-use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, plot};
-use crate::closed_loop::ClosedLoop;
+use crate::closed_loop::{ClosedLoop, End, timed_solve};
 use crate::dataset::{Column, Dataset, RoundTable, fixed, plain, word};
 use crate::experiment::{Experiment, Solver, Task};
-use crate::interrupt;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
+use crate::study::{self, Case};
 
 const CYCLES_MAX: u64 = 400;
 /// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay
@@ -47,46 +46,7 @@ const CAPSULE_LENGTH_M: f64 = 0.03;
 /// Time of one size, about \[s\].
 const SIZE_S: f64 = 1.0;
 
-/// What is measured in each round after all sizes.
-struct Part {
-    table: &'static RoundTable,
-    whole_s: f64,
-    /// Takes one of so many cycles or moments: 1 is all of them.
-    measure: fn(u64) -> Result<Vec<Value>>,
-}
-
-static PARTS: [Part; 4] = [
-    Part {
-        table: &hard::TABLE,
-        whole_s: 10.0,
-        measure: |_| hard::measure(),
-    },
-    Part {
-        table: &hard::DEADLINE_TABLE,
-        whole_s: 6.0,
-        measure: |_| hard::measure_by_deadlines(),
-    },
-    Part {
-        table: &guard::TABLE,
-        whole_s: 3.0,
-        measure: |shortened| guard::measure(guard::MOMENTS / shortened),
-    },
-    Part {
-        table: &estimate::TABLE,
-        whole_s: 1.0,
-        measure: |shortened| estimate::measure(estimate::CYCLES / shortened),
-    },
-];
-
-const EXPLANATION: &str = "\
-<p>How long one solve takes, back to back, without a daemon: the paper's size, and from there one thing at a \
-time. Every path of the processor gives the same bits; in each cycle all paths solve the same problem, one \
-after the other, so the speed-up is a ratio of times that were measured side by side. Each number is the \
-median of the rounds, a largest value that of all rounds; a round goes through all sizes. First solves are not counted.</p>\
-<p>The safety checks, limits and clearance guard, are measured at random moments of six sections with 64 obstacles in reach, \
-where they take longest; of five runs at each moment the fastest counts.</p>\
-<p>The estimate that a solve starts from is measured before it, cycle by cycle, with the default settings of the solver: what filters, models of motors \
-and play, and a sensor of the tip add to an estimate that believes its cables at once.</p>\n";
+const EXPLANATION: &str = include_str!("solver/solver.html");
 
 const COLUMNS: [Column; 11] = [
     word("solver", "solver"),
@@ -102,29 +62,49 @@ const COLUMNS: [Column; 11] = [
     fixed("speed-up", "speedup_vs_scalar", 1),
 ];
 
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, Copy, clap::Args)]
 pub struct SolverOptions {
     /// How often all sizes are measured, 1 to 100; a number is the median.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    #[arg(skip = sizes())]
-    pub sizes: Vec<Size>,
-    /// No hard problems, and of the others one moment in so many; 1: everything.
-    #[arg(skip = 1_u64)]
-    pub shortened: u64,
+    /// Only the smallest robot, no hard problems, and a part of the moments.
+    #[arg(skip)]
+    is_short: bool,
 }
 
 impl SolverOptions {
-    fn parts(&self) -> &'static [Part] {
-        if self.shortened > 1 {
-            &PARTS[2..]
-        } else {
-            &PARTS
+    fn cases(&self) -> Vec<Case<'static>> {
+        let mut sizes = sizes();
+        let shortened = if self.is_short { 20 } else { 1 };
+        if self.is_short {
+            sizes.retain(|size| size.task == Task::Spiral { sections: 1 });
         }
-    }
-
-    fn part_s(&self, part: &Part) -> f64 {
-        part.whole_s / self.shortened as f64
+        let of_size = |size: Size| Case {
+            table: TABLE.key,
+            what: size.solver.name().to_owned(),
+            expected_s: SIZE_S,
+            measure: Box::new(move |_| measure(&size)),
+        };
+        let mut cases: Vec<_> = sizes.into_iter().map(of_size).collect();
+        let mut add = |table: &RoundTable, whole_s: f64, measure: fn(u64) -> Result<Vec<Value>>| {
+            cases.push(Case {
+                table: table.key,
+                what: table.file.to_owned(),
+                expected_s: whole_s / shortened as f64,
+                measure: Box::new(move |_| measure(shortened)),
+            });
+        };
+        if !self.is_short {
+            add(&hard::TABLE, 10.0, |_| hard::measure());
+            add(&hard::DEADLINE_TABLE, 6.0, |_| hard::measure_by_deadlines());
+        }
+        add(&guard::TABLE, 3.0, |part| {
+            guard::measure(guard::MOMENTS / part)
+        });
+        add(&estimate::TABLE, 1.0, |part| {
+            estimate::measure(estimate::CYCLES / part)
+        });
+        cases
     }
 }
 
@@ -134,9 +114,7 @@ impl Benchmark for SolverOptions {
     }
 
     fn quicken(&mut self) {
-        let is_smallest = |size: &Size| size.task == Task::Spiral { sections: 1 };
-        self.sizes.retain(is_smallest);
-        self.shortened = 20;
+        self.is_short = true;
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -144,30 +122,35 @@ impl Benchmark for SolverOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let parts_s = self.parts().iter().map(|part| self.part_s(part));
-        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + parts_s.sum::<f64>())
+        study::expected_s(self.rounds, &self.cases())
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let (mut rounds, mut of_parts) = (Vec::new(), vec![Vec::new(); self.parts().len()]);
-        for round in 1..=self.rounds {
-            let mut cases = Vec::new();
-            for size in &self.sizes {
-                interrupt::check()?;
-                progress.begin(&format!("round {round} of {}", self.rounds));
-                cases.extend(measure(size)?);
-                progress.advance(SIZE_S);
-            }
-            rounds.push(cases);
-            for (part, rounds) in self.parts().iter().zip(&mut of_parts) {
-                rounds.push((part.measure)(self.shortened)?);
-                progress.advance(self.part_s(part));
-            }
+        let found = study::run(self.rounds, &self.cases(), progress)?;
+        let mut dataset = Dataset::new("solver", "Time of a solve, offline", EXPLANATION);
+        dataset.fact("rounds", self.rounds);
+        for table in [
+            &TABLE,
+            &hard::TABLE,
+            &hard::DEADLINE_TABLE,
+            &guard::TABLE,
+            &estimate::TABLE,
+        ] {
+            dataset.add_rounds(table, &found);
         }
-        let mut dataset = dataset(&rounds)?;
-        for (part, rounds) in self.parts().iter().zip(&of_parts) {
-            dataset.add_rounds(part.table, rounds);
-        }
+        // The paper's size stands in every series.
+        let metrics = &mut dataset.metrics;
+        metrics.sort_by(|one, other| one.name.cmp(&other.name));
+        metrics.dedup_by(|one, other| one.name == other.name);
+        let cases = dataset.rows(TABLE.key).to_vec();
+        dataset.sheets.insert(0, growth::sheet(&cases));
+        dataset.plots.push(plot(
+            "solver-sections",
+            "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
+             6 particles, 30 iterations.",
+            (1, 700),
+            &[panel(&cases)],
+        )?);
         Ok(dataset)
     }
 }
@@ -177,42 +160,10 @@ const TABLE: RoundTable = RoundTable {
     file: "solver",
     title: "Time of a solve on every path of this processor",
     columns: &COLUMNS,
+    counts: &[],
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
-    path: |case| {
-        let word = |key: &str| case[key].as_str().unwrap_or_default().to_owned();
-        format!(
-            "solver/{}/{}/{}/{}-sections-{}-steps-{}x{}-{}-obstacles",
-            word("solver"),
-            word("path"),
-            word("curve"),
-            case["sections"],
-            case["horizon"],
-            case["swarm"],
-            case["iterations"],
-            case["obstacles"],
-        )
-    },
+    path: "solver/{solver}/{path}/{curve}/{sections}-sections-{horizon}-steps-{swarm}x{iterations}-{obstacles}-obstacles",
 };
-
-/// Of the cases of each round, in the same order.
-fn dataset(rounds: &[Vec<Value>]) -> Result<Dataset> {
-    let mut dataset = Dataset::new("solver", "Time of a solve, offline", EXPLANATION);
-    let cases = dataset.add_rounds(&TABLE, rounds);
-    // The paper's size stands in every series.
-    let metrics = &mut dataset.metrics;
-    metrics.sort_by(|one, other| one.name.cmp(&other.name));
-    metrics.dedup_by(|one, other| one.name == other.name);
-    dataset.fact("rounds", rounds.len());
-    dataset.sheets.insert(0, growth::sheet(&cases));
-    dataset.plots.push(plot(
-        "solver-sections",
-        "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
-         6 particles, 30 iterations.",
-        (1, 700),
-        &[panel(&cases)],
-    )?);
-    Ok(dataset)
-}
 
 /// The median of every solver on the fastest path beside the sections of the robot.
 fn panel(cases: &[Value]) -> Panel {
@@ -335,20 +286,33 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
     Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
 }
 
-type Runner = (Simd, Nmpc, Histogram<u64>);
-
-pub fn measure(size: &Size) -> Result<Vec<Value>> {
+/// Runs the closed loop, in which every path solves every cycle.
+fn measure(size: &Size) -> Result<Vec<Value>> {
     let (scene, settings) = (size.scene()?, size.settings());
+    let mut closed = ClosedLoop::new(&scene, settings)?;
     let mut runners = Vec::new();
     for path in Simd::available() {
         let nmpc = Nmpc::with_simd(path, scene.robot.clone(), scene.period_s, settings)?;
         runners.push((path, nmpc, histogram()?));
     }
-    race(&scene, settings, &mut runners)?;
-    let scalar_us = runners
-        .first()
-        .map_or(f64::NAN, |(_, _, times)| quantile_us(times, 0.5));
-    let case = |(path, _, times): &Runner| {
+    let begin = Instant::now();
+    while !closed.is_over() && (begin.elapsed() <= SIZE_TIME || closed.cycle() <= CYCLES_MIN) {
+        let mut desired_rates = None;
+        for (path, nmpc, times) in &mut runners {
+            let (rates, _, time) = timed_solve(nmpc, &closed.input(), End::Never);
+            if closed.cycle() >= WARM_UP {
+                times.saturating_record(time.as_nanos() as u64);
+            }
+            let is_same = *desired_rates.get_or_insert(rates) == rates;
+            ensure!(is_same, "{path:?} gives other rates than the scalar path");
+        }
+        closed.advance(&desired_rates.context("no path")?);
+    }
+    let p50_us = runners
+        .iter()
+        .map(|(_, _, times)| quantile_us(times, 0.5))
+        .collect::<Vec<_>>();
+    let case = |((path, _, times), own_us): (&(Simd, Nmpc, _), &f64)| {
         json!({
             "solver": size.solver,
             // The line asks for an orientation.
@@ -359,40 +323,12 @@ pub fn measure(size: &Size) -> Result<Vec<Value>> {
             "swarm": size.swarm,
             "iterations": size.iterations,
             "obstacles": size.obstacles,
-            "p50_us": quantile_us(times, 0.5),
+            "p50_us": own_us,
             "p99_us": quantile_us(times, 0.99),
-            "speedup_vs_scalar": scalar_us / quantile_us(times, 0.5),
+            "speedup_vs_scalar": p50_us[0] / own_us,
         })
     };
-    Ok(runners.iter().map(case).collect())
-}
-
-/// The closed loop, in which every path solves every cycle.
-fn race(scene: &Scene, settings: NmpcSettings, runners: &mut [Runner]) -> Result<()> {
-    let mut closed = ClosedLoop::new(scene, settings)?;
-    let begin = Instant::now();
-    for cycle in 0..scene.cycles {
-        let mut desired_rates = None;
-        for (path, nmpc, times) in &mut *runners {
-            let start = Instant::now();
-            let (rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
-            if cycle >= WARM_UP {
-                times.saturating_record(start.elapsed().as_nanos() as u64);
-            }
-            let first = desired_rates.get_or_insert(rates);
-            ensure!(
-                *first == rates,
-                "{path:?} gives other rates than the scalar path"
-            );
-        }
-        if let Some(desired_rates) = desired_rates {
-            closed.advance(&desired_rates);
-        }
-        if begin.elapsed() > SIZE_TIME && cycle >= CYCLES_MIN {
-            break;
-        }
-    }
-    Ok(())
+    Ok(runners.iter().zip(&p50_us).map(case).collect())
 }
 
 #[cfg(test)]

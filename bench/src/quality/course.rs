@@ -79,25 +79,21 @@ impl Course {
 
 /// A curve through points at given times (s, m), in their order, at rest in each of them; two points at one time are a
 /// jump. The last one is held.
-struct Legs {
-    name: &'static str,
-    knots: Vec<(f64, Vector3<f64>)>,
-}
+struct Legs(Vec<(f64, Vector3<f64>)>);
 
 impl Trajectory for Legs {
-    fn name(&self) -> &str {
-        self.name
+    fn name(&self) -> &'static str {
+        "legs"
     }
 
     fn duration_s(&self) -> f64 {
-        self.knots.last().map_or(0.0, |knot| knot.0)
+        self.0.last().map_or(0.0, |knot| knot.0)
     }
 
     fn position_m(&self, time_s: f64) -> [f64; 3] {
-        let next = self.knots.partition_point(|knot| knot.0 <= time_s);
-        let last = next.saturating_sub(1);
-        let (from_s, from_m) = self.knots[last];
-        let Some(&(to_s, to_m)) = self.knots.get(next).filter(|_| next > 0) else {
+        let next = self.0.partition_point(|knot| knot.0 <= time_s);
+        let (from_s, from_m) = self.0[next.saturating_sub(1)];
+        let Some(&(to_s, to_m)) = self.0.get(next).filter(|_| next > 0) else {
             return from_m.into();
         };
         let share = (time_s - from_s) / (to_s - from_s);
@@ -122,19 +118,22 @@ fn ahead(horizon_steps: u32) -> NmpcSettings {
     }
 }
 
-/// The paper's robot, whose tip begins where the first leg does.
+/// The paper's robot, whose tip goes on from where it is through these points.
 fn scene(
-    start: Configuration,
-    curve: impl FnOnce(Vector3<f64>) -> Legs,
+    bend_angles: [[f64; 2]; 3],
+    way: impl FnOnce(Vector3<f64>) -> Vec<(f64, Vector3<f64>)>,
     obstacles: Vec<Obstacle>,
     cycles: u64,
 ) -> Result<Scene> {
     let robot = Robot::new(&RobotParameters::paper(3))?;
+    let start = Configuration::from_bend_angles(&bend_angles);
     let tip_m = robot.tip_pose(&start).position_m;
+    let mut knots = vec![(0.0, tip_m)];
+    knots.extend(way(tip_m));
     Ok(Scene {
         robot,
         start,
-        curve: Box::new(curve(tip_m)),
+        curve: Box::new(Legs(knots)),
         obstacles,
         cycles,
         period_s: PERIOD_S,
@@ -142,61 +141,37 @@ fn scene(
 }
 
 fn gap() -> Result<Scene> {
-    let start = Configuration::from_bend_angles(&[[0.1, 0.5], [0.1, -0.5], [0.15, 0.0]]);
-    let curve = |tip_m| {
-        let knots = vec![
-            (0.0, tip_m),
+    let way = |_| {
+        vec![
             (0.3, Vector3::new(0.19, 0.0, 0.83)),
             (1.0, Vector3::new(0.34, 0.0, 0.74)),
             (1.6, Vector3::new(0.42, -0.12, 0.64)),
-        ];
-        Legs { name: "gap", knots }
+        ]
     };
     let y_m = BODY_RADIUS_M + SAFE_DISTANCE_M + GAP_SLACK_M + POST_RADIUS_M;
     let post = |y_m: f64| {
-        let shape = Shape::Capsule {
-            start_m: Vector3::new(GAP_X_M, y_m, 0.55),
-            end_m: Vector3::new(GAP_X_M, y_m, 0.95),
-        };
+        let [start_m, end_m] = [0.55, 0.95].map(|z_m| Vector3::new(GAP_X_M, y_m, z_m));
+        let shape = Shape::Capsule { start_m, end_m };
         Obstacle::new(shape, POST_RADIUS_M, Vector3::zeros())
     };
-    scene(start, curve, vec![post(y_m)?, post(-y_m)?], 340)
+    let posts = vec![post(y_m)?, post(-y_m)?];
+    scene([[0.1, 0.5], [0.1, -0.5], [0.15, 0.0]], way, posts, 340)
 }
 
 fn crossing() -> Result<Scene> {
-    let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
-    let curve = |tip_m| {
-        let knots = vec![(0.0, tip_m), (1.6, Vector3::new(0.4, 0.0, 0.7))];
-        Legs {
-            name: "crossing",
-            knots,
-        }
-    };
-    let shape = Shape::Sphere {
-        centre_m: Vector3::new(0.36, -0.16, 0.65),
-    };
+    let way = |_| vec![(1.6, Vector3::new(0.4, 0.0, 0.7))];
+    let centre_m = Vector3::new(0.36, -0.16, 0.65);
     let velocity_m_s = Vector3::new(0.0, BALL_M_S, 0.0);
-    let ball = Obstacle::new(shape, BALL_RADIUS_M, velocity_m_s)?;
-    scene(start, curve, vec![ball], 300)
+    let ball = Obstacle::new(Shape::Sphere { centre_m }, BALL_RADIUS_M, velocity_m_s)?;
+    scene([[0.4, 0.0]; 3], way, vec![ball], 300)
 }
 
 fn jump() -> Result<Scene> {
-    let start = Configuration::from_bend_angles(&[[0.4, 0.0], [0.4, 0.5], [0.4, 1.0]]);
-    let curve = |tip_m| {
+    let way = |tip_m| {
         let far_m = tip_m + Vector3::from(JUMP_M);
-        let knots = vec![
-            (0.0, tip_m),
-            (0.2, tip_m),
-            (0.2, far_m),
-            (0.7, far_m),
-            (0.7, tip_m),
-        ];
-        Legs {
-            name: "jump",
-            knots,
-        }
+        vec![(0.2, tip_m), (0.2, far_m), (0.7, far_m), (0.7, tip_m)]
     };
-    scene(start, curve, Vec::new(), 240)
+    scene([[0.4, 0.0], [0.4, 0.5], [0.4, 1.0]], way, Vec::new(), 240)
 }
 
 #[cfg(test)]
@@ -209,14 +184,12 @@ mod tests {
             let scene = course.scene().unwrap();
             let settings = course.settings();
             settings.validate().unwrap();
-            let body = scene.robot.body(&scene.start);
-            for obstacle in &scene.obstacles {
-                let clearance_m = body.clearance_m(obstacle);
-                assert!(
-                    clearance_m > settings.safe_distance_m,
-                    "{course:?}: {clearance_m}"
-                );
-            }
+            let clearance_m = scene.robot.body(&scene.start);
+            let clearance_m = clearance_m.least_clearance_m(scene.obstacles.iter().copied());
+            assert!(
+                clearance_m > settings.safe_distance_m,
+                "{course:?}: {clearance_m}"
+            );
             // The constants of the paper's circle are rounded.
             let tip_m = scene.robot.tip_pose(&scene.start).position_m;
             let off_m = (tip_m - scene.point_m(0)).norm();
@@ -228,31 +201,17 @@ mod tests {
     fn the_ball_meets_the_body_of_a_robot_that_does_not_make_room() {
         let scene = Course::Crossing.scene().unwrap();
         let body = scene.robot.body(&scene.start);
-        let least_m = (0..scene.cycles)
-            .map(|cycle| body.clearance_m(&scene.obstacles[0].moved(scene.time_s(cycle))))
-            .fold(f64::INFINITY, f64::min);
-        assert!(least_m < 0.0, "{least_m}");
+        let ball = |cycle| scene.obstacles[0].moved(scene.time_s(cycle));
+        assert!((0..scene.cycles).any(|cycle| body.clearance_m(&ball(cycle)) < 0.0));
     }
 
     #[test]
     fn points_are_reached_at_their_times_and_jumps_are_jumps() {
         let (x, y) = (Vector3::x(), Vector3::y());
-        let knots = vec![(0.0, x), (1.0, y), (1.0, x), (2.0, x), (2.0, y)];
-        let legs = Legs {
-            name: "test",
-            knots,
-        };
-        let middle = (x + y) * 0.5;
-        for (time_s, point) in [
-            (-1.0, x),
-            (0.0, x),
-            (0.5, middle),
-            (1.0 - 1e-9, y),
-            (1.0, x),
-            (1.999, x),
-            (2.0, y),
-            (100.0, y),
-        ] {
+        let legs = Legs(vec![(0.0, x), (1.0, y), (1.0, x), (2.0, x), (2.0, y)]);
+        let times_s = [-1.0, 0.0, 0.5, 1.0 - 1e-9, 1.0, 1.999, 2.0, 100.0];
+        let points = [x, x, (x + y) * 0.5, y, x, x, y, y];
+        for (time_s, point) in times_s.into_iter().zip(points) {
             let found = Vector3::from(legs.position_m(time_s));
             assert!((found - point).norm() < 1e-9, "{time_s}: {found}");
         }

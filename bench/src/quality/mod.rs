@@ -1,39 +1,28 @@
 //! What time buys: how well the controller tracks, how clear it keeps and what its plans cost, against the
 //! time of a solve, the swarm and the horizon; and how often a solver gets stuck.
 //!
-//! A [`course`] is driven with each [`variant`] of solver, budget, swarm and horizon; in [`restarts`] solvers look for the
+//! A [`course`] is driven with each variant of solver, budget, swarm and horizon; in `restarts` solvers look for the
 //! best plan from a random start. All is deterministic but for what the clock ends.
 
 pub mod course;
-mod problem;
 mod report;
-pub mod restarts;
-mod sizing;
-pub mod trial;
-pub mod variant;
+mod restarts;
+mod variant;
 
 use anyhow::Result;
-use serde_json::{Value, json};
 
-pub use problem::Field;
+pub use restarts::{CONTENDERS, Field};
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
-use crate::interrupt;
-use crate::progress::Progress;
-use crate::scene::Scene;
-use course::Course;
-use restarts::{Ending, contest};
-use sizing::Sizing;
-use trial::drive;
-use variant::{BUDGETS_US, HORIZONS, SOLVERS, SWARMS, Variant};
-
 use crate::experiment::Solver;
+use crate::progress::Progress;
+use crate::study::{self, Case};
+use course::Course;
+use variant::{SOLVERS, Variant, iteration_us};
 
 /// What a contest takes, about \[s\].
 const CONTEST_S: f64 = 0.5;
-/// What sizing the swarms of a course takes, about \[s\].
-const SIZING_S: f64 = 0.2;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct QualityOptions {
@@ -47,11 +36,12 @@ pub struct QualityOptions {
     pub courses: Vec<Course>,
     #[arg(skip = u64::MAX)]
     pub cycles_max: u64,
-    #[arg(skip = BUDGETS_US)]
+    #[arg(skip = [10, 20, 50, 100, 200, 500, 1000, 2000, 4000])]
     pub budgets_us: Vec<u64>,
-    #[arg(skip = SWARMS)]
+    /// Particles and iterations: the paper's is the second.
+    #[arg(skip = [(6, 10), (6, 30), (12, 30), (24, 30), (24, 60)])]
     pub swarms: Vec<(u32, u32)>,
-    #[arg(skip = HORIZONS)]
+    #[arg(skip = [1, 2, 4, 8, 16])]
     pub horizons: Vec<u32>,
     /// Random problems of each field in each round.
     #[arg(skip = 6_u32)]
@@ -60,10 +50,10 @@ pub struct QualityOptions {
 
 impl QualityOptions {
     /// All variants of a course, in the order in which they are run.
-    fn variants(&self, course: Course, sizing: &Sizing) -> Vec<Variant> {
+    fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
         let mut variants = Vec::new();
         for &budget_us in &self.budgets_us {
-            let timed = |solver| Variant::timed(course, solver, budget_us, sizing);
+            let timed = |solver| Variant::timed(course, solver, budget_us, iteration_us);
             variants.extend(SOLVERS.map(timed));
         }
         for &swarm in &self.swarms {
@@ -76,32 +66,40 @@ impl QualityOptions {
         variants
     }
 
-    fn scene(&self, course: Course) -> Result<Scene> {
-        Ok(course.scene()?.at_most(self.cycles_max))
-    }
-
-    /// The random problems of one round; every round has others.
-    fn contests(&self, round: u32, progress: &mut Progress) -> Result<Vec<Ending>> {
-        let mut endings = Vec::new();
-        for field in Field::ALL {
-            for restart in 0..self.restarts {
-                interrupt::check()?;
-                progress.begin(&format!("round {round}: random starts, {}", field.name()));
-                endings.extend(contest(
-                    field,
-                    u64::from((round - 1) * self.restarts + restart),
-                )?);
-                progress.advance(CONTEST_S);
+    /// What is measured in each round. An iteration of a swarm takes so long on a course \[µs\].
+    fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {
+        let mut cases = Vec::new();
+        for &course in &self.courses {
+            let cycles_max = self.cycles_max;
+            let cycles = course.scene()?.cycles.min(cycles_max);
+            for variant in self.variants(course, iteration_us(course)?) {
+                let drive = move |round: u32| {
+                    variant.drive(&course.scene()?.at_most(cycles_max), round.into())
+                };
+                cases.push(Case {
+                    table: variant.axis().name(),
+                    what: variant.words(),
+                    expected_s: variant.expected_s(cycles),
+                    measure: Box::new(move |round| Ok(vec![drive(round)?])),
+                });
             }
         }
-        Ok(endings)
+        let restarts = self.restarts;
+        for (field, restart) in Field::ALL
+            .into_iter()
+            .flat_map(|f| (0..restarts).map(move |n| (f, n)))
+        {
+            // Every round has others.
+            let seed = move |round: u32| u64::from((round - 1) * restarts + restart);
+            cases.push(Case {
+                table: report::PROBLEMS,
+                what: format!("random starts, {}", field.name()),
+                expected_s: CONTEST_S,
+                measure: Box::new(move |round| restarts::contest(field, seed(round))),
+            });
+        }
+        Ok(cases)
     }
-}
-
-struct Case {
-    scene: usize,
-    variant: Variant,
-    rounds: Vec<Value>,
 }
 
 impl Benchmark for QualityOptions {
@@ -127,61 +125,28 @@ impl Benchmark for QualityOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let rounds = f64::from(self.rounds);
-        let contests = rounds * f64::from(self.restarts) * Field::ALL.len() as f64;
-        let courses = self.courses.iter().map(|&course| {
-            let Ok(scene) = self.scene(course) else {
-                return 0.0;
-            };
-            let variants = self.variants(course, &Sizing { iteration_us: 10.0 });
-            let round_s: f64 = variants.iter().map(|variant| run_s(variant, &scene)).sum();
-            SIZING_S + rounds * round_s
-        });
-        courses.sum::<f64>() + contests * CONTEST_S
+        let cases = self.cases(|_| Ok(10.0)).unwrap_or_default();
+        study::expected_s(self.rounds, &cases)
     }
 
-    /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let (mut scenes, mut cases) = (Vec::new(), Vec::new());
-        for &course in &self.courses {
-            interrupt::check()?;
-            progress.begin(&format!("sizing the swarm of {}", course.name()));
-            let sizing = Sizing::measure(course)?;
-            progress.advance(SIZING_S);
-            scenes.push(self.scene(course)?);
-            cases.extend(
-                self.variants(course, &sizing)
-                    .into_iter()
-                    .map(|variant| Case {
-                        scene: scenes.len() - 1,
-                        variant,
-                        rounds: Vec::new(),
-                    }),
-            );
-        }
-        let mut endings = Vec::new();
-        for round in 1..=self.rounds {
-            for case in &mut cases {
-                interrupt::check()?;
-                let (variant, scene) = (&case.variant, &scenes[case.scene]);
-                let names = [
-                    variant.course.name(),
-                    variant.solver.name(),
-                    &variant.value(),
-                ]
-                .join(", ");
-                progress.begin(&format!("round {round}: {names}"));
-                case.rounds
-                    .push(json!(drive(variant, scene, round.into())?));
-                progress.advance(run_s(variant, scene));
-            }
-            endings.push(self.contests(round, progress)?);
-        }
-        report::dataset(&cases, &endings)
+        progress.begin("sizing the swarms");
+        let cases = self.cases(iteration_us)?;
+        report::dataset(self.rounds, &study::run(self.rounds, &cases, progress)?)
     }
 }
 
-/// About how long one run of a variant takes \[s\].
-fn run_s(variant: &Variant, scene: &Scene) -> f64 {
-    scene.cycles as f64 * variant.solve_us() * 1e-6
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_variant_has_legal_settings() {
+        let options: QualityOptions = crate::benchmark::defaults();
+        for course in Course::ALL {
+            for variant in options.variants(course, 2.0) {
+                assert_eq!(variant.settings.validate(), Ok(()), "{variant:?}");
+            }
+        }
+    }
 }

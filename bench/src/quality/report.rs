@@ -4,18 +4,20 @@ use anyhow::Result;
 use plotters::style::RGBColor;
 use serde_json::{Value, json};
 
-use super::Case;
 use super::course::Course;
-use super::problem::Field;
-use super::restarts::{Contender, Ending, STUCK_SHARE};
+use super::restarts::{CONTENDERS, Contender, Field, STUCK_SHARE, arrives, excess_share, is_stuck};
 use super::variant::{Axis, SOLVERS};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, SKY, Scale, YELLOW, plot};
 use crate::dataset::{
-    Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
-    word,
+    Column, Dataset, Plot, Sheet, by_rows, each, filled, fixed, number, percent, plain, power,
+    together, word,
 };
 use crate::experiment::Solver;
 use crate::metric::median;
+use crate::study::Rounds;
+
+/// Key of the single problems.
+pub(super) const PROBLEMS: &str = "problems";
 
 /// Errors below this are equal to people who compare two runs: a nanometre \[mm\].
 const METRIC_FLOOR_MM: f64 = 1e-6;
@@ -23,16 +25,7 @@ const METRIC_FLOOR_MM: f64 = 1e-6;
 const ERROR_FLOOR_MM: f64 = 1e-9;
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
-const EXPLANATION: &str = "<p>The controller in a closed loop with an ideal robot, without a daemon: three simulations of the \
-         paper (their first seconds), a gap between two posts, a ball that crosses the body, a reference that jumps. The \
-         desired rates pass the limits and the clearance guard of the daemon, for a robot that gets every command and stops at once.</p>\
-         <p>With a budget, a solve has more work than it can do, and ends by the clock of this machine; the other runs are \
-         repeatable to the bit. Errors are medians over rounds with another seed each; the largest error, the smallest \
-         clearance and the time below the safe distance are the worst of all rounds. Costs are those of the \
-         chosen plans; with another horizon they are sums over another number of steps.</p>\
-         <p>Random starts are single problems from a random shape at rest to a target 0.25 to 0.6 m away, with nothing, \
-         a ball, or three posts between. The best plan of all solvers counts as the optimum; nobody knows whether there is \
-         a better one. A solver that ends more than 1 % above it is stuck.</p>";
+const EXPLANATION: &str = include_str!("quality.html");
 
 const STUCK: [Column; 8] = [
     word("between", "field"),
@@ -62,111 +55,107 @@ fn columns(axis: Axis) -> [Column; 12] {
     ]
 }
 
-fn title(axis: Axis) -> &'static str {
+/// Title of its table, and begin of the names of its numbers.
+fn names(axis: Axis) -> (&'static str, &'static str) {
     match axis {
-        Axis::Budget => "What the time of a solve buys (on the clock)",
-        Axis::Swarm => "What particles and iterations buy (without a budget)",
-        Axis::Horizon => {
-            "What a longer horizon buys (without a budget, with the swarm of the course)"
-        }
+        Axis::Budget => (
+            "What the time of a solve buys (on the clock)",
+            "quality/budget/{course}/{solver}/{budget_us}-us",
+        ),
+        Axis::Swarm => (
+            "What particles and iterations buy (without a budget)",
+            "quality/swarm/{course}/{solver}/{swarm}x{iterations}",
+        ),
+        Axis::Horizon => (
+            "What a longer horizon buys (without a budget, with the swarm of the course)",
+            "quality/horizon/{course}/{solver}/n{horizon}",
+        ),
     }
 }
 
-/// One variant: medians over the rounds, but the worst error, clearance and time below the safe distance of
-/// all of them.
-fn variant_row(case: &Case) -> Value {
-    let own = json!({
-        "value": case.variant.value(),
-        "rounds": case.rounds.len(),
-        "below_safe_ms": each(&case.rounds, "below_safe_ms").reduce(f64::max),
-    });
-    joined([json!(case.variant), together(&case.rounds, &[]), own])
-}
-
-fn endings_of(endings: &[Ending], field: Field, contender: Contender) -> Vec<&Ending> {
-    let is_it = |ending: &&Ending| ending.field == field && ending.contender == contender;
-    endings.iter().filter(is_it).collect()
-}
-
-fn stuck_share(all: &[&Ending]) -> f64 {
-    all.iter().filter(|ending| ending.is_stuck()).count() as f64 / all.len() as f64
-}
-
-fn stuck_row(all: &[&Ending]) -> Option<Value> {
-    let first = all.first()?;
-    let excess = || all.iter().map(|ending| ending.excess_share());
-    let missed = all.iter().filter(|ending| !ending.arrives()).count();
-    Some(json!({
-        "field": first.field,
-        "contender": first.contender,
-        "problems": all.len(),
-        // Share that ended more than 1 % above the best known cost.
-        "stuck_share": stuck_share(all),
-        // Share whose plan does not lead to within 10 mm of the target.
-        "missed_share": missed as f64 / all.len() as f64,
-        // Excess over the best known cost, as a share of that.
-        "excess_share_p50": median(excess()),
-        "excess_share_max": excess().reduce(f64::max),
-        "time_ms_p50": median(all.iter().map(|ending| ending.time_ms)),
-    }))
-}
-
-/// Of every variant, course by course, and the endings of every round.
-pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset> {
+/// Of every variant, axis by axis, and the endings of every contender.
+pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let mut dataset = Dataset::new("quality", "What time buys", EXPLANATION);
-    for case in cases {
-        let name = |what: &str| format!("quality/{}/{what}", case.variant.key());
-        let errors_mm = each(&case.rounds, "mean_error_mm").map(|mm| mm.max(METRIC_FLOOR_MM));
-        dataset.lower(name("mean_error"), "mm", errors_mm);
-        let clearances_mm = each(&case.rounds, "min_clearance_mm");
-        dataset.higher(name("least_clearance"), "mm", clearances_mm);
-    }
-    let endings = rounds.concat();
-    let mut stuck = Vec::new();
-    for field in Field::ALL {
-        for contender in Contender::ALL {
-            let of = |endings| endings_of(endings, field, contender);
-            let name = format!(
-                "quality/restarts/{}/{}/stuck",
-                field.name(),
-                contender.name()
-            );
-            let shares = rounds
-                .iter()
-                .map(|endings| 100.0 * stuck_share(&of(endings)));
-            dataset.lower(name, "%", shares);
-            stuck.extend(stuck_row(&of(&endings)));
-        }
-    }
-    let rows: Vec<Value> = cases.iter().map(variant_row).collect();
+    let mut rows = Vec::new();
     for axis in Axis::ALL {
-        let of_axis = rows.iter().filter(|row| row["axis"] == axis.name());
-        let table = Sheet::of(title(axis), &columns(axis), of_axis.cloned().collect());
+        let (title, path) = names(axis);
+        let mut of_axis = Vec::new();
+        for of_row in by_rows(found.of(axis.name())) {
+            let row = together(&of_row, &["rounds"]);
+            let path = filled(path, &row);
+            let errors_mm = each(&of_row, "mean_error_mm").map(|mm| mm.max(METRIC_FLOOR_MM));
+            dataset.lower(format!("{path}/mean_error"), "mm", errors_mm);
+            let clearances_mm = each(&of_row, "min_clearance_mm");
+            dataset.higher(format!("{path}/least_clearance"), "mm", clearances_mm);
+            of_axis.push(row);
+        }
+        rows.extend_from_slice(&of_axis);
+        let table = Sheet::of(title, &columns(axis), of_axis);
         dataset.sheets.push(table);
     }
+    let of_rounds = found.of(PROBLEMS);
+    let problems = of_rounds.concat();
+    let mut stuck = Vec::new();
+    for (field, contender) in contests() {
+        let path = format!("quality/restarts/{}/{}/stuck", field.name(), contender.name);
+        let of_rounds = of_rounds.iter().map(|round| ended(round, field, contender));
+        dataset.lower(
+            path,
+            "%",
+            of_rounds.map(|rows| 100.0 * share(&rows, is_stuck)),
+        );
+        stuck.extend(stuck_row(&ended(&problems, field, contender)));
+    }
     let restarts = "Random starts: how often a solver ends more than 1 % above the best plan known";
-    let restarts = Sheet::of(restarts, &STUCK, stuck)
-        .key("restarts")
-        .file("quality-restarts");
+    let restarts = Sheet::of(restarts, &STUCK, stuck);
+    let restarts = restarts.key("restarts").file("quality-restarts");
     dataset.sheets.insert(1, restarts);
-    dataset.plots = plots(&rows, &endings)?;
-    let problems: Vec<Value> = endings.iter().map(|ending| json!(ending)).collect();
-    dataset.sheets.push(
-        Sheet::of("", &columns(Axis::Budget), rows)
-            .key("cases")
-            .file("quality"),
-    );
-    dataset.sheets.push(
-        Sheet::of("", &[], problems)
-            .key("problems")
-            .file("quality-problems"),
-    );
-    dataset.fact("rounds", rounds.len());
+    dataset.plots = plots(&rows, &problems)?;
+    let cases = Sheet::of("", &columns(Axis::Budget), rows);
+    dataset.sheets.push(cases.key("cases").file("quality"));
+    let problems = Sheet::of("", &[], problems);
+    dataset
+        .sheets
+        .push(problems.key(PROBLEMS).file("quality-problems"));
+    dataset.fact("rounds", rounds);
     dataset.fact("stuck_above_share", STUCK_SHARE);
     Ok(dataset)
 }
 
-fn plots(rows: &[Value], endings: &[Ending]) -> Result<Vec<Plot>> {
+fn contests() -> impl Iterator<Item = (Field, &'static Contender)> {
+    let with = |field| CONTENDERS.iter().map(move |contender| (field, contender));
+    Field::ALL.into_iter().flat_map(with)
+}
+
+/// How a contender ended between such obstacles.
+fn ended<'a>(problems: &'a [Value], field: Field, contender: &Contender) -> Vec<&'a Value> {
+    let is_it = |row: &&Value| row["field"] == field.name() && row["contender"] == contender.name;
+    problems.iter().filter(is_it).collect()
+}
+
+fn share(rows: &[&Value], is_so: fn(&Value) -> bool) -> f64 {
+    rows.iter().filter(|row| is_so(row)).count() as f64 / rows.len() as f64
+}
+
+fn stuck_row(rows: &[&Value]) -> Option<Value> {
+    let first = rows.first()?;
+    let excess = || rows.iter().map(|row| excess_share(row));
+    Some(json!({
+        "field": first["field"],
+        "contender": first["contender"],
+        "problems": rows.len(),
+        // Share that ended more than 1 % above the best known cost.
+        "stuck_share": share(rows, is_stuck),
+        // Share whose plan does not lead to within 10 mm of the target.
+        "missed_share": share(rows, |row| !arrives(row)),
+        // Excess over the best known cost, as a share of that.
+        "excess_share_p50": median(excess()),
+        "excess_share_max": excess().reduce(f64::max),
+        "time_ms_p50": median(rows.iter().filter_map(|row| number(row, "time_ms"))),
+    }))
+}
+
+fn plots(rows: &[Value], problems: &[Value]) -> Result<Vec<Plot>> {
     let of_courses = |y, key, scale| -> Vec<Panel> {
         let panel = |course: &Course| panel(*course, rows, y, key, scale);
         Course::ALL.iter().filter_map(panel).collect()
@@ -176,7 +165,7 @@ fn plots(rows: &[Value], endings: &[Ending]) -> Result<Vec<Plot>> {
     };
     let excess = Field::ALL
         .iter()
-        .filter_map(|field| excess(*field, endings));
+        .filter_map(|field| excess(*field, problems));
     let all: [(_, _, Vec<Panel>); 3] = [
         (
             "quality-error",
@@ -203,11 +192,14 @@ fn plots(rows: &[Value], endings: &[Ending]) -> Result<Vec<Plot>> {
         .collect()
 }
 
-fn colour(solver: Solver) -> RGBColor {
+fn colour(solver: &str) -> RGBColor {
     match solver {
-        Solver::GaussNewton => ORANGE,
-        Solver::KpsoRefined => BLUE,
-        Solver::Kpso | Solver::KpsoVerbatim => GREEN,
+        "gauss-newton" => ORANGE,
+        "gauss-newton-restarted" => GREY,
+        "kpso-refined" => BLUE,
+        "kpso-refined-20ms" => SKY,
+        "kpso-refined-5ms" => YELLOW,
+        _ => GREEN,
     }
 }
 
@@ -224,11 +216,9 @@ fn panel(
     };
     let rows: Vec<&Value> = rows.iter().filter(is_it).collect();
     let curve = |solver: Solver| {
-        let ours = rows
-            .iter()
-            .copied()
-            .filter(|row| row["solver"] == solver.name());
-        Curve::of_rows(solver.name(), ours, "budget_us", key, colour(solver))
+        let ours = rows.iter().filter(|row| row["solver"] == solver.name());
+        let ours = ours.copied();
+        Curve::of_rows(solver.name(), ours, "budget_us", key, colour(solver.name()))
     };
     let mut curves: Vec<Curve> = SOLVERS.map(curve).into();
     let across = number(rows.first()?, "budget_us")?..number(rows.last()?, "budget_us")?;
@@ -239,36 +229,26 @@ fn panel(
     Some(Panel::new(course.name(), ["budget [µs]", y], scale, curves))
 }
 
-fn excess(field: Field, endings: &[Ending]) -> Option<Panel> {
-    let curve = |contender: Contender| {
-        let all = endings_of(endings, field, contender);
-        let mut excess: Vec<f64> = all
-            .iter()
-            .map(|ending| 100.0 * ending.excess_share())
-            .collect();
-        excess.sort_by(f64::total_cmp);
-        let share = |index: usize| 100.0 * (index as f64 + 0.5) / all.len() as f64;
-        let points = excess
-            .iter()
-            .enumerate()
-            .map(|(index, percent)| (share(index), *percent));
-        let colour = match contender {
-            Contender::GaussNewtonRestarted => GREY,
-            Contender::KpsoRefined20Ms => SKY,
-            Contender::KpsoRefined5Ms => YELLOW,
-            other => colour(other.solver()),
-        };
-        Curve::line(contender.name(), points.collect(), colour)
+fn excess(field: Field, problems: &[Value]) -> Option<Panel> {
+    let curve = |contender: &Contender| {
+        let rows = ended(problems, field, contender);
+        let mut percent: Vec<f64> = rows.iter().map(|row| 100.0 * excess_share(row)).collect();
+        percent.sort_by(f64::total_cmp);
+        let share = |index: usize| 100.0 * (index as f64 + 0.5) / rows.len() as f64;
+        let points = percent.into_iter().enumerate();
+        let points = points.map(|(index, percent)| (share(index), percent));
+        Curve::line(contender.name, points.collect(), colour(contender.name))
     };
-    endings.iter().find(|ending| ending.field == field)?;
-    let mut curves: Vec<Curve> = Contender::ALL.map(curve).into();
-    curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
-    Some(Panel::new(
-        format!("Between tip and target: {}", field.name()),
-        ["share of the problems [%]", "cost above the best [%]"],
-        Scale::Log {
-            floor: EXCESS_FLOOR_PERCENT,
-        },
-        curves,
-    ))
+    let mut curves: Vec<Curve> = CONTENDERS.iter().map(curve).collect();
+    curves.retain(|curve| !curve.is_empty());
+    let floor = EXCESS_FLOOR_PERCENT;
+    (!curves.is_empty()).then(|| {
+        curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
+        Panel::new(
+            format!("Between tip and target: {}", field.name()),
+            ["share of the problems [%]", "cost above the best [%]"],
+            Scale::Log { floor },
+            curves,
+        )
+    })
 }

@@ -1,128 +1,281 @@
-//! Random restarts: how often a solver ends above the best that is known.
+//! Random restarts: how often a solver ends above the best that is known. A problem leads from one random shape to where the
+//! tip of another one is.
 
+use std::f64::consts::TAU;
 use std::time::Instant;
 
-use anyhow::Result;
-use cdcr_controller::nmpc::Nmpc;
+use anyhow::{Result, bail};
+use cdcr_controller::nmpc::{Horizon, Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS, cycle_seed};
-use cdcr_controller::robot::{Robot, RobotParameters};
-use serde::Serialize;
+use cdcr_controller::reference::ReferenceSample;
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+use nalgebra::Vector3;
+use serde_json::{Value, json};
 
-use super::problem::{Field, PERIOD_S, Problem, SECTIONS, settings};
+use crate::closed_loop::inside;
+use crate::dataset::number;
 use crate::experiment::Solver;
 use crate::named::named;
 use crate::numbers::Numbers;
 
+/// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
+/// is so thin that it could be passed between two steps.
+const PERIOD_S: f64 = 0.03;
+const HORIZON_STEPS: u32 = 30;
+const BLOCKS: u32 = 5;
+const SWARM: (u32, u32) = (32, 40);
+const REFINEMENTS: u32 = 25;
+const SECTIONS: usize = 3;
+/// Largest bend of a section of a random shape \[rad\].
+const BEND_MAX_RAD: f64 = 1.2;
+const APART_M: std::ops::Range<f64> = 0.25..0.6;
+const SAFE_DISTANCE_M: f64 = 0.01;
+/// Start and target shape keep so much clearance \[m\].
+const CLEAR_M: f64 = 1.5 * SAFE_DISTANCE_M;
+const BALL_RADIUS_M: f64 = 0.05;
+/// Radius of a post, and half its length \[m\].
+const POST_M: (f64, f64) = (0.015, 0.2);
+/// How far a post may be beside the straight way, along x and y \[m\].
+const BESIDE_M: f64 = 0.06;
+/// Draws after which a problem is given up.
+const DRAWS_MAX: u32 = 10_000;
+
 /// More than this share above the best cost is stuck.
-pub const STUCK_SHARE: f64 = 0.01;
+pub(super) const STUCK_SHARE: f64 = 0.01;
 /// Differences of cost below this are none: a tenth of a millimetre at each of 30 steps \[m²\].
-pub const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
+const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
 /// A plan that ends further from the target has not arrived \[mm\].
-pub const ARRIVED_MM: f64 = 10.0;
+const ARRIVED_MM: f64 = 10.0;
 const SOLVES_MAX: u32 = 20;
 /// Solves without progress after which a solver has ended: its swarm draws other numbers in each.
 const IDLE_SOLVES_MAX: u32 = 2;
 /// Less than this share of the cost is no progress.
 const PROGRESS_SHARE: f64 = 1e-4;
-/// Random plans that Gauss-Newton starts from, besides the plan of rest.
-const RANDOM_PLANS: u64 = 3;
 /// Rates of a random plan, either way \[rad/s\].
 const RANDOM_RATE_RAD_S: f64 = 2.0;
 
-named! {
-    pub enum Contender {
-        Kpso = "kpso",
-        GaussNewton = "gauss-newton",
-        /// Gauss-Newton from rest and from three random plans; the best of the four.
-        GaussNewtonRestarted = "gauss-newton-restarted",
-        KpsoRefined = "kpso-refined",
-        /// The same with so much work for all solves.
-        KpsoRefined20Ms = "kpso-refined-20ms",
-        KpsoRefined5Ms = "kpso-refined-5ms",
-    }
-}
-
-impl Contender {
-    pub(super) fn solver(self) -> Solver {
-        match self {
-            Self::Kpso => Solver::Kpso,
-            Self::GaussNewton | Self::GaussNewtonRestarted => Solver::GaussNewton,
-            Self::KpsoRefined | Self::KpsoRefined20Ms | Self::KpsoRefined5Ms => Solver::KpsoRefined,
-        }
-    }
-
+#[derive(Debug)]
+pub struct Contender {
+    pub name: &'static str,
+    pub solver: Solver,
+    /// Random plans that it starts from, besides the plan of rest; the best counts.
+    random_plans: u64,
     /// The work that all its solves may do.
-    fn quanta(self) -> u32 {
-        match self {
-            Self::KpsoRefined20Ms => 20_000_000 / QUANTUM_NS,
-            Self::KpsoRefined5Ms => 5_000_000 / QUANTUM_NS,
-            _ => u32::MAX,
+    quanta: u32,
+}
+
+pub const CONTENDERS: [Contender; 6] = [
+    contender("kpso", Solver::Kpso, 0, u32::MAX),
+    contender("gauss-newton", Solver::GaussNewton, 0, u32::MAX),
+    contender("gauss-newton-restarted", Solver::GaussNewton, 3, u32::MAX),
+    contender("kpso-refined", Solver::KpsoRefined, 0, u32::MAX),
+    contender(
+        "kpso-refined-20ms",
+        Solver::KpsoRefined,
+        0,
+        20_000_000 / QUANTUM_NS,
+    ),
+    contender(
+        "kpso-refined-5ms",
+        Solver::KpsoRefined,
+        0,
+        5_000_000 / QUANTUM_NS,
+    ),
+];
+
+const fn contender(
+    name: &'static str,
+    solver: Solver,
+    random_plans: u64,
+    quanta: u32,
+) -> Contender {
+    Contender {
+        name,
+        solver,
+        random_plans,
+        quanta,
+    }
+}
+
+named! {
+    /// What stands between the tip and its target.
+    pub enum Field {
+        Free = "free",
+        /// A ball in the middle of the straight way.
+        Ball = "ball",
+        /// Three posts beside the straight way or on it.
+        Posts = "posts",
+    }
+}
+
+impl Field {
+    fn obstacles(
+        self,
+        way: impl Fn(f64) -> Vector3<f64>,
+        numbers: &mut Numbers,
+    ) -> Result<Vec<Obstacle>> {
+        let still = Vector3::zeros();
+        let mut post = |share| {
+            let [x, y] = [(); 2].map(|()| numbers.between(-BESIDE_M, BESIDE_M));
+            let middle_m = way(share) + Vector3::new(x, y, 0.0);
+            let half_m = Vector3::new(0.0, 0.0, POST_M.1);
+            let (start_m, end_m) = (middle_m - half_m, middle_m + half_m);
+            Obstacle::new(Shape::Capsule { start_m, end_m }, POST_M.0, still)
+        };
+        Ok(match self {
+            Self::Free => Vec::new(),
+            Self::Ball => {
+                let centre_m = way(0.5);
+                vec![Obstacle::new(
+                    Shape::Sphere { centre_m },
+                    BALL_RADIUS_M,
+                    still,
+                )?]
+            }
+            Self::Posts => [0.3, 0.5, 0.7]
+                .into_iter()
+                .map(&mut post)
+                .collect::<Result<_, _>>()?,
+        })
+    }
+}
+
+/// A shape at rest, a target for its tip that it can reach, and what stands around. Both are clear.
+struct Problem {
+    start: Configuration,
+    still: BendRates,
+    target_m: Vector3<f64>,
+    reference: Vec<ReferenceSample>,
+    obstacles: Vec<Obstacle>,
+}
+
+impl Problem {
+    /// The problem of this seed, on every machine.
+    fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
+        let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
+        for _ in 0..DRAWS_MAX {
+            let [start, end] = [(); 2].map(|()| shape(&mut numbers));
+            let [from_m, to_m] = [start, end].map(|shape| robot.tip_pose(&shape).position_m);
+            let way = |share| from_m + share * (to_m - from_m);
+            let obstacles = field.obstacles(way, &mut numbers)?;
+            let is_clear = |shape: &Configuration| {
+                robot
+                    .body(shape)
+                    .least_clearance_m(obstacles.iter().copied())
+                    > CLEAR_M
+            };
+            let is_apart = APART_M.contains(&(to_m - from_m).norm());
+            if is_apart && is_clear(&start) && is_clear(&end) {
+                return Ok(Self {
+                    start,
+                    still: BendRates::zero(SECTIONS),
+                    target_m: to_m,
+                    reference: vec![inside(to_m); HORIZON_STEPS as usize],
+                    obstacles,
+                });
+            }
+        }
+        let name = field.name();
+        bail!("{name}: none of {DRAWS_MAX} random problems is clear; make the obstacles smaller")
+    }
+
+    /// What a solve with this seed starts from, from the plan that is there.
+    fn input(&self, seed: u64) -> SolveInput<'_> {
+        SolveInput {
+            configuration: &self.start,
+            previous_rates: &self.still,
+            reference: &self.reference,
+            obstacles: &self.obstacles,
+            tip_offset_m: 0.0,
+            elapsed_periods: 0,
+            seed,
         }
     }
-}
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Ending {
-    pub field: Field,
-    /// Seed of the problem, and of the swarms.
-    pub seed: u64,
-    pub contender: Contender,
-    pub cost: f64,
-    pub best_cost: f64,
-    /// From the end of its plan to the target \[mm\].
-    pub end_error_mm: f64,
-    pub solves: u32,
-    pub time_ms: f64,
-}
-
-impl Ending {
-    /// By how much its cost is above the best one, as a share of that.
-    pub fn excess_share(&self) -> f64 {
-        self.cost / self.best_cost - 1.0
-    }
-
-    /// Whether it ended above the best that is known.
-    pub fn is_stuck(&self) -> bool {
-        self.cost > self.best_cost * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
-    }
-
-    pub fn arrives(&self) -> bool {
-        self.end_error_mm <= ARRIVED_MM
+    /// Where a plan leads the tip, from the target \[mm\].
+    fn end_error_mm(&self, robot: &Robot, plan: &[f64]) -> f64 {
+        let width = robot.coordinate_count();
+        let horizon = Horizon::new(&settings(Solver::GaussNewton), width);
+        let mut end = self.start;
+        for step in 0..horizon.steps() {
+            let rates = &plan[horizon.block_of(step) * width..][..width];
+            for (bend_rad, rate) in end.as_mut_slice().iter_mut().zip(rates) {
+                *bend_rad += rate * PERIOD_S;
+            }
+        }
+        1e3 * (robot.tip_pose(&end).position_m - self.target_m).norm()
     }
 }
 
-/// Lets every contender solve the problem of this seed.
-pub fn contest(field: Field, seed: u64) -> Result<Vec<Ending>> {
+fn shape(numbers: &mut Numbers) -> Configuration {
+    let mut below = |most: f64| numbers.between(0.0, most);
+    Configuration::from_bend_angles(&[(); SECTIONS].map(|()| [below(BEND_MAX_RAD), below(TAU)]))
+}
+
+fn settings(solver: Solver) -> NmpcSettings {
+    solver.of(NmpcSettings {
+        horizon_steps: HORIZON_STEPS,
+        control_blocks: BLOCKS,
+        swarm_size: SWARM.0,
+        swarm_iterations: SWARM.1,
+        refinement_steps: REFINEMENTS,
+        safe_distance_m: SAFE_DISTANCE_M,
+        ..NmpcSettings::default()
+    })
+}
+
+/// Lets every contender solve the problem of this seed: a row for each.
+pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
     let problem = Problem::draw(field, &robot, seed)?;
-    let mut endings = Vec::new();
-    for contender in Contender::ALL {
+    let mut rows = Vec::new();
+    for contender in &CONTENDERS {
         let begin = Instant::now();
         let mut attempt = Attempt::new(&robot, &problem, contender, seed)?;
         attempt.converge();
-        if contender == Contender::GaussNewtonRestarted {
-            for plan in 0..RANDOM_PLANS {
-                attempt.restart(cycle_seed(seed, plan));
-                attempt.converge();
-            }
+        for plan in 0..contender.random_plans {
+            attempt.restart(cycle_seed(seed, plan));
+            attempt.converge();
         }
-        endings.push(Ending {
-            field,
-            seed,
-            contender,
-            cost: attempt.best_cost,
-            best_cost: attempt.best_cost,
-            end_error_mm: problem.end_error_mm(&robot, &attempt.best_plan),
-            solves: attempt.solves,
-            time_ms: begin.elapsed().as_secs_f64() * 1e3,
-        });
+        rows.push(json!({
+            "field": field,
+            // Of the problem, and of the swarms.
+            "seed": seed,
+            "contender": contender.name,
+            "cost": attempt.best_cost,
+            // From the end of its plan to the target.
+            "end_error_mm": problem.end_error_mm(&robot, &attempt.best_plan),
+            "solves": attempt.solves,
+            "time_ms": 1e3 * begin.elapsed().as_secs_f64(),
+        }));
     }
-    let costs = endings.iter().map(|ending| ending.cost);
+    let costs = rows.iter().filter_map(|row| number(row, "cost"));
     let best_cost = costs.fold(f64::INFINITY, f64::min);
-    for ending in &mut endings {
-        ending.best_cost = best_cost;
+    for row in &mut rows {
+        row["best_cost"] = best_cost.into();
     }
-    Ok(endings)
+    Ok(rows)
+}
+
+fn costs(row: &Value) -> (f64, f64) {
+    let cost = |key| row[key].as_f64().unwrap_or(f64::NAN);
+    (cost("cost"), cost("best_cost"))
+}
+
+/// By how much a cost is above the best one, as a share of that.
+pub(super) fn excess_share(row: &Value) -> f64 {
+    let (cost, best_cost) = costs(row);
+    cost / best_cost - 1.0
+}
+
+/// Whether a contender ended above the best that is known.
+pub(super) fn is_stuck(row: &Value) -> bool {
+    let (cost, best_cost) = costs(row);
+    cost > best_cost * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
+}
+
+pub(super) fn arrives(row: &Value) -> bool {
+    number(row, "end_error_mm").is_some_and(|mm| mm <= ARRIVED_MM)
 }
 
 struct Attempt<'a> {
@@ -136,15 +289,15 @@ struct Attempt<'a> {
 }
 
 impl<'a> Attempt<'a> {
-    fn new(robot: &Robot, problem: &'a Problem, contender: Contender, seed: u64) -> Result<Self> {
-        let nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings(contender.solver()))?;
+    fn new(robot: &Robot, problem: &'a Problem, contender: &Contender, seed: u64) -> Result<Self> {
+        let nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings(contender.solver))?;
         Ok(Self {
             problem,
             best_plan: nmpc.plan().to_vec(),
             nmpc,
             seed,
             solves: 0,
-            quanta_left: contender.quanta(),
+            quanta_left: contender.quanta,
             best_cost: f64::INFINITY,
         })
     }
@@ -160,8 +313,9 @@ impl<'a> Attempt<'a> {
     fn converge(&mut self) {
         let (mut cost, mut idle) = (f64::INFINITY, 0);
         for _ in 0..SOLVES_MAX {
-            let seed = cycle_seed(self.seed, u64::from(self.solves));
-            let input = self.problem.input(seed);
+            let input = self
+                .problem
+                .input(cycle_seed(self.seed, self.solves.into()));
             let mut budget = Budget::of_quanta(self.quanta_left);
             let (_, report) = self.nmpc.solve(&input, &mut budget);
             self.quanta_left -= report.quanta;
@@ -185,50 +339,53 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_obstacles_all_end_at_the_target() {
-        for ending in contest(Field::Free, 3).unwrap() {
-            assert!(ending.arrives(), "{ending:?}");
-            assert!(ending.excess_share() < 0.05, "{ending:?}");
+    fn problems_can_be_solved_and_are_the_same_again() {
+        let robot = Robot::new(&RobotParameters::paper(SECTIONS)).unwrap();
+        for (field, seed) in Field::ALL
+            .into_iter()
+            .flat_map(|f| (0..20).map(move |n| (f, n)))
+        {
+            let draw = |seed| Problem::draw(field, &robot, seed).unwrap();
+            let problem = draw(seed);
+            assert_eq!(problem.target_m, draw(seed).target_m);
+            assert_ne!(problem.target_m, draw(seed + 1000).target_m);
+            let from_m = robot.tip_pose(&problem.start).position_m;
+            assert!(APART_M.contains(&(problem.target_m - from_m).norm()));
+            let body = robot.body(&problem.start);
+            assert!(body.least_clearance_m(problem.obstacles) > SAFE_DISTANCE_M);
         }
     }
 
     #[test]
-    fn restarts_never_make_gauss_newton_worse_and_the_best_is_not_stuck() {
-        let endings = contest(Field::Ball, 0).unwrap();
-        let of = |contender| *endings.iter().find(|e| e.contender == contender).unwrap();
-        let (once, again) = (
-            of(Contender::GaussNewton),
-            of(Contender::GaussNewtonRestarted),
-        );
-        assert!(again.cost <= once.cost && again.solves > once.solves);
-        let best = endings.iter().find(|e| e.cost == e.best_cost).unwrap();
-        assert!(!best.is_stuck() && best.excess_share() == 0.0);
-    }
-
-    #[test]
-    fn a_new_plan_takes_the_better_way_round_a_ball() {
-        let endings = contest(Field::Ball, 5).unwrap();
-        let found = endings
+    fn a_solver_ends_at_the_target_and_another_start_or_more_time_does_no_harm() {
+        for row in contest(Field::Free, 3).unwrap() {
+            assert!(arrives(&row) && excess_share(&row) < 0.05, "{row}");
+        }
+        let rows = contest(Field::Ball, 0).unwrap();
+        let [once, again] = [&rows[1], &rows[2]];
+        assert!(again["solves"].as_u64() > once["solves"].as_u64());
+        assert!(excess_share(again) <= excess_share(once));
+        let best = rows
             .iter()
-            .find(|e| e.contender == Contender::KpsoRefined20Ms);
-        assert!(!found.unwrap().is_stuck(), "{found:?}");
+            .find(|row| row["cost"] == row["best_cost"])
+            .unwrap();
+        assert!(!is_stuck(best) && excess_share(best) == 0.0);
+        // A new plan takes the better way round a ball.
+        let rows = contest(Field::Ball, 5).unwrap();
+        assert!(
+            rows[4]["contender"] == "kpso-refined-20ms" && !is_stuck(&rows[4]),
+            "{rows:?}"
+        );
     }
 
     #[test]
     fn stuck_is_more_than_a_hundredth_above_the_best_and_more_than_rounding() {
-        let ending = |cost, best_cost| Ending {
-            field: Field::Free,
-            seed: 0,
-            contender: Contender::Kpso,
-            cost,
-            best_cost,
-            end_error_mm: 11.0,
-            solves: 1,
-            time_ms: 1.0,
-        };
-        assert!(!ending(1.009, 1.0).is_stuck());
-        assert!(ending(1.011, 1.0).is_stuck());
-        assert!(!ending(2e-7, 1e-9).is_stuck());
-        assert!(!ending(1.0, 1.0).arrives());
+        for (cost, best_cost, stuck) in
+            [(1.009, 1.0, false), (1.011, 1.0, true), (2e-7, 1e-9, false)]
+        {
+            let row = json!({ "cost": cost, "best_cost": best_cost, "end_error_mm": 11.0 });
+            assert_eq!(is_stuck(&row), stuck, "{row}");
+            assert!(!arrives(&row));
+        }
     }
 }

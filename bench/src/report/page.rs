@@ -6,12 +6,7 @@ use crate::dataset::{Dataset, Plot, Sheet};
 
 const STYLE: &str = include_str!("page.css");
 
-pub(super) const INTRODUCTION: &str = "\
-<p>What <code>cdcr-bench all</code> measured. Everything that a number needs to be judged is on this page: the \
-machine, the method, and the baselines that were measured in the same run. On a shared machine an absolute \
-latency says little; the ratio to the bare loop, taken in turns with it, says what the daemon adds. The same \
-numbers are in <code>report.json</code>, for <code>cdcr-bench compare</code>, each case in a CSV, and every \
-latency in <code>histograms/</code>, in the log format of HDR histograms.</p>\n";
+pub(super) const INTRODUCTION: &str = include_str!("introduction.html");
 
 /// With contents: the results where there is an introduction, which is HTML; else the pictures of the one result.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {

@@ -8,11 +8,7 @@ use crate::latency::STOP_MARGIN_US;
 use crate::metric::{Metric, range};
 
 /// How the rows are to be read: HTML.
-const EXPLANATION: &str = "\
-<p>With three sections, <code>kpso-refined</code>, 5 ms and real time. A figure is the median over the rounds, \
-with their range beside it; where several cases stand behind it, the worst of them. \"Beyond the bare loop\" asks \
-how probable so many misses of the cycles that were due, all loads together, would be if daemon and bare loop \
-missed alike: below 5 % is called different.</p>\n";
+const EXPLANATION: &str = include_str!("targets.html");
 
 /// The benchmarks that measure one of the figures.
 pub(super) const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];

@@ -26,15 +26,7 @@ use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Figure, Scenario, Way};
 
-const EXPLANATION: &str = "\
-<p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s; where a robot is said to go <em>through straight</em>, as many \
-sections as its name says follow one through the tip of the straight robot; some follow the paper's spiral, one of them 60 mm lower. The robot is not its model: its motors lag, its \
-sensors have noise, its sections have other lengths, a load bends it. The error is that of the tip in truth, without the first \
-second: mean and settled are means over the seeds, rms, largest error and following are those of the worst seed. The controller is the one of \
-a daemon with its default settings and its motors configured (<em>full</em>), the same with a part switched off, and its <em>first version</em>: what is measured is \
-believed at once, of the tip by an exact step, the motors are taken for ideal, rates cost nothing. <em>At rest</em> is the largest error, in the worst \
-seed, of a robot that is sent somewhere and shall stay there; <em>following</em> is the largest difference of a motor from where it is commanded. <em>Reached</em>: all that \
-is wanted, and every command within its limits.</p>\n";
+const EXPLANATION: &str = include_str!("robustness.html");
 
 const COLUMNS: [Column; 16] = [
     word("robot", "name"),

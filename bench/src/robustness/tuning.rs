@@ -11,10 +11,7 @@ use crate::dataset::{Column, Dataset, Sheet, fixed, word};
 use crate::interrupt;
 use crate::progress::Progress;
 
-const EXPLANATION: &str = "\
-<p>The robot of the laboratory follows the figure eight: motors with a lag of 20 ms, which is known, 30 µm of noise on its cables, a sensor of \
-its tip with 0.3 mm of noise, 100 times a second. One knob is turned, the others are those of the preset <em>precise</em>. The rate change is the \
-root mean square of what the rates change by from cycle to cycle, all components together.</p>\n";
+const EXPLANATION: &str = include_str!("tuning.html");
 
 const COLUMNS: [Column; 6] = [
     word("knob", "knob"),

@@ -50,12 +50,13 @@ pub const TABLE: RoundTable = RoundTable {
     file: "solver-estimate",
     title: "Time of the estimate and of the solve that follows it: three sections on the figure eight",
     columns: &COLUMNS,
+    counts: &[],
     numbers: &[
         ("p50", "µs", "estimate_p50_us"),
         ("both/p50", "µs", "both_p50_us"),
         ("more/p50", "µs", "more_p50_us"),
     ],
-    path: |row| format!("estimate/{}", row["sensed"].as_str().unwrap_or_default()),
+    path: "estimate/{sensed}",
 };
 
 /// All kinds of measuring, one after the other, and what each takes more than the first, which is that of before there were filters and

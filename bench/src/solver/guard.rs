@@ -54,8 +54,9 @@ pub const TABLE: RoundTable = RoundTable {
     file: "solver-guard",
     title: "Time of the safety checks: six sections, 64 obstacles in reach",
     columns: &COLUMNS,
+    counts: &[],
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
-    path: |row| format!("guard/{}", row["crowd"].as_str().unwrap_or_default()),
+    path: "guard/{crowd}",
 };
 
 /// Measures every kind of crowd in `moments` moments, the same ones in each round.

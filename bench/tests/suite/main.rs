@@ -6,7 +6,6 @@
 )]
 
 mod all;
-mod budget;
 mod compare;
 mod deadline;
 mod footprint;

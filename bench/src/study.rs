@@ -1,0 +1,48 @@
+//! A study: cases that are measured in turns, round by round. What disturbs the machine for a while disturbs one round.
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use serde_json::Value;
+
+use crate::interrupt;
+use crate::progress::Progress;
+
+pub(crate) struct Case<'a> {
+    /// Key of the table that its rows belong to.
+    pub(crate) table: &'static str,
+    pub(crate) what: String,
+    pub(crate) expected_s: f64,
+    /// The rows of a round.
+    pub(crate) measure: Box<dyn Fn(u32) -> Result<Vec<Value>> + 'a>,
+}
+
+/// The rows of each round, by the key of their table.
+#[derive(Default)]
+pub(crate) struct Rounds(BTreeMap<&'static str, Vec<Vec<Value>>>);
+
+impl Rounds {
+    /// None when nothing of that table was measured.
+    pub(crate) fn of(&self, table: &str) -> &[Vec<Value>] {
+        self.0.get(table).map_or(&[], Vec::as_slice)
+    }
+}
+
+pub(crate) fn expected_s(rounds: u32, cases: &[Case<'_>]) -> f64 {
+    f64::from(rounds) * cases.iter().map(|case| case.expected_s).sum::<f64>()
+}
+
+pub(crate) fn run(rounds: u32, cases: &[Case<'_>], progress: &mut Progress) -> Result<Rounds> {
+    let mut found = Rounds::default();
+    for round in 1..=rounds {
+        for case in cases {
+            interrupt::check()?;
+            progress.begin(&format!("round {round} of {rounds}: {}", case.what));
+            let of_table = found.0.entry(case.table).or_default();
+            of_table.resize(round as usize, Vec::new());
+            of_table[round as usize - 1].extend((case.measure)(round)?);
+            progress.advance(case.expected_s);
+        }
+    }
+    Ok(found)
+}
