@@ -83,10 +83,8 @@ impl Input {
 
     /// By name and unit: another unit is another number.
     fn named(&self) -> BTreeMap<(&str, &str), &Metric> {
-        let known = self
-            .metrics
-            .iter()
-            .filter(|metric| !metric.rounds.is_empty());
+        let metrics = self.metrics.iter();
+        let known = metrics.filter(|metric| !metric.rounds.is_empty());
         known
             .map(|metric| ((&*metric.name, &*metric.unit), metric))
             .collect()
@@ -111,11 +109,13 @@ impl Comparison {
         let (old, new) = (before.named(), after.named());
         let both = old
             .iter()
-            .filter_map(|(key, metric)| Change::of(metric, new.get(key)?));
+            .filter_map(|(key, old)| Change::of(old, new.get(key)?));
         let mut metrics: Vec<Change> = both.collect();
+        // From zero, every change is large.
+        let size = |change: &Change| change.percent.map_or(f64::INFINITY, f64::abs);
         metrics.sort_by(|one, other| {
             let by_verdict = one.verdict.cmp(&other.verdict);
-            let by_size = other.size().total_cmp(&one.size());
+            let by_size = size(other).total_cmp(&size(one));
             by_verdict.then(by_size).then(one.name.cmp(&other.name))
         });
         let only = |these: &BTreeMap<(&str, &str), _>, others: &BTreeMap<(&str, &str), _>| {
@@ -124,7 +124,7 @@ impl Comparison {
         };
         Self {
             warnings: warnings(before, after),
-            changed_by_chance: metrics.iter().map(Change::false_alarm).sum(),
+            changed_by_chance: metrics.iter().map(|change| change.false_alarm).sum(),
             metrics,
             only_before: only(&old, &new),
             only_after: only(&new, &old),
@@ -183,24 +183,24 @@ impl Comparison {
 }
 
 fn warnings(before: &Input, after: &Input) -> Vec<String> {
-    let differing = before.environment.differing(&after.environment).into_iter();
-    let mut warnings: Vec<String> = differing
-        .map(|(what, old, new)| format!("another {what}: {old} before, {new} after"))
-        .collect();
-    if !warnings.is_empty() {
-        warnings.push(OTHER_MACHINE.to_owned());
-    }
-    if let (Some(old), Some(new)) = (&before.options, &after.options) {
-        let differing = old.differing(new);
-        warnings.extend(differing.iter().map(|(name, old, new)| {
-            format!("asked for with another value of {name}: {old} before, {new} after")
-        }));
-        warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
-    } else if before.options.is_some() || after.options.is_some() {
-        let is_before = before.options.is_none();
-        let when = if is_before { "before" } else { "after" };
-        let words = "does not say what it was asked for: it may have measured something else";
-        warnings.push(format!("the run {when} {words}"));
+    let machine = before.environment.differing(&after.environment);
+    let another = |(what, old, new)| format!("another {what}: {old} before, {new} after");
+    let mut warnings: Vec<String> = machine.into_iter().map(another).collect();
+    warnings.extend((!warnings.is_empty()).then(|| OTHER_MACHINE.to_owned()));
+    match (&before.options, &after.options) {
+        (Some(old), Some(new)) => {
+            let differing = old.differing(new);
+            warnings.extend(differing.iter().map(|(name, old, new)| {
+                format!("asked for with another value of {name}: {old} before, {new} after")
+            }));
+            warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
+        }
+        (None, None) => {}
+        (old, _) => {
+            let when = if old.is_none() { "before" } else { "after" };
+            let words = "does not say what it was asked for: it may have measured something else";
+            warnings.push(format!("the run {when} {words}"));
+        }
     }
     warnings
 }
@@ -218,8 +218,9 @@ pub struct Change {
     pub verdict: ChangeClass,
     /// When the rounds of the two runs are apart: how probable that is if nothing changed.
     chance: Option<f64>,
+    /// How probable it is that this number is called changed though nothing changed.
     #[serde(skip)]
-    counts: [usize; 2],
+    false_alarm: f64,
 }
 
 impl Change {
@@ -233,17 +234,14 @@ impl Change {
         let is_small = percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
         let is_apart = old_range.1 < new_range.0 || new_range.1 < old_range.0;
         let is_better = (new.better == Better::Lower) == (after < before);
+        let is_judged = counts.iter().all(|count| *count >= ROUNDS_MIN);
         let [same, better, worse] = match counts {
             [1, 1] => [OneValueAlike, OneValueBetter, OneValueWorse],
-            [..ROUNDS_MIN, _] | [_, ..ROUNDS_MIN] => [TooFewRounds; 3],
-            _ => [WithinNoise, Improved, Worse],
-        };
-        let verdict = match is_apart && !is_small {
-            false => same,
-            true if is_better => better,
-            true => worse,
+            _ if is_judged => [WithinNoise, Improved, Worse],
+            _ => [TooFewRounds; 3],
         };
         let spread = |median: f64, range, rounds: usize| json!({ "median": median, "range": range, "rounds": rounds });
+        let chance = chance_apart(counts);
         Some(Self {
             name: new.name.clone(),
             unit: new.unit.clone(),
@@ -251,25 +249,14 @@ impl Change {
             before: spread(before, old_range, counts[0]),
             after: spread(after, new_range, counts[1]),
             percent,
-            verdict,
-            chance: (is_apart && counts != [1, 1]).then_some(chance_apart(counts)),
-            counts,
+            verdict: match is_apart && !is_small {
+                false => same,
+                true if is_better => better,
+                true => worse,
+            },
+            chance: (is_apart && counts != [1, 1]).then_some(chance),
+            false_alarm: if is_judged { chance } else { 0.0 },
         })
-    }
-
-    /// How probable it is that this number is called changed though nothing changed.
-    fn false_alarm(&self) -> f64 {
-        let may_change = [Worse, Improved, WithinNoise].contains(&self.verdict);
-        if may_change {
-            chance_apart(self.counts)
-        } else {
-            0.0
-        }
-    }
-
-    /// By which the larger changes come first; from zero, every change is large.
-    fn size(&self) -> f64 {
-        self.percent.map_or(f64::INFINITY, f64::abs)
     }
 }
 
@@ -313,18 +300,19 @@ mod tests {
             let found = Change::of(&before, &after).expect("both have values");
             assert_eq!(found.verdict, verdict, "{found:?}");
             let is_change = [Worse, Improved, WithinNoise].contains(&verdict);
-            assert_eq!(found.false_alarm() > 0.0, is_change, "{found:?}");
+            assert_eq!(found.false_alarm > 0.0, is_change, "{found:?}");
         }
     }
 
     #[test]
     fn the_chance_is_that_of_the_rank_test() {
-        for ([before, after], expected) in [
+        let cases = [
             ([3, 3], 0.1),
             ([1, 1], 1.0),
             ([5, 5], 2.0 / 252.0),
             ([3, 6], 2.0 / 84.0),
-        ] {
+        ];
+        for ([before, after], expected) in cases {
             for found in [chance_apart([before, after]), chance_apart([after, before])] {
                 assert!(
                     (found - expected).abs() < 1e-12,

@@ -4,7 +4,7 @@ use anyhow::Result;
 use serde_json::Value;
 
 use crate::benchmark::Benchmark;
-use crate::dataset::{Column, Dataset, Sheet, fixed, plain, power, word};
+use crate::dataset::{Column, Dataset, Sheet, filled, fixed, plain, power, word};
 use crate::experiment::{Experiment, Task};
 use crate::interrupt;
 use crate::plots::plots;
@@ -112,22 +112,20 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
         ("solve_p50", "µs", "solve_p50_us"),
     ];
     for outcome in outcomes {
-        dataset.compare(&path(outcome), &outcome.runs, &numbers);
+        dataset.compare(
+            &filled(path(outcome), &outcome.row),
+            &outcome.runs,
+            &numbers,
+        );
     }
     Ok(dataset)
 }
 
-fn path(outcome: &Outcome) -> String {
-    let Experiment { task, solver, .. } = outcome.experiment;
-    let size = match task {
-        Task::Spiral { sections } => format!("{sections}"),
-        Task::Line { rate_limit_rad_s } => format!("{rate_limit_rad_s}rad_s"),
-        Task::Circle { safe_distance_m } => format!("{:.0}mm", 1e3 * safe_distance_m),
-    };
-    let coordinates = outcome.row["coordinates"].as_str().unwrap_or_default();
-    format!(
-        "paper/{}-{size}/{coordinates}/{}",
-        task.name(),
-        solver.name()
-    )
+/// Begin of the names of its numbers: see [`filled`].
+fn path(outcome: &Outcome) -> &'static str {
+    match outcome.experiment.task {
+        Task::Spiral { .. } => "paper/spiral-{sections}/{coordinates}/{solver}",
+        Task::Line { .. } => "paper/line-{rate_limit_rad_s}rad_s/{coordinates}/{solver}",
+        Task::Circle { .. } => "paper/circle-{safe_distance_mm}mm/{coordinates}/{solver}",
+    }
 }

@@ -36,14 +36,13 @@ const SHARES: f64 = 1e-3;
 
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
-    let all = Task::all().into_iter();
-    let all: Vec<_> = all
-        .map(|task| Drawn::new(outcomes, task))
-        .collect::<Result<_>>()?;
+    let drawn = Task::all()
+        .into_iter()
+        .map(|task| Drawn::new(outcomes, task));
+    let drawn = drawn.collect::<Result<Vec<_>>>()?;
     let of = |name: &str| {
-        all.iter()
-            .filter(|one| one.run.experiment.task.name() == name)
-            .collect::<Vec<_>>()
+        let is_it = |one: &&Drawn<'_>| one.run.experiment.task.name() == name;
+        drawn.iter().filter(is_it).collect::<Vec<_>>()
     };
     let all = [
         of_spirals(&of("spiral")),
@@ -430,33 +429,33 @@ fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
     view.panel(title, curves)
 }
 
-fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
-    let curve = |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
-        let points = over_time(task.samples(), Sample::error_mm);
+/// Over time of each circle, by its safe distance \[m\].
+fn of_detours(
+    tasks: &[&Drawn<'_>],
+    value: impl Fn(&Sample, f64) -> f64,
+) -> impl Iterator<Item = Curve> {
+    let curve = move |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
+        let points = over_time(task.samples(), |sample| value(sample, distance_m));
         Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
     };
-    let curves = detours(tasks).map(curve).collect();
-    timed(
-        "Simulated circle: error".into(),
-        "error [mm]",
+    detours(tasks).map(curve)
+}
+
+fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
+    let curves = of_detours(tasks, |sample, _| sample.error_mm()).collect();
+    let (title, scale) = (
+        "Simulated circle: error".to_owned(),
         Scale::Log { floor: 1e-4 },
-        curves,
-    )
+    );
+    timed(title, "error [mm]", scale, curves)
 }
 
 /// Below zero, the body is nearer than the safe distance.
 fn circle_clearance(tasks: &[&Drawn<'_>]) -> Panel {
-    let curve = |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
-        let points = over_time(task.samples(), |s| {
-            (1e3 * (s.clearance_m - distance_m)).min(CLEARANCE_MAX_MM)
-        });
-        Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
-    };
+    let spare_mm = |sample: &Sample, distance_m| 1e3 * (sample.clearance_m - distance_m);
+    let curves = of_detours(tasks, |sample, m| spare_mm(sample, m).min(CLEARANCE_MAX_MM));
     let level = |task: &&Drawn<'_>| task.level("safe distance D".to_owned(), 0.0, DARK);
-    let curves = detours(tasks)
-        .map(curve)
-        .chain(tasks.first().map(level))
-        .collect();
-    let title = "Simulated circle: clearance of the body beyond D".into();
+    let curves = curves.chain(tasks.first().map(level)).collect();
+    let title = "Simulated circle: clearance of the body beyond D".to_owned();
     timed(title, "clearance - D [mm]", Scale::Linear, curves)
 }

@@ -3,7 +3,7 @@
 mod page;
 mod targets;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -258,24 +258,20 @@ impl BenchReport {
     /// What was asked of the project, and what was found: without rows when nothing of it was measured, with a note when
     /// that was not under the conditions of the figures.
     fn targets(&self) -> Dataset {
-        let has_any = self
-            .parts
-            .iter()
-            .any(|part| targets::JUDGED.contains(&part.name));
-        let why = match (has_any, self.start.environment.is_realtime()) {
-            (false, _) => None,
-            (true, false) => Some("they are for real time, which this user is not granted"),
-            (true, true) if self.default_config => None,
-            (true, true) => {
-                Some("they are for the default configuration, and --config named another")
-            }
+        let mut parts = self.parts.iter();
+        let has_any = parts.any(|part| targets::JUDGED.contains(&part.name));
+        let realtime = self.start.environment.is_realtime();
+        if !has_any || (realtime && self.default_config) {
+            return targets::dataset(targets::targets(&self.metrics(), &self.results()));
+        }
+        let why = if realtime {
+            "they are for the default configuration, and --config named another"
+        } else {
+            "they are for real time, which this user is not granted"
         };
-        match why {
-            Some(why) => Dataset {
-                note: format!("The figures to reach were not judged: {why}."),
-                ..targets::dataset(Vec::new())
-            },
-            None => targets::dataset(targets::targets(&self.metrics(), &self.results())),
+        Dataset {
+            note: format!("The figures to reach were not judged: {why}."),
+            ..targets::dataset(Vec::new())
         }
     }
 
@@ -343,14 +339,12 @@ impl BenchReport {
             !NO_RESULTS.contains(&name) && value.is_object() && value.get("error").is_none()
         };
         let is_here = |name: &str| self.datasets().any(|dataset| dataset.name == name);
-        let lost = older
-            .into_iter()
-            .filter(|(name, value)| was_there(name, value) && !is_here(name));
+        let mut lost = Vec::from_iter(older);
+        lost.retain(|(name, value)| was_there(name, value) && !is_here(name));
+        let mut lost: Vec<String> = lost.into_iter().map(|(name, _)| name).collect();
         // Whether a map of JSON is sorted depends on what else is built.
-        lost.map(|(name, _)| name)
-            .collect::<BTreeSet<_>>()
-            .into_iter()
-            .collect()
+        lost.sort_unstable();
+        lost
     }
 }
 

@@ -25,10 +25,6 @@ pub(super) enum Show {
 }
 
 impl Column {
-    const fn new(head: &'static str, key: &'static str, show: Show) -> Self {
-        Self { head, key, show }
-    }
-
     pub(super) fn cell(&self, values: &BTreeMap<String, Value>) -> String {
         match values.get(self.key) {
             Some(Value::String(text)) if !text.is_empty() => text.clone(),
@@ -64,32 +60,23 @@ impl Column {
     }
 }
 
-pub const fn word(head: &'static str, key: &'static str) -> Column {
-    Column::new(head, key, Show::Word)
+/// Declares a function for each way to show a value: from the head of a column and the key of its values.
+macro_rules! columns {
+    ($($name:ident($($digits:ident)?) = $show:expr;)+) => {
+        $(pub const fn $name(head: &'static str, key: &'static str $(, $digits: usize)?) -> Column {
+            Column { head, key, show: $show }
+        })+
+    };
 }
 
-pub const fn plain(head: &'static str, key: &'static str) -> Column {
-    Column::new(head, key, Show::Plain)
-}
-
-pub const fn shorted(head: &'static str, key: &'static str) -> Column {
-    Column::new(head, key, Show::Short)
-}
-
-pub const fn fixed(head: &'static str, key: &'static str, digits: usize) -> Column {
-    Column::new(head, key, Show::Fixed(digits))
-}
-
-pub const fn signed(head: &'static str, key: &'static str) -> Column {
-    Column::new(head, key, Show::Signed)
-}
-
-pub const fn power(head: &'static str, key: &'static str) -> Column {
-    Column::new(head, key, Show::Power)
-}
-
-pub const fn percent(head: &'static str, key: &'static str, digits: usize) -> Column {
-    Column::new(head, key, Show::Percent(digits))
+columns! {
+    word() = Show::Word;
+    plain() = Show::Plain;
+    shorted() = Show::Short;
+    fixed(digits) = Show::Fixed(digits);
+    signed() = Show::Signed;
+    power() = Show::Power;
+    percent(digits) = Show::Percent(digits);
 }
 
 /// Three digits, as far as they say something.

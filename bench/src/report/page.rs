@@ -11,24 +11,19 @@ pub(super) const INTRODUCTION: &str = include_str!("introduction.html");
 /// With contents: the results where there is an introduction, which is HTML; else the pictures of the one result.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
     let heading = escape(title);
-    let link = |dataset: &&Dataset| {
-        let (name, heading) = (dataset.name, escape(dataset.heading));
-        format!("<li><a href=\"#{name}\">{heading}</a></li>\n")
+    let link = |id: &str, words: &str, more: &str| {
+        format!("<li><a href=\"#{id}\">{words}</a>{more}</li>\n")
     };
-    let shown = |plot: &Plot| {
-        let (name, caption) = (plot.name, escape(plot.caption));
-        format!(
-            "<li><a href=\"#{name}\">{}</a>: {caption}</li>\n",
-            name.replace('-', " ")
-        )
-    };
-    let links: String = match introduction {
-        "" => all
-            .iter()
-            .flat_map(|dataset| &dataset.plots)
-            .map(shown)
-            .collect(),
-        _ => all.iter().map(link).collect(),
+    let plots = all.iter().flat_map(|dataset| &dataset.plots);
+    let links: String = if introduction.is_empty() {
+        let more = |plot: &Plot| format!(": {}", escape(plot.caption));
+        plots
+            .map(|plot| link(plot.name, &plot.name.replace('-', " "), &more(plot)))
+            .collect()
+    } else {
+        all.iter()
+            .map(|dataset| link(dataset.name, &escape(dataset.heading), ""))
+            .collect()
     };
     let contents = match links.as_str() {
         "" => links,
@@ -92,24 +87,22 @@ mod tests {
             }],
             ..Dataset::default()
         };
-        // A result alone has one heading.
-        let html = page(dataset.heading, "", &[&dataset]);
-        for words in [
+        let holds = |title: &str, dataset: &Dataset, words: &[&str]| {
+            let html = page(title, "", &[dataset]);
+            assert!(words.iter().all(|words| html.contains(words)), "{html}");
+            assert!(!html.contains("<script"), "{html}");
+            html.contains("<h2")
+        };
+        let words = [
             "<h1>1 &lt; 2 &amp; &quot;more&quot;</h1>",
             "<p>&lt;script&gt;</p>",
             "<a href=\"#a-path\">a path</a>: Where &lt;it&gt; went.",
             "<figure id=\"a-path\">",
-        ] {
-            assert!(html.contains(words), "{html}");
-        }
-        assert!(!html.contains("<h2") && !html.contains("<script"), "{html}");
+        ];
+        let has_more = holds(dataset.heading, &dataset, &words);
+        assert!(!has_more, "a result alone has one heading");
         dataset.warns = true;
-        let html = page("more", "", &[&dataset]);
-        for words in [
-            "<h2 id=\"a\">1 &lt; 2",
-            "<p class=\"failed\">&lt;script&gt;</p>",
-        ] {
-            assert!(html.contains(words), "{html}");
-        }
+        let warning = "<p class=\"failed\">&lt;script&gt;</p>";
+        assert!(holds("more", &dataset, &["<h2 id=\"a\">1 &lt; 2", warning]));
     }
 }

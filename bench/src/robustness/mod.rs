@@ -7,7 +7,9 @@ mod parts;
 mod scenario;
 mod tuning;
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::mpsc;
+use std::thread;
 
 use anyhow::{Context, Result, ensure};
 use cdcr_controller::closed_loop::{FigureEight, FigureEightRest, FigureEightRun};
@@ -24,7 +26,7 @@ use crate::chart::{Curve, Panel, Scale, plot};
 use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
 use crate::interrupt;
 use crate::progress::Progress;
-use scenario::{Control, Figure, Scenario, Way};
+use scenario::{Control, Scenario, Way};
 
 const EXPLANATION: &str = include_str!("robustness.html");
 
@@ -201,53 +203,42 @@ impl RobustnessOptions {
 
     /// Runs all cases, on each core every so many-th of them; none depends on another.
     fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
-        let (eight, progress) = (&FigureEight::new()?, &Mutex::new(progress));
-        let work = |first: usize| {
-            let own = cases.iter().enumerate().skip(first).step_by(cores());
-            let runs = own.map(|(index, case)| {
-                let what = format!("{}, {}", case.scenario.name, case.control.name());
-                lock(progress).begin(&what);
-                Ok((index, case.runs(eight, self.seeds, progress)?))
-            });
-            runs.collect::<Result<Vec<_>>>()
-        };
-        let mut done = Vec::new();
-        std::thread::scope(|scope| {
-            let work = &work;
-            let threads: Vec<_> = (0..cores())
-                .map(|first| scope.spawn(move || work(first)))
-                .collect();
-            for thread in threads {
-                let ended = thread.join();
-                done.extend(ended.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
+        let eight = &FigureEight::new()?;
+        let mut done = BTreeMap::new();
+        thread::scope(|scope| {
+            let (sender, results) = mpsc::channel();
+            for first in 0..cores() {
+                let sender = sender.clone();
+                let own = cases.iter().enumerate().skip(first).step_by(cores());
+                scope.spawn(move || {
+                    let mut runs = own.map(|(place, case)| (place, case.runs(eight, self.seeds)));
+                    // Nobody waits for more after a failure.
+                    let _ = runs.try_for_each(|runs| sender.send(runs));
+                });
             }
-            anyhow::Ok(())
-        })?;
-        done.sort_by_key(|(index, _)| *index);
-        Ok(done.into_iter().map(|(_, runs)| runs).collect())
+            drop(sender);
+            for (place, runs) in results {
+                let case = &cases[place];
+                progress.begin(&format!("{}, {}", case.scenario.name, case.control.name()));
+                progress.advance(f64::from(self.seeds) * RUN_S / cores() as f64);
+                done.insert(place, runs?);
+            }
+            Ok(done.into_values().collect())
+        })
     }
 }
 
 impl Case {
     /// One run for each seed.
-    fn runs(
-        &self,
-        eight: &FigureEight,
-        seeds: u32,
-        progress: &Mutex<&mut Progress>,
-    ) -> Result<Runs> {
+    fn runs(&self, eight: &FigureEight, seeds: u32) -> Result<Runs> {
         let scenario = &self.scenario;
         let eight = self.control.eight(match scenario.way {
             Way::Eight => eight.clone(),
             Way::ThroughStraight(sections) => FigureEight::through_straight(sections)?,
             Way::Spiral { lower_m } => FigureEight::spiral(lower_m)?,
         });
-        let obstacles: Vec<_> = scenario
-            .ball_x_m
-            .map(ball)
-            .transpose()?
-            .into_iter()
-            .collect();
+        let obstacles = scenario.ball_x_m.into_iter().map(ball);
+        let obstacles: Vec<_> = obstacles.collect::<Result<_>>()?;
         let mut runs = Runs::default();
         for seed in 1..=u64::from(seeds) {
             interrupt::check()?;
@@ -256,19 +247,13 @@ impl Case {
             if scenario.rests && self.control.rests() {
                 runs.rests.push(eight.rest(driven)?);
             }
-            lock(progress).advance(RUN_S / cores() as f64);
         }
         Ok(runs)
     }
 }
 
 fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
-}
-
-/// A thread that panics ends the run.
-fn lock<'a, 'p>(progress: &'a Mutex<&'p mut Progress>) -> MutexGuard<'a, &'p mut Progress> {
-    progress.lock().unwrap_or_else(PoisonError::into_inner)
+    thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// A ball of 20 mm radius on the way of the figure eight or beside it.
@@ -307,59 +292,44 @@ fn row(
     Runs { rounds, rests }: &Runs,
     ideal_change: Option<f64>,
 ) -> Value {
-    let average =
-        |of: fn(&FigureEightRun) -> f64| rounds.iter().map(of).sum::<f64>() / rounds.len() as f64;
-    let largest = |of: fn(&FigureEightRun) -> f64| rounds.iter().map(of).fold(0.0, f64::max);
-    let clearances = rounds.iter().map(FigureEightRun::min_clearance_mm);
-    let [mean_mm, settled_mm] = [FigureEightRun::mean_mm, FigureEightRun::settled_mm].map(average);
-    let [max_mm, limit_excess, following_mm, worst_rms_mm] = [
-        FigureEightRun::max_mm,
-        FigureEightRun::limit_excess,
-        FigureEightRun::following_mm,
-        FigureEightRun::rms_mm,
-    ]
-    .map(largest);
-    let rate_change = average(FigureEightRun::rate_change_square).sqrt();
+    type Of = fn(&FigureEightRun) -> f64;
+    let average = |of: Of| rounds.iter().map(of).sum::<f64>() / rounds.len() as f64;
+    let largest = |of: Of| rounds.iter().map(of).fold(0.0, f64::max);
     let at_rest = |of: fn(&FigureEightRest) -> f64| rests.iter().map(of).reduce(f64::max);
-    let rest_mm = at_rest(|rest| rest.error_mm);
-    // None without an obstacle.
-    let clearance_mm = clearances.reduce(f64::min).filter(|mm| mm.is_finite());
-    let is_within = scenario.is_reached(|figure| match figure {
-        Figure::Mean => mean_mm,
-        Figure::Rms => worst_rms_mm,
-        Figure::Settled => settled_mm,
-        Figure::Max => max_mm,
-        Figure::AtRest => rest_mm.unwrap_or(0.0),
-        Figure::RateChange => ideal_change.map_or(0.0, |ideal| rate_change / ideal),
-        Figure::Clearance => clearance_mm.unwrap_or(f64::INFINITY),
-    });
-    // Nothing is wanted of a controller with a part switched off.
-    let is_full = control == Control::Full;
-    json!({
+    let clearances_mm = rounds.iter().map(FigureEightRun::min_clearance_mm);
+    let limit_excess = largest(FigureEightRun::limit_excess);
+    let mut row = json!({
         "name": scenario.name,
         "plant": scenario.plant(),
         "controller": control.name(),
         "interface": interface,
         "seeds": rounds.len(),
-        "mean_error_mm": mean_mm,
-        "settled_error_mm": settled_mm,
-        "rms_error_mm": worst_rms_mm,
-        "max_error_mm": max_mm,
-        "rest_error_mm": rest_mm,
+        "mean_error_mm": average(FigureEightRun::mean_mm),
+        "settled_error_mm": average(FigureEightRun::settled_mm),
+        "rms_error_mm": largest(FigureEightRun::rms_mm),
+        "max_error_mm": largest(FigureEightRun::max_mm),
+        "rest_error_mm": at_rest(|rest| rest.error_mm),
         // Of the fastest component.
         "rest_rate_rad_s": at_rest(|rest| rest.rate_rad_s),
         // Root mean square of what the rates change by from cycle to cycle [rad/s].
-        "rate_change_rms": rate_change,
-        // Of the true body.
-        "min_clearance_mm": clearance_mm,
+        "rate_change_rms": average(FigureEightRun::rate_change_square).sqrt(),
+        // Of the true body; none without an obstacle.
+        "min_clearance_mm": clearances_mm.reduce(f64::min).filter(|mm| mm.is_finite()),
         "safe_distance_mm": 1e3 * NmpcSettings::default().safe_distance_m,
         // Of the motor that is farthest from where it is commanded.
-        "following_error_mm": following_mm,
+        "following_error_mm": largest(FigureEightRun::following_mm),
         // By how much the worst command is beyond a limit, as a share of that.
         "limit_excess": limit_excess,
-        "wanted": is_full.then(|| scenario.wanted()),
-        "ok": is_full.then_some(is_within && limit_excess <= LIMIT_EXCESS_MAX),
-    })
+        "wanted": null,
+        "ok": null,
+    });
+    // Nothing is wanted of a controller with a part switched off.
+    if control == Control::Full {
+        let is_within = scenario.is_reached(&row, ideal_change);
+        row["ok"] = (is_within && limit_excess <= LIMIT_EXCESS_MAX).into();
+        row["wanted"] = scenario.wanted().into();
+    }
+    row
 }
 
 /// The error over time of a first run, a panel for each robot.

@@ -5,10 +5,10 @@ use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::{Flaws, Preset};
 use plotters::style::RGBColor;
+use serde_json::Value;
 
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, SKY};
 use crate::named::named;
-use Figure::{AtRest, Clearance, Max, Mean, RateChange, Rms, Settled};
 
 /// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches
 /// \[mm\]: the test below searches those points.
@@ -95,21 +95,19 @@ pub(super) struct Scenario {
     targets: Vec<(Figure, f64)>,
 }
 
-/// What something may be wanted of.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Figure {
-    Mean,
-    Rms,
-    /// Mean error of the second half.
-    Settled,
-    Max,
-    /// Largest error of a robot that is sent somewhere and shall stay there.
-    AtRest,
-    /// Root mean square of what the rates change by, over that of the ideal robot.
-    RateChange,
-    /// Of the true body; the only one that shall be large.
-    Clearance,
-}
+/// What something may be wanted of: its key in a row, its name, its unit.
+type Figure = (&'static str, &'static str, &'static str);
+const MEAN: Figure = ("mean_error_mm", "mean", "mm");
+const RMS: Figure = ("rms_error_mm", "rms", "mm");
+/// Mean error of the second half.
+const SETTLED: Figure = ("settled_error_mm", "settled", "mm");
+const MAX: Figure = ("max_error_mm", "max", "mm");
+/// Largest error of a robot that is sent somewhere and shall stay there.
+const AT_REST: Figure = ("rest_error_mm", "at rest", "mm");
+/// Root mean square of what the rates change by, over that of the ideal robot.
+const RATE_CHANGE: Figure = ("rate_change_rms", "rate change", "× ideal");
+/// Of the true body; the only one that shall be large.
+const CLEARANCE: Figure = ("min_clearance_mm", "clearance", "mm");
 
 impl Scenario {
     /// Its motors are known, and of its state the lengths of the cables.
@@ -135,28 +133,36 @@ impl Scenario {
         Self { targets, ..self }
     }
 
-    pub(super) fn is_reached(&self, found: impl Fn(Figure) -> f64) -> bool {
+    /// Whether a row of it has all that is wanted; of what was not measured nothing is. `ideal_change`: `rate_change_rms` of the ideal robot.
+    pub(super) fn is_reached(&self, row: &Value, ideal_change: Option<f64>) -> bool {
         let mut targets = self.targets.iter();
-        targets.all(|&(figure, bound)| match figure {
-            Clearance => found(figure) >= bound,
-            _ => found(figure) <= bound,
+        targets.all(|&(figure, bound)| {
+            let unit = if figure == RATE_CHANGE {
+                ideal_change
+            } else {
+                Some(1.0)
+            };
+            let found = row[figure.0].as_f64().zip(unit);
+            let found = found.map(|(found, unit)| found / unit);
+            found.is_none_or(|found| {
+                if figure == CLEARANCE {
+                    found >= bound
+                } else {
+                    found <= bound
+                }
+            })
         })
     }
 
     pub(super) fn wanted(&self) -> String {
-        let targets = self.targets.iter().map(|(figure, bound)| match figure {
-            Mean => format!("mean ≤ {bound} mm"),
-            Rms => format!("rms ≤ {bound} mm"),
-            Settled => format!("settled ≤ {bound} mm"),
-            Max => format!("max ≤ {bound} mm"),
-            AtRest => format!("at rest ≤ {bound} mm"),
-            RateChange => format!("rate change ≤ {bound} × ideal"),
-            Clearance => format!("clearance ≥ {bound} mm"),
+        let targets = self.targets.iter().map(|&(figure, bound)| {
+            let sign = if figure == CLEARANCE { '≥' } else { '≤' };
+            format!("{} {sign} {bound} {}", figure.1, figure.2)
         });
-        if self.targets.is_empty() {
-            return "within limits".to_owned();
+        match self.targets.len() {
+            0 => "within limits".to_owned(),
+            _ => targets.collect::<Vec<_>>().join(", "),
         }
-        targets.collect::<Vec<_>>().join(", ")
     }
 
     /// In the order of the tables.
@@ -164,10 +170,10 @@ impl Scenario {
         let known = motors(0.015, 0.03);
         let lagging = |name, actuator| Self {
             actuator: known,
-            ..Self::new(name, with(|f| f.actuator = actuator)).wants(&[(Mean, 0.5), (Max, 2.0)])
+            ..Self::new(name, with(|f| f.actuator = actuator)).wants(&[(MEAN, 0.5), (MAX, 2.0)])
         };
         let noisy = |name, noise_m| {
-            Self::new(name, with(|f| f.noise_m = noise_m)).wants(&[(Rms, 0.15), (RateChange, 2.0)])
+            Self::new(name, with(|f| f.noise_m = noise_m)).wants(&[(RMS, 0.15), (RATE_CHANGE, 2.0)])
         };
         let noisy_tip = |name, noise_m| {
             Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
@@ -189,13 +195,13 @@ impl Scenario {
             .sensor(Sensor::CablesAndTip { every: 2 })
         };
         let [spiral, lower] = [0.0, 0.06].map(|lower_m| Way::Spiral { lower_m });
-        let settled = [(Settled, 0.2)];
+        let settled = [(SETTLED, 0.2)];
         let play = with(|f| {
             f.actuator.play_m = 5e-4;
             f.noise_m = 3e-5;
             f.tip_noise_m = 3e-4;
         });
-        let mean = |mean_mm| [(Mean, mean_mm)];
+        let mean = |mean_mm| [(MEAN, mean_mm)];
         let tip = |every| Sensor::CablesAndTip { every };
         let with_play = |name, play_m| Self {
             actuator: Actuator {
@@ -203,7 +209,9 @@ impl Scenario {
                 ..Actuator::IDEAL
             },
             rests: true,
-            ..Self::new(name, play).sensor(tip(1)).wants(&[(AtRest, 0.3)])
+            ..Self::new(name, play)
+                .sensor(tip(1))
+                .wants(&[(AT_REST, 0.3)])
         };
         // With and without play: what of the error at rest is a limit cycle, and what noise.
         let behind_lag = |name, play_m, wanted: &[_]| {
@@ -231,7 +239,7 @@ impl Scenario {
             wrong_model("wrong model, spiral", 0.05, spiral).wants(&settled),
             wrong_model("wrong model, 5 % shorter, lower spiral", -0.05, lower).wants(&settled),
             wrong_model("wrong model, 5 % shorter, spiral", -0.05, spiral)
-                .wants(&[(Settled, OUT_OF_REACH_MM + 0.2)]),
+                .wants(&[(SETTLED, OUT_OF_REACH_MM + 0.2)]),
             with_play("play of 0.5 mm", 5e-4),
             with_play("play of 0.5 mm, known as 0.4", 4e-4),
             with_play("play of 0.5 mm, taken for 0.6", 6e-4),
@@ -239,7 +247,7 @@ impl Scenario {
             behind_lag(
                 "lag 20 ms, tip at 100 Hz, play of 0.5 mm",
                 5e-4,
-                &[(AtRest, 0.3)],
+                &[(AT_REST, 0.3)],
             ),
             noisy_tip("tip alone, 0.1 mm", 1e-4).wants(&mean(0.1)),
             noisy_tip("tip alone, 0.5 mm", 5e-4).wants(&mean(0.25)),
@@ -269,7 +277,7 @@ impl Scenario {
                 ball_x_m: Some(0.33),
                 ..Self::new("5 % longer, ball", longer)
                     .sensor(tip(2))
-                    .wants(&[(Clearance, 9.9)])
+                    .wants(&[(CLEARANCE, 9.9)])
             },
             Self {
                 rests: true,

@@ -6,11 +6,12 @@ use anyhow::{Context, Result};
 use cdcr_controller::closed_loop::FigureEight;
 use cdcr_controller::estimator::{Actuator, Estimator, Measurement};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
-use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::optimizer::cycle_seed;
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
+use crate::closed_loop::{End, timed_solve};
 use crate::dataset::{Column, RoundTable, fixed, number, plain, word};
 use crate::named::named;
 use crate::numbers::Numbers;
@@ -22,6 +23,11 @@ const WARM_UP: u64 = 50;
 const CABLE_NOISE_M: f64 = 3e-5;
 const TIP_NOISE_M: f64 = 3e-4;
 const TIME_CONSTANT_S: f64 = 0.18;
+const LAG_AND_PLAY: Actuator = Actuator {
+    delay_s: 0.01,
+    time_constant_s: 0.03,
+    play_m: 5e-4,
+};
 
 named! {
     /// What is measured, and how the motors are.
@@ -78,12 +84,7 @@ impl Sensed {
         match self {
             Self::AtOnce => estimator,
             Self::Play => {
-                let actuator = Actuator {
-                    delay_s: 0.01,
-                    time_constant_s: 0.03,
-                    play_m: 5e-4,
-                };
-                let estimator = estimator.with_actuator(robot, actuator);
+                let estimator = estimator.with_actuator(robot, LAG_AND_PLAY);
                 estimator.with_time_constant(TIME_CONSTANT_S)
             }
             _ => estimator.with_time_constant(TIME_CONSTANT_S),
@@ -92,17 +93,13 @@ impl Sensed {
 
     /// Takes in what is measured of a robot that is bent like this.
     fn correct(self, estimator: &mut Estimator, robot: &Robot, seen: &Seen) {
-        match self {
-            Self::Tip => {
-                estimator.correct(robot, &Measurement::TipPosition(seen.tip_m), 0.0);
-            }
-            Self::AtOnce | Self::Cables => {
-                estimator.correct(robot, &seen.cables, 0.0);
-            }
-            Self::CablesAndTip | Self::Play => {
-                estimator.correct(robot, &seen.cables, 0.0);
-                estimator.correct_tip(robot, &seen.tip_m, 0.0);
-            }
+        if self == Self::Tip {
+            estimator.correct(robot, &Measurement::TipPosition(seen.tip_m), 0.0);
+        } else {
+            estimator.correct(robot, &seen.cables, 0.0);
+        }
+        if matches!(self, Self::CablesAndTip | Self::Play) {
+            estimator.correct_tip(robot, &seen.tip_m, 0.0);
         }
     }
 
@@ -126,7 +123,7 @@ impl Sensed {
             let begin = Instant::now();
             estimator.predict(&rates, FigureEight::PERIOD_S);
             self.correct(&mut estimator, &robot, &seen);
-            let estimated = Instant::now();
+            let estimate_time = begin.elapsed();
             let input = SolveInput {
                 configuration: estimator.configuration(),
                 previous_rates: &rates,
@@ -136,16 +133,15 @@ impl Sensed {
                 elapsed_periods: 1,
                 seed: cycle_seed(settings.seed, cycle),
             };
-            let (next, _) = nmpc.solve(&input, &mut Budget::unlimited());
-            let solved = Instant::now();
+            let (next, _, solve_time) = timed_solve(&mut nmpc, &input, End::Never);
             rates = next;
             if cycle >= WARM_UP {
-                for (times, from, to) in [
-                    (&mut estimates, begin, estimated),
-                    (&mut solves, estimated, solved),
-                    (&mut both, begin, solved),
-                ] {
-                    times.saturating_record((to - from).as_nanos() as u64);
+                let of_both = [estimate_time, solve_time, estimate_time + solve_time];
+                for (times, time) in [&mut estimates, &mut solves, &mut both]
+                    .into_iter()
+                    .zip(of_both)
+                {
+                    times.saturating_record(time.as_nanos() as u64);
                 }
             }
         }

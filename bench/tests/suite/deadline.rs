@@ -57,53 +57,27 @@ fn assert_case(case: &Value, cycles_least: f64) {
     }
 }
 
+/// What is added up over the rounds.
+const SUMMED: &str = "cycles late_starts deadline_misses own_misses skipped_periods lost_commands steal_ms run_delay_ms \
+                      causes/platform causes/load causes/compute causes/fault causes/other";
+
 /// All rounds together: counts are added up, the median is that of the rounds, nothing is left of a single one.
 fn assert_rounds(case: &Value) {
     let rounds = list(case, "rounds");
     assert_eq!(rounds.len(), 2);
-    for key in [
-        "cycles",
-        "late_starts",
-        "deadline_misses",
-        "own_misses",
-        "skipped_periods",
-        "lost_commands",
-    ] {
-        let counts = rounds.iter().filter_map(|round| round[key].as_u64());
-        assert_eq!(
-            counts.reduce(|one, other| one + other),
-            case[key].as_u64(),
-            "{key} of {case}"
-        );
-    }
-    let sum = |of: &dyn Fn(&Value) -> Option<f64>| rounds.iter().filter_map(of).sum::<f64>();
-    for cause in ["platform", "load", "compute", "fault", "other"] {
-        let counted = case["causes"][cause].as_f64().unwrap_or_default();
-        let of_rounds = sum(&|round| round["causes"][cause].as_f64());
-        assert!((of_rounds - counted).abs() < 1e-9, "{cause} of {case}");
-    }
-    for key in ["steal_ms", "run_delay_ms"] {
-        let counted = case[key].as_f64().unwrap_or_default();
-        let of_rounds = sum(&|round| round[key].as_f64());
-        assert!((of_rounds - counted).abs() < 1e-6, "{key} of {case}");
+    for key in SUMMED.split(' ') {
+        let found = |row: &Value| row.pointer(&format!("/{key}")).and_then(Value::as_f64);
+        let sum: f64 = rounds.iter().filter_map(found).sum();
+        let counted = found(case).unwrap_or_default();
+        assert!((sum - counted).abs() < 1e-6, "{key} of {case}");
     }
     let of_rounds = |key: &str| [0, 1].map(|round| number(&rounds[round]["wake_us"], key));
     let median_us = number(&case["median_of_rounds"]["wake_us"], "p50");
     let [one, other] = of_rounds("p50");
-    assert!(
-        (median_us - f64::midpoint(one, other)).abs() < 1e-9,
-        "{case}"
-    );
+    assert!((median_us - f64::midpoint(one, other)).abs() < 1e-9);
     let [one, other] = of_rounds("max");
-    assert_eq!(
-        case["wake_us"]["max"].as_f64(),
-        Some(one.max(other)),
-        "{case}"
-    );
-    assert!(
-        case["round"].is_null() && case["start_s"].is_null(),
-        "{case}"
-    );
+    assert_eq!(case["wake_us"]["max"], one.max(other), "{case}");
+    assert!(case["round"].is_null() && case["start_s"].is_null());
 }
 
 #[test]
@@ -123,32 +97,27 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
             assert_eq!(updates > 0, case["load"] == "flood", "{case}");
         }
     }
-    let setups: &[bool] = if setup == "both" {
-        &[true, false]
-    } else {
-        &[false]
-    };
-    for realtime in setups {
-        let is_it = |row: &&Value| row["load"] == "flood" && row["realtime"] == *realtime;
-        let of = |subject| {
-            cases
+    for realtime in [true, false] {
+        let is_it = |row: &&Value| row["load"] == "flood" && row["realtime"] == realtime;
+        let ratio = list(&document, "ratios").iter().find(is_it);
+        assert_eq!(ratio.is_some(), !realtime || setup == "both");
+        let Some(ratio) = ratio else { continue };
+        let subjects: Vec<_> = cases
+            .iter()
+            .filter(is_it)
+            .map(|case| &case["subject"])
+            .collect();
+        assert!(
+            ["bare", "daemon"]
                 .iter()
-                .filter(is_it)
-                .any(|case| case["subject"] == subject)
-        };
-        assert!(of("bare") && of("daemon"), "{realtime}");
-        let ratios = list(&document, "ratios");
-        let ratio = ratios.iter().find(is_it).expect("a ratio");
+                .all(|subject| subjects.iter().any(|it| *it == subject))
+        );
         for key in ["wake_p50", "wake_p99", "misses_beyond_bare"] {
             assert!(ratio[key].as_f64().is_some_and(f64::is_finite), "{ratio}");
         }
     }
-    let metrics = list(&document, "metrics");
-    assert!(
-        metrics
-            .iter()
-            .all(|metric| !list(metric, "rounds").is_empty())
-    );
+    let mut metrics = list(&document, "metrics").iter();
+    assert!(metrics.all(|metric| !list(metric, "rounds").is_empty()));
     assert!(document["environment"].is_object());
     assert_files(folder.path());
     assert_log(&folder.path().join("histograms/deadline.hlog"), cases);
