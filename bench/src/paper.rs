@@ -9,14 +9,9 @@ use crate::experiment::{Experiment, Task};
 use crate::interrupt;
 use crate::plots::plots;
 use crate::progress::Progress;
-use crate::simulation::{self, Effort, Outcome, work};
+use crate::simulation::{self, Effort, Outcome};
 
 const EXPLANATION: &str = include_str!("paper.html");
-
-/// Time of a unit of work, about \[s\].
-const WORK_S: f64 = 2.5e-4;
-/// Cycles of a whole simulation, about.
-const CYCLES: u64 = 1000;
 
 const SPIRAL: [Column; 4] = [
     plain("sections", "sections"),
@@ -62,21 +57,21 @@ impl Benchmark for Effort {
     }
 
     fn expected_s(&self) -> f64 {
-        let share = self.cycles_max.min(CYCLES) as f64 / CYCLES as f64;
-        self.all_work() as f64 * WORK_S * share
+        let all = Experiment::all();
+        let expected_s = all
+            .iter()
+            .map(|one| self.runs(one) as f64 * self.run_s(one));
+        expected_s.sum()
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let unit_s = self.expected_s() / self.all_work() as f64;
         let mut outcomes = Vec::new();
         for experiment in Experiment::all() {
             interrupt::check()?;
             let (curve, solver) = (experiment.task.name(), experiment.solver.name());
             progress.begin(&format!("{curve}, {solver}"));
-            let of_run_s = work(&experiment) as f64 * unit_s;
-            outcomes.push(simulation::run(experiment, *self, || {
-                progress.advance(of_run_s);
-            })?);
+            let advance = || progress.advance(self.run_s(&experiment));
+            outcomes.push(simulation::run(experiment, *self, advance)?);
         }
         dataset(&outcomes)
     }

@@ -20,6 +20,11 @@ const ARRIVED_MM: f64 = 0.02;
 /// The detour is where the reference is nearer to the obstacle than this many safe distances.
 const DETOUR_DISTANCES: f64 = 2.0;
 
+/// What moving a particle over a step takes in a whole simulation, about \[s\].
+const WORK_S: f64 = 2.5e-4;
+/// Cycles of a whole simulation, about.
+const CYCLES: u64 = 1000;
+
 /// An experiment, its row, its first run for the figures, and what came of each seed.
 pub struct Outcome {
     pub experiment: Experiment,
@@ -52,23 +57,16 @@ impl Effort {
         }
     }
 
-    /// The work of all experiments, in a unit of no meaning: for a bar that shows the time left.
-    pub fn all_work(&self) -> u64 {
-        Experiment::all()
-            .iter()
-            .map(|one| self.runs(one) * work(one))
-            .sum()
+    /// What a run takes, about, by the particles that it moves over steps \[s\].
+    pub(crate) fn run_s(&self, experiment: &Experiment) -> f64 {
+        let settings = experiment.settings();
+        let swarm = match experiment.solver {
+            Solver::GaussNewton => 1,
+            _ => settings.swarm_size * settings.swarm_iterations,
+        };
+        let share = self.cycles_max.min(CYCLES) as f64 / CYCLES as f64;
+        f64::from(settings.horizon_steps * swarm) * WORK_S * share
     }
-}
-
-/// What one run takes beside another: particles moved over steps.
-pub(crate) fn work(experiment: &Experiment) -> u64 {
-    let settings = experiment.settings();
-    let swarm = match experiment.solver {
-        Solver::GaussNewton => 1,
-        _ => settings.swarm_size * settings.swarm_iterations,
-    };
-    u64::from(settings.horizon_steps * swarm)
 }
 
 /// Keeps the first run whole, and of every other one what its row says: a thousand seeds take no more memory than one.
