@@ -262,6 +262,12 @@ impl LinearModel {
         self.constraints.values.len()
     }
 
+    /// Place and derivatives of a constraint.
+    pub(super) fn constraint_row(&self, index: usize) -> (Place, &[f64]) {
+        let row = &self.constraints.derivatives[index * self.stride..][..self.stride];
+        (self.constraints.places[index], row)
+    }
+
     /// The number h of a constraint h + A Δ ≥ 0.
     pub(super) fn constraint(&self, index: usize) -> f64 {
         self.constraints.values[index]

@@ -5,7 +5,7 @@
 //! iteration is one pass of the smoother. Constraints may give way, by a shortfall whose square counts like a residual's: there is
 //! always a solution, and a constraint weighs no more than a row that was met.
 
-use super::{Found, Smoother, Trial};
+use super::{Found, Pull, Riccati, Smoother, Trial};
 use crate::optimizer::{Bounds, Budget, LinearModel, Problem};
 
 /// Iterations at most.
@@ -34,9 +34,35 @@ const NEGLIGIBLE: f64 = 1e-4;
 pub(super) struct Quadratic<'a> {
     pub model: &'a mut LinearModel,
     pub smoother: &'a mut Smoother,
+    pub riccati: &'a mut Riccati,
     /// Jᵀ r.
     pub gradient: &'a [f64],
     pub damping: f64,
+    pub is_rough: bool,
+}
+
+impl Quadratic<'_> {
+    /// The minimum with the squares of value + A Δ of the constraints that `weighed` gives a value and weight, and with weight and force of
+    /// the unknowns that `pull` gives some; the others stay. None: the budget was spent, or a number is not finite.
+    fn minimise(
+        &mut self,
+        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        pull: impl Fn(usize) -> Option<Pull>,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<()> {
+        let whole = |i: usize| pull(i).map(|pull| pull.with_own(self.model, i, self.damping));
+        let riccati = &mut *self.riccati;
+        if riccati.solve(self.model, &weighed, whole, self.is_rough, step, budget)? {
+            return Some(());
+        }
+        self.model.weigh_constraints(weighed, budget)?;
+        let (model, damping) = (&*self.model, self.damping);
+        let solved = self
+            .smoother
+            .solve_pulled(model, pull, damping, step, budget);
+        solved.then_some(())
+    }
 }
 
 /// Workspace.
@@ -246,7 +272,6 @@ impl InteriorPoint {
             let weight = force / (slack + force);
             (weight > least).then(|| (h - slack - mu / force, weight))
         };
-        problem.model.weigh_constraints(weighed, budget)?;
         let mut target = core::mem::take(&mut self.target);
         target.clear();
         target.extend_from_slice(step);
@@ -254,15 +279,11 @@ impl InteriorPoint {
             let (lower, upper) = (&self.lower[i], &self.upper[i]);
             let weight = lower.force / lower.slack + upper.force / upper.slack;
             let force = weight * step[i] + mu / lower.slack - mu / upper.slack;
-            self.is_free(i).then_some((weight, force))
+            self.is_free(i).then_some(Pull { weight, force })
         };
-        let (model, damping) = (&*problem.model, problem.damping);
-        let smoother = &mut *problem.smoother;
-        let solved = smoother.solve_pulled(model, pull, damping, &mut target, budget);
+        let solved = problem.minimise(weighed, pull, &mut target, budget);
         self.target = target;
-        if !solved {
-            return None;
-        }
+        solved?;
         for (target, step) in self.target.iter_mut().zip(&*step) {
             *target -= step;
         }

@@ -1,12 +1,14 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
 mod interior_point;
+mod riccati;
 mod smoother;
 mod step;
 mod trial;
 
 use interior_point::InteriorPoint;
-use smoother::Smoother;
+use riccati::Riccati;
+use smoother::{Pull, Smoother};
 pub(crate) use trial::Found;
 use trial::Trial;
 
@@ -69,6 +71,8 @@ pub(crate) struct GaussNewton {
     gram_is_current: bool,
     /// Solves for the free unknowns of staged rows.
     smoother: Smoother,
+    /// The same by information, where borders give every unknown a weight.
+    riccati: Riccati,
     /// Where such a step breaks constraints.
     interior_point: InteriorPoint,
 }
@@ -108,6 +112,7 @@ impl GaussNewton {
             gram: vec![0.0; dense * dense],
             gram_is_current: false,
             smoother: Smoother::with_capacity(all_rows),
+            riccati: Riccati::with_capacity(dimension),
             interior_point: InteriorPoint::with_capacity(dimension, constraints),
         }
     }

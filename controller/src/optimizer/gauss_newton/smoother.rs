@@ -24,6 +24,32 @@ pub(super) struct Smoother {
     shares: Vec<f64>,
 }
 
+/// ½ weight Δ² - force Δ of an unknown Δ.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Pull {
+    pub(super) weight: f64,
+    pub(super) force: f64,
+}
+
+impl Pull {
+    /// With the weights of damping and model.
+    pub(super) fn with_own(self, model: &LinearModel, i: usize, damping: f64) -> Self {
+        let (own, force) = match model.weighed() {
+            Some((own, z)) => (own, self.force - own * z[i]),
+            None => (0.0, self.force),
+        };
+        Self {
+            weight: damping + (own + self.weight),
+            force,
+        }
+    }
+
+    /// Mean and variance of the unknown, with the rows' noise λ.
+    fn prior(self, damping: f64) -> (f64, f64) {
+        (self.force / self.weight, damping / self.weight)
+    }
+}
+
 /// What a block's unknowns are before a row is seen.
 struct Prior<const W: usize> {
     mean: [f64; W],
@@ -61,24 +87,24 @@ impl Smoother {
         self.means[..unknowns].copy_from_slice(step);
         self.variances[..unknowns].fill(0.0);
         for &i in free {
-            (self.means[i], self.variances[i]) = pulled(model, i, damping, 0.0, 0.0);
+            let pull = Pull::default().with_own(model, i, damping);
+            (self.means[i], self.variances[i]) = pull.prior(damping);
         }
         self.solve_from_priors(model, damping, step, budget)
     }
 
-    /// Solves for all unknowns of which `pull` is some: to each, its weight and the force of its number in ½ weight Δ² - force Δ. The others stay. False as
-    /// above.
+    /// Solves for all unknowns of which `pull` is some, with it beside the damping. The others stay. False as above.
     pub(super) fn solve_pulled(
         &mut self,
         model: &LinearModel,
-        pull: impl Fn(usize) -> Option<(f64, f64)>,
+        pull: impl Fn(usize) -> Option<Pull>,
         damping: f64,
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> bool {
         for (i, step) in step.iter().enumerate() {
             (self.means[i], self.variances[i]) = match pull(i) {
-                Some((weight, force)) => pulled(model, i, damping, weight, force),
+                Some(pull) => pull.with_own(model, i, damping).prior(damping),
                 None => (*step, 0.0),
             };
         }
@@ -227,16 +253,6 @@ impl Smoother {
             }
         }
     }
-}
-
-/// Mean and variance, with the rows' noise λ, of an unknown Δ with the weights of damping and model, and with ½ weight Δ² - force Δ beside them.
-fn pulled(model: &LinearModel, i: usize, damping: f64, weight: f64, force: f64) -> (f64, f64) {
-    let (own, force) = match model.weighed() {
-        Some((own, z)) => (own, force - own * z[i]),
-        None => (0.0, force),
-    };
-    let all = damping + (own + weight);
-    (force / all, damping / all)
 }
 
 /// The derivatives of a row by the sum of the blocks before and, behind them if N has room for both, by its own block.

@@ -2,7 +2,7 @@
 
 use super::interior_point::Quadratic;
 use super::trial::{Found, Trial};
-use super::{GaussNewton, HALVINGS};
+use super::{GaussNewton, HALVINGS, Pull};
 use crate::optimizer::linear_model::dot;
 use crate::optimizer::{Bounds, Budget, Problem, Reach, cholesky};
 
@@ -56,6 +56,9 @@ impl GaussNewton {
     ) -> Option<Found> {
         self.model.clear_constraints();
         let violations = trial.incumbent.violations();
+        if trial.is_rough && !self.riccati.begin(&self.model, budget) {
+            return None;
+        }
         self.find_step_in_box(trial, damping, budget)?;
         let (problem, z) = (trial.problem, trial.base);
         let step = &mut self.step[..z.len()];
@@ -87,9 +90,14 @@ impl GaussNewton {
         if kept > part {
             trial.offer(step, kept, budget)?;
         }
+        if !trial.is_rough && !self.riccati.begin(&self.model, budget) {
+            return None;
+        }
         let quadratic = Quadratic {
+            is_rough: trial.is_rough,
             model: &mut self.model,
             smoother: &mut self.smoother,
+            riccati: &mut self.riccati,
             gradient: &self.gradient,
             damping,
         };
@@ -113,7 +121,7 @@ impl GaussNewton {
         self.free
             .extend((0..dimension).filter(|&i| constrained || !pressed[i]));
         for round in 0..ACTIVE_SET_ROUNDS {
-            if !self.solve_free(dimension, damping, budget) {
+            if !self.solve_free(dimension, damping, trial.is_rough, budget) {
                 return None;
             }
             let excess = self.excess_max(bounds, z);
@@ -158,7 +166,13 @@ impl GaussNewton {
     }
 
     /// Solves for the free unknowns with the fixed ones at their present step.
-    fn solve_free(&mut self, dimension: usize, damping: f64, budget: &mut Budget<'_>) -> bool {
+    fn solve_free(
+        &mut self,
+        dimension: usize,
+        damping: f64,
+        is_rough: bool,
+        budget: &mut Budget<'_>,
+    ) -> bool {
         if self.free.is_empty() {
             return true;
         }
@@ -167,6 +181,18 @@ impl GaussNewton {
         }
         if self.model.is_staged() {
             let step = &mut self.step[..dimension];
+            if is_rough {
+                let (model, free) = (&self.model, &self.free);
+                // The free unknowns are in order.
+                let pull = |i: usize| {
+                    let is_free = free.binary_search(&i).is_ok();
+                    is_free.then(|| Pull::default().with_own(model, i, damping))
+                };
+                let solved = self
+                    .riccati
+                    .solve(model, |_, _| None, pull, true, step, budget);
+                return solved == Some(true);
+            }
             return self
                 .smoother
                 .solve(&self.model, &self.free, damping, step, budget);

@@ -1,0 +1,419 @@
+//! The step of the smoother by what rows know instead of by what they leave open, where every unknown has a weight of its own.
+//!
+//! What the rows of a block know of the bends before it and of its own unknowns is a sum of squares, so a row costs one product of its derivatives with
+//! themselves, and a block one elimination (a Riccati sweep; docs/model.md §4). That is several times faster where rows are many, but an unknown that
+//! weighs 10⁻¹⁶ of what rows know is lost in rounding: a damping of 10⁻¹⁴ alone is no such weight, the borders of an interior point are.
+
+use super::Pull;
+use crate::optimizer::linear_model::Place;
+use crate::optimizer::{Budget, LinearModel, WIDTH_MAX};
+
+/// Every unknown has to weigh this share of what rows know of any.
+const WEIGHT_SHARE: f64 = 1e-11;
+
+/// Where it is lifted, what weighs less weighs so much.
+const LIFTED_SHARE: f64 = 1e-9;
+/// An unknown that is fixed weighs so many times more.
+const FIXED_SHARE: f64 = 1e12;
+
+/// Workspace.
+#[derive(Debug, Clone)]
+pub(super) struct Riccati {
+    /// Block by block, from rows of the cost: state by state, own by state, own by own, and the pull at both.
+    of_cost: Vec<f64>,
+    /// The same from all rows; then what the sweep back leaves to the way forward.
+    of_all: Vec<f64>,
+}
+
+/// Rows of one place.
+struct Group<const W: usize> {
+    place: Place,
+    squares: [[f64; W]; W],
+    pulls: [f64; W],
+}
+
+/// Numbers of one block.
+const fn stride(width: usize) -> usize {
+    3 * width * width + 2 * width
+}
+
+impl Riccati {
+    pub(super) fn with_capacity(unknowns: usize) -> Self {
+        let numbers = unknowns.div_ceil(WIDTH_MAX) * stride(WIDTH_MAX);
+        Self {
+            of_cost: Vec::with_capacity(numbers),
+            of_all: Vec::with_capacity(numbers),
+        }
+    }
+
+    /// Sees the rows of the cost. False: the budget was spent.
+    pub(super) fn begin(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
+        let stages = model.stages();
+        self.of_cost.clear();
+        let numbers = stages.blocks() * stride(stages.width());
+        self.of_cost.resize(numbers, 0.0);
+        match stages.width() {
+            2 => self.see_cost::<2>(model, budget),
+            4 => self.see_cost::<4>(model, budget),
+            6 => self.see_cost::<6>(model, budget),
+            8 => self.see_cost::<8>(model, budget),
+            10 => self.see_cost::<10>(model, budget),
+            _ => self.see_cost::<12>(model, budget),
+        }
+    }
+
+    /// Minimises |r + J Δ|² with the squares of value + A Δ of every constraint that `weighed` gives a value and weight, and with the pull at
+    /// every unknown that has one; the others stay. Some(false): one weighs too little beside the rows and none is `lifted`, or a number is not
+    /// finite. None: the budget was spent.
+    pub(super) fn solve(
+        &mut self,
+        model: &LinearModel,
+        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        pull: impl Fn(usize) -> Option<Pull>,
+        is_lifted: bool,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<bool> {
+        self.of_all.clear();
+        self.of_all.extend_from_slice(&self.of_cost);
+        match model.stages().width() {
+            2 => self.sweep::<2>(model, weighed, pull, is_lifted, step, budget),
+            4 => self.sweep::<4>(model, weighed, pull, is_lifted, step, budget),
+            6 => self.sweep::<6>(model, weighed, pull, is_lifted, step, budget),
+            8 => self.sweep::<8>(model, weighed, pull, is_lifted, step, budget),
+            10 => self.sweep::<10>(model, weighed, pull, is_lifted, step, budget),
+            _ => self.sweep::<12>(model, weighed, pull, is_lifted, step, budget),
+        }
+    }
+
+    fn see_cost<const W: usize>(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
+        let mut group = Group::<W>::at(Place::LAST);
+        for row in 0..model.cost_rows() {
+            if !budget.spend((W * W / 2) as u32) {
+                return false;
+            }
+            group.move_to(model.place(row), &mut self.of_cost);
+            group.see(model.row(row), model.residual(row), 1.0);
+        }
+        group.leave(&mut self.of_cost);
+        true
+    }
+
+    fn sweep<const W: usize>(
+        &mut self,
+        model: &LinearModel,
+        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        pull: impl Fn(usize) -> Option<Pull>,
+        is_lifted: bool,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<bool> {
+        let mut group = Group::<W>::at(Place::LAST);
+        for index in 0..model.constraints() {
+            if !budget.spend((W * W / 2) as u32) {
+                return None;
+            }
+            if let Some((value, weight)) = weighed(index, model.constraint(index)) {
+                let (place, row) = model.constraint_row(index);
+                group.move_to(place, &mut self.of_all);
+                group.see(row, value, weight);
+            }
+        }
+        group.leave(&mut self.of_all);
+        let lengths = model.stages().lengths();
+        let mut after = After::<W> {
+            is_lifted,
+            squares: [[0.0; W]; W],
+            pulls: [0.0; W],
+        };
+        let blocks = self.of_all.chunks_exact_mut(stride(W));
+        for (block, of_block) in blocks.enumerate().rev() {
+            if !budget.spend((W * W * W) as u32) {
+                return None;
+            }
+            let pull_at = |i: usize| pull(block * W + i);
+            let at = &step[block * W..][..W];
+            if !after.eliminate(of_block, lengths[block], at, pull_at) {
+                return Some(false);
+            }
+        }
+        let mut state = [0.0; W];
+        let blocks = self.of_all.chunks_exact(stride(W));
+        for ((of_block, step), length) in blocks.zip(step.chunks_exact_mut(W)).zip(lengths) {
+            forward::<W>(of_block, &state, step);
+            for (state, step) in state.iter_mut().zip(&*step) {
+                *state += length * step;
+            }
+        }
+        Some(step.iter().all(|step| step.is_finite()))
+    }
+}
+
+impl<const W: usize> Group<W> {
+    fn at(place: Place) -> Self {
+        Self {
+            place,
+            squares: [[0.0; W]; W],
+            pulls: [0.0; W],
+        }
+    }
+
+    /// Leaves what it has in the numbers of its block, if it is of another place.
+    fn move_to(&mut self, place: Place, blocks: &mut [f64]) {
+        if place != self.place {
+            self.leave(blocks);
+            *self = Self::at(place);
+        }
+    }
+
+    fn see(&mut self, row: &[f64], value: f64, weight: f64) {
+        let row = &row[..W];
+        for i in 0..W {
+            let by = weight * row[i];
+            self.pulls[i] += by * value;
+            for k in 0..W {
+                self.squares[i][k] += by * row[k];
+            }
+        }
+    }
+
+    fn leave(&self, blocks: &mut [f64]) {
+        let of_block = &mut blocks[self.place.block * stride(W)..][..stride(W)];
+        let since = f64::from(u8::from(self.place.since_start));
+        let own = self.place.periods;
+        let (squares, pulls) = of_block.split_at_mut(3 * W * W);
+        for (part, share) in [since, since * own, own * own].into_iter().enumerate() {
+            let targets = squares[part * W * W..][..W * W].chunks_exact_mut(W);
+            for (target, square) in targets.zip(&self.squares) {
+                for (target, square) in target.iter_mut().zip(square) {
+                    *target += share * square;
+                }
+            }
+        }
+        for (part, share) in [since, own].into_iter().enumerate() {
+            for (target, pull) in pulls[part * W..][..W].iter_mut().zip(&self.pulls) {
+                *target += share * pull;
+            }
+        }
+    }
+}
+
+/// What all later blocks cost, by the state before them: ½ xᵀ squares x + pulls·x.
+struct After<const W: usize> {
+    /// Whether unknowns that weigh too little are made heavier.
+    is_lifted: bool,
+    squares: [[f64; W]; W],
+    pulls: [f64; W],
+}
+
+impl<const W: usize> After<W> {
+    /// Eliminates the unknowns of the block before, and leaves the factor, what it makes of the state and of the pull in its numbers. False: one of its unknowns
+    /// weighs too little.
+    fn eliminate(
+        &mut self,
+        of_block: &mut [f64],
+        length: f64,
+        at: &[f64],
+        pull: impl Fn(usize) -> Option<Pull>,
+    ) -> bool {
+        let share_min = if self.is_lifted {
+            LIFTED_SHARE
+        } else {
+            WEIGHT_SHARE
+        };
+        let (squares, pulls) = of_block.split_at_mut(3 * W * W);
+        let (by_state, own) = squares.split_at_mut(W * W);
+        let (by_both, own) = own.split_at_mut(W * W);
+        let (at_state, at_own) = pulls.split_at_mut(W);
+        for i in 0..W {
+            for k in 0..W {
+                let later = self.squares[i][k];
+                own[i * W + k] += length * length * later;
+                by_both[i * W + k] += length * later;
+                by_state[i * W + k] += later;
+            }
+            at_own[i] += length * self.pulls[i];
+            at_state[i] += self.pulls[i];
+            let known = own[i * W + i];
+            let least = share_min * known;
+            let Pull { weight, force } = pull(i).unwrap_or_else(|| {
+                let weight = FIXED_SHARE * (known + f64::MIN_POSITIVE);
+                Pull {
+                    weight,
+                    force: weight * at[i],
+                }
+            });
+            if weight < least && !self.is_lifted {
+                return false;
+            }
+            own[i * W + i] += weight.max(least);
+            at_own[i] -= force;
+        }
+        if !factorise::<W>(own) {
+            return false;
+        }
+        // Factor⁻¹ of what the state and the pull do.
+        for i in 0..W {
+            for j in 0..i {
+                let share = own[i * W + j];
+                for k in 0..W {
+                    by_both[i * W + k] -= share * by_both[j * W + k];
+                }
+                at_own[i] -= share * at_own[j];
+            }
+            let scale = 1.0 / own[i * W + i];
+            for k in 0..W {
+                by_both[i * W + k] *= scale;
+            }
+            at_own[i] *= scale;
+        }
+        self.pulls.copy_from_slice(at_state);
+        for (squares, by_state) in self.squares.iter_mut().zip(by_state.chunks_exact(W)) {
+            squares.copy_from_slice(by_state);
+        }
+        for j in 0..W {
+            for i in 0..W {
+                let share = by_both[j * W + i];
+                for k in 0..W {
+                    self.squares[i][k] -= share * by_both[j * W + k];
+                }
+                self.pulls[i] -= share * at_own[j];
+            }
+        }
+        true
+    }
+}
+
+/// Cholesky's factor in place of a matrix, in the lower triangle. False: it is not positive.
+fn factorise<const W: usize>(matrix: &mut [f64]) -> bool {
+    for column in 0..W {
+        let pivot = matrix[column * W + column];
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return false;
+        }
+        let root = pivot.sqrt();
+        let scale = 1.0 / root;
+        matrix[column * W + column] = root;
+        for row in column + 1..W {
+            matrix[row * W + column] *= scale;
+        }
+        for row in column + 1..W {
+            let share = matrix[row * W + column];
+            for other in column + 1..=row {
+                matrix[row * W + other] -= share * matrix[other * W + column];
+            }
+        }
+    }
+    true
+}
+
+/// The unknowns of a block after this state.
+fn forward<const W: usize>(of_block: &[f64], state: &[f64; W], step: &mut [f64]) {
+    let (by_both, own) = of_block[W * W..3 * W * W].split_at(W * W);
+    let at_own = &of_block[3 * W * W + W..];
+    for i in (0..W).rev() {
+        let by_state = by_both[i * W..][..W].iter().zip(state);
+        let mut sum = at_own[i] + by_state.map(|(by, state)| by * state).sum::<f64>();
+        for k in i + 1..W {
+            sum += own[k * W + i] * step[k];
+        }
+        step[i] = -sum / own[i * W + i];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Smoother;
+    use super::*;
+    use crate::optimizer::{Stages, cycle_seed};
+
+    const WIDTH: usize = 4;
+    const UNKNOWNS: usize = 3 * WIDTH;
+    const DAMPING: f64 = 1e-9;
+
+    /// Some number between -1 and 1.
+    fn number(i: usize, k: usize) -> f64 {
+        (cycle_seed(i as u64, k as u64) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    /// Rows of every kind of place, and constraints.
+    fn model() -> LinearModel {
+        let mut model = LinearModel::with_capacity(60, 60, UNKNOWNS, UNKNOWNS);
+        model.clear(&Stages::new(WIDTH, 0.5, [1.0, 2.0, 1.0].into_iter()), true);
+        model.weigh(1e-3, &[0.2; UNKNOWNS]);
+        for i in 0..12 {
+            let place = Place {
+                block: i / 4,
+                since_start: i % 3 != 0,
+                periods: 1.0 + f64::from(u8::from(i / 4 == 1 && i % 2 == 1)),
+            };
+            let derivatives = [0, 1, 2, 3].map(|k| number(i, k));
+            model.push(number(i, 4), &derivatives, place);
+            let h = 0.1 * number(i, 5);
+            model.push_constraint(0, h, h, &derivatives.map(|d| 30.0 * d), place);
+        }
+        model
+    }
+
+    fn pull(i: usize) -> Option<Pull> {
+        let weight = 10_f64.powf(-3.0 + 4.0 * number(i, 6));
+        let force = number(i, 7);
+        (i != 5).then_some(Pull { weight, force })
+    }
+
+    fn weighed(index: usize, h: f64) -> Option<(f64, f64)> {
+        (index % 4 != 2).then_some((h - 0.01, 1.0 / (1.0 + index as f64)))
+    }
+
+    fn by_riccati(
+        pull: impl Fn(usize) -> Option<Pull>,
+        is_lifted: bool,
+    ) -> (Option<bool>, Vec<f64>) {
+        let (model, mut budget) = (model(), Budget::unlimited());
+        let mut riccati = Riccati::with_capacity(UNKNOWNS);
+        assert!(riccati.begin(&model, &mut budget));
+        let pull = |i| pull(i).map(|pull| pull.with_own(&model, i, DAMPING));
+        let mut step = vec![0.3; UNKNOWNS];
+        let solved = riccati.solve(&model, weighed, pull, is_lifted, &mut step, &mut budget);
+        (solved, step)
+    }
+
+    #[test]
+    fn it_is_the_step_of_the_smoother() {
+        let (solved, step) = by_riccati(pull, false);
+        assert_eq!(solved, Some(true));
+        let (mut model, mut budget) = (model(), Budget::unlimited());
+        model.weigh_constraints(weighed, &mut budget).unwrap();
+        let mut smoother = Smoother::with_capacity(60);
+        let mut smoothed = vec![0.3; UNKNOWNS];
+        assert!(smoother.solve_pulled(&model, pull, DAMPING, &mut smoothed, &mut budget));
+        for (step, smoothed) in step.iter().zip(&smoothed) {
+            assert!((step - smoothed).abs() < 1e-9, "{step} {smoothed}");
+        }
+        assert!((step[5] - 0.3).abs() < 1e-9, "it was fixed: {}", step[5]);
+    }
+
+    #[test]
+    fn an_unknown_that_weighs_too_little_is_found_and_can_be_lifted() {
+        let light = |i: usize| {
+            let weight = if i == 0 { 0.0 } else { 1.0 };
+            Some(Pull { weight, force: 0.0 })
+        };
+        let model = model();
+        let of = |is_lifted| {
+            let mut riccati = Riccati::with_capacity(UNKNOWNS);
+            let mut budget = Budget::unlimited();
+            assert!(riccati.begin(&model, &mut budget));
+            let mut step = vec![0.0; UNKNOWNS];
+            riccati.solve(
+                &model,
+                |_, _| None,
+                light,
+                is_lifted,
+                &mut step,
+                &mut budget,
+            )
+        };
+        assert_eq!([false, true].map(of), [Some(false), Some(true)]);
+    }
+}
