@@ -16,6 +16,7 @@
 //! | `problem` | what does a plan cost, and how does that change with it |
 //! | `knowledge`, `escape` | which candidates are known before the search |
 //! | `solver` | in which order do knowledge, swarm and Gauss-Newton work |
+//! | `ways` | which ways past obstacles does a new plan try |
 //! | `report` | how did the solve end |
 //!
 //! Invariant: nothing here knows a clock, a thread or a message. Time is counted in periods; the
@@ -32,6 +33,7 @@ mod problem;
 mod report;
 mod settings;
 mod solver;
+mod ways;
 
 pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;

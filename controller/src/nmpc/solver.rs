@@ -2,8 +2,8 @@
 
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
-use super::obstacles::Obstacles;
 use super::problem::{Searched, TrackingProblem};
+use super::ways::WAYS;
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
     self, Bounds, Budget, Candidate, Cost, Evaluation, GaussNewton, GaussNewtonOutcome,
@@ -22,9 +22,6 @@ const STUCK_ERROR_M: f64 = 1e-6;
 /// this share of the refined one is worth that.
 const ANOTHER_WAY: f64 = 0.5;
 
-/// Obstacles that cost less than what is missing here leave no better way past them.
-const FREE_SHARE: f64 = 0.9;
-
 /// What is to be solved.
 pub(super) struct Task<'a> {
     pub problem: &'a TrackingProblem<'a>,
@@ -38,13 +35,16 @@ pub(super) struct Task<'a> {
 pub(super) struct Solver {
     knowledge: Knowledge,
     swarm: Kpso,
-    gauss_newton: GaussNewton,
-    incumbent: Incumbent,
+    pub(super) gauss_newton: GaussNewton,
+    pub(super) incumbent: Incumbent,
     /// The result of another search from the same warm start.
     apart: Incumbent,
     /// A warm start that rests where it would break a constraint.
     resting: Incumbent,
-    scratch: Vec<f64>,
+    pub(super) ways: [Incumbent; WAYS],
+    /// The plan that there would be without obstacles.
+    pub(super) free_plan: Vec<f64>,
+    pub(super) scratch: Vec<f64>,
 }
 
 impl Solver {
@@ -58,6 +58,8 @@ impl Solver {
             incumbent: Incumbent::with_capacity(unknowns),
             apart: Incumbent::with_capacity(unknowns),
             resting: Incumbent::with_capacity(unknowns),
+            ways: core::array::from_fn(|_| Incumbent::with_capacity(unknowns)),
+            free_plan: Vec::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
         }
     }
@@ -103,15 +105,11 @@ impl Solver {
                 // A plan that goes on keeps the way that it is on.
                 let is_new = warm_plan.iter().all(|rate| *rate == 0.0);
                 let is_rough = searches && is_new && task.problem.meets_obstacles();
-                refinement = self.refine_warm_start(task, evaluation.as_ref(), is_rough, budget);
-                if is_rough && !refinement.is_some_and(|refinement| refinement.converged) {
-                    if self.error_is_left(task) {
-                        self.pass_otherwise(task, warm_plan, budget);
-                    }
-                    if budget.left() {
-                        refinement = Some(self.refine(task, budget));
-                    }
-                }
+                refinement = if is_rough && !is_known {
+                    Some(self.race(task, warm_plan, budget))
+                } else {
+                    self.refine_warm_start(task, evaluation.as_ref(), budget)
+                };
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
             if searches && refinement.is_some() && self.error_is_left(task) {
@@ -189,16 +187,12 @@ impl Solver {
         &mut self,
         task: &Task,
         evaluation: Option<&Evaluation<1>>,
-        is_rough: bool,
         budget: &mut Budget<'_>,
     ) -> Option<GaussNewtonOutcome> {
-        let settings = GaussNewtonSettings {
-            is_rough,
-            ..task.settings.gauss_newton()
-        };
         if !self.incumbent.is_violated() {
-            return Some(self.refine_with(task.problem, task.bounds, &settings, budget));
+            return Some(self.refine(task, budget));
         }
+        let settings = task.settings.gauss_newton();
         self.apart.restart(self.incumbent.z(), evaluation);
         self.knowledge
             .evaluate(task.problem, budget, &mut self.incumbent);
@@ -208,35 +202,6 @@ impl Solver {
                 .refine(task.problem, task.bounds, &settings, budget, apart);
         let is_taken = self.incumbent.take_better(apart);
         is_taken.then_some(refinement)
-    }
-
-    /// Another way past obstacles, where these cost the refined plan something: the plan that there would be without them, refined among them. From
-    /// inside an obstacle the way out is to the side that is nearer, and from the warm start it may be to the other one. The better of both stays.
-    fn pass_otherwise(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) {
-        let nothing = Obstacles::none();
-        let free = task.problem.among(&nothing);
-        let settings = GaussNewtonSettings {
-            is_rough: true,
-            ..task.settings.gauss_newton()
-        };
-        std::mem::swap(&mut self.incumbent, &mut self.apart);
-        let evaluation = free.evaluate_at(warm_plan, budget);
-        self.incumbent.restart(warm_plan, evaluation.as_ref());
-        self.refine_with(&free, task.bounds, &settings, budget);
-        let costs_something = self.incumbent.cost() < FREE_SHARE * self.apart.cost();
-        self.scratch.clear();
-        self.scratch.extend_from_slice(self.incumbent.z());
-        let evaluation = costs_something
-            .then(|| task.problem.evaluate_at(&self.scratch, budget))
-            .flatten();
-        let evaluations = self.incumbent.evaluations();
-        self.incumbent.restart(&self.scratch, evaluation.as_ref());
-        self.incumbent.pass_over(evaluations as usize);
-        if evaluation.is_some() {
-            self.refine_with(task.problem, task.bounds, &settings, budget);
-        }
-        std::mem::swap(&mut self.incumbent, &mut self.apart);
-        self.incumbent.take_better(&self.apart);
     }
 
     /// The search from the warm start, as if nothing had been refined, where a refinement left an error: around its result a swarm finds no
@@ -316,12 +281,12 @@ impl Solver {
         self.swarm.search(&swarm_task, budget, &mut self.incumbent)
     }
 
-    fn refine(&mut self, task: &Task, budget: &mut Budget<'_>) -> GaussNewtonOutcome {
+    pub(super) fn refine(&mut self, task: &Task, budget: &mut Budget<'_>) -> GaussNewtonOutcome {
         let settings = task.settings.gauss_newton();
         self.refine_with(task.problem, task.bounds, &settings, budget)
     }
 
-    fn refine_with(
+    pub(super) fn refine_with(
         &mut self,
         problem: &TrackingProblem,
         bounds: &Bounds,
@@ -333,7 +298,7 @@ impl Solver {
     }
 
     /// Whether the cost is that of an error which matters.
-    fn error_is_left(&self, task: &Task) -> bool {
+    pub(super) fn error_is_left(&self, task: &Task) -> bool {
         self.incumbent.cost() > task.settings.position_weight * STUCK_ERROR_M * STUCK_ERROR_M
     }
 

@@ -1,0 +1,149 @@
+//! A new plan among obstacles: several ways are begun with rough steps, and the better ones go on.
+
+use core::f64::consts::PI;
+
+use super::obstacles::Obstacles;
+use super::problem::TrackingProblem;
+use super::solver::{Solver, Task};
+use crate::optimizer::{Budget, GaussNewtonOutcome, GaussNewtonSettings, Problem, cycle_seed};
+use crate::robot::COORDINATES_MAX;
+
+/// Ways that are begun in a heat.
+pub(super) const WAYS: usize = 4;
+/// How often new ways are begun, where the budget lasts.
+const HEATS: u64 = 3;
+/// Rough steps of a way in each round of a heat.
+const ROUND_STEPS: u32 = 2;
+/// By how much of the largest rates a way sets out beside the free one, and comes back.
+const BESIDE: f64 = 0.5;
+
+impl Solver {
+    /// Refines the incumbent with rough steps, and other ways beside it: that without obstacles, and some that set out to a random side of that one and come
+    /// back to it. The best stays, and is refined to the end.
+    pub(super) fn race(
+        &mut self,
+        task: &Task,
+        warm_plan: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> GaussNewtonOutcome {
+        let refined =
+            self.refine_with(task.problem, task.bounds, &rough(task, ROUND_STEPS), budget);
+        if refined.converged || !self.error_is_left(task) {
+            return refined;
+        }
+        let is_open = self.find_free_way(task, warm_plan, budget);
+        for heat in 0..if is_open { 1 } else { HEATS } {
+            if budget.left() {
+                self.run_heat(task, heat, is_open, budget);
+            }
+        }
+        if budget.left() {
+            self.refine(task, budget)
+        } else {
+            refined
+        }
+    }
+
+    /// Plans as if there were no obstacle. Whether none is in that way.
+    fn find_free_way(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) -> bool {
+        let nothing = Obstacles::none();
+        let free = task.problem.among(&nothing);
+        let way = &mut self.ways[0];
+        let evaluation = free.evaluate_at(warm_plan, budget);
+        way.restart(warm_plan, evaluation.as_ref());
+        let settings = rough(task, task.settings.refinement_steps);
+        self.refine_way(0, &free, task, &settings, budget);
+        let way = &mut self.ways[0];
+        self.free_plan.clear();
+        self.free_plan.extend_from_slice(way.z());
+        let evaluation = task.problem.evaluate_at(&self.free_plan, budget);
+        self.incumbent.pass_over(way.evaluations() as usize);
+        way.restart(&self.free_plan, evaluation.as_ref());
+        evaluation.is_some() && !way.is_violated()
+    }
+
+    /// Begins with as many ways as there are, goes on with the better half, and with the best of these to its end. In the first heat the incumbent takes part, and the free way itself;
+    /// those two alone where the latter is open.
+    fn run_heat(&mut self, task: &Task, heat: u64, is_open: bool, budget: &mut Budget<'_>) {
+        let round = rough(task, ROUND_STEPS);
+        let is_first = heat == 0;
+        if is_first {
+            // The free way is the second.
+            self.ways.swap(0, 1);
+            core::mem::swap(&mut self.incumbent, &mut self.ways[0]);
+        }
+        for way in 0..WAYS {
+            if is_open && way > 1 {
+                self.ways[way].restart(&self.free_plan, None);
+            } else if !is_first || way > 1 {
+                self.set_out(task, 2 * heat + way as u64 / 2, way, budget);
+            }
+            if !is_first || way > 0 {
+                self.refine_way(way, task.problem, task, &round, budget);
+            }
+        }
+        self.ways
+            .sort_unstable_by(|a, b| a.cost().total_cmp(&b.cost()));
+        for way in 0..WAYS / 2 {
+            self.refine_way(way, task.problem, task, &round, budget);
+        }
+        if self.ways[1].cost() < self.ways[0].cost() {
+            self.ways.swap(0, 1);
+        }
+        let settings = rough(task, task.settings.refinement_steps);
+        self.refine_way(0, task.problem, task, &settings, budget);
+        if is_first {
+            core::mem::swap(&mut self.incumbent, &mut self.ways[0]);
+        }
+        for way in &self.ways[usize::from(is_first)..] {
+            self.incumbent.take_better(way);
+        }
+    }
+
+    /// A way beside the free one: to a random side, every other one to the opposite side.
+    fn set_out(&mut self, task: &Task, side: u64, way: usize, budget: &mut Budget<'_>) {
+        let width = task.problem.motion.width();
+        let mut direction = [0.0; COORDINATES_MAX];
+        let direction = &mut direction[..width];
+        let seed = cycle_seed(task.seed, side);
+        for (i, component) in (0..).zip(&mut *direction) {
+            *component = cycle_seed(seed, i) as f64 / (u64::MAX / 2) as f64 - 1.0;
+        }
+        let norm = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
+        let sign = if way.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let size = sign * BESIDE / f64::max(norm, f64::MIN_POSITIVE);
+        let blocks = (self.free_plan.len() / width) as f64;
+        self.scratch.clear();
+        for (i, rate) in self.free_plan.iter().enumerate() {
+            // There in the first half, back in the second one.
+            let phase = PI * ((i / width) as f64 + 0.5) / blocks;
+            let beside = size * direction[i % width] * task.bounds.upper()[i];
+            self.scratch.push(rate + beside * phase.cos());
+        }
+        task.bounds.project(&mut self.scratch);
+        let evaluation = task.problem.evaluate_at(&self.scratch, budget);
+        self.ways[way].restart(&self.scratch, evaluation.as_ref());
+    }
+
+    fn refine_way(
+        &mut self,
+        way: usize,
+        problem: &TrackingProblem,
+        task: &Task,
+        settings: &GaussNewtonSettings,
+        budget: &mut Budget<'_>,
+    ) {
+        let incumbent = &mut self.ways[way];
+        self.gauss_newton
+            .refine(problem, task.bounds, settings, budget, incumbent);
+    }
+}
+
+/// So many rough steps.
+fn rough(task: &Task, steps: u32) -> GaussNewtonSettings {
+    GaussNewtonSettings {
+        steps,
+        is_rough: true,
+        ..task.settings.gauss_newton()
+    }
+}
