@@ -34,7 +34,8 @@ const NEGLIGIBLE: f64 = 1e-4;
 pub(super) struct Quadratic<'a> {
     pub model: &'a mut LinearModel,
     pub smoother: &'a mut Smoother,
-    pub riccati: &'a mut Riccati,
+    /// Some: where a pass by information is worth it.
+    pub riccati: Option<&'a mut Riccati>,
     /// Jᵀ r.
     pub gradient: &'a [f64],
     pub damping: f64,
@@ -52,8 +53,9 @@ impl Quadratic<'_> {
         budget: &mut Budget<'_>,
     ) -> Option<()> {
         let whole = |i: usize| pull(i).map(|pull| pull.with_own(self.model, i, self.damping));
-        let riccati = &mut *self.riccati;
-        if riccati.solve(self.model, &weighed, whole, self.is_rough, step, budget)? {
+        if let Some(riccati) = self.riccati.as_deref_mut()
+            && riccati.solve(self.model, &weighed, whole, self.is_rough, step, budget)?
+        {
             return Some(());
         }
         self.model.weigh_constraints(weighed, budget)?;

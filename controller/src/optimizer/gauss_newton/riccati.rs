@@ -46,6 +46,15 @@ impl Riccati {
         }
     }
 
+    /// Whether a pass takes less work than one of the smoother: by what both announce.
+    pub(super) fn pays(model: &LinearModel) -> bool {
+        let (stages, constraints) = (model.stages(), model.constraints());
+        let is_plain = stages.lengths().iter().all(|length| *length == 1.0);
+        let per_row = if is_plain { 1 } else { 4 };
+        let rows = model.cost_rows() + constraints;
+        per_row * rows > stages.unknowns() + constraints / 2
+    }
+
     /// Sees the rows of the cost. False: the budget was spent.
     pub(super) fn begin(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
         let stages = model.stages();

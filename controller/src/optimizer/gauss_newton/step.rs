@@ -2,7 +2,7 @@
 
 use super::interior_point::Quadratic;
 use super::trial::{Found, Trial};
-use super::{GaussNewton, HALVINGS, Pull};
+use super::{GaussNewton, HALVINGS, Pull, Riccati};
 use crate::optimizer::linear_model::dot;
 use crate::optimizer::{Bounds, Budget, Problem, Reach, cholesky};
 
@@ -90,14 +90,15 @@ impl GaussNewton {
         if kept > part {
             trial.offer(step, kept, budget)?;
         }
-        if !trial.is_rough && !self.riccati.begin(&self.model, budget) {
+        let is_informed = trial.is_rough || Riccati::pays(&self.model);
+        if is_informed && !trial.is_rough && !self.riccati.begin(&self.model, budget) {
             return None;
         }
         let quadratic = Quadratic {
             is_rough: trial.is_rough,
             model: &mut self.model,
             smoother: &mut self.smoother,
-            riccati: &mut self.riccati,
+            riccati: is_informed.then_some(&mut self.riccati),
             gradient: &self.gradient,
             damping,
         };
