@@ -91,6 +91,19 @@ impl<'a> TrackingProblem<'a> {
         !self.limits.matter() && !self.obstacles.matter()
     }
 
+    /// Whether the cost is that of the tip's position alone, and its rows are not staged.
+    pub(super) fn is_plain(&self) -> bool {
+        let is_position = |step| {
+            let target = self.target(step).map(|target| target.orientation);
+            matches!(target, None | Some(Orientation::Free))
+                || self.weights(step).orientation == 0.0
+        };
+        self.is_free()
+            && !self.is_staged()
+            && !self.is_regularised()
+            && (0..self.steps()).all(is_position)
+    }
+
     fn width(&self) -> usize {
         self.motion.width()
     }
@@ -333,6 +346,24 @@ impl Problem for TrackingProblem<'_> {
             Coordinates::BendVector => self.evaluate_in::<1, VECTORS>(&z, enough, budget, scalar),
             Coordinates::BendAngles => self.evaluate_in::<1, ANGLES>(&z, enough, budget, scalar),
         }
+    }
+
+    fn rounding(&self) -> Option<f64> {
+        self.is_plain().then(|| {
+            let lengths_m = self.robot.sections().iter().map(|section| section.length_m);
+            let rounding_m = f64::EPSILON * lengths_m.sum::<f64>();
+            let weights = (0..self.steps()).map(|step| self.weights(step).position);
+            weights.sum::<f64>() * rounding_m * rounding_m
+        })
+    }
+
+    fn evaluate_residuals(
+        &self,
+        z: &[f64],
+        residuals: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<1>> {
+        self.plain_residuals(z, residuals, budget)
     }
 
     fn evaluate_to_contact(

@@ -81,7 +81,10 @@ impl Solver {
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> SolveReport {
-        let stages = task.settings.solver.refines() && task.problem.is_staged();
+        let refines = task.settings.solver.refines();
+        let stages = refines && task.problem.is_staged();
+        // What is known of such derivatives costs little, so the plan is refined before anything else is tried.
+        let refines_first = stages || (refines && task.problem.is_plain());
         let (evaluation, rests) = if stages {
             self.evaluate_to_rest(task, warm_plan, budget)
         } else {
@@ -94,13 +97,9 @@ impl Solver {
         let mut iterations = 0;
         if task.problem.is_posed() && budget.left() {
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
-            let (refines, searches) = (
-                task.settings.solver.refines(),
-                task.settings.solver.searches(),
-            );
-            // What is known of a long plan's derivatives costs little, so the plan is refined before anything else is tried.
+            let searches = task.settings.solver.searches();
             let mut is_known = false;
-            if stages {
+            if refines_first {
                 is_known = self.incumbent.is_violated();
                 // A plan that goes on keeps the way that it is on.
                 let is_new = warm_plan.iter().all(|rate| *rate == 0.0);
@@ -117,7 +116,7 @@ impl Solver {
                     self.search_apart(task, (warm_plan, evaluation.as_ref()), refinement, budget);
             } else if searches {
                 iterations = self.search(task, refinement, budget);
-            } else if !is_known {
+            } else if !is_known && self.incumbent.cost() > task.settings.cost_tolerance() {
                 self.knowledge
                     .evaluate(task.problem, budget, &mut self.incumbent);
             }
@@ -270,6 +269,9 @@ impl Solver {
     }
 
     fn search_around(&mut self, cost: &impl Cost, task: &Task, budget: &mut Budget<'_>) -> u32 {
+        if self.incumbent.cost() <= task.settings.cost_tolerance() {
+            return 0;
+        }
         let swarm_task = optimizer::Task {
             cost,
             bounds: task.bounds,

@@ -214,6 +214,11 @@ impl LinearModel {
         self.residuals.values[index]
     }
 
+    /// The residuals of the cost, for those of another point.
+    pub(super) fn residuals_mut(&mut self) -> &mut [f64] {
+        &mut self.residuals.values[..self.cost_rows]
+    }
+
     /// The derivatives that are kept of a row.
     pub(crate) fn row(&self, index: usize) -> &[f64] {
         &self.residuals.derivatives[index * self.stride..][..self.stride]

@@ -109,6 +109,21 @@ pub(crate) trait Problem {
         self.evaluate_below(z, f64::INFINITY, budget)
     }
 
+    /// The cost that rounding alone leaves, where a cost is that of residuals without constraints, which take little time beside their derivatives. None: it is not.
+    fn rounding(&self) -> Option<f64> {
+        None
+    }
+
+    /// Evaluates one point of such a cost, and writes its residuals in the order of the rows of [`Self::linearise`]. None as above.
+    fn evaluate_residuals(
+        &self,
+        _z: &[f64],
+        _residuals: &mut [f64],
+        _budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<1>> {
+        None
+    }
+
     /// Evaluates one point as far as it breaks no constraint by more than the incumbent does, and `budget` lasts: what is beyond that is changed in `z`. Says
     /// whether `z` stays as it is; None as above, where that leaves nothing. A problem without constraints changes nothing.
     fn evaluate_to_contact(

@@ -80,6 +80,23 @@ fn a_reachable_reference_is_met_exactly_by_every_solver() {
 }
 
 #[test]
+fn a_refined_plan_is_searched_around_only_where_an_error_is_left() {
+    let robot = paper(3);
+    let at = Configuration::from_slice(&[0.1, 0.2, -0.3, 0.1, 0.2, 0.4]).unwrap();
+    let tip = robot.tip_position(&at);
+    let nowhere = Vector3::new(0.0, 0.0, 2.0);
+    for (beside, iterations) in [(Vector3::new(1e-4, 2e-4, 1e-4), 0), (nowhere, 30)] {
+        let rates = BendRates::zero(3);
+        let reference = [1.0, 2.0].map(|step| inside(tip + step * beside));
+        let input = input(&at, &rates, &reference);
+        let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
+        let report = nmpc.solve(&input, &mut Budget::unlimited()).1;
+        assert_eq!(report.iterations, iterations, "{report:?}");
+        assert_eq!(report.status == SolveStatus::Converged, iterations == 0);
+    }
+}
+
+#[test]
 fn the_straight_robot_leaves_its_singular_shape() {
     // Eq. 9: the line begins where the robot cannot move along its own axis.
     let robot = paper(3);

@@ -154,6 +154,14 @@ proptest! {
             prop_assert_eq!(problem.evaluate_below(&case.plan, cost, &mut Budget::unlimited()), evaluation);
             let more = problem.evaluate_below(&case.plan, 0.5 * cost, &mut Budget::unlimited());
             prop_assert!(more.expect("an unlimited budget").cost.0[0] >= 0.5 * cost);
+            if problem.rounding().is_some() {
+                let mut alone = vec![f64::NAN; model.rows()];
+                let again = problem.evaluate_residuals(&case.plan, &mut alone, &mut Budget::unlimited());
+                prop_assert_eq!(again, evaluation);
+                for (row, alone) in alone.iter().enumerate() {
+                    prop_assert!((alone - model.residual(row)).abs() < 1e-14);
+                }
+            }
             for i in 0..case.plan.len() {
                 let [behind, ahead] = [-STEP_RAD_S, STEP_RAD_S].map(|step| {
                     let mut plan = case.plan.clone();

@@ -1,11 +1,13 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
+mod following;
 mod interior_point;
 mod riccati;
 mod smoother;
 mod step;
 mod trial;
 
+use following::is_rounding;
 use interior_point::InteriorPoint;
 use riccati::Riccati;
 use smoother::{Pull, Smoother};
@@ -130,7 +132,7 @@ impl GaussNewton {
         let mut damping = settings.damping;
         let mut model_is_current = false;
         for _ in 0..settings.steps {
-            if !budget.left() {
+            if is_rounding(problem, incumbent.cost()) || !budget.left() {
                 break;
             }
             if !model_is_current {
@@ -160,6 +162,9 @@ impl GaussNewton {
                 outcome.converged = true;
                 break;
             }
+            if improved {
+                outcome.accepted += self.follow((problem, bounds), before, budget, incumbent);
+            }
             let gains = incumbent.cost() < (1.0 - ROUGH_GAIN) * before;
             if settings.is_rough && !gains && (improved || damping > settings.damping) {
                 break;
@@ -171,6 +176,7 @@ impl GaussNewton {
                 damping * DAMPING_GROWTH
             };
         }
+        outcome.converged |= is_rounding(problem, incumbent.cost());
         outcome
     }
 

@@ -255,25 +255,42 @@ impl GaussNewton {
                 self.matrix[a * rows + b] = product + if a == b { damping } else { 0.0 };
             }
         }
-        self.right_side[..rows].copy_from_slice(&self.residuals[..rows]);
-        let solved = cholesky::solve_in_place(
-            &mut self.matrix[..rows * rows],
-            rows,
-            &mut self.right_side[..rows],
-            budget,
-        );
-        if solved {
-            for row in 0..rows {
-                if !budget.spend(self.free.len() as u32) {
-                    return false;
-                }
-                let weight = self.right_side[row];
-                for &i in &self.free {
-                    self.step[i] -= self.model.row(row)[i] * weight;
-                }
+        cholesky::factorise(&mut self.matrix[..rows * rows], rows, budget)
+            && self.step_in_residual_space(rows, budget)
+    }
+
+    /// The same with the factor of the matrix.
+    fn step_in_residual_space(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
+        let right_side = &mut self.right_side[..rows];
+        right_side.copy_from_slice(&self.residuals[..rows]);
+        if !cholesky::substitute(&self.matrix[..rows * rows], rows, right_side, budget) {
+            return false;
+        }
+        for row in 0..rows {
+            if !budget.spend(self.free.len() as u32) {
+                return false;
+            }
+            let weight = self.right_side[row];
+            for &i in &self.free {
+                self.step[i] -= self.model.row(row)[i] * weight;
             }
         }
-        solved
+        true
+    }
+
+    /// Solves again where the model has other residuals now, with the matrix of the last solution, for what was free in it; what was not rests.
+    pub(super) fn solve_again(&mut self, dimension: usize, budget: &mut Budget<'_>) -> bool {
+        if self.free.is_empty() {
+            return false;
+        }
+        self.step[..dimension].fill(0.0);
+        let rows = self.model.rows();
+        self.residuals[..rows].copy_from_slice(self.model.residuals_mut());
+        if rows <= self.free.len() {
+            self.step_in_residual_space(rows, budget)
+        } else {
+            self.step_in_unknown_space(rows, budget)
+        }
     }
 
     /// JᵀJ of the cost's rows, lower triangle, once for each linearisation.
@@ -347,6 +364,13 @@ impl GaussNewton {
         for a in 0..order {
             self.matrix[a * order + a] += damping;
         }
+        cholesky::factorise(&mut self.matrix[..order * order], order, budget)
+            && self.step_in_unknown_space(rows, budget)
+    }
+
+    /// The same with the factor of the matrix.
+    fn step_in_unknown_space(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
+        let order = self.free.len();
         self.right_side[..order].fill(0.0);
         for row in 0..rows {
             if !budget.spend(order as u32) {
@@ -357,18 +381,14 @@ impl GaussNewton {
                 self.right_side[a] -= derivatives[i] * self.residuals[row];
             }
         }
-        let solved = cholesky::solve_in_place(
-            &mut self.matrix[..order * order],
-            order,
-            &mut self.right_side[..order],
-            budget,
-        );
-        if solved {
-            for (a, &i) in self.free.iter().enumerate() {
-                self.step[i] = self.right_side[a];
-            }
+        let right_side = &mut self.right_side[..order];
+        if !cholesky::substitute(&self.matrix[..order * order], order, right_side, budget) {
+            return false;
         }
-        solved
+        for (a, &i) in self.free.iter().enumerate() {
+            self.step[i] = self.right_side[a];
+        }
+        true
     }
 }
 

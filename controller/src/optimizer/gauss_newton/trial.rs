@@ -1,6 +1,6 @@
 //! Steps that are tried: whole ones, and what a step that takes longer has found so far.
 
-use crate::optimizer::{Bounds, Budget, Candidate, Incumbent, Problem};
+use crate::optimizer::{Bounds, Budget, Candidate, Evaluation, Incumbent, Problem};
 
 /// What became of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,10 +86,7 @@ impl<P: Problem> Trial<'_, P> {
             .problem
             .evaluate_to_contact(self.at, self.incumbent, budget);
         let (evaluation, is_whole) = evaluated?;
-        let is_better = self
-            .incumbent
-            .offer(|i| self.at[i], &evaluation, 0, self.origin);
-        Some((is_better, is_whole))
+        Some((self.take(&evaluation), is_whole))
     }
 
     /// Evaluates a part of a step, and says whether it is better than the incumbent, which takes it then. None: the budget was spent.
@@ -102,9 +99,12 @@ impl<P: Problem> Trial<'_, P> {
         self.lead(step, part);
         let enough = self.incumbent.cost();
         let evaluation = self.problem.evaluate_below(self.at, enough, budget)?;
-        let is_better = self
-            .incumbent
-            .offer(|i| self.at[i], &evaluation, 0, self.origin);
-        Some(is_better)
+        Some(self.take(&evaluation))
+    }
+
+    /// Whether what was tried last is better than the incumbent, which takes it then.
+    pub(super) fn take(&mut self, evaluation: &Evaluation<1>) -> bool {
+        self.incumbent
+            .offer(|i| self.at[i], evaluation, 0, self.origin)
     }
 }

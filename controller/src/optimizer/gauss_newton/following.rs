@@ -1,0 +1,174 @@
+//! Steps with the derivatives of the point before: where those have led nearly to the end, they lead on from there, for a tenth of the time that new ones
+//! take.
+
+use super::GaussNewton;
+use crate::optimizer::{Bounds, Budget, Incumbent, Problem};
+
+/// The part of the cost that a step leaves at most whose derivatives serve once more: a thousandth of the residuals.
+const FOLLOWED_SHARE: f64 = 1e-6;
+/// Such steps at most after one that was linearised.
+const FOLLOWING_MAX: u32 = 3;
+/// A cost of so many times what rounding leaves is no reason to linearise once more,
+const LINEARISED_ROUNDINGS: f64 = 4.0;
+/// and one of so many none to step on.
+const FOLLOWED_ROUNDINGS: f64 = 0.25;
+
+/// Whether the cost is what rounding leaves.
+pub(super) fn is_rounding(problem: &impl Problem, cost: f64) -> bool {
+    let rounding = problem.rounding();
+    rounding.is_some_and(|rounding| cost <= LINEARISED_ROUNDINGS * rounding)
+}
+
+impl GaussNewton {
+    /// Goes on after a step that was linearised where the cost was `before`. The steps that made the incumbent better.
+    pub(super) fn follow<P: Problem>(
+        &mut self,
+        (problem, bounds): (&P, &Bounds),
+        mut before: f64,
+        budget: &mut Budget<'_>,
+        incumbent: &mut Incumbent,
+    ) -> u32 {
+        let Some(rounding) = problem.rounding() else {
+            return 0;
+        };
+        let leads_on = |before: f64, cost: f64| {
+            let serves = cost <= FOLLOWED_SHARE * before || is_rounding(problem, cost);
+            serves && cost > FOLLOWED_ROUNDINGS * rounding
+        };
+        if !leads_on(before, incumbent.cost()) {
+            return 0;
+        }
+        let residuals = self.model.residuals_mut();
+        if problem
+            .evaluate_residuals(incumbent.z(), residuals, budget)
+            .is_none()
+        {
+            return 0;
+        }
+        let mut accepted = 0;
+        while accepted < FOLLOWING_MAX && leads_on(before, incumbent.cost()) {
+            before = incumbent.cost();
+            let origin = incumbent.origin();
+            let is_better = self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+                own.solve_again(trial.base.len(), budget).then_some(())?;
+                trial.lead(&own.step[..trial.base.len()], 1.0);
+                let residuals = own.model.residuals_mut();
+                let evaluation = problem.evaluate_residuals(trial.at, residuals, budget)?;
+                Some(trial.take(&evaluation))
+            });
+            if is_better != Some(true) {
+                break;
+            }
+            accepted += 1;
+        }
+        accepted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+    use crate::optimizer::gauss_newton::GaussNewtonSettings;
+    use crate::optimizer::{Evaluation, LinearModel, Place, Stages};
+    use crate::wide::Wide;
+
+    /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1), and how often it was linearised.
+    struct Curved {
+        stages: Stages,
+        rounding: Option<f64>,
+        linearised: Cell<u32>,
+    }
+
+    impl Curved {
+        fn residuals(z: &[f64]) -> [f64; 2] {
+            [
+                z[0] + 0.1 * z[1] * z[1] - 0.3,
+                z[1] - 0.2 * z[0] * z[0] - 0.1,
+            ]
+        }
+    }
+
+    impl Problem for Curved {
+        fn stages(&self) -> &Stages {
+            &self.stages
+        }
+        fn is_staged(&self) -> bool {
+            false
+        }
+        fn evaluate_below(&self, z: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
+            let [first, second] = Self::residuals(z);
+            Some(Evaluation::from_cost(Wide([
+                first * first + second * second
+            ])))
+        }
+        fn rounding(&self) -> Option<f64> {
+            self.rounding
+        }
+        fn evaluate_residuals(
+            &self,
+            z: &[f64],
+            residuals: &mut [f64],
+            budget: &mut Budget<'_>,
+        ) -> Option<Evaluation<1>> {
+            residuals.copy_from_slice(&Self::residuals(z));
+            self.evaluate_at(z, budget)
+        }
+        fn linearise(&self, z: &[f64], model: &mut LinearModel, _: &mut Budget<'_>) -> bool {
+            self.linearised.set(self.linearised.get() + 1);
+            let [first, second] = Self::residuals(z);
+            model.push(first, &[1.0, 0.2 * z[1]], Place::LAST);
+            model.push(second, &[-0.4 * z[0], 1.0], Place::LAST);
+            true
+        }
+    }
+
+    /// The cost found from so far beside the root, steps accepted, and linearisations.
+    fn refined(beside: f64, rounding: Option<f64>) -> (f64, u32, u32) {
+        let problem = Curved {
+            stages: Stages::one(2),
+            rounding,
+            linearised: Cell::new(0),
+        };
+        let mut bounds = Bounds::with_capacity(2);
+        bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
+        let start = [0.2986 + beside, 0.1178];
+        let mut incumbent = Incumbent::with_capacity(2);
+        let budget = &mut Budget::unlimited();
+        incumbent.restart(&start, problem.evaluate_at(&start, budget).as_ref());
+        let settings = GaussNewtonSettings {
+            steps: 8,
+            damping: 1e-14,
+            step_tolerance: 0.0,
+            is_rough: false,
+        };
+        let outcome = GaussNewton::with_capacity(2, 2, 2, 0).refine(
+            &problem,
+            &bounds,
+            &settings,
+            budget,
+            &mut incumbent,
+        );
+        assert!(outcome.converged || rounding.is_none());
+        (incumbent.cost(), outcome.accepted, problem.linearised.get())
+    }
+
+    #[test]
+    fn near_the_end_derivatives_serve_more_than_once() {
+        let rounding = f64::EPSILON * f64::EPSILON;
+        for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
+            let (cost, accepted, linearised) = refined(beside, Some(rounding));
+            assert!(cost <= LINEARISED_ROUNDINGS * rounding, "{beside}: {cost}");
+            assert!(accepted > linearised, "{beside}: {linearised} times");
+            let (_, _, each) = refined(beside, None);
+            assert!(linearised < each, "{beside}: {linearised} of {each} times");
+        }
+    }
+
+    #[test]
+    fn what_is_at_its_end_is_not_linearised() {
+        let (_, accepted, linearised) = refined(0.0, Some(1.0));
+        assert_eq!([accepted, linearised], [0, 0]);
+    }
+}
