@@ -92,7 +92,7 @@ fn a_refined_plan_is_searched_around_only_where_an_error_is_left() {
         let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
         let report = nmpc.solve(&input, &mut Budget::unlimited()).1;
         assert_eq!(report.iterations, iterations, "{report:?}");
-        assert_eq!(report.status == SolveStatus::Converged, iterations == 0);
+        assert_eq!(report.cost < 1e-29, iterations == 0, "{report:?}");
     }
 }
 
