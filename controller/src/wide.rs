@@ -13,6 +13,11 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 #[repr(transparent)]
 pub(crate) struct Wide<const W: usize>(pub(crate) [f64; W]);
 
+/// W numbers in memory, at an address from which one register takes eight without crossing a cache line.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub(crate) struct Aligned<const W: usize>(pub(crate) Wide<W>);
+
 /// Lanes of the fast path: one AVX-512 register, two of AVX2.
 pub(crate) const LANES: usize = 8;
 
@@ -79,6 +84,25 @@ impl<const W: usize> Wide<W> {
                 other.0[lane]
             }
         })
+    }
+
+    /// All bits of each lane that is less than that of `other`, no bit of the others: for [`Self::masked`].
+    #[inline(always)]
+    pub(crate) fn less_mask(self, other: Self) -> [u64; W] {
+        let mut mask = [0; W];
+        lanes!(W, |i| mask[i] =
+            if self.0[i] < other.0[i] { u64::MAX } else { 0 });
+        mask
+    }
+
+    /// The lane of `self` where the mask is set, that of `other` elsewhere. In a loop over memory this stays one instruction.
+    #[inline(always)]
+    #[must_use]
+    pub(crate) fn masked(mut self, other: Self, mask: [u64; W]) -> Self {
+        lanes!(W, |i| self.0[i] = f64::from_bits(
+            (self.0[i].to_bits() & mask[i]) | (other.0[i].to_bits() & !mask[i])
+        ));
+        self
     }
 
     /// Square root lane by lane, as IEEE 754 rounds it.
@@ -277,6 +301,8 @@ mod tests {
         assert_eq!(a.less(b), [true, false, false, false]);
         assert_eq!(a.less_or_equal(a), [true, true, false, true]);
         assert_eq!(a.is_nan(), [false, false, true, false]);
+        let (one, two) = (Wide::splat(1.0), Wide::splat(2.0));
+        assert_eq!(one.masked(two, a.less_mask(b)), Wide([1.0, 2.0, 2.0, 2.0]));
         assert!(a.clamp(LOW, HIGH).0[2].is_nan());
     }
 

@@ -31,6 +31,7 @@ pub(super) struct Motion<'a> {
 /// The bend vectors of W robots on the way, and (θ, cos φ, sin φ) of P sections: none with bend vectors,
 /// all with bend angles.
 #[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
 pub(super) struct Bends<const W: usize, const P: usize> {
     pub bend_rad: [Wide<W>; COORDINATES_MAX],
     polar: [[Wide<W>; 3]; P],
@@ -243,6 +244,18 @@ impl<'a> Motion<'a> {
             *fastest = first.hypot(arm * second);
         }
         fastest
+    }
+
+    /// Bounds of what a plan changes of each section's bend vector \[rad\].
+    pub(super) fn most_rad(&self, robot: &Robot) -> [f64; SECTIONS_MAX] {
+        let horizon_s = self.period_s * self.horizon.steps() as f64;
+        let mut most = [0.0; SECTIONS_MAX];
+        for (most, section) in most.iter_mut().zip(robot.sections()) {
+            // Of angles the second turns the bend, at a rate that falls as 1/θ from one radian on: see `set_bounds`.
+            let along = section.rate_max_rad_s * horizon_s;
+            *most = along.hypot(along * (1.0 + along));
+        }
+        most
     }
 
     /// The bend rates that do in one period what the first block of `plan` does, slowed down section by

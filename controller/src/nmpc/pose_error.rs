@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::reference::{Orientation, ReferenceSample};
-use crate::robot::{COORDINATES_MAX, Jacobian, Pose, Robot};
+use crate::robot::{COORDINATES_MAX, Jacobian, Near, Pose, Robot};
 use crate::wide::Wide;
 
 /// Weights of one step.
@@ -26,6 +26,7 @@ pub(super) struct PoseWeights {
 pub(super) fn squared_error<const W: usize>(
     robot: &Robot,
     bend_rad: impl Fn(usize) -> Wide<W>,
+    near: Option<&Near>,
     target: &ReferenceSample,
     weights: &PoseWeights,
 ) -> Wide<W> {
@@ -47,7 +48,10 @@ pub(super) fn squared_error<const W: usize>(
                 + beyond_squared(chord * 0.5, weights.tolerance_rad) * weights.orientation
         }
         _ => {
-            let tip = robot.tip_position_wide(bend_rad);
+            let tip = match near {
+                Some(near) => robot.tip_position_near(near, bend_rad),
+                None => robot.tip_position_wide(bend_rad),
+            };
             distance_squared(&tip, &target.position_m) * weights.position
         }
     }

@@ -10,7 +10,7 @@ use crate::optimizer::{
     WIDTH_MAX,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
-use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
+use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Near, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
@@ -343,8 +343,12 @@ impl Problem for TrackingProblem<'_> {
     ) -> Option<Evaluation<1>> {
         let (z, scalar) = (|i: usize| Wide([z[i]]), pulp::Scalar);
         match self.motion.coordinates() {
-            Coordinates::BendVector => self.evaluate_in::<1, VECTORS>(&z, enough, budget, scalar),
-            Coordinates::BendAngles => self.evaluate_in::<1, ANGLES>(&z, enough, budget, scalar),
+            Coordinates::BendVector => {
+                self.evaluate_in::<1, VECTORS>(&z, None, enough, budget, scalar)
+            }
+            Coordinates::BendAngles => {
+                self.evaluate_in::<1, ANGLES>(&z, None, enough, budget, scalar)
+            }
         }
     }
 
@@ -429,7 +433,18 @@ impl Problem for TrackingProblem<'_> {
 }
 
 /// The problem in the coordinates that P stands for.
-pub(super) struct Searched<'a, const P: usize>(pub &'a TrackingProblem<'a>);
+pub(super) struct Searched<'a, const P: usize> {
+    problem: &'a TrackingProblem<'a>,
+    near: Option<Near>,
+}
+
+impl<'a, const P: usize> Searched<'a, P> {
+    pub(super) fn new(problem: &'a TrackingProblem<'a>) -> Self {
+        let (motion, robot) = (problem.motion, problem.robot);
+        let near = robot.near(&motion.start_shape(), &motion.most_rad(robot));
+        Self { problem, near }
+    }
+}
 
 impl<const P: usize> Cost for Searched<'_, P> {
     #[inline(always)]
@@ -439,8 +454,9 @@ impl<const P: usize> Cost for Searched<'_, P> {
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        self.0
-            .evaluate_in::<W, P>(&z, f64::INFINITY, budget, instructions)
+        let (near, enough) = (self.near.as_ref(), f64::INFINITY);
+        self.problem
+            .evaluate_in::<W, P>(&z, near, enough, budget, instructions)
     }
 }
 

@@ -260,10 +260,10 @@ impl Solver {
         let problem = task.problem;
         match problem.motion.coordinates() {
             Coordinates::BendVector => {
-                self.search_around(&Searched::<VECTORS>(problem), task, budget)
+                self.search_around(&Searched::<VECTORS>::new(problem), task, budget)
             }
             Coordinates::BendAngles => {
-                self.search_around(&Searched::<ANGLES>(problem), task, budget)
+                self.search_around(&Searched::<ANGLES>::new(problem), task, budget)
             }
         }
     }

@@ -4,7 +4,7 @@ use pulp::WithSimd;
 
 use super::random::RandomLanes;
 use super::{Bounds, Budget, Candidate, Cost, Incumbent, Simd};
-use crate::wide::{LANES, Wide};
+use crate::wide::{Aligned, LANES, Wide, any};
 
 /// How a particle's velocity follows from its last one, v ← χ (w v + c₁ρ₁(p - x) + c₂ρ₂(g - x)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -165,9 +165,9 @@ struct Swarm<const W: usize> {
     count: usize,
     /// Particles that knowledge has settled.
     known: usize,
-    positions: Vec<Wide<W>>,
-    velocities: Vec<Wide<W>>,
-    best_positions: Vec<Wide<W>>,
+    positions: Vec<Aligned<W>>,
+    velocities: Vec<Aligned<W>>,
+    best_positions: Vec<Aligned<W>>,
     best_costs: Vec<Wide<W>>,
     random: Vec<RandomLanes<W>>,
 }
@@ -184,7 +184,7 @@ const VELOCITY_LIMIT: f64 = 0.5;
 impl<const W: usize> Swarm<W> {
     fn with_capacity(size: usize, dimension: usize) -> Self {
         let blocks = size.div_ceil(W);
-        let zero = Wide::splat(0.0);
+        let zero = Aligned(Wide::splat(0.0));
         Self {
             dimension: 0,
             count: 0,
@@ -192,7 +192,7 @@ impl<const W: usize> Swarm<W> {
             positions: vec![zero; blocks * dimension],
             velocities: vec![zero; blocks * dimension],
             best_positions: vec![zero; blocks * dimension],
-            best_costs: vec![zero; blocks],
+            best_costs: vec![zero.0; blocks],
             random: vec![RandomLanes::seed(0, 0); blocks],
         }
     }
@@ -223,8 +223,8 @@ impl<const W: usize> Swarm<W> {
         {
             for (i, &value) in candidate.iter().enumerate() {
                 let at = particle / W * self.dimension + i;
-                self.positions[at].0[particle % W] = value;
-                self.velocities[at].0[particle % W] = 0.0;
+                self.positions[at].0.0[particle % W] = value;
+                self.velocities[at].0.0[particle % W] = 0.0;
             }
         }
         true
@@ -266,8 +266,9 @@ impl<const W: usize> Swarm<W> {
                 let position = Wide::splat(incumbent.z()[i]) + half_width * aside;
                 let velocity = half_width * speed;
                 let at = block * self.dimension + i;
-                self.positions[at] = position.clamp(low, high).select(self.positions[at], chosen);
-                self.velocities[at] = velocity.select(self.velocities[at], chosen);
+                let [Aligned(x), Aligned(v)] = [&mut self.positions[at], &mut self.velocities[at]];
+                *x = position.clamp(low, high).select(*x, chosen);
+                *v = velocity.select(*v, chosen);
             }
             self.random[block] = random;
             let forgotten = Wide::splat(f64::INFINITY);
@@ -289,29 +290,35 @@ impl<const W: usize> Swarm<W> {
         for block in 0..self.blocks() {
             let range = block * self.dimension..(block + 1) * self.dimension;
             let position = &self.positions[range.clone()];
-            let Some(evaluation) = cost.evaluate(|i| position[i], budget, instructions) else {
+            let Some(evaluation) = cost.evaluate(|i| position[i].0, budget, instructions) else {
                 return false;
             };
-            let better = evaluation.cost.less(self.best_costs[block]);
-            self.best_costs[block] = evaluation.cost.select(self.best_costs[block], better);
-            if better.contains(&true) {
-                for (best, &now) in self.best_positions[range].iter_mut().zip(position) {
-                    *best = now.select(*best, better);
+            let (now, before) = (evaluation.cost, self.best_costs[block]);
+            let better = now.less_mask(before);
+            self.best_costs[block] = now.masked(before, better);
+            if any(now.less(before)) {
+                for (best, x) in self.best_positions[range].iter_mut().zip(position) {
+                    best.0 = x.0.masked(best.0, better);
                 }
             }
             let first = block * W;
             let particles = W.min(self.count - first);
             let best = Wide::splat(incumbent.cost());
-            if !evaluation.cost.less(best).contains(&true) {
+            if !any(now.less(best)) {
                 incumbent.pass_over(particles);
                 continue;
             }
-            for lane in 0..particles {
-                let z = |i: usize| position[i].0[lane];
-                let origin = origins.get(first + lane).copied();
-                let origin = origin.unwrap_or(Candidate::Swarm);
-                incumbent.offer(z, &evaluation, lane, origin);
+            // The first of the least: what one offer after the other would leave.
+            let (mut least, mut lane) = (incumbent.cost(), 0);
+            for (other, &cost) in now.0.iter().enumerate().take(particles) {
+                if cost < least {
+                    (least, lane) = (cost, other);
+                }
             }
+            let z = |i: usize| position[i].0.0[lane];
+            let origin = origins.get(first + lane).copied();
+            incumbent.offer(z, &evaluation, lane, origin.unwrap_or(Candidate::Swarm));
+            incumbent.pass_over(particles - 1);
         }
         true
     }
@@ -342,15 +349,15 @@ impl<const W: usize> Swarm<W> {
                 moving.zip(walls)
             {
                 let limit = VELOCITY_LIMIT * (high - low);
-                let x = *position;
+                let x = position.0;
                 let [own, social] = random.units();
-                let pull = own * settings.cognitive * (*own_best - x)
-                    + social * settings.social * (Wide::splat(global_best) - x);
-                let desired = (*velocity * factors.inertia + pull) * factors.constriction;
+                let pull = own * factors.cognitive * (own_best.0 - x)
+                    + social * factors.social * (Wide::splat(global_best) - x);
+                let desired = velocity.0 * factors.inertia + pull;
                 let target = (x + desired.clamp(-limit, limit)).clamp(low, high);
-                *position = target;
+                position.0 = target;
                 // A particle that meets the border loses what it would have gone beyond.
-                *velocity = target - x;
+                velocity.0 = target - x;
             }
             self.random[block] = random;
         }
@@ -363,13 +370,15 @@ impl<const W: usize> Swarm<W> {
     }
 }
 
-/// The constants of a velocity rule.
+/// The constants of a velocity rule, each times χ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Factors {
-    /// χ, on the whole velocity.
-    constriction: f64,
     /// w, on the last velocity.
     inertia: f64,
+    /// c₁, towards a particle's own best.
+    cognitive: f64,
+    /// c₂, towards the best of all.
+    social: f64,
 }
 
 impl KpsoSettings {
@@ -383,8 +392,9 @@ impl KpsoSettings {
             }
         };
         Factors {
-            constriction,
-            inertia,
+            inertia: constriction * inertia,
+            cognitive: constriction * self.cognitive,
+            social: constriction * self.social,
         }
     }
 }

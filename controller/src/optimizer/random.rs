@@ -6,6 +6,7 @@ use crate::wide::Wide;
 /// W independent xoshiro256+ generators (Blackman & Vigna 2021), one in each lane, so that a
 /// particle's random numbers do not depend on how many lanes there are. Their lowest three bits are weak; here they are worth 2⁻²⁹ at most.
 #[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
 pub(super) struct RandomLanes<const W: usize> {
     state: [[u64; W]; 4],
 }

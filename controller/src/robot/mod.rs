@@ -59,6 +59,7 @@ pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
 pub(crate) use section::rotate_wide;
 pub use section::{Arc, Coefficients};
+pub(crate) use wide::Near;
 
 /// Six sections: the longest robot published has five. Every array of this crate is sized by it.
 pub const SECTIONS_MAX: usize = 6;

@@ -106,6 +106,57 @@ pub(super) fn series_coefficients(w: f64) -> (f64, f64) {
     )
 }
 
+/// Terms of [`ShortSeries`].
+const SHORT_TERMS: usize = 7;
+/// As far from its centre, in w, what it leaves out is below 1e-17: 0.2⁷/15!.
+const SHORT_REACH: f64 = 0.2;
+/// Coefficients of f and g themselves.
+const F_SERIES: [f64; SERIES_TERMS] = alternating_inverse_factorials(1);
+const G_SERIES: [f64; SERIES_TERMS] = alternating_inverse_factorials(2);
+
+/// f and g near one w, as polynomials of half as many terms: what a horizon changes of a bend is little.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ShortSeries {
+    centre: f64,
+    f: [f64; SHORT_TERMS],
+    g: [f64; SHORT_TERMS],
+}
+
+impl ShortSeries {
+    /// For bends that are beside (u, v) by `change_rad` at most; None: that is too far.
+    pub(super) fn near([u, v]: [f64; 2], change_rad: f64) -> Option<Self> {
+        let centre = u * u + v * v;
+        let reach = change_rad * (2.0 * centre.sqrt() + change_rad);
+        (reach <= SHORT_REACH && centre <= SERIES_W_MAX).then(|| Self {
+            centre,
+            f: moved(F_SERIES, centre),
+            g: moved(G_SERIES, centre),
+        })
+    }
+
+    /// (f, g) at w.
+    #[inline(always)]
+    pub(super) fn at(&self, w: f64) -> (f64, f64) {
+        let d = w - self.centre;
+        let d2 = d * d;
+        let sum = |c: &[f64; SHORT_TERMS]| {
+            let even = ((c[6] * d2 + c[4]) * d2 + c[2]) * d2 + c[0];
+            even + ((c[5] * d2 + c[3]) * d2 + c[1]) * d
+        };
+        (sum(&self.f), sum(&self.g))
+    }
+}
+
+/// The first coefficients of a polynomial in the distance from `centre`, by repeated division.
+fn moved(mut of: [f64; SERIES_TERMS], centre: f64) -> [f64; SHORT_TERMS] {
+    for first in 0..SHORT_TERMS {
+        for k in (first..SERIES_TERMS - 1).rev() {
+            of[k] += centre * of[k + 1];
+        }
+    }
+    core::array::from_fn(|k| of[k])
+}
+
 /// (f, g) at W values of w side by side.
 #[inline(always)]
 pub(super) fn series_coefficients_wide<const W: usize>(w: Wide<W>) -> (Wide<W>, Wide<W>) {
@@ -294,6 +345,21 @@ mod tests {
         let (h_series, k_series) = h_and_k(SERIES_W_MAX);
         let (h_closed, k_closed) = h_and_k_closed(SERIES_W_MAX);
         assert!((h_series - h_closed).abs() < 6e-17 && (k_series - k_closed).abs() < 3e-17);
+    }
+
+    #[test]
+    fn short_series_are_as_exact_as_far_as_they_reach() {
+        for (bend_rad, change_rad) in [(0.0, 0.4), (0.3, 0.2), (1.57, 0.06), (3.1, 0.03)] {
+            let short = ShortSeries::near([0.6 * bend_rad, -0.8 * bend_rad], change_rad).unwrap();
+            for share in [-1.0, -0.5, 0.0, 0.3, 1.0] {
+                let w = (bend_rad + share * change_rad).powi(2);
+                let ((f, g), exact) = (short.at(w), Coefficients::from_square(w));
+                assert!((f - exact.f).abs() < 5e-16, "f at {w}: {f} {}", exact.f);
+                assert!((g - exact.g).abs() < 3e-16, "g at {w}: {g} {}", exact.g);
+            }
+        }
+        assert!(ShortSeries::near([1.57, 0.0], 0.07).is_none());
+        assert!(ShortSeries::near([f64::NAN, 0.0], 0.01).is_none());
     }
 
     #[test]

@@ -1,8 +1,11 @@
 //! Tip positions of W configurations side by side: the kernel of the swarm.
 
-use super::Robot;
-use super::section::series_coefficients;
+use super::section::{ShortSeries, series_coefficients};
+use super::{Configuration, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
+
+/// The coefficients of all sections near one configuration.
+pub(crate) type Near = [ShortSeries; SECTIONS_MAX];
 
 impl Robot {
     /// Position of the tip in the base frame \[m\] for W configurations, `bend_rad(i)` being the i-th
@@ -19,11 +22,45 @@ impl Robot {
         tip
     }
 
-    /// The same, and the first `AXES` (up to 2) of the tip's z and x axis in the base frame.
+    /// The same near one configuration, in less time.
+    #[inline(always)]
+    pub(crate) fn tip_position_near<const W: usize>(
+        &self,
+        near: &Near,
+        bend_rad: impl Fn(usize) -> Wide<W>,
+    ) -> [Wide<W>; 3] {
+        let (tip, []) = self.tip_wide::<W, 0>(bend_rad, |j, w| near[j].at(w));
+        tip
+    }
+
+    /// What [`Self::tip_position_near`] needs where no section's bend vector changes by more than `change_rad`; None: that is too far.
+    pub(crate) fn near(
+        &self,
+        at: &Configuration,
+        change_rad: &[f64; SECTIONS_MAX],
+    ) -> Option<Near> {
+        let mut near = [ShortSeries::near([0.0; 2], 0.0)?; SECTIONS_MAX];
+        for (j, near) in near.iter_mut().enumerate().take(self.section_count()) {
+            *near = ShortSeries::near(at.section(j), change_rad[j])?;
+        }
+        Some(near)
+    }
+
+    /// Position of the tip, and the first `AXES` (up to 2) of its z and x axis in the base frame.
     #[inline(always)]
     pub(crate) fn tip_frame_wide<const W: usize, const AXES: usize>(
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
+    ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {
+        self.tip_wide(bend_rad, |_, w| series_coefficients(w))
+    }
+
+    /// The same with the coefficients (f, g) of each section at its w.
+    #[inline(always)]
+    fn tip_wide<const W: usize, const AXES: usize>(
+        &self,
+        bend_rad: impl Fn(usize) -> Wide<W>,
+        coefficients: impl Fn(usize, f64) -> (f64, f64),
     ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {
         // The tip as seen from the section's end, then from its start: (x, y, z), and the axes.
         let [mut x, mut y, mut z] = [[0.0; W]; 3];
@@ -37,7 +74,7 @@ impl Robot {
             // One loop over the lanes with all that a section does: the compiler makes vectors of it.
             for i in 0..W {
                 let w = u[i] * u[i] + v[i] * v[i];
-                let (f, g) = series_coefficients(w);
+                let (f, g) = coefficients(j, w);
                 let upright = 1.0 - w * g;
                 // x ← Rⱼ x + pⱼ with t = ℓ - (u x + v y), as in `tip_position`.
                 let t = length_m - (u[i] * x[i] + v[i] * y[i]);
@@ -61,7 +98,7 @@ impl Robot {
 
 #[cfg(test)]
 mod tests {
-    use crate::robot::{Configuration, RobotParameters};
+    use crate::robot::RobotParameters;
 
     use super::*;
 
@@ -74,10 +111,17 @@ mod tests {
             for lane in 0..8 {
                 let bends: Vec<_> = (0..2 * sections).map(|i| bend(i, lane)).collect();
                 let narrow = robot.tip_position_wide(|i| Wide([bends[i]]));
-                let scalar = robot.tip_position(&Configuration::from_slice(&bends).unwrap());
+                let at = Configuration::from_slice(&bends).unwrap();
+                let scalar = robot.tip_position(&at);
+                // Some of these bends are beyond what a robot's sections reach.
+                let near = robot.near(&at, &[1e-3; SECTIONS_MAX]);
+                assert!(near.is_some() || sections > 3);
+                let beside = near.map(|near| robot.tip_position_near(&near, |i| Wide([bends[i]])));
                 for axis in 0..3 {
                     assert_eq!(wide[axis].0[lane].to_bits(), narrow[axis].0[0].to_bits());
                     assert!((wide[axis].0[lane] - scalar[axis]).abs() < 1e-12);
+                    let apart = beside.map_or(0.0, |tip| tip[axis].0[0] - scalar[axis]);
+                    assert!(apart.abs() < 2e-15, "{sections}: {apart}");
                 }
             }
         }

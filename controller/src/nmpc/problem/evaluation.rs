@@ -7,20 +7,22 @@ use crate::nmpc::NmpcSettings;
 use crate::nmpc::motion::{Bends, Bent};
 use crate::nmpc::pose_error;
 use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, apart};
-use crate::robot::COORDINATES_MAX;
+use crate::robot::{COORDINATES_MAX, Near};
 use crate::wide::{Wide, all};
 
 impl TrackingProblem<'_> {
     /// Eq. 5 for W plans side by side, in the coordinates that P stands for; as far as it takes to know that all cost more than `enough`.
     #[inline(always)]
-    pub(super) fn evaluate_in<const W: usize, const P: usize>(
-        &self,
+    pub(super) fn evaluate_in<'a, const W: usize, const P: usize>(
+        &'a self,
         z: &impl Fn(usize) -> Wide<W>,
+        near: Option<&'a Near>,
         enough: f64,
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
         let mut rollout = Rollout::<W, P>::new(self, z);
+        rollout.near = near;
         for step in 0..self.steps() {
             rollout.advance(step, z, budget, instructions)?;
             if rollout.is_enough(enough) {
@@ -160,6 +162,8 @@ struct Rollout<'a, const W: usize, const P: usize> {
     problem: &'a TrackingProblem<'a>,
     bends: Bends<W, P>,
     evaluation: Evaluation<W>,
+    /// Where all plans stay near the start.
+    near: Option<&'a Near>,
     // What is the same in every step.
     step_ns: u32,
     is_free: bool,
@@ -172,6 +176,7 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
             problem,
             bends: problem.motion.start(),
             evaluation: Evaluation::from_cost(problem.regularisation(z)),
+            near: None,
             step_ns: problem.step_ns(),
             is_free: problem.is_free(),
         }
@@ -200,7 +205,8 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
         if let Some(target) = problem.target(step) {
             let bend_rad = |i: usize| self.bends.bend_rad[i];
             let weights = problem.weights(step);
-            let error = pose_error::squared_error(problem.robot, bend_rad, target, &weights);
+            let error =
+                pose_error::squared_error(problem.robot, bend_rad, self.near, target, &weights);
             self.evaluation.cost = self.evaluation.cost + error;
         }
         if let Some(before) = before {

@@ -201,15 +201,18 @@ fn beside(case: &Case, places: &[(usize, f64, [f64; 3], [f64; 3])]) -> Vec<Obsta
     places.iter().enumerate().map(place).collect()
 }
 
-/// Eight plans side by side.
-fn evaluated(problem: &TrackingProblem, plans: impl Fn(usize) -> Wide<LANES>) -> Evaluation<LANES> {
+/// Plans side by side, as the swarm sees them.
+fn evaluated<const W: usize>(
+    problem: &TrackingProblem,
+    plans: impl Fn(usize) -> Wide<W>,
+) -> Evaluation<W> {
     let budget = &mut Budget::unlimited();
     let found = match problem.motion.coordinates() {
         Coordinates::BendVector => {
-            Searched::<VECTORS>(problem).evaluate(plans, budget, pulp::Scalar)
+            Searched::<VECTORS>::new(problem).evaluate(plans, budget, pulp::Scalar)
         }
         Coordinates::BendAngles => {
-            Searched::<ANGLES>(problem).evaluate(plans, budget, pulp::Scalar)
+            Searched::<ANGLES>::new(problem).evaluate(plans, budget, pulp::Scalar)
         }
     };
     found.expect("an unlimited budget")
@@ -227,19 +230,21 @@ proptest! {
         let around = beside(&case, &places);
         let parameters = RobotParameters::paper(case.at.section_count());
         let share = |i: usize, lane: usize| SHARES[lane] * case.plan[i];
-        let plans = |i: usize| Wide::from_fn(|lane| share(i, lane));
+        let plans = |i: usize| Wide::<LANES>::from_fn(|lane| share(i, lane));
         let free = with_problem(&case, |problem| evaluated(problem, plans));
         with_problem_among(&around, &parameters, &case, |problem| {
             let found = evaluated(problem, plans);
             // A lane that is not finite says so and changes no other.
-            let bad = evaluated(problem, |i| {
+            let bad = evaluated::<LANES>(problem, |i| {
                 Wide::from_fn(|lane| if lane == bad_lane { f64::NAN } else { share(i, lane) })
             });
             for lane in 0..LANES {
                 let plan: Vec<f64> = (0..case.plan.len()).map(|i| share(i, lane)).collect();
-                let alone = problem.evaluate_at(&plan, &mut Budget::unlimited()).expect("no end");
+                let exact = problem.evaluate_at(&plan, &mut Budget::unlimited()).expect("no end");
+                let alone = evaluated(problem, |i| Wide([plan[i]]));
                 let [cost, bad, alone] = [found.cost.0[lane], bad.cost.0[lane], alone.cost.0[0]];
                 prop_assert_eq!(cost.to_bits(), alone.to_bits());
+                prop_assert!((cost - exact.cost.0[0]).abs() <= 1e-14 * (1.0 + cost));
                 let stays = if lane == bad_lane { bad.is_nan() } else { bad.to_bits() == cost.to_bits() };
                 prop_assert!(stays, "lane {lane}: {cost}, {bad} beside NaN in lane {bad_lane}");
 

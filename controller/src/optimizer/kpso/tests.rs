@@ -179,7 +179,7 @@ fn constriction_is_clerc_and_kennedys() {
         social: 2.05,
         ..settings(VelocityRule::Constriction)
     };
-    let chi = rule.factors().constriction;
+    let chi = rule.factors().inertia;
     assert!((chi - 0.7298).abs() < 1e-4, "{chi}");
 }
 
