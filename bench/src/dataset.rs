@@ -50,7 +50,7 @@ pub struct RoundTable {
     pub counts: &'static [&'static str],
     /// A name, a unit and the key of a row: see [`Dataset::compare`].
     pub numbers: &'static [(&'static str, &'static str, &'static str)],
-    /// Begin of the names of a row's numbers: see [`filled`].
+    /// Begin of the names of a row's numbers: see `filled`.
     pub path: &'static str,
 }
 
