@@ -22,7 +22,7 @@ pub(crate) struct Case<'a> {
 pub(crate) struct Rounds(BTreeMap<&'static str, Vec<Vec<Value>>>);
 
 impl Rounds {
-    /// None when nothing of that table was measured.
+    /// Empty when nothing of that table was measured.
     pub(crate) fn of(&self, table: &str) -> &[Vec<Value>] {
         self.0.get(table).map_or(&[], Vec::as_slice)
     }

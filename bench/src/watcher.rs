@@ -196,7 +196,8 @@ impl Watcher {
             if now_ns >= time_ns {
                 return Ok(false);
             }
-            if is_there && now_ns > release_ns + RESTLESS_NS {
+            let rests = is_there || self.asker.is_some();
+            if rests && now_ns > release_ns + RESTLESS_NS {
                 sleep_until(now_ns + REST_NS);
             }
         }

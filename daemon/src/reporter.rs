@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! loop { sleep for four periods, 1 ms at least and 20 ms at most
-//!          judge:   was the cycle late, and why
-//!          publish: telemetry of every cycle
-//!          hand on: bad cycles and a summary to the supervisor }
+//!          evaluate: was the cycle late, and why
+//!          publish:  telemetry of every cycle
+//!          hand on:  bad cycles and a summary to the supervisor }
 //! ```
 //!
 //! With each reader that joins or leaves, files in the root folder are made and removed under one lock of that folder.

@@ -373,7 +373,7 @@ wire_enum! {
         Kpso = 0: "kpso",
         /// Damped Gauss-Newton steps, projected on the box.
         GaussNewton = 1: "gauss-newton",
-        /// The swarm chooses the basin, Gauss-Newton finishes.
+        /// Gauss-Newton refines, and the swarm chooses the basin where that leaves an error.
         KpsoRefined = 2: "kpso-refined",
     }
 }

@@ -85,9 +85,11 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
                 .as_str()
                 .is_some_and(|it| it.starts_with(name))
         };
-        let mut own = metrics.iter().filter(is_own);
+        let own: Vec<_> = metrics.iter().filter(is_own).collect();
+        assert!(own.len() > 3, "{name}");
+        let has_both = |metric: &&Value| list(metric, "rounds").len() == 2;
         assert!(
-            own.all(|metric| list(metric, "rounds").len() == 2),
+            own.iter().copied().all(|metric| has_both(&metric)),
             "{name}"
         );
     }
@@ -100,7 +102,11 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         );
         assert!(both_us >= estimate_us.max(us("solve_p50_us")), "{row}");
     }
-    assert_budgets(list(&report["budget"], "cases"));
+    let budgets = list(&report["budget"], "cases");
+    assert_budgets(budgets);
+    let csv = fs::read_to_string(folder.join("budget.csv")).expect("a table");
+    assert!(csv.starts_with("case,budget_us,solves,"), "{csv}");
+    assert_eq!(csv.lines().count(), 1 + budgets.len());
     let input = Input::read(&file).expect("a result");
     let comparison = Comparison::of(&input, &input);
     let changed = [ChangeClass::Worse, ChangeClass::Better].map(|class| comparison.count(class));

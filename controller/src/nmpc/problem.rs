@@ -92,7 +92,7 @@ impl<'a> TrackingProblem<'a> {
     }
 
     /// Whether the cost is that of the tip's position alone, and its rows are not staged.
-    pub(super) fn is_plain(&self) -> bool {
+    pub(super) fn is_position_only(&self) -> bool {
         let is_position = |step| {
             let target = self.target(step).map(|target| target.orientation);
             matches!(target, None | Some(Orientation::Free))
@@ -353,7 +353,7 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn rounding(&self) -> Option<f64> {
-        self.is_plain().then(|| {
+        self.is_position_only().then(|| {
             let lengths_m = self.robot.sections().iter().map(|section| section.length_m);
             let rounding_m = f64::EPSILON * lengths_m.sum::<f64>();
             let weights = (0..self.steps()).map(|step| self.weights(step).position);

@@ -103,7 +103,7 @@ pub struct SolveReport {
     pub refinements: u32,
     /// Candidate that the solution descends from.
     pub winner: Candidate,
-    /// Seed of the swarm.
+    /// Seed of the swarm, and of the sides of ways past obstacles.
     pub seed: u64,
 }
 

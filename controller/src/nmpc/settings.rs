@@ -15,7 +15,7 @@ pub enum SolverKind {
     Kpso,
     /// Damped Gauss-Newton steps from the best candidate.
     GaussNewton,
-    /// The swarm chooses the basin, Gauss-Newton finishes.
+    /// Gauss-Newton refines, and the swarm chooses the basin where that leaves an error.
     #[default]
     KpsoRefined,
 }
@@ -51,7 +51,7 @@ crate::parameters! {
     #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[serde(default, deny_unknown_fields)]
     pub struct NmpcSettings {
-        /// "kpso-refined": the swarm chooses the basin, Gauss-Newton finishes. "kpso": the paper's swarm alone.
+        /// "kpso-refined": Gauss-Newton, and the swarm where that leaves an error. "kpso": the paper's swarm alone.
         /// "gauss-newton": damped steps from the best candidate.
         solver: SolverKind = SolverKind::KpsoRefined;
         /// Prediction steps N, {range}.

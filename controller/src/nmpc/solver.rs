@@ -84,7 +84,7 @@ impl Solver {
         let refines = task.settings.solver.refines();
         let stages = refines && task.problem.is_staged();
         // What is known of such derivatives costs little, so the plan is refined before anything else is tried.
-        let refines_first = stages || (refines && task.problem.is_plain());
+        let refines_first = stages || (refines && task.problem.is_position_only());
         let (evaluation, rests) = if stages {
             self.evaluate_to_rest(task, warm_plan, budget)
         } else {
@@ -257,6 +257,9 @@ impl Solver {
                 self.leave_singular_shape(task, budget);
             }
         }
+        if self.incumbent.cost() <= task.settings.cost_tolerance() {
+            return 0;
+        }
         let problem = task.problem;
         match problem.motion.coordinates() {
             Coordinates::BendVector => {
@@ -269,9 +272,6 @@ impl Solver {
     }
 
     fn search_around(&mut self, cost: &impl Cost, task: &Task, budget: &mut Budget<'_>) -> u32 {
-        if self.incumbent.cost() <= task.settings.cost_tolerance() {
-            return 0;
-        }
         let swarm_task = optimizer::Task {
             cost,
             bounds: task.bounds,

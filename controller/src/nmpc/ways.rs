@@ -1,4 +1,5 @@
-//! A new plan among obstacles: several ways are begun with rough steps, and the better ones go on.
+//! A new plan among obstacles: several ways are begun with rough steps, and the better ones go on (multi-start with successive elimination). A *way* is a
+//! plan that passes the obstacles on sides of its own; a *heat* begins some and ends with the best of them.
 
 use core::f64::consts::PI;
 
@@ -33,7 +34,7 @@ impl Solver {
         }
         let is_open = self.find_free_way(task, warm_plan, budget);
         for heat in 0..if is_open { 1 } else { HEATS } {
-            if budget.left() {
+            if budget.left() && self.error_is_left(task) {
                 self.run_heat(task, heat, is_open, budget);
             }
         }
@@ -63,7 +64,7 @@ impl Solver {
     }
 
     /// Begins with as many ways as there are, goes on with the better half, and with the best of these to its end. In the first heat the incumbent takes part, and the free way itself;
-    /// those two alone where the latter is open.
+    /// those two alone where the latter is open. What the incumbent holds meanwhile is of an earlier solve, and nobody looks at it.
     fn run_heat(&mut self, task: &Task, heat: u64, is_open: bool, budget: &mut Budget<'_>) {
         let round = rough(task, ROUND_STEPS);
         let is_first = heat == 0;
@@ -74,8 +75,11 @@ impl Solver {
         }
         for way in 0..WAYS {
             if is_open && way > 1 {
+                // Without a cost it comes last.
                 self.ways[way].restart(&self.free_plan, None);
-            } else if !is_first || way > 1 {
+                continue;
+            }
+            if !is_first || way > 1 {
                 self.set_out(task, 2 * heat + way as u64 / 2, way, budget);
             }
             if !is_first || way > 0 {

@@ -280,6 +280,43 @@ fn a_budget_that_ends_before_the_way_round_leads_up_to_the_obstacles() {
     }
 }
 
+/// A new plan among obstacles begins on several ways: whichever the budget ends, the plan costs no more than rest, and is the same again.
+#[test]
+fn a_new_plan_is_no_worse_than_rest_and_the_same_again_wherever_the_budget_ends() {
+    let course = Course::jump(SolverKind::KpsoRefined);
+    let goal_m = (course.reference)(&course.robot, 0.0).position_m;
+    let tip_m = course.robot.tip_position(&course.at);
+    let up_m = Vector3::new(0.0, 0.0, 0.3);
+    let posts: Vec<_> = [-0.04, 0.0, 0.04]
+        .map(|aside_m| {
+            let start_m = (tip_m + goal_m) / 2.0 + Vector3::new(aside_m, aside_m, -0.15);
+            let end_m = start_m + up_m;
+            Obstacle::new(Shape::Capsule { start_m, end_m }, 0.005, Vector3::zeros()).unwrap()
+        })
+        .into();
+    let window = [inside(goal_m); STEPS as usize];
+    let solved = |quanta| {
+        let mut nmpc = Nmpc::new(course.robot.clone(), PERIOD_S, course.settings).unwrap();
+        let rest = BendRates::zero(3);
+        let input = SolveInput {
+            obstacles: &posts,
+            seed: 7,
+            ..input(&course.at, &rest, &window)
+        };
+        let (_, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
+        (nmpc.plan().to_vec(), report)
+    };
+    for turn in 0..crate::repetitions(50, 400) {
+        let quanta = 3000 * turn / crate::repetitions(50, 400);
+        let (plan, report) = solved(quanta);
+        assert!(report.cost <= report.warm_cost, "{quanta}: {report:?}");
+        assert!(report.quanta <= quanta + 1, "{report:?}");
+        let (again, same) = solved(quanta);
+        assert_eq!((plan, report.cost), (again, same.cost), "{quanta}");
+    }
+    assert!(solved(3000).1.cost < 0.5 * solved(20).1.cost);
+}
+
 const HELD: [[f64; 2]; 3] = [[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]];
 
 /// A robot whose tip is on its goal for 0.3 s. Each ball comes towards the middle of its second section from a side, ±1, from a gap beyond

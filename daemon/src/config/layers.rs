@@ -34,10 +34,12 @@ impl Layers {
             file: file.to_owned(),
             cause: syntax(text, &error),
         })?;
+        // Of a list every element has a line.
+        let line_ends: Vec<usize> = text.match_indices('\n').map(|(end, _)| end).collect();
         self.origins.file = Some(file.to_owned());
         self.add(text, &places, |offset| Origin::File {
             file: file.to_owned(),
-            line: Some(line_at(text, offset)),
+            line: Some(1 + line_ends.partition_point(|end| *end < offset)),
         })
     }
 

@@ -159,7 +159,8 @@ impl Supervisor {
             }
             // Who starts it waits for the first cycle.
             let has_begun = self.newest.totals.cycles > 0;
-            sleep_unless_signalled(if has_begun { self.look_every } else { LOOK_MIN });
+            let rest = if has_begun { self.look_every } else { LOOK_MIN };
+            sleep_unless_signalled(rest.min(next_status.saturating_duration_since(Instant::now())));
         }
     }
 

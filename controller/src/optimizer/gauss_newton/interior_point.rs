@@ -2,7 +2,7 @@
 //!
 //! A primal-dual interior point method (Nocedal & Wright, *Numerical Optimization*, ch. 16.6): every border and every constraint has a slack s
 //! and a force y with s y = µ, and µ falls to nothing. A border adds a weight to its unknown and a constraint is a row with a weight, so each
-//! iteration is one pass of the smoother. Constraints may give way, by a shortfall whose square counts like a residual's: there is
+//! iteration is one pass of the smoother, or a sweep by information (`riccati`). Constraints may give way, by a shortfall whose square counts like a residual's: there is
 //! always a solution, and a constraint weighs no more than a row that was met.
 
 use super::{Found, Pull, Riccati, Smoother, Trial};

@@ -66,6 +66,8 @@ pub(crate) struct GaussNewton {
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
+    /// For how many free unknowns the matrix was made.
+    factored: usize,
     /// The columns of the free unknowns, when there are at most as many rows.
     columns: Vec<f64>,
     /// JᵀJ of the cost's rows, made when it is first needed.
@@ -110,6 +112,7 @@ impl GaussNewton {
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
+            factored: 0,
             columns: vec![0.0; order * dense],
             gram: vec![0.0; dense * dense],
             gram_is_current: false,

@@ -49,8 +49,8 @@ impl Riccati {
     /// Whether a pass takes less work than one of the smoother: by what both announce.
     pub(super) fn pays(model: &LinearModel) -> bool {
         let (stages, constraints) = (model.stages(), model.constraints());
-        let is_plain = stages.lengths().iter().all(|length| *length == 1.0);
-        let per_row = if is_plain { 1 } else { 4 };
+        let has_unit_blocks = stages.lengths().iter().all(|length| *length == 1.0);
+        let per_row = if has_unit_blocks { 1 } else { 4 };
         let rows = model.cost_rows() + constraints;
         per_row * rows > stages.unknowns() + constraints / 2
     }
@@ -60,6 +60,10 @@ impl Riccati {
         let stages = model.stages();
         self.of_cost.clear();
         let numbers = stages.blocks() * stride(stages.width());
+        // Eight zeros in a nanosecond.
+        if !budget.spend((numbers / 8) as u32) {
+            return false;
+        }
         self.of_cost.resize(numbers, 0.0);
         match stages.width() {
             2 => self.see_cost::<2>(model, budget),
@@ -84,7 +88,13 @@ impl Riccati {
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
         self.of_all.clear();
-        self.of_all.extend_from_slice(&self.of_cost);
+        let numbers = stride(model.stages().width());
+        for of_block in self.of_cost.chunks_exact(numbers) {
+            if !budget.spend((numbers / 4) as u32) {
+                return None;
+            }
+            self.of_all.extend_from_slice(of_block);
+        }
         match model.stages().width() {
             2 => self.sweep::<2>(model, weighed, pull, is_lifted, step, budget),
             4 => self.sweep::<4>(model, weighed, pull, is_lifted, step, budget),
@@ -137,8 +147,11 @@ impl Riccati {
         };
         let blocks = self.of_all.chunks_exact_mut(stride(W));
         for (block, of_block) in blocks.enumerate().rev() {
-            if !budget.spend((W * W * W) as u32) {
-                return None;
+            // In halves: that of six sections is more than a quantum.
+            for _ in 0..2 {
+                if !budget.spend((W * W * W / 2) as u32) {
+                    return None;
+                }
             }
             let pull_at = |i: usize| pull(block * W + i);
             let at = &step[block * W..][..W];
@@ -149,6 +162,9 @@ impl Riccati {
         let mut state = [0.0; W];
         let blocks = self.of_all.chunks_exact(stride(W));
         for ((of_block, step), length) in blocks.zip(step.chunks_exact_mut(W)).zip(lengths) {
+            if !budget.spend((W * W) as u32) {
+                return None;
+            }
             forward::<W>(of_block, &state, step);
             for (state, step) in state.iter_mut().zip(&*step) {
                 *state += length * step;
@@ -293,7 +309,8 @@ impl<const W: usize> After<W> {
     }
 }
 
-/// Cholesky's factor in place of a matrix, in the lower triangle. False: it is not positive.
+/// Cholesky's factor in place of a matrix of a width that the compiler knows, in the lower triangle; its time is announced with that of its block. False: it
+/// is not positive.
 fn factorise<const W: usize>(matrix: &mut [f64]) -> bool {
     for column in 0..W {
         let pivot = matrix[column * W + column];
@@ -336,9 +353,9 @@ mod tests {
     use super::*;
     use crate::optimizer::{Stages, cycle_seed};
 
-    const WIDTH: usize = 4;
-    const UNKNOWNS: usize = 3 * WIDTH;
+    const BLOCKS: usize = 3;
     const DAMPING: f64 = 1e-9;
+    const WIDTHS: [usize; 4] = [2, 4, 6, 12];
 
     /// Some number between -1 and 1.
     fn number(i: usize, k: usize) -> f64 {
@@ -346,27 +363,29 @@ mod tests {
     }
 
     /// Rows of every kind of place, and constraints.
-    fn model() -> LinearModel {
-        let mut model = LinearModel::with_capacity(60, 60, UNKNOWNS, UNKNOWNS);
-        model.clear(&Stages::new(WIDTH, 0.5, [1.0, 2.0, 1.0].into_iter()), true);
-        model.weigh(1e-3, &[0.2; UNKNOWNS]);
+    fn model(width: usize) -> LinearModel {
+        let unknowns = BLOCKS * width;
+        let mut model = LinearModel::with_capacity(60, 60, unknowns, unknowns);
+        model.clear(&Stages::new(width, 0.5, [1.0, 2.0, 1.0].into_iter()), true);
+        model.weigh(1e-3, &vec![0.2; unknowns]);
         for i in 0..12 {
             let place = Place {
                 block: i / 4,
                 since_start: i % 3 != 0,
                 periods: 1.0 + f64::from(u8::from(i / 4 == 1 && i % 2 == 1)),
             };
-            let derivatives = [0, 1, 2, 3].map(|k| number(i, k));
-            model.push(number(i, 4), &derivatives, place);
-            let h = 0.1 * number(i, 5);
-            model.push_constraint(0, h, h, &derivatives.map(|d| 30.0 * d), place);
+            let derivatives: Vec<f64> = (0..width).map(|k| number(i, k)).collect();
+            model.push(number(i, 20), &derivatives, place);
+            let h = 0.1 * number(i, 21);
+            let steeper: Vec<f64> = derivatives.iter().map(|d| 30.0 * d).collect();
+            model.push_constraint(0, h, h, &steeper, place);
         }
         model
     }
 
     fn pull(i: usize) -> Option<Pull> {
-        let weight = 10_f64.powf(-3.0 + 4.0 * number(i, 6));
-        let force = number(i, 7);
+        let weight = 10_f64.powf(-3.0 + 4.0 * number(i, 22));
+        let force = number(i, 23);
         (i != 5).then_some(Pull { weight, force })
     }
 
@@ -375,31 +394,37 @@ mod tests {
     }
 
     fn by_riccati(
+        model: &LinearModel,
         pull: impl Fn(usize) -> Option<Pull>,
         is_lifted: bool,
     ) -> (Option<bool>, Vec<f64>) {
-        let (model, mut budget) = (model(), Budget::unlimited());
-        let mut riccati = Riccati::with_capacity(UNKNOWNS);
-        assert!(riccati.begin(&model, &mut budget));
-        let pull = |i| pull(i).map(|pull| pull.with_own(&model, i, DAMPING));
-        let mut step = vec![0.3; UNKNOWNS];
-        let solved = riccati.solve(&model, weighed, pull, is_lifted, &mut step, &mut budget);
+        let (unknowns, mut budget) = (model.stages().unknowns(), Budget::unlimited());
+        let mut riccati = Riccati::with_capacity(unknowns);
+        assert!(riccati.begin(model, &mut budget));
+        let pull = |i| pull(i).map(|pull| pull.with_own(model, i, DAMPING));
+        let mut step = vec![0.3; unknowns];
+        let solved = riccati.solve(model, weighed, pull, is_lifted, &mut step, &mut budget);
         (solved, step)
     }
 
     #[test]
     fn it_is_the_step_of_the_smoother() {
-        let (solved, step) = by_riccati(pull, false);
-        assert_eq!(solved, Some(true));
-        let (mut model, mut budget) = (model(), Budget::unlimited());
-        model.weigh_constraints(weighed, &mut budget).unwrap();
-        let mut smoother = Smoother::with_capacity(60);
-        let mut smoothed = vec![0.3; UNKNOWNS];
-        assert!(smoother.solve_pulled(&model, pull, DAMPING, &mut smoothed, &mut budget));
-        for (step, smoothed) in step.iter().zip(&smoothed) {
-            assert!((step - smoothed).abs() < 1e-9, "{step} {smoothed}");
+        for width in WIDTHS {
+            let (mut model, mut budget) = (model(width), Budget::unlimited());
+            let steps = [false, true].map(|is_lifted| by_riccati(&model, pull, is_lifted));
+            model.weigh_constraints(weighed, &mut budget).unwrap();
+            let mut smoother = Smoother::with_capacity(60);
+            let mut smoothed = vec![0.3; BLOCKS * width];
+            assert!(smoother.solve_pulled(&model, pull, DAMPING, &mut smoothed, &mut budget));
+            for (solved, step) in steps {
+                assert_eq!(solved, Some(true));
+                for (step, smoothed) in step.iter().zip(&smoothed) {
+                    let most = 1e-9 * (1.0 + smoothed.abs());
+                    assert!((step - smoothed).abs() < most, "{width}: {step} {smoothed}");
+                }
+                assert!((step[5] - 0.3).abs() < 1e-9, "it was fixed: {}", step[5]);
+            }
         }
-        assert!((step[5] - 0.3).abs() < 1e-9, "it was fixed: {}", step[5]);
     }
 
     #[test]
@@ -408,21 +433,17 @@ mod tests {
             let weight = if i == 0 { 0.0 } else { 1.0 };
             Some(Pull { weight, force: 0.0 })
         };
-        let model = model();
-        let of = |is_lifted| {
-            let mut riccati = Riccati::with_capacity(UNKNOWNS);
-            let mut budget = Budget::unlimited();
-            assert!(riccati.begin(&model, &mut budget));
-            let mut step = vec![0.0; UNKNOWNS];
-            riccati.solve(
-                &model,
-                |_, _| None,
-                light,
-                is_lifted,
-                &mut step,
-                &mut budget,
-            )
-        };
-        assert_eq!([false, true].map(of), [Some(false), Some(true)]);
+        for width in WIDTHS {
+            let model = model(width);
+            let of = |is_lifted| {
+                let mut riccati = Riccati::with_capacity(BLOCKS * width);
+                let mut budget = Budget::unlimited();
+                assert!(riccati.begin(&model, &mut budget));
+                let mut step = vec![0.0; BLOCKS * width];
+                let step = &mut step;
+                riccati.solve(&model, |_, _| None, light, is_lifted, step, &mut budget)
+            };
+            assert_eq!([false, true].map(of), [Some(false), Some(true)]);
+        }
     }
 }

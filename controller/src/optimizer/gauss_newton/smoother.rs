@@ -152,7 +152,7 @@ impl Smoother {
     }
 
     /// Whether a block of one period has only rows at its end: what they know of its unknowns is the sum, too.
-    fn is_plain(&self, model: &LinearModel, block: usize) -> bool {
+    fn has_end_rows_only(&self, model: &LinearModel, block: usize) -> bool {
         let at_end = |place: Place| place.since_start && place.periods == 1.0;
         let mut rows = self.order[self.rows_of(block)].iter();
         model.stages().lengths()[block] == 1.0
@@ -180,7 +180,7 @@ impl Smoother {
         };
         for block in 0..model.stages().blocks() {
             let prior = self.prior::<W>(block);
-            let filtered = if self.is_plain(model, block) {
+            let filtered = if self.has_end_rows_only(model, block) {
                 state.add(&prior);
                 self.filter(model, block, damping, &mut state, budget)
             } else {
@@ -195,7 +195,7 @@ impl Smoother {
         }
         let mut pull = [0.0; W];
         for block in (0..model.stages().blocks()).rev() {
-            let of_unknowns = if self.is_plain(model, block) {
+            let of_unknowns = if self.has_end_rows_only(model, block) {
                 self.pull_back(model, block, &mut pull);
                 pull
             } else {

@@ -198,6 +198,7 @@ impl GaussNewton {
                 .smoother
                 .solve(&self.model, &self.free, damping, step, budget);
         }
+        self.factored = self.free.len();
         let rows = self.model.rows();
         // What the fixed unknowns do already.
         let at_rest = self.step[..dimension].iter().all(|step| *step == 0.0);
@@ -278,9 +279,10 @@ impl GaussNewton {
         true
     }
 
-    /// Solves again where the model has other residuals now, with the matrix of the last solution, for what was free in it; what was not rests.
+    /// Solves again where the model has other residuals now, with the matrix of the last solution, for what was free in it; what was not rests. False, too,
+    /// where fewer are free now.
     pub(super) fn solve_again(&mut self, dimension: usize, budget: &mut Budget<'_>) -> bool {
-        if self.free.is_empty() {
+        if self.free.is_empty() || self.free.len() != self.factored {
             return false;
         }
         self.step[..dimension].fill(0.0);

@@ -68,8 +68,8 @@ pub(crate) fn find_thread(process: u32, name: &str) -> Option<i32> {
 
 /// Longer than a machine keeps a thread from running beside others.
 const WATCHDOG: Duration = Duration::from_millis(500);
-/// The watchdog looks every 20 ms: a thread can have stood still for two looks less than the time that was counted.
-const LOOKS: Duration = Duration::from_millis(40);
+/// The watchdog looks every 50 ms: a thread can have stood still for two looks less than the time that was counted.
+const LOOKS: Duration = Duration::from_millis(100);
 /// The supervisor publishes its status each 100 ms, so of so many after the hang all but three had counted the time between
 /// two: that of the look that was half over, that of the look that ends the process, and one of a supervisor that was held up
 /// between publishing and counting.
