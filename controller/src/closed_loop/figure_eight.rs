@@ -20,12 +20,12 @@ const SPIRAL_CYCLES: u32 = 994;
 /// Where the figure eight of three sections begins: of the many shapes of that tip one that the robot came to from bends of 0.4 rad. Written down, so that
 /// the task is the same whatever the solver does \[rad\].
 const BEGIN_RAD: [f64; 6] = [
-    -0.14408471368301776,
-    -0.5473658265713545,
-    0.7429034636638068,
-    0.6493274427580374,
-    0.809237139492114,
-    0.6493229381511145,
+    -0.144_084_713_683_017_76,
+    -0.547_365_826_571_354_5,
+    0.742_903_463_663_806_8,
+    0.649_327_442_758_037_4,
+    0.809_237_139_492_114,
+    0.649_322_938_151_114_5,
 ];
 
 /// The paper's robot with the default settings, at rest where the figure eight begins.
