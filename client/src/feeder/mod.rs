@@ -28,8 +28,10 @@ use watch::Watch;
 /// lease is short.
 const TURN_MAX: Duration = Duration::from_millis(5);
 const TURN_MIN: Duration = Duration::from_millis(1);
-/// How long the daemon may take no notice, or send no telemetry, before the feed gives up.
+/// How long the daemon may take no notice, or neither send telemetry nor answer, before the feed gives up.
 const TIMEOUT_NS: u64 = 1_000_000_000;
+/// How long the daemon may only answer: its telemetry leaves by a thread that others can hold up, and the control does not wait for it.
+const TELEMETRY_TIMEOUT_NS: u64 = 10_000_000_000;
 /// How long after its end a tracked reference may take to be reported as ended.
 const END_GRACE_NS: u64 = 500_000_000;
 
@@ -136,6 +138,8 @@ impl<'c> Feeder<'c> {
             schedule: Schedule::new(self.trajectory, &self.options, now_ns)?,
             watch: Watch::new(self.connection.sender_id(), self.lease.grant()),
             heard_ns: now_ns,
+            answered_ns: now_ns,
+            released_ns: now_ns,
             begun_ns: now_ns,
             asked: false,
         };
@@ -147,7 +151,7 @@ impl<'c> Feeder<'c> {
             // Right after all records were read: a program that was stopped for longer has not heard the daemon fall silent.
             state.check_patience(self.connection, monotonic_ns())?;
             self.track_once(&mut state)?;
-            self.renew(&state)?;
+            self.renew(&mut state)?;
             if flow.is_continue() {
                 flow = observer(FeedEvent::Progress(state.progress(self.trajectory)));
                 thread::sleep(turn(self.lease.left()));
@@ -183,6 +187,7 @@ impl<'c> Feeder<'c> {
     ) -> Result<ControlFlow<()>, FeedError> {
         while let Some(record) = self.telemetry.try_next()? {
             state.heard_ns = monotonic_ns();
+            state.released_ns = record.release_ns;
             let flow = observer(FeedEvent::Record(&record));
             state.watch.look(&record, &state.schedule)?;
             if flow.is_break() {
@@ -201,12 +206,17 @@ impl<'c> Feeder<'c> {
         Ok(())
     }
 
-    fn renew(&self, state: &FeedState) -> Result<(), FeedError> {
-        if monotonic_ns() < self.lease.renewal_due_ns() {
+    /// Renews the lease when that is due, or when it has to be known whether the daemon lives.
+    fn renew(&self, state: &mut FeedState) -> Result<(), FeedError> {
+        let now_ns = monotonic_ns();
+        if now_ns < self.lease.renewal_due_ns() && state.silent_ns(now_ns) < TIMEOUT_NS / 2 {
             return Ok(());
         }
         match self.lease.renew() {
-            Ok(_) => Ok(()),
+            Ok(_) => {
+                state.answered_ns = monotonic_ns();
+                Ok(())
+            }
             Err(RequestError::Restarted { .. }) => Err(state.restarted()),
             Err(error) => Err(error.into()),
         }
@@ -224,6 +234,10 @@ struct FeedState<'t> {
     watch: Watch,
     /// When the last record arrived.
     heard_ns: u64,
+    /// When the last request was answered.
+    answered_ns: u64,
+    /// Release of the last record.
+    released_ns: u64,
     begun_ns: u64,
     /// Whether tracking has been asked for.
     asked: bool,
@@ -236,13 +250,18 @@ impl FeedState<'_> {
         now_ns > end_ns && (!waits_for_end || now_ns > end_ns + END_GRACE_NS)
     }
 
+    /// How long neither a record nor an answer came.
+    fn silent_ns(&self, now_ns: u64) -> u64 {
+        now_ns.saturating_sub(self.heard_ns.max(self.answered_ns))
+    }
+
     fn check_patience(&self, connection: &Connection, now_ns: u64) -> Result<(), FeedError> {
-        let silent_ns = now_ns.saturating_sub(self.heard_ns);
-        if silent_ns > TIMEOUT_NS {
-            let waited = Duration::from_nanos(silent_ns);
+        let unheard_ns = now_ns.saturating_sub(self.heard_ns);
+        if self.silent_ns(now_ns) > TIMEOUT_NS || unheard_ns > TELEMETRY_TIMEOUT_NS {
+            let waited = Duration::from_nanos(unheard_ns);
             return Err(connection.silent(Service::Telemetry, waited).into());
         }
-        if !self.watch.is_accepted() && now_ns > self.begun_ns + TIMEOUT_NS {
+        if !self.watch.is_accepted() && self.released_ns > self.begun_ns + TIMEOUT_NS {
             return Err(FeedError::Ignored);
         }
         Ok(())

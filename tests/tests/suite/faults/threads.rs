@@ -1,12 +1,15 @@
 //! Threads that hang: the test stops a single one as a debugger does.
 
+use std::ops::ControlFlow;
 use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
+use cdcr_client::{ConnectError, Connection, FeedEnd, FeedEvent, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, ask_for, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, Place, Program, ROBOT, TIMEOUT, ask_for, paper_line, tracked, wait_status, wait_until,
+};
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
 use nix::unistd::Pid;
@@ -199,6 +202,34 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     assert_eq!(ended.code(), Some(81), "{}", daemon.log());
     let sentence = "the reporter thread made no progress for 2500 ms (5 times cycle.watchdog_ms)";
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
+}
+
+#[test]
+fn a_feed_goes_on_while_the_reporter_hangs() {
+    let daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 2000.0\n");
+    let connection = daemon.connect();
+    let line = paper_line(60.0);
+    let (mut hung, mut hung_at, mut back) = (None, None, None);
+    let fed = connection.feed(&line, tracked()).unwrap().run(|event| {
+        let FeedEvent::Progress(progress) = event else {
+            return ControlFlow::Continue(());
+        };
+        if progress.tracking && hung_at.is_none() {
+            hung_at = Some(Instant::now());
+            hung = Hung::new(daemon.id(), "cdcr-reporter");
+        }
+        // Twice as long as a feed waits for a daemon that says nothing at all.
+        if hung_at.is_some_and(|at| at.elapsed() > Duration::from_secs(2)) {
+            hung = None;
+            back.get_or_insert_with(Instant::now);
+        }
+        match back {
+            Some(at) if at.elapsed() > Duration::from_millis(200) => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
+        }
+    });
+    let report = fed.unwrap();
+    assert_eq!((report.end, report.tracked), (FeedEnd::Interrupted, true));
 }
 
 #[test]
