@@ -1,7 +1,8 @@
 //! A client that has every command in its hands as soon as it is there, as a driver of a robot would.
 //!
 //! It sleeps until shortly before each release, looks for the command until it is there, and sleeps again: it is awake
-//! when the command comes, and does not hold its core all the time. Whatever else is done, to send and to ask, happens
+//! when the command comes, and does not hold its core all the time. Where commands stay away, it rests between its looks:
+//! with real time it goes before the daemon's reporter, whose records it waits for. Whatever else is done, to send and to ask, happens
 //! on the same thread in between, so that no second thread is in the way.
 
 use std::collections::VecDeque;
@@ -196,11 +197,17 @@ impl Watcher {
             if now_ns >= time_ns {
                 return Ok(false);
             }
-            let rests = is_there || self.asker.is_some();
+            let rests = is_there || self.asker.is_some() || !self.has_command_before();
             if rests && now_ns > release_ns + RESTLESS_NS {
                 sleep_until(now_ns + REST_NS);
             }
         }
+    }
+
+    /// Whether the command of the release before came, so that the next is expected.
+    fn has_command_before(&self) -> bool {
+        let newest = self.newest.as_ref();
+        newest.is_some_and(|newest| newest.cycle + 1 >= self.next)
     }
 
     /// Takes the commands that are there. Whether that of the watched cycle is among all that came.

@@ -282,7 +282,41 @@ impl OfDaemon {
 
 #[cfg(test)]
 mod tests {
+    use rustix::time::{ClockId, clock_gettime};
+
     use super::*;
+
+    /// The part of the time in which this thread had a core during `work`.
+    fn share_of_core<R>(work: impl FnOnce() -> R) -> (f64, R) {
+        let now_s = |clock| {
+            let now = clock_gettime(clock);
+            now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
+        };
+        let clocks = [ClockId::ThreadCPUTime, ClockId::Monotonic];
+        let begin_s = clocks.map(now_s);
+        let result = work();
+        let [used_s, passed_s] = [0, 1].map(|index| now_s(clocks[index]) - begin_s[index]);
+        (used_s / passed_s, result)
+    }
+
+    #[test]
+    fn who_waits_for_a_robot_leaves_the_core_to_the_daemon_that_is_waited_for() {
+        let cores = Cores::find().expect("cores");
+        let launch = LatencyOptions::of_report(true).launch("driver", &cores, false);
+        let daemon = Daemon::start(&launch, &cores).expect("a daemon");
+        let mut watcher = Watcher::open(daemon.location(), EARLY_NS).expect("a client");
+        // Before a first measurement there is no command.
+        let end_ns = monotonic_ns() + 300_000_000;
+        let (share, watched) = share_of_core(|| watcher.watch_until(end_ns));
+        watched.expect("records");
+        assert!(share < 0.75, "{share} of a core to watch");
+        let driver = watcher.connection.driver(Interface::Velocity);
+        let driver = Source::Measurement(Box::new(driver.expect("a driver")));
+        let (share, feed) = share_of_core(|| scene::follow(&mut watcher, Some(&driver)));
+        feed.expect("it follows");
+        assert!(share < 0.75, "{share} of a core until the robot follows");
+        daemon.stop().expect("it ends");
+    }
 
     #[test]
     fn a_full_run_has_enough_stops_and_ends_soon() {

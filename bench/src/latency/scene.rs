@@ -60,6 +60,8 @@ pub(super) fn follow(watcher: &mut Watcher, driver: Option<&Source>) -> Result<R
         let in_time = Instant::now() < deadline;
         ensure!(in_time, "the daemon does not see the robot of its driver");
         measure(watcher)?;
+        // With real time it goes before the thread that sends the status.
+        thread::sleep(ASK_AGAIN);
     }
     watcher.connection.request(RequestKind::AcquireLease)?;
     let feed = watcher.connection.reference_feed()?;

@@ -15,7 +15,7 @@ use cdcr_testbed::subject::place::in_public_memory;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::{list, needs_nothing_else, number, program, stderr};
+use crate::{list, machine, needs_nothing_else, number, program, stderr};
 
 fn command(folder: &Path, line: &str) -> Command {
     let mut command = program(&format!("all --quick {line} --out"));
@@ -197,6 +197,7 @@ fn has_daemon(places: &str) -> bool {
 
 #[test]
 fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
+    let _machine = machine();
     let place = Scratch::temporary().expect("a folder");
     let mut child = program("deadline --duration=6s --rounds=2 --load=none --setup=ordinary")
         .env("TMPDIR", place.path())

@@ -13,7 +13,7 @@ use hdrhistogram::serialization::Deserializer;
 use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
 use serde_json::Value;
 
-use crate::{list, number, printed_json, program};
+use crate::{list, machine, number, printed_json, program};
 
 /// Whether this user may have real-time threads; if not, only a part can be measured.
 fn is_realtime() -> bool {
@@ -82,6 +82,7 @@ fn assert_rounds(case: &Value) {
 
 #[test]
 fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
+    let _machine = machine();
     let setup = if is_realtime() { "both" } else { "ordinary" };
     let folder = Scratch::temporary().expect("a folder");
     let line = "deadline --duration=2s --rounds=2 --load=flood --format=json";

@@ -7,10 +7,11 @@ use cdcr_testbed::subject::place::in_public_memory;
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 
-use crate::{list, number, program, stderr};
+use crate::{list, machine, number, program, stderr};
 
 #[test]
 fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
+    let _machine = machine();
     let folder = Scratch::temporary().unwrap();
     let child = program("footprint --rounds 1 --duration 500ms --format json")
         .env("TMPDIR", folder.path())

@@ -1,7 +1,10 @@
 //! What `cdcr-bench latency` hands over, from a few samples; and that its peer leaves nothing.
 
+use std::hint;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -10,8 +13,9 @@ use cdcr_bench::latency::baseline::PEER;
 use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
+use cdcr_testbed::system::thread::pin;
 
-use crate::{list, number, printed_json, program, stderr};
+use crate::{list, machine, number, printed_json, program, stderr};
 
 /// How long a process may take: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(20);
@@ -19,6 +23,7 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 /// Two rounds: each leg has its samples, and its parts make the whole.
 #[test]
 fn every_way_is_measured_in_every_round() {
+    let _machine = machine();
     use Leg::{LeaseAnswer, MeasurementMachinery, ObstacleGrid, ReferenceCommand};
     let options = LatencyOptions {
         rounds: 2,
@@ -66,6 +71,7 @@ fn every_way_is_measured_in_every_round() {
 
 #[test]
 fn the_program_takes_another_period() {
+    let _machine = machine();
     let line = "latency --rounds 1 --samples 5 --period 10ms --format json";
     let json = printed_json(&mut program(line));
     assert_eq!(json["setting"]["period_us"], 10_000.0);
@@ -115,6 +121,34 @@ fn a_peer_that_is_told_to_end_leaves_no_port() {
     assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
 }
 
+/// Threads that compute on core 0 until they are dropped.
+struct Crowd {
+    goes: Arc<AtomicBool>,
+}
+
+impl Crowd {
+    fn of(count: usize) -> Self {
+        let goes = Arc::new(AtomicBool::new(true));
+        for _ in 0..count {
+            let goes = Arc::clone(&goes);
+            thread::spawn(move || {
+                pin(0);
+                while goes.load(Ordering::Relaxed) {
+                    hint::spin_loop();
+                }
+            });
+        }
+        Self { goes }
+    }
+}
+
+impl Drop for Crowd {
+    fn drop(&mut self) {
+        self.goes.store(false, Ordering::Relaxed);
+    }
+}
+
+/// On a core where whatever it yields is taken.
 #[test]
 fn a_peer_whose_parent_is_killed_leaves_nothing() {
     let place = Place::new().unwrap();
@@ -127,6 +161,7 @@ fn a_peer_whose_parent_is_killed_leaves_nothing() {
         .spawn()
         .unwrap();
     wait_until("the start of the peer", || place.memory_files().len() > 2);
+    let _crowd = Crowd::of(4);
     parent.kill().unwrap();
     parent.wait().unwrap();
     wait_until("the end of the peer", || {

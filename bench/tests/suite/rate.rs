@@ -4,7 +4,7 @@ use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::rate::{self, Case, Measured, RateOptions, Trial};
 
-use crate::number;
+use crate::{machine, number};
 
 fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
     let options = RateOptions {
@@ -41,6 +41,7 @@ fn assert_consistent(trial: &Trial) {
 
 #[test]
 fn the_border_lies_between_what_held_and_what_failed() {
+    let _machine = machine();
     let case = Case {
         sections: 1,
         solver: Solver::GaussNewton,
