@@ -197,6 +197,8 @@ pub(crate) enum Task {
     )]
     Echo(EchoOptions),
     /// Show how often messages come, and what is between them, each second
+    ///
+    /// Records of the telemetry are sent a few at once, within 20 ms: `hz command` shows how even the loop is.
     #[command(after_help = "Example:\n  cdcrctl hz --count 3\n  cdcrctl hz command --count 1")]
     Hz(HzOptions),
     /// Send messages to a plotter, as JSON in UDP datagrams of less than 2 kB

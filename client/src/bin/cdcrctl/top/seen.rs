@@ -27,6 +27,8 @@ pub(super) struct Line {
     pub(super) time_s: f64,
     pub(super) text: String,
     pub(super) is_bad: bool,
+    /// Of a late cycle.
+    is_late: bool,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -91,7 +93,11 @@ impl Seen {
 
     fn note_changes(&mut self, record: &Telemetry, before: Option<&Telemetry>, lost: u64) {
         let now_ns = record.release_ns;
-        for Happening { text, level } in happenings(record, before) {
+        let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
+        let mut found = happenings(record, before);
+        // The last of them.
+        let late = found.pop_if(|_| cause != LateCause::None);
+        for Happening { text, level } in found {
             self.tell(now_ns, text, level > Level::Info);
         }
         if lost > self.lost {
@@ -99,9 +105,16 @@ impl Seen {
             self.tell(now_ns, text, true);
             self.lost = lost;
         }
-        let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
-        if cause != LateCause::None {
+        if let Some(Happening { text, level }) = late {
             self.last_late = Some((now_ns, cause));
+            // The newest stands for those right before it: where the machine stalls, they would leave no room for anything else.
+            if self.lines.back().is_some_and(|line| line.is_late) {
+                self.lines.pop_back();
+            }
+            self.tell(now_ns, text, level > Level::Info);
+            if let Some(line) = self.lines.back_mut() {
+                line.is_late = true;
+            }
         }
     }
 
@@ -155,6 +168,7 @@ impl Seen {
             time_s,
             text,
             is_bad,
+            is_late: false,
         });
     }
 
@@ -273,6 +287,30 @@ mod tests {
             ["hold: refused; remedy", "another daemon began"]
         );
         assert_eq!(seen.rate_hz(), None);
+    }
+
+    #[test]
+    fn late_cycles_leave_room_for_all_else() {
+        let mut seen = Seen::default();
+        (0..10).for_each(|cycle| seen.note(&record(cycle, 1), 0));
+        for cycle in 0..100 {
+            let mut record = record(cycle, 2);
+            record.scheduling.late_cause = LateCause::Load.code();
+            record.obstacle_count = u32::from(cycle > 50);
+            seen.note(&record, 0);
+        }
+        let texts = texts(&seen);
+        let words = [
+            "another daemon began",
+            "holding",
+            "cycle 50: late",
+            "1 obstacle",
+            "cycle 99: late",
+        ];
+        assert_eq!(texts.len(), 1 + words.len(), "{texts:?}");
+        for (text, words) in texts[1..].iter().zip(words) {
+            assert!(text.starts_with(words), "{texts:?}");
+        }
     }
 
     #[test]
