@@ -227,9 +227,14 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
         );
     }
     drop(flood);
-    // Two never lived at a time: the first has its lock file again, or saw another's there and came to rest.
+    assert_repairs_its_place_or_has_ended(&mut daemon);
+}
+
+/// Two never lived at a time: the first has its lock file again, or saw another's there and came to rest.
+fn assert_repairs_its_place_or_has_ended(daemon: &mut Daemon) {
+    let lock = daemon.place().location().lock_file(ROBOT);
     wait_until("it has repaired its place, or ended", || {
-        !daemon.runs() || location.lock_file(ROBOT).exists()
+        !daemon.runs() || lock.exists()
     });
     if daemon.runs() {
         assert!(daemon.stop().success(), "{}", daemon.log());
@@ -254,7 +259,9 @@ fn second_in_its_own_network(daemon: &mut Daemon) -> Option<Output> {
     }
     let mut second = Program::start(&mut command);
     wait_until("one of them ends", || !second.runs() || !daemon.runs());
-    assert!(daemon.runs(), "{}", daemon.log());
+    if second.runs() {
+        second.signal(Signal::TERM);
+    }
     let output = second.output();
     let printed = text(&output);
     if output.status.code() == Some(1) && printed.contains("unshare") {
@@ -271,9 +278,15 @@ fn a_second_daemon_in_another_network_is_refused_with_and_without_a_lock_file() 
         return;
     };
     assert_says(&second, 69, &["runs already"]);
+    assert!(daemon.runs(), "{}", daemon.log());
     fs::remove_file(daemon.place().location().lock_file(ROBOT)).unwrap();
     if let Some(second) = second_in_its_own_network(&mut daemon) {
-        assert_says(&second, 69, &[]);
+        // Where the machine stalls, the first saw the other's lock file and came to rest: then its place is free.
+        let printed = text(&second);
+        assert!(
+            second.status.code() == Some(69) || !daemon.runs(),
+            "{printed}"
+        );
     }
-    assert!(daemon.stop().success(), "{}", daemon.log());
+    assert_repairs_its_place_or_has_ended(&mut daemon);
 }

@@ -149,8 +149,9 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
 
 #[test]
 fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
-    // A period that a stall does not fill: late cycles would push what is waited for off the list of events.
-    let mut daemon = Daemon::start("[cycle]\nperiod_ms = 100.0\n");
+    // A period that a stall does not fill: late cycles would push what is waited for off the list of events. One of them is no lost measurement.
+    let mut daemon =
+        Daemon::start("[cycle]\nperiod_ms = 100.0\n[link]\nmeasurement_timeout_ms = 10000.0\n");
     let (mut terminal, theirs) = Terminal::new(100, 30);
     let mut top = shown(&daemon, &theirs, &["top"]);
     terminal.wait_for("HOLDING");
