@@ -152,13 +152,15 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
     let daemon = Daemon::ideal(PATIENT);
     let curve = "ref line --start 0.1,0,0.85 --velocity 0,0.03,0 --duration 300ms --track";
     let (_, jumps_m_s) = says_and_speed(&daemon, curve);
-    says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
-    let (said, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
-    assert!(said.contains("mm from the point"), "{said}");
-    assert!(said.contains("tracked to its end"), "{said}");
-    println!("{jumps_m_s} m/s, {blends_m_s} m/s");
-    // Of a way that is gone at 0.05 m/s; held up, the tip catches up.
-    assert!(blends_m_s < 0.5 * jumps_m_s, "{blends_m_s}, {jumps_m_s}");
+    // Of a way that is gone at 0.05 m/s; where the machine stalls, the tip catches up.
+    until_undisturbed("the tip moves slowly", || {
+        says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
+        let (said, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
+        assert!(said.contains("mm from the point"), "{said}");
+        assert!(said.contains("tracked to its end"), "{said}");
+        println!("{jumps_m_s} m/s, {blends_m_s} m/s");
+        (blends_m_s < 0.5 * jumps_m_s).then_some(())
+    });
 }
 
 #[test]

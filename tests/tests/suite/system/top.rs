@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -9,9 +10,12 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{Daemon, Running, TIMEOUT, ask_for, wait_status};
+use rustix::fs::OFlags;
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
+
+const NOCTTY: i32 = OFlags::NOCTTY.bits().cast_signed();
 
 /// A terminal, and where keys go.
 struct Terminal {
@@ -29,7 +33,8 @@ impl Terminal {
         unlockpt(&ours).unwrap();
         let name = ptsname(&ours, Vec::new()).unwrap();
         let mut options = std::fs::OpenOptions::new();
-        let theirs = options.read(true).write(true);
+        // A test program that leads a session would get it as its own terminal, and SIGHUP when it is closed.
+        let theirs = options.read(true).write(true).custom_flags(NOCTTY);
         let theirs = theirs.open(name.to_str().unwrap()).unwrap();
         let size = Winsize {
             ws_row: rows,
