@@ -23,8 +23,8 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 /// Two rounds: each leg has its samples, and its parts make the whole.
 #[test]
 fn every_way_is_measured_in_every_round() {
-    let _machine = machine();
     use Leg::{LeaseAnswer, MeasurementMachinery, ObstacleGrid, ReferenceCommand};
+    let _machine = machine();
     let options = LatencyOptions {
         rounds: 2,
         samples: 10,
