@@ -221,6 +221,24 @@ fn thirty_steps_see_the_way_round_early_enough() {
     }
 }
 
+/// What a longer horizon loses on the spiral that goes on is given away for what comes after: no plan can follow it there.
+#[test]
+fn a_horizon_that_sees_the_end_of_the_curve_follows_it_all() {
+    for solver in SOLVERS {
+        for &steps in crate::cases(1, &[35, 30]) {
+            let course = Course::spiral(solver, 10.0, true).with_capsules(4);
+            let course = Course {
+                reference: |robot, time_s| spiral(robot, f64::min(time_s, 4.95)),
+                cycles: 99,
+                ..course.with_steps(steps)
+            };
+            let outcome = course.run(quanta(BUDGET_NS));
+            assert!(outcome.mean_m < 1e-9, "{solver:?}, {steps}: {outcome:?}");
+            assert!(outcome.spare_m > -1e-9, "{solver:?}, {steps}: {outcome:?}");
+        }
+    }
+}
+
 #[test]
 fn more_time_is_never_worse_and_the_safe_distance_is_kept_with_any() {
     for solver in SOLVERS {
