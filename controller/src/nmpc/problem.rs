@@ -186,11 +186,11 @@ impl<'a> TrackingProblem<'a> {
         &self,
         (kind, h): (usize, f64),
         mut derivatives: [f64; COORDINATES_MAX],
-        bends: &Bent,
+        at: &Step,
         place: Place,
         model: &mut LinearModel,
     ) {
-        self.motion.by_controls(bends, &mut derivatives);
+        self.motion.by_controls(at.bends, &mut derivatives);
         // The box of the last block is the widest.
         let last = self.dimension() - self.width();
         let (lower, upper) = (&self.bounds.lower()[last..], &self.bounds.upper()[last..]);
@@ -200,8 +200,11 @@ impl<'a> TrackingProblem<'a> {
             .zip(widths)
             .map(|(d, width)| d.abs() * width)
             .sum();
-        let before = self.stages.lengths()[..place.block].iter().sum::<f64>();
-        let periods = place.periods + if place.since_start { before } else { 0.0 };
+        let periods = if place.since_start {
+            (at.index + 1) as f64
+        } else {
+            place.periods
+        };
         let most = per_s * self.motion.period_s() * periods;
         if h <= most {
             let slack = (h / most).clamp(-1.0, 1.0);
@@ -236,7 +239,7 @@ impl<'a> TrackingProblem<'a> {
                 };
                 if is_left {
                     let kind_and_h = (LIMITS, row.h);
-                    self.push_constraint(kind_and_h, row.derivatives, at.bends, place, model);
+                    self.push_constraint(kind_and_h, row.derivatives, at, place, model);
                 }
             });
         is_left
@@ -253,7 +256,7 @@ impl<'a> TrackingProblem<'a> {
         let instant = self.step_time(at.index);
         let push = |row: ClearanceRow| {
             let kind_and_h = (CLEARANCE, row.h);
-            self.push_constraint(kind_and_h, row.derivatives, at.bends, at.place, model);
+            self.push_constraint(kind_and_h, row.derivatives, at, at.place, model);
         };
         let moved = (at.bends, reach_m);
         self.obstacles

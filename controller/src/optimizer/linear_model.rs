@@ -374,6 +374,8 @@ impl LinearModel {
         self.sums.clear();
         self.sums.resize(into.len(), 0.0);
         let (mut jacobian, mut residuals) = (0.0, 0.0);
+        // Of the blocks before that of a row: most rows come in their order.
+        let (mut blocks, mut squared_periods) = (0, 0.0);
         for index in 0..self.rows() {
             if !budget.spend(self.stride as u32) {
                 return None;
@@ -392,7 +394,20 @@ impl LinearModel {
             if place.since_start {
                 add_times(residual, row, &mut self.sums[first..]);
             }
-            jacobian += square * self.stages.squared_periods(place);
+            if place.block < blocks {
+                (blocks, squared_periods) = (0, 0.0);
+            }
+            let lengths = self.stages.lengths().iter();
+            for length in lengths.take(place.block).skip(blocks) {
+                squared_periods += length * length;
+            }
+            blocks = place.block;
+            let before = if place.since_start {
+                squared_periods
+            } else {
+                0.0
+            };
+            jacobian += square * (before + place.periods * place.periods);
         }
         if self.is_staged {
             self.stages.add_later(&self.sums, into);

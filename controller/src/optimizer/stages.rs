@@ -84,16 +84,6 @@ impl Stages {
             .sum()
     }
 
-    /// Σ squares of the periods that a row depends on.
-    pub(super) fn squared_periods(&self, place: Place) -> f64 {
-        let before = if place.since_start { place.block } else { 0 };
-        let squares: f64 = self.lengths[..before]
-            .iter()
-            .map(|length| length * length)
-            .sum();
-        squares + place.periods * place.periods
-    }
-
     /// Adds to each block the `later` parts of all blocks after it, times its length.
     pub(super) fn add_later(&self, later: &[f64], into: &mut [f64]) {
         let mut sum = [0.0; WIDTH_MAX];
