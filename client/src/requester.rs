@@ -14,6 +14,8 @@ use crate::{ConnectError, LinkError, RequestError};
 const TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a stop tries to be answered before it goes as a signal, too. With the start of a program that is within 0.3 s.
 const SIGNAL_AFTER: Duration = Duration::from_millis(200);
+/// How long it waits for an answer, however long it took to find a place: enough for a few cycles.
+const ANSWER_MIN: Duration = Duration::from_millis(20);
 
 /// Asks a daemon for one thing after the other, and does nothing else.
 ///
@@ -138,7 +140,8 @@ impl Requester {
             thread::sleep(LOOK_AGAIN);
         }
         let left = deadline.saturating_duration_since(Instant::now());
-        Ok(control.ask(RequestKind::Stop, SolverSettings::default(), left)?)
+        let waits = left.max(ANSWER_MIN);
+        Ok(control.ask(RequestKind::Stop, SolverSettings::default(), waits)?)
     }
 }
 

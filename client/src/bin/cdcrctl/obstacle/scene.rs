@@ -95,7 +95,12 @@ pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, St
     if line.trim().is_empty() {
         return Ok(None);
     }
-    let value = serde_json::from_str(line).map_err(|cause| cause.to_string());
+    let value = serde_json::from_str(line).map_err(|cause| match line.trim_start() {
+        list if list.starts_with('[') => format!(
+            "{cause}; each line is one obstacle, without a list around it (obstacle file reads a list)"
+        ),
+        _ => cause.to_string(),
+    });
     value
         .and_then(|value| change(number, value))
         .map(Some)
@@ -241,6 +246,7 @@ mod tests {
             ),
             ("{\"remove\": [3], \"time_s\": -1}", &["line 3", "-1"]),
             ("7", &["line 3", "an obstacle is"]),
+            ("[", &["line 3", "without a list"]),
         ] {
             let error = parse(&format!("{good}\n{bad}\n")).expect_err(bad);
             for part in parts {
