@@ -40,8 +40,8 @@ impl Knowledge {
         self.add(Candidate::WarmStart);
 
         let held = &problem.previous[..problem.motion.width()];
-        for (i, control) in self.scratch.iter_mut().enumerate() {
-            *control = held[i % held.len()];
+        for block in self.scratch.chunks_exact_mut(held.len()) {
+            block.copy_from_slice(held);
         }
         bounds.project(&mut self.scratch);
         self.add(Candidate::Previous);

@@ -5,7 +5,7 @@
 
 use super::motion::Motion;
 use crate::optimizer::Evaluation;
-use crate::robot::{CABLES_MAX, COORDINATES_MAX, Robot, SECTIONS_MAX};
+use crate::robot::{COORDINATES_MAX, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
 /// Weight of the squared excess of a bend, per rad² and position weight: an excess of 0.1 mrad costs as
@@ -30,8 +30,6 @@ pub(super) struct Limits<'a> {
     bend: bool,
     stroke: bool,
     speed: bool,
-    /// By how much a unit of each bend coordinate shortens each cable (m/rad), where cables matter.
-    units_m_rad: [[f64; CABLES_MAX]; COORDINATES_MAX],
 }
 
 /// A linearised limit h + A Δb ≥ 0 on bend vectors, in a scale in which it outweighs the tip.
@@ -64,13 +62,6 @@ impl<'a> Limits<'a> {
         let longest_m = strokes_m.iter().fold(0.0_f64, |most, s| most.max(s.abs()));
         let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m() - INSIDE;
         let speed = fastest_m_s > robot.cable_speed_max_m_s() - INSIDE;
-        let mut units_m_rad = [[0.0; CABLES_MAX]; COORDINATES_MAX];
-        if stroke || speed {
-            for (i, unit) in units_m_rad[..motion.width()].iter_mut().enumerate() {
-                let only = |k: usize| Wide([f64::from(u8::from(k == i))]);
-                *unit = robot.cable_shortening_wide(only).map(|one| one.0[0]);
-            }
-        }
         Self {
             robot,
             period_s,
@@ -78,7 +69,6 @@ impl<'a> Limits<'a> {
             bend,
             stroke,
             speed,
-            units_m_rad,
         }
     }
 
@@ -188,12 +178,15 @@ impl<'a> Limits<'a> {
         push: &mut impl FnMut(LimitRow),
     ) {
         let values = self.robot.cable_shortening_wide(|i| Wide([bends[i]]));
-        for cable in 0..self.robot.cable_count() {
-            let value = values[cable].0[0];
+        let directions = self.robot.cable_directions().as_flattened();
+        for (cable, (value, direction)) in values.iter().zip(directions).enumerate() {
+            let value = value.0[0];
             let towards = -scale * per_bend * value.signum();
             let mut derivatives = [0.0; COORDINATES_MAX];
-            for (derivative, unit) in derivatives.iter_mut().zip(&self.units_m_rad) {
-                *derivative = towards * unit[cable];
+            // It passes the sections up to its own.
+            let passed = self.robot.sections().iter().take(cable / 3 + 1);
+            for (pair, section) in derivatives.as_chunks_mut::<2>().0.iter_mut().zip(passed) {
+                *pair = direction.map(|part| towards * (section.cable_radius_m * part));
             }
             push(LimitRow {
                 h: scale * (most - INSIDE - value.abs()),

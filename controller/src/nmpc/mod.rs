@@ -277,7 +277,8 @@ impl Nmpc {
             input.elapsed_periods,
         );
         let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
-        if self.settings.coordinates == Coordinates::BendVector {
+        let is_limited = self.acceleration_rad_s2 < f64::INFINITY;
+        if is_limited && self.settings.coordinates == Coordinates::BendVector {
             let change_rad_s = self.acceleration_rad_s2 * self.period_s;
             let change = |block| change_rad_s * self.horizon.steps_into(block) as f64;
             self.bounds

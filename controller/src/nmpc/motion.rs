@@ -138,13 +138,10 @@ impl<'a> Motion<'a> {
         z: &impl Fn(usize) -> Wide<W>,
         step: usize,
     ) {
-        let first = self.horizon.block_of(step) * self.width;
         if P == VECTORS {
-            for i in 0..self.width {
-                bends.bend_rad[i] = bends.bend_rad[i] + z(first + i) * self.period_s;
-            }
-            return;
+            return self.advance_vectors(&mut bends.bend_rad, z, step);
         }
+        let first = self.horizon.block_of(step) * self.width;
         for section in 0..self.width / 2 {
             let [theta, cos, sin] = &mut bends.polar[section];
             *theta = *theta + z(first + 2 * section) * self.period_s;
@@ -155,19 +152,25 @@ impl<'a> Motion<'a> {
         }
     }
 
+    #[inline(always)]
+    fn advance_vectors<const W: usize>(
+        &self,
+        bend_rad: &mut [Wide<W>; COORDINATES_MAX],
+        z: &impl Fn(usize) -> Wide<W>,
+        step: usize,
+    ) {
+        let first = self.horizon.block_of(step) * self.width;
+        for i in 0..self.width {
+            bend_rad[i] = bend_rad[i] + z(first + i) * self.period_s;
+        }
+    }
+
     /// One period for one robot, in the coordinates of the settings.
     pub(super) fn advance_one(&self, bent: &mut Bent, z: &[f64], step: usize) {
         let control = |i: usize| Wide([z[i]]);
         match self.coordinates {
             Coordinates::BendAngles => self.advance(bent, &control, step),
-            Coordinates::BendVector => {
-                let mut bends = Bends::<1, VECTORS> {
-                    bend_rad: bent.bend_rad,
-                    polar: [],
-                };
-                self.advance(&mut bends, &control, step);
-                bent.bend_rad = bends.bend_rad;
-            }
+            Coordinates::BendVector => self.advance_vectors(&mut bent.bend_rad, &control, step),
         }
     }
 

@@ -1,4 +1,5 @@
 mod evaluation;
+mod plain;
 
 use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
@@ -25,6 +26,7 @@ pub(super) struct TrackingProblem<'a> {
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
     stages: Stages,
+    is_of_position: bool,
 }
 
 const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
@@ -52,7 +54,7 @@ impl<'a> TrackingProblem<'a> {
         let mut previous = [0.0; COORDINATES_MAX];
         let held = input.previous_rates.as_slice();
         motion.controls_of(held, &mut previous[..held.len()]);
-        Self {
+        let mut problem = Self {
             robot,
             motion,
             previous,
@@ -66,7 +68,10 @@ impl<'a> TrackingProblem<'a> {
                 motion.period_s(),
                 motion.horizon().lengths(),
             ),
-        }
+            is_of_position: false,
+        };
+        problem.is_of_position = problem.is_of_position();
+        problem
     }
 
     /// Whether there is a reference to follow.
@@ -89,19 +94,6 @@ impl<'a> TrackingProblem<'a> {
     /// Whether neither obstacle nor limit is in reach.
     pub(super) fn is_free(&self) -> bool {
         !self.limits.matter() && !self.obstacles.matter()
-    }
-
-    /// Whether the cost is that of the tip's position alone, and its rows are not staged.
-    pub(super) fn is_position_only(&self) -> bool {
-        let is_position = |step| {
-            let target = self.target(step).map(|target| target.orientation);
-            matches!(target, None | Some(Orientation::Free))
-                || self.weights(step).orientation == 0.0
-        };
-        self.is_free()
-            && !self.is_staged()
-            && !self.is_regularised()
-            && (0..self.steps()).all(is_position)
     }
 
     fn width(&self) -> usize {
@@ -386,6 +378,9 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
+        if self.is_position_only() && self.motion.coordinates() == Coordinates::BendVector {
+            return self.push_plain_rows(z, model, budget);
+        }
         let is_left = self.walk(z, |_, at| {
             let is_left = budget.spend(self.linearise_step_ns(at.index));
             if is_left {

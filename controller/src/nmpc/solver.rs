@@ -84,9 +84,13 @@ impl Solver {
         let refines = task.settings.solver.refines();
         let stages = refines && task.problem.is_staged();
         // What is known of such derivatives costs little, so the plan is refined before anything else is tried.
-        let refines_first = stages || (refines && task.problem.is_position_only());
+        let is_plain = task.problem.is_position_only();
+        let refines_first = stages || (refines && is_plain);
         let (evaluation, rests) = if stages {
             self.evaluate_to_rest(task, warm_plan, budget)
+        } else if is_plain {
+            let evaluation = task.problem.evaluate_residuals(warm_plan, &mut [], budget);
+            (evaluation, false)
         } else {
             (task.problem.evaluate_at(warm_plan, budget), false)
         };

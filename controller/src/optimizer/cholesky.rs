@@ -7,21 +7,21 @@ use super::linear_model::dot;
 /// definite to working precision, or the budget was spent on the way.
 pub(super) fn factorise(a: &mut [f64], order: usize, budget: &mut Budget<'_>) -> bool {
     for column in 0..order {
-        for row in column..order {
-            // A product and a sum in half a nanosecond.
-            if !budget.spend(column as u32 / 2) {
+        // A product and a sum in half a nanosecond.
+        let each_ns = column as u32 / 2;
+        let (own, below) = a[column * order..order * order].split_at_mut(order);
+        let (own, diagonal) = own.split_at_mut(column);
+        let square = diagonal[0] - dot(own, own);
+        if !(budget.spend(each_ns) && square > 0.0 && square.is_finite()) {
+            return false;
+        }
+        let root = square.sqrt();
+        diagonal[0] = root;
+        for row in below.chunks_exact_mut(order) {
+            if !budget.spend(each_ns) {
                 return false;
             }
-            let (row_so_far, column_so_far) =
-                (&a[row * order..][..column], &a[column * order..][..column]);
-            let sum = a[row * order + column] - dot(row_so_far, column_so_far);
-            if row > column {
-                a[row * order + column] = sum / a[column * order + column];
-            } else if sum > 0.0 && sum.is_finite() {
-                a[row * order + column] = sum.sqrt();
-            } else {
-                return false;
-            }
+            row[column] = (row[column] - dot(&row[..column], own)) / root;
         }
     }
     true
@@ -38,21 +38,18 @@ pub(super) fn substitute(
         if !budget.spend(row as u32) {
             return false;
         }
-        let mut sum = b[row];
-        for k in 0..row {
-            sum -= factor[row * order + k] * b[k];
-        }
-        b[row] = sum / factor[row * order + row];
+        let (line, (known, rest)) = (&factor[row * order..][..=row], b.split_at_mut(row));
+        let terms = line.iter().zip(known);
+        rest[0] = terms.fold(rest[0], |sum, (entry, x)| sum - entry * *x) / line[row];
     }
     for row in (0..order).rev() {
         if !budget.spend((order - row) as u32) {
             return false;
         }
-        let mut sum = b[row];
-        for k in row + 1..order {
-            sum -= factor[k * order + row] * b[k];
-        }
-        b[row] = sum / factor[row * order + row];
+        let (own, known) = b[row..].split_at_mut(1);
+        let (line, below) = factor[row * order..].split_at(order);
+        let terms = below.chunks_exact(order).zip(known);
+        own[0] = terms.fold(own[0], |sum, (line, x)| sum - line[row] * *x) / line[row];
     }
     true
 }

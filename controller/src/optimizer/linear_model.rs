@@ -372,7 +372,9 @@ impl LinearModel {
     pub(crate) fn gradient(&mut self, into: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
         into.fill(0.0);
         self.sums.clear();
-        self.sums.resize(into.len(), 0.0);
+        if self.is_staged {
+            self.sums.resize(into.len(), 0.0);
+        }
         let (mut jacobian, mut residuals) = (0.0, 0.0);
         // Of the blocks before that of a row: most rows come in their order.
         let (mut blocks, mut squared_periods) = (0, 0.0);
@@ -462,8 +464,16 @@ fn in_order(number: f64) -> i64 {
 
 /// Σ aᵢ bᵢ over the shorter length, in eight sums side by side: the order is fixed, and no product waits for the
 /// one before it.
+#[inline]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let length = a.len().min(b.len());
+    if length < 8 {
+        return 0.0 + a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    }
+    dot_eights(a, b, length)
+}
+
+fn dot_eights(a: &[f64], b: &[f64], length: usize) -> f64 {
     let (a, a_rest) = a[..length].as_chunks::<8>();
     let (b, b_rest) = b[..length].as_chunks::<8>();
     let mut sums = [0.0; 8];

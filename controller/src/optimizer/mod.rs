@@ -114,7 +114,7 @@ pub(crate) trait Problem {
         None
     }
 
-    /// Evaluates one point of such a cost, and writes its residuals in the order of the rows of [`Self::linearise`]. None as above.
+    /// Evaluates one point of such a cost, and writes its residuals in the order of the rows of [`Self::linearise`], as far as there is room. None as above.
     fn evaluate_residuals(
         &self,
         _z: &[f64],

@@ -90,6 +90,13 @@ pub(super) fn series_position_coefficients(w: f64) -> (f64, f64, bool) {
 /// length, which a processor runs side by side.
 #[inline(always)]
 pub(super) fn series_coefficients(w: f64) -> (f64, f64) {
+    let (h, k) = series(w);
+    (1.0 - w * h, 0.5 - w * k)
+}
+
+/// (h, k), likewise.
+#[inline(always)]
+fn series(w: f64) -> (f64, f64) {
     let w2 = w * w;
     let last = SERIES_TERMS - 2;
     let (mut h_even, mut h_odd) = (H_SERIES[last], H_SERIES[last + 1]);
@@ -100,10 +107,7 @@ pub(super) fn series_coefficients(w: f64) -> (f64, f64) {
         k_even = k_even * w2 + K_SERIES[2 * pair];
         k_odd = k_odd * w2 + K_SERIES[2 * pair + 1];
     }
-    (
-        1.0 - w * (h_even + w * h_odd),
-        0.5 - w * (k_even + w * k_odd),
-    )
+    (h_even + w * h_odd, k_even + w * k_odd)
 }
 
 /// Terms of [`ShortSeries`].
@@ -155,6 +159,16 @@ fn moved(mut of: [f64; SERIES_TERMS], centre: f64) -> [f64; SHORT_TERMS] {
         }
     }
     core::array::from_fn(|k| of[k])
+}
+
+/// (h, k) at W values of w side by side.
+#[inline(always)]
+pub(super) fn series_wide<const W: usize>(w: Wide<W>) -> (Wide<W>, Wide<W>) {
+    let (mut h, mut k) = ([0.0; W], [0.0; W]);
+    for lane in 0..W {
+        (h[lane], k[lane]) = series(w.0[lane]);
+    }
+    (Wide(h), Wide(k))
 }
 
 /// (f, g) at W values of w side by side.

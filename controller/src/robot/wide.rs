@@ -1,7 +1,7 @@
 //! Tip positions of W configurations side by side: the kernel of the swarm.
 
-use super::section::{ShortSeries, series_coefficients};
-use super::{Configuration, Robot, SECTIONS_MAX};
+use super::section::{ShortSeries, series_coefficients, series_wide};
+use super::{COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
 /// The coefficients of all sections near one configuration.
@@ -22,6 +22,44 @@ impl Robot {
         tip
     }
 
+    /// The same, and its derivatives by each component of the bend vectors \[m/rad\].
+    #[inline(always)]
+    pub(crate) fn tip_slopes_wide<const W: usize>(
+        &self,
+        bend_rad: impl Fn(usize) -> Wide<W>,
+    ) -> ([Wide<W>; 3], [[Wide<W>; 3]; COORDINATES_MAX]) {
+        let zero = Wide::splat(0.0);
+        let (mut tip, mut slopes) = ([zero; 3], [[zero; 3]; COORDINATES_MAX]);
+        for (j, section) in self.sections().iter().enumerate().rev() {
+            let (u, v) = (bend_rad(2 * j), bend_rad(2 * j + 1));
+            let w = u * u + v * v;
+            let (h, k) = series_wide(w);
+            let (f, g) = (Wide::splat(1.0) - w * h, Wide::splat(0.5) - w * k);
+            let (f_slope, g_slope) = ((h - g) * 0.5, k - h * 0.5);
+            let upright = Wide::splat(1.0) - w * g;
+            // A vector beyond this section as seen from its start, as in `tip_wide`, and what is the same for both components.
+            let turned = |[x, y, z]: [Wide<W>; 3], length_m: f64| {
+                let t = Wide::splat(length_m) - (u * x + v * y);
+                let across = f * z + g * t;
+                let turned = [x + u * across, y + v * across, upright * z + f * t];
+                (turned, t, across)
+            };
+            let (own, later) = slopes.split_at_mut(2 * j + 2);
+            for slope in &mut later[..2 * (self.section_count() - 1 - j)] {
+                *slope = turned(*slope, 0.0).0;
+            }
+            let [x, y, z] = tip;
+            let (end, t, across) = turned(tip, section.length_m);
+            let bent = (f_slope * z + g_slope * t) * 2.0;
+            let sunk = (f_slope * t - (g + w * g_slope) * z) * 2.0;
+            let (by_u, by_v) = (u * bent - g * x, v * bent - g * y);
+            own[2 * j] = [across + u * by_u, v * by_u, u * sunk - f * x];
+            own[2 * j + 1] = [u * by_v, across + v * by_v, v * sunk - f * y];
+            tip = end;
+        }
+        (tip, slopes)
+    }
+
     /// The same near one configuration, in less time.
     #[inline(always)]
     pub(crate) fn tip_position_near<const W: usize>(
@@ -39,9 +77,10 @@ impl Robot {
         at: &Configuration,
         change_rad: &[f64; SECTIONS_MAX],
     ) -> Option<Near> {
-        let mut near = [ShortSeries::near([0.0; 2], 0.0)?; SECTIONS_MAX];
-        for (j, near) in near.iter_mut().enumerate().take(self.section_count()) {
-            *near = ShortSeries::near(at.section(j), change_rad[j])?;
+        let of_section = |j: usize| ShortSeries::near(at.section(j), change_rad[j]);
+        let mut near = [of_section(0)?; SECTIONS_MAX];
+        for j in 1..self.section_count() {
+            near[j] = of_section(j)?;
         }
         Some(near)
     }
@@ -98,7 +137,7 @@ impl Robot {
 
 #[cfg(test)]
 mod tests {
-    use crate::robot::RobotParameters;
+    use crate::robot::{Jacobian, RobotParameters};
 
     use super::*;
 
@@ -122,6 +161,29 @@ mod tests {
                     assert!((wide[axis].0[lane] - scalar[axis]).abs() < 1e-12);
                     let apart = beside.map_or(0.0, |tip| tip[axis].0[0] - scalar[axis]);
                     assert!(apart.abs() < 2e-15, "{sections}: {apart}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_jacobian() {
+        for sections in 1..=6 {
+            let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
+            // Lane 0 is straight, lane 1 bends by π at most.
+            let bend = |i: usize, lane: usize| 1.1 * (i as f64 % 5.0 - 2.0) * lane as f64;
+            let at = |i: usize| Wide::<2>::from_fn(|lane| bend(i, lane));
+            let (tip, slopes) = robot.tip_slopes_wide(at);
+            assert_eq!(tip, robot.tip_position_wide(at));
+            for lane in 0..2 {
+                let bends: Vec<_> = (0..2 * sections).map(|i| bend(i, lane)).collect();
+                let mut jacobian = Jacobian::default();
+                robot.tip_jacobian(&Configuration::from_slice(&bends).unwrap(), &mut jacobian);
+                for (slope, column) in slopes.iter().zip(jacobian.columns()) {
+                    for axis in 0..3 {
+                        let apart = slope[axis].0[lane] - column[axis];
+                        assert!(apart.abs() < 1e-14, "{sections}: {apart}");
+                    }
                 }
             }
         }

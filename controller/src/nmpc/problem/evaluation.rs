@@ -4,7 +4,7 @@ use pulp::NullaryFnOnce;
 
 use super::{SECTION_NS, TrackingProblem};
 use crate::nmpc::NmpcSettings;
-use crate::nmpc::motion::{Bends, Bent};
+use crate::nmpc::motion::Bends;
 use crate::nmpc::pose_error;
 use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, apart};
 use crate::robot::{COORDINATES_MAX, Near};
@@ -32,36 +32,7 @@ impl TrackingProblem<'_> {
         Some(rollout.evaluation)
     }
 
-    /// Eq. 5 for one plan where it is the position's alone, and the residuals whose squares it sums up.
-    pub(super) fn plain_residuals(
-        &self,
-        z: &[f64],
-        residuals: &mut [f64],
-        budget: &mut Budget<'_>,
-    ) -> Option<Evaluation<1>> {
-        let mut bends: Bent = self.motion.start();
-        let (mut cost, mut rows) = (0.0, residuals.chunks_exact_mut(3));
-        for step in 0..self.steps() {
-            if !budget.spend(self.step_ns()) {
-                return None;
-            }
-            self.motion.advance_one(&mut bends, z, step);
-            let Some(target) = self.target(step) else {
-                continue;
-            };
-            let tip = self.robot.tip_position_wide(|i| bends.bend_rad[i]);
-            let error = [0, 1, 2].map(|axis| tip[axis].0[0] - target.position_m[axis]);
-            let [x, y, z] = error;
-            let weight = self.weights(step).position;
-            cost += (x * x + y * y + z * z) * weight;
-            let scale = weight.sqrt();
-            rows.next()?
-                .copy_from_slice(&error.map(|error| scale * error));
-        }
-        Some(Evaluation::from_cost(Wide([cost])))
-    }
-
-    /// The same for one plan, and whether it stays as it is: from the block on in which it would break a constraint by more than the incumbent does, or
+    /// Eq. 5 for one plan, and whether it stays as it is: from the block on in which it would break a constraint by more than the incumbent does, or
     /// the budget ends, its rates become zero, or what is nearest to that in the box.
     pub(super) fn to_contact_in<const P: usize>(
         &self,

@@ -14,8 +14,7 @@ const LINEARISED_ROUNDINGS: f64 = 4.0;
 const FOLLOWED_ROUNDINGS: f64 = 0.25;
 
 /// Whether the cost is what rounding leaves.
-pub(super) fn is_rounding(problem: &impl Problem, cost: f64) -> bool {
-    let rounding = problem.rounding();
+pub(super) fn is_rounding(rounding: Option<f64>, cost: f64) -> bool {
     rounding.is_some_and(|rounding| cost <= LINEARISED_ROUNDINGS * rounding)
 }
 
@@ -23,38 +22,28 @@ impl GaussNewton {
     /// Goes on after a step that was linearised where the cost was `before`. The steps that made the incumbent better.
     pub(super) fn follow<P: Problem>(
         &mut self,
-        (problem, bounds): (&P, &Bounds),
+        around: (&P, &Bounds, Option<f64>),
         mut before: f64,
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> u32 {
-        let Some(rounding) = problem.rounding() else {
+        let Some(rounding) = around.2 else {
             return 0;
         };
         let leads_on = |before: f64, cost: f64| {
-            let serves = cost <= FOLLOWED_SHARE * before || is_rounding(problem, cost);
+            let serves = cost <= FOLLOWED_SHARE * before || is_rounding(Some(rounding), cost);
             serves && cost > FOLLOWED_ROUNDINGS * rounding
         };
-        if !leads_on(before, incumbent.cost()) {
-            return 0;
-        }
-        let residuals = self.model.residuals_mut();
-        if problem
-            .evaluate_residuals(incumbent.z(), residuals, budget)
-            .is_none()
-        {
-            return 0;
-        }
         let mut accepted = 0;
         while accepted < FOLLOWING_MAX && leads_on(before, incumbent.cost()) {
             before = incumbent.cost();
             let origin = incumbent.origin();
-            let is_better = self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+            // Those of the incumbent, which was tried last.
+            let residuals = self.model.residuals_mut();
+            residuals.copy_from_slice(&self.tried[..residuals.len()]);
+            let is_better = self.on_trial(around, incumbent, origin, |own, trial| {
                 own.solve_again(trial.base.len(), budget).then_some(())?;
-                trial.lead(&own.step[..trial.base.len()], 1.0);
-                let residuals = own.model.residuals_mut();
-                let evaluation = problem.evaluate_residuals(trial.at, residuals, budget)?;
-                Some(trial.take(&evaluation))
+                trial.offer(&own.step[..trial.base.len()], 1.0, budget)
             });
             if is_better != Some(true) {
                 break;

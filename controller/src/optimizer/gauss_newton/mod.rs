@@ -63,6 +63,8 @@ pub(crate) struct GaussNewton {
     /// Where the model was made.
     base: Vec<f64>,
     trial: Vec<f64>,
+    /// The residuals of what was tried last.
+    tried: Vec<f64>,
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
@@ -109,6 +111,7 @@ impl GaussNewton {
             step: vec![0.0; dimension],
             base: Vec::with_capacity(dimension),
             trial: Vec::with_capacity(dimension),
+            tried: vec![0.0; rows],
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
@@ -134,8 +137,9 @@ impl GaussNewton {
         let mut outcome = GaussNewtonOutcome::default();
         let mut damping = settings.damping;
         let mut model_is_current = false;
+        let rounding = problem.rounding();
         for _ in 0..settings.steps {
-            if is_rounding(problem, incumbent.cost()) || !budget.left() {
+            if is_rounding(rounding, incumbent.cost()) || !budget.left() {
                 break;
             }
             if !model_is_current {
@@ -147,7 +151,8 @@ impl GaussNewton {
             }
             let origin = incumbent.origin();
             let before = incumbent.cost();
-            let is_small = self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+            let around = (problem, bounds, rounding);
+            let is_small = self.on_trial(around, incumbent, origin, |own, trial| {
                 trial.step_tolerance = settings.step_tolerance;
                 trial.is_rough = settings.is_rough;
                 let found = own.find_step(trial, damping, budget);
@@ -166,7 +171,7 @@ impl GaussNewton {
                 break;
             }
             if improved {
-                outcome.accepted += self.follow((problem, bounds), before, budget, incumbent);
+                outcome.accepted += self.follow(around, before, budget, incumbent);
             }
             let gains = incumbent.cost() < (1.0 - ROUGH_GAIN) * before;
             if settings.is_rough && !gains && (improved || damping > settings.damping) {
@@ -179,7 +184,7 @@ impl GaussNewton {
                 damping * DAMPING_GROWTH
             };
         }
-        outcome.converged |= is_rounding(problem, incumbent.cost());
+        outcome.converged |= is_rounding(rounding, incumbent.cost());
         outcome
     }
 
@@ -198,7 +203,7 @@ impl GaussNewton {
             return Found::Nothing;
         }
         let origin = Candidate::LeastSquares;
-        self.on_trial((problem, bounds), incumbent, origin, |own, trial| {
+        self.on_trial((problem, bounds, None), incumbent, origin, |own, trial| {
             let found = own.find_step(trial, damping, budget);
             if found != Found::Nothing {
                 trial.lead(&own.step[..into.len()], 1.0);
@@ -208,15 +213,17 @@ impl GaussNewton {
         })
     }
 
-    /// Does something with steps from where the incumbent is.
+    /// Does something with steps from where the incumbent is; with what the problem says of its rounding, if residuals are of use.
     fn on_trial<P: Problem, R>(
         &mut self,
-        (problem, bounds): (&P, &Bounds),
+        (problem, bounds, rounding): (&P, &Bounds, Option<f64>),
         incumbent: &mut Incumbent,
         origin: Candidate,
         tried: impl FnOnce(&mut Self, &mut Trial<P>) -> R,
     ) -> R {
-        let [mut base, mut at] = [&mut self.base, &mut self.trial].map(core::mem::take);
+        let vectors = [&mut self.base, &mut self.trial, &mut self.tried];
+        let [mut base, mut at, mut tried_residuals] = vectors.map(core::mem::take);
+        let residuals = &mut tried_residuals[..self.model.cost_rows()];
         base.clear();
         base.extend_from_slice(incumbent.z());
         let mut trial = Trial {
@@ -228,9 +235,10 @@ impl GaussNewton {
             origin,
             step_tolerance: 0.0,
             is_rough: false,
+            residuals: rounding.map(|_| residuals),
         };
         let result = tried(self, &mut trial);
-        (self.base, self.trial) = (base, at);
+        (self.base, self.trial, self.tried) = (base, at, tried_residuals);
         result
     }
 

@@ -118,9 +118,10 @@ impl GaussNewton {
         self.step[..dimension].fill(0.0);
         self.free.clear();
         // What the cost presses on a bound a constraint may pull away from it.
-        let (pressed, constrained) = (&self.pressed, self.model.is_constrained());
-        self.free
-            .extend((0..dimension).filter(|&i| constrained || !pressed[i]));
+        self.free.extend(0..dimension);
+        if !self.model.is_constrained() {
+            self.free.retain(|&i| !self.pressed[i]);
+        }
         for round in 0..ACTIVE_SET_ROUNDS {
             if !self.solve_free(dimension, damping, trial.is_rough, budget) {
                 return None;
@@ -135,15 +136,20 @@ impl GaussNewton {
             }
             self.fix_leavers(bounds, z, excess);
         }
-        for i in 0..dimension {
-            let target = (z[i] + self.step[i]).clamp(bounds.lower()[i], bounds.upper()[i]);
-            self.step[i] = target - z[i];
+        let walls = bounds.lower().iter().zip(bounds.upper());
+        for ((step, z), (&low, &high)) in self.step.iter_mut().zip(z).zip(walls) {
+            *step = (z + *step).clamp(low, high) - z;
         }
         Some(())
     }
 
     /// How many times further than the border of the box the step goes at most; 0: it stays inside.
     fn excess_max(&self, bounds: &Bounds, z: &[f64]) -> f64 {
+        let walls = bounds.lower().iter().zip(bounds.upper());
+        let mut all = self.step.iter().zip(z).zip(walls);
+        if all.all(|((step, z), (low, high))| (low..=high).contains(&&(z + step))) {
+            return 0.0;
+        }
         let free = self.free.iter();
         free.map(|&i| excess(bounds, i, z[i], self.step[i]).0)
             .fold(0.0, f64::max)
@@ -228,6 +234,10 @@ impl GaussNewton {
             }
             let source = self.model.row(row);
             let target = &mut self.columns[row * width..][..width];
+            if width == source.len() {
+                target.copy_from_slice(source);
+                continue;
+            }
             for (target, &i) in target.iter_mut().zip(&self.free) {
                 *target = source[i];
             }
@@ -247,13 +257,14 @@ impl GaussNewton {
             return false;
         }
         for a in 0..rows {
-            for b in 0..=a {
+            let row_a = &self.columns[a * width..][..width];
+            let line = self.matrix[a * rows..][..=a].iter_mut();
+            let line = line.zip(self.columns.chunks_exact(width));
+            for (b, (entry, row_b)) in line.enumerate() {
                 if !budget.spend(width as u32 / 4) {
                     return false;
                 }
-                let [row_a, row_b] = [a, b].map(|row| &self.columns[row * width..][..width]);
-                let product = dot(row_a, row_b);
-                self.matrix[a * rows + b] = product + if a == b { damping } else { 0.0 };
+                *entry = dot(row_a, row_b) + if a == b { damping } else { 0.0 };
             }
         }
         cholesky::factorise(&mut self.matrix[..rows * rows], rows, budget)
@@ -271,9 +282,15 @@ impl GaussNewton {
             if !budget.spend(self.free.len() as u32) {
                 return false;
             }
-            let weight = self.right_side[row];
+            let (weight, derivatives) = (self.right_side[row], self.model.row(row));
+            if self.free.len() == derivatives.len() {
+                for (step, derivative) in self.step.iter_mut().zip(derivatives) {
+                    *step -= derivative * weight;
+                }
+                continue;
+            }
             for &i in &self.free {
-                self.step[i] -= self.model.row(row)[i] * weight;
+                self.step[i] -= derivatives[i] * weight;
             }
         }
         true
@@ -378,9 +395,9 @@ impl GaussNewton {
             if !budget.spend(order as u32) {
                 return false;
             }
-            let derivatives = self.model.row(row);
-            for (a, &i) in self.free.iter().enumerate() {
-                self.right_side[a] -= derivatives[i] * self.residuals[row];
+            let (residual, derivatives) = (self.residuals[row], self.model.row(row));
+            for (sum, &i) in self.right_side.iter_mut().zip(&self.free) {
+                *sum -= derivatives[i] * residual;
             }
         }
         let right_side = &mut self.right_side[..order];

@@ -27,6 +27,8 @@ pub(super) struct Trial<'a, P> {
     pub step_tolerance: f64,
     /// [`GaussNewtonSettings::is_rough`](super::GaussNewtonSettings::is_rough).
     pub is_rough: bool,
+    /// Where [`Problem::rounding`] is some: the residuals of what was evaluated last.
+    pub residuals: Option<&'a mut [f64]>,
 }
 
 impl<P: Problem> Trial<'_, P> {
@@ -36,10 +38,11 @@ impl<P: Problem> Trial<'_, P> {
 
     /// Writes where a part of a step leads to, inside the box.
     pub(super) fn lead(&mut self, step: &[f64], part: f64) {
-        let led = self.base.iter().zip(step);
+        let walls = self.bounds.lower().iter().zip(self.bounds.upper());
+        let led = self.base.iter().zip(step).zip(walls);
+        let led = led.map(|((base, step), (&low, &high))| (base + part * step).clamp(low, high));
         self.at.clear();
-        self.at.extend(led.map(|(base, step)| base + part * step));
-        self.bounds.project(self.at);
+        self.at.extend(led);
     }
 
     /// Offers a part of a step, and halves of that while they are not better. The part that was taken, 0 if none was; None: the budget was
@@ -97,9 +100,14 @@ impl<P: Problem> Trial<'_, P> {
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
         self.lead(step, part);
-        let enough = self.incumbent.cost();
-        let evaluation = self.problem.evaluate_below(self.at, enough, budget)?;
-        Some(self.take(&evaluation))
+        let evaluation = match &mut self.residuals {
+            Some(residuals) => self.problem.evaluate_residuals(self.at, residuals, budget),
+            None => {
+                let enough = self.incumbent.cost();
+                self.problem.evaluate_below(self.at, enough, budget)
+            }
+        };
+        Some(self.take(&evaluation?))
     }
 
     /// Whether what was tried last is better than the incumbent, which takes it then.

@@ -1,0 +1,122 @@
+//! Problems whose cost is that of the tip's position alone: two steps side by side, which take as long as one.
+
+use core::ops::Range;
+
+use super::TrackingProblem;
+use crate::optimizer::{Budget, Evaluation, LinearModel, Place, Problem};
+use crate::reference::Orientation;
+use crate::robot::COORDINATES_MAX;
+use crate::wide::Wide;
+
+/// The bends at the end of two steps; after an odd number of steps the second are of no use.
+type Pair = [Wide<2>; COORDINATES_MAX];
+
+impl TrackingProblem<'_> {
+    /// Whether, where nothing is in reach, the cost is that of the tip's position alone, and its rows are not staged.
+    pub(super) fn is_of_position(&self) -> bool {
+        let is_position = |step| {
+            let target = self.target(step).map(|target| target.orientation);
+            matches!(target, None | Some(Orientation::Free))
+                || self.weights(step).orientation == 0.0
+        };
+        !self.is_staged() && !self.is_regularised() && (0..self.steps()).all(is_position)
+    }
+
+    /// Whether the cost is that of the tip's position alone, and its rows are not staged.
+    pub(in crate::nmpc) fn is_position_only(&self) -> bool {
+        self.is_of_position && self.is_free()
+    }
+
+    /// The cost of one plan, and the residuals whose squares it sums up, as far as there is room for them.
+    pub(super) fn plain_residuals(
+        &self,
+        z: &[f64],
+        residuals: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<1>> {
+        let (mut bends, mut pair) = (self.motion.start(), [Wide([0.0; 2]); COORDINATES_MAX]);
+        let (mut cost, mut rows) = (0.0, residuals.chunks_exact_mut(3));
+        for first in (0..self.steps()).step_by(2) {
+            let steps = first..self.steps().min(first + 2);
+            for step in steps.clone() {
+                if !budget.spend(self.step_ns()) {
+                    return None;
+                }
+                self.motion.advance_one(&mut bends, z, step);
+                put(&mut pair, step - first, &bends.bend_rad);
+            }
+            let tips = self.robot.tip_position_wide(|i| pair[i]);
+            for step in steps {
+                let Some((error, weight)) = self.error(step, first, &tips) else {
+                    continue;
+                };
+                let [x, y, z] = error;
+                cost += (x * x + y * y + z * z) * weight;
+                let scale = weight.sqrt();
+                if let Some(row) = rows.next() {
+                    row.copy_from_slice(&error.map(|error| scale * error));
+                }
+            }
+        }
+        Some(Evaluation::from_cost(Wide([cost])))
+    }
+
+    /// Adds the residuals and their derivatives, in bend vectors. False: the budget was spent.
+    pub(super) fn push_plain_rows(
+        &self,
+        z: &[f64],
+        model: &mut LinearModel,
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
+        let mut places = [Place::LAST; 2];
+        self.walk(z, |_, at| {
+            if !budget.spend(self.linearise_step_ns(at.index)) {
+                return false;
+            }
+            let (lane, end) = (at.index % 2, at.index + 1);
+            put(&mut pair, lane, &at.bends.bend_rad);
+            places[lane] = at.place;
+            if lane == 1 || end == self.steps() {
+                self.push_pair(at.index - lane..end, &pair, places, model);
+            }
+            true
+        })
+    }
+
+    fn push_pair(
+        &self,
+        steps: Range<usize>,
+        pair: &Pair,
+        places: [Place; 2],
+        model: &mut LinearModel,
+    ) {
+        let (tips, slopes) = self.robot.tip_slopes_wide(|i| pair[i]);
+        let first = steps.start;
+        for step in steps {
+            let Some((error, weight)) = self.error(step, first, &tips) else {
+                continue;
+            };
+            let scale = weight.sqrt();
+            for axis in 0..3 {
+                let slope = |of: &[Wide<2>; 3]| scale * of[axis].0[step - first];
+                let derivatives = slopes.each_ref().map(slope);
+                let place = places[step - first];
+                model.push(scale * error[axis], &derivatives[..self.width()], place);
+            }
+        }
+    }
+
+    /// The error after `step` where the lanes begin with the step `first`, and the weight of its square; None: no reference.
+    fn error(&self, step: usize, first: usize, tips: &[Wide<2>; 3]) -> Option<([f64; 3], f64)> {
+        let target = self.target(step)?;
+        let error = [0, 1, 2].map(|axis| tips[axis].0[step - first] - target.position_m[axis]);
+        Some((error, self.weights(step).position))
+    }
+}
+
+fn put(pair: &mut Pair, lane: usize, bends: &[Wide<1>; COORDINATES_MAX]) {
+    for (both, bend) in pair.iter_mut().zip(bends) {
+        both.0[lane] = bend.0[0];
+    }
+}
