@@ -100,12 +100,11 @@ impl<P: Problem> Trial<'_, P> {
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
         self.lead(step, part);
-        let evaluation = match &mut self.residuals {
-            Some(residuals) => self.problem.evaluate_residuals(self.at, residuals, budget),
-            None => {
-                let enough = self.incumbent.cost();
-                self.problem.evaluate_below(self.at, enough, budget)
-            }
+        let evaluation = if let Some(residuals) = &mut self.residuals {
+            self.problem.evaluate_residuals(self.at, residuals, budget)
+        } else {
+            let enough = self.incumbent.cost();
+            self.problem.evaluate_below(self.at, enough, budget)
         };
         Some(self.take(&evaluation?))
     }
