@@ -348,7 +348,7 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn rounding(&self) -> Option<f64> {
-        self.is_position_only().then(|| {
+        self.is_plain().then(|| {
             let lengths_m = self.robot.sections().iter().map(|section| section.length_m);
             let rounding_m = f64::EPSILON * lengths_m.sum::<f64>();
             let weights = (0..self.steps()).map(|step| self.weights(step).position);
@@ -378,7 +378,7 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
-        if self.is_position_only() && self.motion.coordinates() == Coordinates::BendVector {
+        if self.is_plain() && self.motion.coordinates() == Coordinates::BendVector {
             return self.push_plain_rows(z, model, budget);
         }
         let is_left = self.walk(z, |_, at| {

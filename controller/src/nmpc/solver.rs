@@ -50,7 +50,7 @@ pub(super) struct Solver {
 impl Solver {
     /// Room for plans of `unknowns`, of which `tied` where rates have a weight on their change.
     pub(super) fn with_capacity(simd: Simd, unknowns: usize, tied: usize) -> Self {
-        let rows = POSE_ROWS * HORIZON_STEPS_MAX + 2 * tied;
+        let rows = POSE_ROWS * HORIZON_STEPS_MAX + tied;
         Self {
             knowledge: Knowledge::with_capacity(unknowns),
             swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
@@ -83,12 +83,9 @@ impl Solver {
     ) -> SolveReport {
         let refines = task.settings.solver.refines();
         let stages = refines && task.problem.is_staged();
-        // What is known of such derivatives costs little, so the plan is refined before anything else is tried.
-        let is_plain = task.problem.is_position_only();
-        let refines_first = stages || (refines && is_plain);
         let (evaluation, rests) = if stages {
             self.evaluate_to_rest(task, warm_plan, budget)
-        } else if is_plain {
+        } else if task.problem.is_plain() {
             let evaluation = task.problem.evaluate_residuals(warm_plan, &mut [], budget);
             (evaluation, false)
         } else {
@@ -103,11 +100,12 @@ impl Solver {
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
             let searches = task.settings.solver.searches();
             let mut is_known = false;
-            if refines_first {
+            // Derivatives cost little, so the plan is refined before anything else is tried.
+            if refines {
                 is_known = self.incumbent.is_violated();
                 // A plan that goes on keeps the way that it is on.
                 let is_new = warm_plan.iter().all(|rate| *rate == 0.0);
-                let is_rough = searches && is_new && task.problem.meets_obstacles();
+                let is_rough = stages && searches && is_new && task.problem.meets_obstacles();
                 refinement = if is_rough && !is_known {
                     Some(self.race(task, warm_plan, budget))
                 } else {
@@ -115,12 +113,17 @@ impl Solver {
                 };
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
-            if searches && refinement.is_some() && self.error_is_left(task) {
+            let error_is_left = self.error_is_left(task);
+            // Nothing is better near a plan that does not change, and where no error is left nothing elsewhere.
+            let is_done = !error_is_left && refinement.is_some_and(|refined| refined.converged);
+            if searches && refinement.is_some() && error_is_left {
                 (iterations, refinement) =
                     self.search_apart(task, (warm_plan, evaluation.as_ref()), refinement, budget);
-            } else if searches {
+            } else if searches && !is_done {
                 iterations = self.search(task, refinement, budget);
-            } else if !is_known && self.incumbent.cost() > task.settings.cost_tolerance() {
+            } else if !(searches || is_known || is_done)
+                && self.incumbent.cost() > task.settings.cost_tolerance()
+            {
                 self.knowledge
                     .evaluate(task.problem, budget, &mut self.incumbent);
             }
@@ -303,9 +306,10 @@ impl Solver {
             .refine(problem, bounds, settings, budget, &mut self.incumbent)
     }
 
-    /// Whether the cost is that of an error which matters.
+    /// Whether the cost, but for that of rates, is that of an error which matters.
     pub(super) fn error_is_left(&self, task: &Task) -> bool {
-        self.incumbent.cost() > task.settings.position_weight * STUCK_ERROR_M * STUCK_ERROR_M
+        let error = self.incumbent.cost() - task.problem.regularisation_at(self.incumbent.z());
+        error > task.settings.position_weight * STUCK_ERROR_M * STUCK_ERROR_M
     }
 
     /// Tries the ways out of a place where the gradient vanishes. Whether that helped.

@@ -77,7 +77,7 @@ pub(crate) struct LinearModel {
     slackest: [BinaryHeap<(i64, usize)>; VIOLATIONS],
     met: Vec<bool>,
     constraints_max: usize,
-    /// Weight of the squared unknowns themselves, where they are staged.
+    /// Weight of the squared unknowns themselves.
     weight: f64,
     weighed: Vec<f64>,
     /// Memory for the sum of the blocks before a block.
@@ -130,17 +130,11 @@ impl LinearModel {
         fill(row, derivatives, place, &self.stages, self.is_staged);
     }
 
-    /// Adds the residuals of weights w on the square of each unknown zᵢ: √w zᵢ.
+    /// The weight on the square of each unknown, which is at zᵢ. No row is kept of it.
     pub(crate) fn weigh(&mut self, weight: f64, z: &[f64]) {
-        if self.is_staged {
-            self.weight = weight;
-            self.weighed.extend_from_slice(z);
-            return;
-        }
-        let scale = weight.sqrt();
-        for (i, unknown) in z.iter().enumerate() {
-            self.push_alone(scale * unknown)[i] = scale;
-        }
+        self.weight = weight;
+        self.weighed.clear();
+        self.weighed.extend_from_slice(z);
     }
 
     /// Adds a residual with all derivatives zero, and returns them for the caller to fill in. Not for what is staged.
@@ -195,7 +189,7 @@ impl LinearModel {
         self.is_staged
     }
 
-    /// The weight of the square of each unknown, and where it was: what [`Self::weigh`] was told of staged rows.
+    /// The weight of the square of each unknown, and where it was: what [`Self::weigh`] was told.
     pub(super) fn weighed(&self) -> Option<(f64, &[f64])> {
         (self.weight > 0.0).then_some((self.weight, &self.weighed))
     }

@@ -85,14 +85,25 @@ fn a_refined_plan_is_searched_around_only_where_an_error_is_left() {
     let at = Configuration::from_slice(&[0.1, 0.2, -0.3, 0.1, 0.2, 0.4]).unwrap();
     let tip = robot.tip_position(&at);
     let nowhere = Vector3::new(0.0, 0.0, 2.0);
-    for (beside, iterations) in [(Vector3::new(1e-4, 2e-4, 1e-4), 0), (nowhere, 30)] {
+    let near = Vector3::new(1e-4, 2e-4, 1e-4);
+    for (weight, beside, iterations) in [
+        (0.0, near, 0),
+        (1e-10, near, 0),
+        (0.0, nowhere, 30),
+        (1e-10, nowhere, 30),
+    ] {
         let rates = BendRates::zero(3);
         let reference = [1.0, 2.0].map(|step| inside(tip + step * beside));
         let input = input(&at, &rates, &reference);
         let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
+        let settings = NmpcSettings {
+            rate_weight: weight.into(),
+            ..*nmpc.settings()
+        };
+        nmpc.configure(settings).unwrap();
         let report = nmpc.solve(&input, &mut Budget::unlimited()).1;
         assert_eq!(report.iterations, iterations, "{report:?}");
-        assert_eq!(report.cost < 1e-29, iterations == 0, "{report:?}");
+        assert_eq!(report.cost < 1e-29 + weight, iterations == 0, "{report:?}");
     }
 }
 

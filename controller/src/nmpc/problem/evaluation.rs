@@ -100,6 +100,11 @@ impl TrackingProblem<'_> {
         f64::from(self.settings.rate_weight) > 0.0 || self.settings.rate_change_weight > 0.0
     }
 
+    /// What the rates of one plan, and their change, cost.
+    pub(in crate::nmpc) fn regularisation_at(&self, z: &[f64]) -> f64 {
+        self.regularisation(&|i: usize| Wide([z[i]])).0[0]
+    }
+
     /// Weights on the rates and on their change from block to block.
     #[inline(always)]
     fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {

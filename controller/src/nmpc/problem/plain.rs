@@ -1,4 +1,4 @@
-//! Problems whose cost is that of the tip's position alone: two steps side by side, which take as long as one.
+//! Problems whose cost is that of the tip's position and of the rates alone: two steps side by side, which take as long as one.
 
 use core::ops::Range;
 
@@ -12,22 +12,24 @@ use crate::wide::Wide;
 type Pair = [Wide<2>; COORDINATES_MAX];
 
 impl TrackingProblem<'_> {
-    /// Whether, where nothing is in reach, the cost is that of the tip's position alone, and its rows are not staged.
+    /// Whether, where nothing is in reach, the cost is that of the tip's position and of the rates alone, and its rows are not staged.
     pub(super) fn is_of_position(&self) -> bool {
         let is_position = |step| {
             let target = self.target(step).map(|target| target.orientation);
             matches!(target, None | Some(Orientation::Free))
                 || self.weights(step).orientation == 0.0
         };
-        !self.is_staged() && !self.is_regularised() && (0..self.steps()).all(is_position)
+        !self.is_staged()
+            && self.settings.rate_change_weight == 0.0
+            && (0..self.steps()).all(is_position)
     }
 
-    /// Whether the cost is that of the tip's position alone, and its rows are not staged.
-    pub(in crate::nmpc) fn is_position_only(&self) -> bool {
+    /// Whether the cost is that of the tip's position and of the rates alone, and its rows are not staged.
+    pub(in crate::nmpc) fn is_plain(&self) -> bool {
         self.is_of_position && self.is_free()
     }
 
-    /// The cost of one plan, and the residuals whose squares it sums up, as far as there is room for them.
+    /// The cost of one plan, and the residuals of its positions, as far as there is room for them.
     pub(super) fn plain_residuals(
         &self,
         z: &[f64],
@@ -35,7 +37,7 @@ impl TrackingProblem<'_> {
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>> {
         let (mut bends, mut pair) = (self.motion.start(), [Wide([0.0; 2]); COORDINATES_MAX]);
-        let (mut cost, mut rows) = (0.0, residuals.chunks_exact_mut(3));
+        let (mut cost, mut rows) = (self.regularisation_at(z), residuals.chunks_exact_mut(3));
         for first in (0..self.steps()).step_by(2) {
             let steps = first..self.steps().min(first + 2);
             for step in steps.clone() {
@@ -70,7 +72,7 @@ impl TrackingProblem<'_> {
     ) -> bool {
         let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
         let mut places = [Place::LAST; 2];
-        self.walk(z, |_, at| {
+        let is_left = self.walk(z, |_, at| {
             if !budget.spend(self.linearise_step_ns(at.index)) {
                 return false;
             }
@@ -81,7 +83,9 @@ impl TrackingProblem<'_> {
                 self.push_pair(at.index - lane..end, &pair, places, model);
             }
             true
-        })
+        });
+        self.push_regularisation_rows(z, model);
+        is_left
     }
 
     fn push_pair(

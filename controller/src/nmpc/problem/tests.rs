@@ -147,7 +147,9 @@ proptest! {
         with_problem(&case, |problem| {
             let model = linearised(problem, &case.plan);
             let residuals = (0..model.rows()).map(|row| model.residual(row));
-            let sum: f64 = residuals.map(|residual| residual * residual).sum();
+            let rates: f64 = case.plan.iter().map(|rate| rate * rate).sum();
+            let rates = f64::from(case.settings.rate_weight) * rates;
+            let sum = rates + residuals.map(|residual| residual * residual).sum::<f64>();
             let evaluation = problem.evaluate_at(&case.plan, &mut Budget::unlimited());
             let cost = evaluation.expect("an unlimited budget").cost.0[0];
             prop_assert!((sum - cost).abs() <= 1e-12 * cost, "{sum} {cost}");

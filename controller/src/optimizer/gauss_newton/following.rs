@@ -13,44 +13,70 @@ const LINEARISED_ROUNDINGS: f64 = 4.0;
 /// and one of so many none to step on.
 const FOLLOWED_ROUNDINGS: f64 = 0.25;
 
+/// A step that was linearised.
+pub(super) struct Led {
+    /// The cost where it was linearised.
+    pub before: f64,
+    /// What it was to gain.
+    pub gain: f64,
+    pub damping: f64,
+}
+
 /// Whether the cost is what rounding leaves.
 pub(super) fn is_rounding(rounding: Option<f64>, cost: f64) -> bool {
     rounding.is_some_and(|rounding| cost <= LINEARISED_ROUNDINGS * rounding)
 }
 
 impl GaussNewton {
-    /// Goes on after a step that was linearised where the cost was `before`. The steps that made the incumbent better.
+    /// Goes on after a step that was linearised. The steps that made the incumbent better, and whether another would gain nothing.
     pub(super) fn follow<P: Problem>(
         &mut self,
         around: (&P, &Bounds, Option<f64>),
-        mut before: f64,
+        led: Led,
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
-    ) -> u32 {
+    ) -> (u32, bool) {
+        let Led {
+            mut before,
+            mut gain,
+            damping,
+        } = led;
         let Some(rounding) = around.2 else {
-            return 0;
+            return (0, false);
         };
+        let weight = self.model.weighed().map(|(weight, _)| weight);
         let leads_on = |before: f64, cost: f64| {
             let serves = cost <= FOLLOWED_SHARE * before || is_rounding(Some(rounding), cost);
             serves && cost > FOLLOWED_ROUNDINGS * rounding
         };
-        let mut accepted = 0;
-        while accepted < FOLLOWING_MAX && leads_on(before, incumbent.cost()) {
+        let (mut accepted, mut converged) = (0, false);
+        while accepted < FOLLOWING_MAX && (weight.is_some() || leads_on(before, incumbent.cost())) {
             before = incumbent.cost();
             let origin = incumbent.origin();
             // Those of the incumbent, which was tried last.
             let residuals = self.model.residuals_mut();
             residuals.copy_from_slice(&self.tried[..residuals.len()]);
             let is_better = self.on_trial(around, incumbent, origin, |own, trial| {
-                own.solve_again(trial.base.len(), budget).then_some(())?;
-                trial.offer(&own.step[..trial.base.len()], 1.0, budget)
+                let dimension = trial.base.len();
+                if let Some(weight) = weight {
+                    own.model.weigh(weight, trial.base);
+                    own.model.gradient(&mut own.gradient[..dimension], budget)?;
+                }
+                own.solve_again(dimension, damping, budget).then_some(())?;
+                if weight.is_some() {
+                    let most = FOLLOWED_SHARE * gain;
+                    gain = own.gain(dimension);
+                    converged = trial.hides(&own.step[..dimension], gain);
+                    (!converged && gain <= most).then_some(())?;
+                }
+                trial.offer(&own.step[..dimension], 1.0, budget)
             });
             if is_better != Some(true) {
                 break;
             }
             accepted += 1;
         }
-        accepted
+        (accepted, converged)
     }
 }
 
@@ -67,6 +93,7 @@ mod tests {
     struct Curved {
         stages: Stages,
         rounding: Option<f64>,
+        weight: f64,
         linearised: Cell<u32>,
     }
 
@@ -88,9 +115,9 @@ mod tests {
         }
         fn evaluate_below(&self, z: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
             let [first, second] = Self::residuals(z);
-            Some(Evaluation::from_cost(Wide([
-                first * first + second * second
-            ])))
+            let rates = self.weight * (z[0] * z[0] + z[1] * z[1]);
+            let cost = first * first + second * second + rates;
+            Some(Evaluation::from_cost(Wide([cost])))
         }
         fn rounding(&self) -> Option<f64> {
             self.rounding
@@ -109,15 +136,19 @@ mod tests {
             let [first, second] = Self::residuals(z);
             model.push(first, &[1.0, 0.2 * z[1]], Place::LAST);
             model.push(second, &[-0.4 * z[0], 1.0], Place::LAST);
+            if self.weight > 0.0 {
+                model.weigh(self.weight, z);
+            }
             true
         }
     }
 
     /// The cost found from so far beside the root, steps accepted, and linearisations.
-    fn refined(beside: f64, rounding: Option<f64>) -> (f64, u32, u32) {
+    fn refined(beside: f64, weight: f64, rounding: Option<f64>) -> (f64, u32, u32) {
         let problem = Curved {
             stages: Stages::one(2),
             rounding,
+            weight,
             linearised: Cell::new(0),
         };
         let mut bounds = Bounds::with_capacity(2);
@@ -147,17 +178,28 @@ mod tests {
     fn near_the_end_derivatives_serve_more_than_once() {
         let rounding = f64::EPSILON * f64::EPSILON;
         for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
-            let (cost, accepted, linearised) = refined(beside, Some(rounding));
+            let (cost, accepted, linearised) = refined(beside, 0.0, Some(rounding));
             assert!(cost <= LINEARISED_ROUNDINGS * rounding, "{beside}: {cost}");
             assert!(accepted > linearised, "{beside}: {linearised} times");
-            let (_, _, each) = refined(beside, None);
+            let (_, _, each) = refined(beside, 0.0, None);
+            assert!(linearised < each, "{beside}: {linearised} of {each} times");
+        }
+    }
+
+    #[test]
+    fn with_a_weight_on_the_unknowns_they_lead_to_the_least_cost_likewise() {
+        let rounding = f64::EPSILON * f64::EPSILON;
+        for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
+            let (cost, _, linearised) = refined(beside, 1e-8, Some(rounding));
+            let (least, _, each) = refined(beside, 1e-8, None);
+            assert!(cost - least <= 1e-8 * least, "{beside}: {cost} {least}");
             assert!(linearised < each, "{beside}: {linearised} of {each} times");
         }
     }
 
     #[test]
     fn what_is_at_its_end_is_not_linearised() {
-        let (_, accepted, linearised) = refined(0.0, Some(1.0));
+        let (_, accepted, linearised) = refined(0.0, 0.0, Some(1.0));
         assert_eq!([accepted, linearised], [0, 0]);
     }
 }

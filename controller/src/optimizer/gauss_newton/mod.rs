@@ -7,13 +7,14 @@ mod smoother;
 mod step;
 mod trial;
 
-use following::is_rounding;
+use following::{Led, is_rounding};
 use interior_point::InteriorPoint;
 use riccati::Riccati;
 use smoother::{Pull, Smoother};
 pub(crate) use trial::Found;
 use trial::Trial;
 
+use super::linear_model::dot;
 use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem};
 
 /// What tunes [`GaussNewton`].
@@ -152,26 +153,44 @@ impl GaussNewton {
             let origin = incumbent.origin();
             let before = incumbent.cost();
             let around = (problem, bounds, rounding);
-            let is_small = self.on_trial(around, incumbent, origin, |own, trial| {
+            let mut gain = 0.0;
+            let is_last = self.on_trial(around, incumbent, origin, |own, trial| {
                 trial.step_tolerance = settings.step_tolerance;
                 trial.is_rough = settings.is_rough;
                 let found = own.find_step(trial, damping, budget);
                 let step = &own.step[..trial.base.len()];
-                let is_small = trial.is_small(step);
+                gain = own.gain(step.len());
+                let is_hidden = found == Found::Step && trial.hides(step, gain);
+                let is_small = is_hidden || trial.is_small(step);
+                // What was found on the way to a small step has not been linearised.
+                let is_last =
+                    found != Found::Nothing && is_small && trial.incumbent.cost() >= before;
                 if found == Found::Step && !is_small {
                     let _ = trial.descend(step, 1.0, HALVINGS, budget);
+                } else if is_last && !is_hidden && !own.model.is_staged() {
+                    // The tip may yet be 10⁻¹⁵ m beside.
+                    let _ = trial.descend(step, 1.0, 0, budget);
                 }
-                found != Found::Nothing && is_small
+                is_last
             });
             let improved = incumbent.cost() < before;
             outcome.accepted += u32::from(improved);
-            // What was found on the way to a small step has not been linearised.
-            if is_small && !improved {
+            if is_last {
                 outcome.converged = true;
                 break;
             }
             if improved {
-                outcome.accepted += self.follow(around, before, budget, incumbent);
+                let led = Led {
+                    before,
+                    gain,
+                    damping,
+                };
+                let (accepted, converged) = self.follow(around, led, budget, incumbent);
+                outcome.accepted += accepted;
+                if converged {
+                    outcome.converged = true;
+                    break;
+                }
             }
             let gains = incumbent.cost() < (1.0 - ROUGH_GAIN) * before;
             if settings.is_rough && !gains && (improved || damping > settings.damping) {
@@ -285,6 +304,11 @@ impl GaussNewton {
             let norm = self.gradient_norm(z.len());
             self.is_stuck(norm)
         }
+    }
+
+    /// What the cost falls by with the step, if the model is right.
+    fn gain(&self, dimension: usize) -> f64 {
+        -dot(&self.gradient[..dimension], &self.step[..dimension])
     }
 
     fn is_stuck(&self, gradient_norm: f64) -> bool {
@@ -455,6 +479,28 @@ mod tests {
         assert!(incumbent.z()[2] < -0.4, "{:?}", incumbent.z());
         assert!(outcome.gradient_norm < 1e-4, "{outcome:?}");
         assert!(outcome.converged && outcome.accepted > 1, "{outcome:?}");
+    }
+
+    #[test]
+    fn a_small_step_is_the_last_one_and_taken() {
+        let problem = bowl(2);
+        let mut bounds = Bounds::with_capacity(2);
+        bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
+        let root = (5.0_f64.sqrt() - 1.0) / 2.0;
+        let mut incumbent = Incumbent::with_capacity(2);
+        let budget = &mut Budget::unlimited();
+        let start = [root + 1e-6, root];
+        incumbent.restart(&start, problem.evaluate_at(&start, budget).as_ref());
+        let settings = GaussNewtonSettings {
+            steps: 9,
+            damping: 1e-14,
+            step_tolerance: 1e-5,
+            is_rough: false,
+        };
+        let mut gauss_newton = GaussNewton::with_capacity(2, 2, 2, 0);
+        let outcome = gauss_newton.refine(&problem, &bounds, &settings, budget, &mut incumbent);
+        assert!(outcome.converged && outcome.accepted == 1, "{outcome:?}");
+        assert!(incumbent.cost() < 1e-20, "{}", incumbent.cost());
     }
 
     #[test]

@@ -183,10 +183,10 @@ impl GaussNewton {
         if self.free.is_empty() {
             return true;
         }
-        for &i in &self.free {
-            self.step[i] = 0.0;
-        }
         if self.model.is_staged() {
+            for &i in &self.free {
+                self.step[i] = 0.0;
+            }
             let step = &mut self.step[..dimension];
             if is_rough {
                 let (model, free) = (&self.model, &self.free);
@@ -206,6 +206,24 @@ impl GaussNewton {
         }
         self.factored = self.free.len();
         let rows = self.model.rows();
+        let weight = damping + self.model.weighed().map_or(0.0, |(weight, _)| weight);
+        match self.set_out(dimension, damping, budget) {
+            None => false,
+            Some(true) => self.solve_in_residual_space(rows, weight, budget),
+            Some(false) => self.solve_in_unknown_space(dimension, rows, weight, budget),
+        }
+    }
+
+    /// Begins at the step that weights alone make of the free unknowns, if the system is solved in residual space, else at none, and writes what the
+    /// residuals are there. Whether it is solved so; None: the budget was spent.
+    fn set_out(&mut self, dimension: usize, damping: f64, budget: &mut Budget<'_>) -> Option<bool> {
+        let rows = self.model.rows();
+        let by_residuals = rows <= self.free.len();
+        let weighed = self.model.weighed().filter(|_| by_residuals);
+        for &i in &self.free {
+            let own = weighed.map(|(weight, z)| -weight * z[i] / (damping + weight));
+            self.step[i] = own.unwrap_or(0.0);
+        }
         // What the fixed unknowns do already.
         let at_rest = self.step[..dimension].iter().all(|step| *step == 0.0);
         for row in 0..rows {
@@ -214,15 +232,11 @@ impl GaussNewton {
                 continue;
             }
             if !budget.spend(dimension as u32) {
-                return false;
+                return None;
             }
             self.residuals[row] += dot(self.model.row(row), &self.step[..dimension]);
         }
-        if rows <= self.free.len() {
-            self.solve_in_residual_space(rows, damping, budget)
-        } else {
-            self.solve_in_unknown_space(dimension, rows, damping, budget)
-        }
+        Some(by_residuals)
     }
 
     /// The columns of the free unknowns, row by row, side by side in memory.
@@ -245,11 +259,11 @@ impl GaussNewton {
         true
     }
 
-    /// Δ = -Jᵀ y with (J Jᵀ + λI) y = r.
+    /// Δ = -Jᵀ y with (J Jᵀ + wI) y = r, where w is the damping, and the weight of the unknowns.
     fn solve_in_residual_space(
         &mut self,
         rows: usize,
-        damping: f64,
+        weight: f64,
         budget: &mut Budget<'_>,
     ) -> bool {
         let width = self.free.len();
@@ -264,7 +278,7 @@ impl GaussNewton {
                 if !budget.spend(width as u32 / 4) {
                     return false;
                 }
-                *entry = dot(row_a, row_b) + if a == b { damping } else { 0.0 };
+                *entry = dot(row_a, row_b) + if a == b { weight } else { 0.0 };
             }
         }
         cholesky::factorise(&mut self.matrix[..rows * rows], rows, budget)
@@ -298,17 +312,21 @@ impl GaussNewton {
 
     /// Solves again where the model has other residuals now, with the matrix of the last solution, for what was free in it; what was not rests. False, too,
     /// where fewer are free now.
-    pub(super) fn solve_again(&mut self, dimension: usize, budget: &mut Budget<'_>) -> bool {
+    pub(super) fn solve_again(
+        &mut self,
+        dimension: usize,
+        damping: f64,
+        budget: &mut Budget<'_>,
+    ) -> bool {
         if self.free.is_empty() || self.free.len() != self.factored {
             return false;
         }
         self.step[..dimension].fill(0.0);
         let rows = self.model.rows();
-        self.residuals[..rows].copy_from_slice(self.model.residuals_mut());
-        if rows <= self.free.len() {
-            self.step_in_residual_space(rows, budget)
-        } else {
-            self.step_in_unknown_space(rows, budget)
+        match self.set_out(dimension, damping, budget) {
+            None => false,
+            Some(true) => self.step_in_residual_space(rows, budget),
+            Some(false) => self.step_in_unknown_space(rows, budget),
         }
     }
 
@@ -368,12 +386,12 @@ impl GaussNewton {
         true
     }
 
-    /// (JᵀJ + λI) Δ = -Jᵀ r.
+    /// (JᵀJ + wI) Δ = -Jᵀ r - ρ z, where ρ is the weight of the unknowns, and w that and the damping.
     fn solve_in_unknown_space(
         &mut self,
         dimension: usize,
         rows: usize,
-        damping: f64,
+        weight: f64,
         budget: &mut Budget<'_>,
     ) -> bool {
         let order = self.free.len();
@@ -381,7 +399,7 @@ impl GaussNewton {
             return false;
         }
         for a in 0..order {
-            self.matrix[a * order + a] += damping;
+            self.matrix[a * order + a] += weight;
         }
         cholesky::factorise(&mut self.matrix[..order * order], order, budget)
             && self.step_in_unknown_space(rows, budget)
@@ -390,7 +408,11 @@ impl GaussNewton {
     /// The same with the factor of the matrix.
     fn step_in_unknown_space(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
         let order = self.free.len();
-        self.right_side[..order].fill(0.0);
+        let weighed = self.model.weighed();
+        for (side, &i) in self.right_side.iter_mut().zip(&self.free) {
+            // A fixed unknown has its step already, a free one none.
+            *side = weighed.map_or(0.0, |(weight, z)| -weight * z[i]);
+        }
         for row in 0..rows {
             if !budget.spend(order as u32) {
                 return false;

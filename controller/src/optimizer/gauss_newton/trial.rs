@@ -13,6 +13,9 @@ pub(crate) enum Found {
     Tried,
 }
 
+/// A longer step may gain what its model does not know of.
+const HIDDEN_STEP: f64 = 1e-6;
+
 /// Offers steps to the incumbent, so that a budget which ends in the middle of one leaves the best of it.
 pub(super) struct Trial<'a, P> {
     pub problem: &'a P,
@@ -34,6 +37,13 @@ pub(super) struct Trial<'a, P> {
 impl<P: Problem> Trial<'_, P> {
     pub(super) fn is_small(&self, step: &[f64]) -> bool {
         step.iter().all(|step| step.abs() <= self.step_tolerance)
+    }
+
+    /// Whether rounding hides what a short step gains.
+    pub(super) fn hides(&self, step: &[f64], gain: f64) -> bool {
+        let is_short = step.iter().all(|step| step.abs() <= HIDDEN_STEP);
+        let cost = self.incumbent.cost();
+        is_short && !self.incumbent.is_violated() && cost.is_finite() && gain <= f64::EPSILON * cost
     }
 
     /// Writes where a part of a step leads to, inside the box.
