@@ -14,6 +14,7 @@ const LINEARISED_ROUNDINGS: f64 = 4.0;
 const FOLLOWED_ROUNDINGS: f64 = 0.25;
 
 /// A step that was linearised.
+#[derive(Clone, Copy)]
 pub(super) struct Led {
     /// The cost where it was linearised.
     pub before: f64,
