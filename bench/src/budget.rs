@@ -153,25 +153,18 @@ fn ways() -> Result<Vec<Way>> {
     let line = Task::Line {
         rate_limit_rad_s: 2.0,
     };
-    let obstacles = Size {
-        swarm: 64,
-        horizon: 20,
-        obstacles: 16,
-        ..default
-    };
-    let axis = Size::paper(line, Solver::KpsoRefined);
     let all = [
         ("default", default),
-        ("tip-axis", axis),
-        ("obstacles", obstacles),
-    ]
-    .into_iter();
-    all.map(|(name, size)| Way::new(name, &size)).collect()
+        ("tip-axis", Size::paper(line, Solver::KpsoRefined)),
+        ("obstacles", default.among_obstacles()),
+    ];
+    let ways = all.into_iter();
+    ways.map(|(name, size)| Way::new(name, &size)).collect()
 }
 
 impl Way {
     fn new(name: &'static str, size: &Size) -> Result<Self> {
-        let (scene, settings) = (size.scene()?, size.settings());
+        let (scene, settings) = (size.scene()?, size.settings);
         let samples = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
         Ok(Self {
             name,

@@ -421,15 +421,6 @@ mod tests {
     }
 
     #[test]
-    fn only_a_panel_with_nothing_to_see_is_below() {
-        let of = |curves| Panel::new("", ["x", "y"], Scale::Log { floor: 1e-3 }, curves);
-        let low = || Curve::line("", vec![(0.0, 1e-4), (1.0, 9e-4)], BLUE);
-        let high = Curve::line("", vec![(0.0, 1e-4), (1.0, 0.1)], ORANGE);
-        assert!(of(vec![low()]).is_below(1e-3));
-        assert!(!of(vec![low(), high]).is_below(1e-3));
-    }
-
-    #[test]
     fn all_are_at_least_as_long_as_the_shortest_and_none_longer_than_the_longest() {
         let mut times = crate::quantiles::histogram().expect("bounds");
         for us in [10, 20, 20, 40] {

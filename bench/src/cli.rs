@@ -341,14 +341,4 @@ mod tests {
     fn the_manual_is_what_the_command_line_says() {
         cdcr_packaging::check(&Cli::command(), "1", None).expect("up to date");
     }
-
-    #[test]
-    fn a_quick_look_takes_less_time_than_the_whole() {
-        let expected_s = |line: &str| match Cli::parse_from(line.split(' ')).command {
-            Command::All(asked) => asked.expected_s(),
-            other => panic!("{other:?}"),
-        };
-        let (quick, whole) = ("cdcr-bench all --out x --quick", "cdcr-bench all --out x");
-        assert!(expected_s(quick) < expected_s(whole) / 4.0);
-    }
 }

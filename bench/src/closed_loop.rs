@@ -3,14 +3,14 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use cdcr_client::Orientation as Wanted;
+use cdcr_client::model::orientation_of;
 use cdcr_controller::closed_loop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolverKind};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use derive_more::{Deref, DerefMut};
-use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
 use crate::scene::Scene;
 
@@ -50,7 +50,7 @@ impl Sample {
 impl<'a> ClosedLoop<'a> {
     pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Result<Self> {
         let reference_at = |time_s| ReferenceSample {
-            orientation: orientation(scene, time_s),
+            orientation: orientation_of(scene.curve.orientation(time_s)),
             ..inside(scene.curve.position_m(time_s).into())
         };
         let inner = closed_loop::ClosedLoop::new(
@@ -79,16 +79,6 @@ impl<'a> ClosedLoop<'a> {
             rates: self.inner.command().rates,
             clearance_m: self.inner.clearance_m(),
             solve_ns: solve_time.as_nanos() as u64,
-        }
-    }
-}
-
-fn orientation(scene: &Scene, time_s: f64) -> Orientation {
-    match scene.curve.orientation(time_s) {
-        Wanted::Free => Orientation::Free,
-        Wanted::Axis(axis) => Orientation::Axis(Unit::new_normalize(axis.into())),
-        Wanted::Full([x, y, z, w]) => {
-            Orientation::Full(UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)))
         }
     }
 }

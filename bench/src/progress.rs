@@ -112,18 +112,3 @@ impl Drop for Progress {
 fn milliseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e3) as u64
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_part_did_not_take_is_not_left() {
-        let mut progress = Progress::silent();
-        progress.begin_part("first", 30.0);
-        progress.advance(2.0);
-        // It failed after two of its twenty seconds.
-        progress.begin_part("second", 10.0);
-        assert!((progress.total_s - 12.0).abs() < 1e-12);
-    }
-}

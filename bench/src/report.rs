@@ -384,18 +384,14 @@ mod tests {
     }
 
     #[test]
-    fn a_benchmark_that_fails_or_panics_is_a_part_without_a_result() {
-        let fails: Box<Run> = Box::new(|_| anyhow::bail!("no luck"));
-        let panics: Box<Run> = Box::new(|_| panic!("a test of a panic"));
-        for (run, words) in [(fails, "no luck"), (panics, "panicked")] {
-            let plan = Plan {
-                name: "budget",
-                expected_s: 1.0,
-                run,
-            };
-            let part = plan.carry_out(&mut Progress::silent());
-            let cause = part.result.err().expect("no result");
-            assert!(cause.contains(words), "{cause}");
-        }
+    fn a_benchmark_that_panics_is_a_part_without_a_result() {
+        let plan = Plan {
+            name: "budget",
+            expected_s: 1.0,
+            run: Box::new(|_| panic!("a test of a panic")),
+        };
+        let part = plan.carry_out(&mut Progress::silent());
+        let cause = part.result.err().expect("no result");
+        assert!(cause.contains("panicked"), "{cause}");
     }
 }

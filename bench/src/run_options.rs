@@ -81,23 +81,17 @@ mod tests {
         let all = clap::Command::new("deadline").args([
             argument("rounds").default_value("6"),
             load.action(clap::ArgAction::Append),
-            argument("quick").action(clap::ArgAction::SetTrue),
-            argument("out"),
             argument("config"),
         ]);
         let command = clap::Command::new("bench").subcommand(all);
         let of = |words: &str| {
             let words = format!("bench deadline {words}");
-            let matches = command
-                .clone()
-                .get_matches_from(words.split_ascii_whitespace());
+            let matches = command.clone().get_matches_from(words.split(' '));
             RunOptions::of(&command, &matches)
         };
-        let one = of("--load=none --load cpu --rounds 3 --quick --out a");
-        assert_eq!(one, of("--quick --rounds=3 --load none,cpu"));
-        let json = r#"{"command":"deadline","load":"none,cpu","quick":"true","rounds":"3"}"#;
-        assert_eq!(serde_json::to_string(&one).expect("JSON"), json);
-        let other = of("--load none,cpu --quick");
+        let one = of("--load=none --load cpu --rounds 3");
+        assert_eq!(one, of("--rounds=3 --load none,cpu"));
+        let other = of("--load none,cpu");
         assert_eq!(one.differing(&other), [("rounds", "3", "none")]);
 
         // A configuration is known by its text and not by its place.

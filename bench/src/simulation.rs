@@ -113,7 +113,12 @@ fn run_row(task: Task, scene: &Scene, samples: &[Sample]) -> Value {
         }),
         Task::Circle { safe_distance_m } => {
             let clearances_m = samples.iter().map(|sample| sample.clearance_m);
-            let (outside_mm, peak_mm) = errors_mm(samples, &obstacle_m(scene), safe_distance_m);
+            let obstacle_m = obstacle_m(scene);
+            let errors = samples.iter().map(|sample| {
+                let distance_m = (sample.reference_m - obstacle_m).norm();
+                (distance_m, sample.error_mm())
+            });
+            let (outside_mm, peak_mm) = errors_mm(errors, safe_distance_m);
             json!({
                 // Smallest clearance of the whole body.
                 "min_clearance_mm": 1e3 * clearances_m.fold(f64::INFINITY, f64::min),
@@ -166,19 +171,16 @@ fn row(experiment: &Experiment, scene: &Scene, runs: &[Value], solve_ns: &Histog
 }
 
 /// Of a run around an obstacle, after the approach: the mean error outside the detour, and the largest one \[mm\]; none
-/// when no sample is there.
+/// when no sample is there. A sample is the distance of its reference from the obstacle \[m\] and its error \[mm\].
 fn errors_mm(
-    samples: &[Sample],
-    obstacle_m: &Vector3<f64>,
+    samples: impl Iterator<Item = (f64, f64)> + Clone,
     safe_distance_m: f64,
 ) -> (Option<f64>, Option<f64>) {
-    let arrived = samples
-        .iter()
-        .skip_while(|sample| sample.error_mm() >= ARRIVED_MM);
-    let peak_mm = arrived.clone().map(Sample::error_mm).reduce(f64::max);
+    let arrived = samples.skip_while(|(_, error_mm)| *error_mm >= ARRIVED_MM);
+    let peak_mm = arrived.clone().map(|sample| sample.1).reduce(f64::max);
     let reach_m = DETOUR_DISTANCES * safe_distance_m;
-    let outside = arrived.filter(|sample| (sample.reference_m - obstacle_m).norm() >= reach_m);
-    let outside_mm: Vec<f64> = outside.map(Sample::error_mm).collect();
+    let outside = arrived.filter(|(distance_m, _)| *distance_m >= reach_m);
+    let outside_mm: Vec<f64> = outside.map(|sample| sample.1).collect();
     let sum_mm: f64 = outside_mm.iter().sum();
     let mean_mm = (!outside_mm.is_empty()).then(|| sum_mm / outside_mm.len() as f64);
     (mean_mm, peak_mm)
@@ -193,54 +195,25 @@ pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_controller::robot::{BendRates, Configuration, Pose};
-
     use super::*;
-
-    /// A sample with its reference on the x axis, and this error.
-    fn sample((reference_x_m, error_mm): (f64, f64)) -> Sample {
-        let reference_m = Vector3::new(reference_x_m, 0.0, 0.0);
-        let mut tip = Pose::identity();
-        tip.position_m = reference_m + Vector3::new(0.0, 1e-3 * error_mm, 0.0);
-        Sample {
-            time_s: 0.0,
-            reference_m,
-            tip,
-            configuration: Configuration::straight(1),
-            rates: BendRates::zero(1),
-            clearance_m: f64::INFINITY,
-            solve_ns: 0,
-        }
-    }
 
     #[test]
     fn approach_and_detour_are_left_out_of_the_mean_and_only_the_approach_of_the_peak() {
-        let errors = |samples: &[(f64, f64)]| {
-            let samples: Vec<Sample> = samples.iter().copied().map(sample).collect();
-            errors_mm(&samples, &Vector3::zeros(), 0.01)
-        };
+        let errors = |samples: &[(f64, f64)]| errors_mm(samples.iter().copied(), 0.01);
         // The third is above the threshold again: the approach is over all the same. The next two are the detour.
         let whole = [
-            (-0.1, 100.0),
-            (-0.09, 0.01),
-            (-0.08, 0.03),
-            (-0.019, 12.0),
+            (0.1, 100.0),
+            (0.09, 0.01),
+            (0.08, 0.03),
+            (0.019, 12.0),
             (0.0, 10.0),
             (0.021, 0.02),
         ];
         let (mean_mm, peak_mm) = errors(&whole);
-        assert!(
-            (mean_mm.expect("some outside") - 0.02).abs() < 1e-12,
-            "{mean_mm:?}"
-        );
-        assert!(
-            (peak_mm.expect("arrived") - 12.0).abs() < 1e-12,
-            "{peak_mm:?}"
-        );
-        assert_eq!(
-            errors(&[(0.5, 3.0), (0.5, 0.02)]),
-            (None, None),
-            "it never arrives"
-        );
+        let mean_mm = mean_mm.expect("some outside");
+        assert!((mean_mm - 0.02).abs() < 1e-12, "{mean_mm}");
+        assert_eq!(peak_mm, Some(12.0));
+        let never = errors(&[(0.5, 3.0), (0.5, 0.02)]);
+        assert_eq!(never, (None, None), "it never arrives");
     }
 }

@@ -185,12 +185,10 @@ fn panel(cases: &[Value]) -> Panel {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
-    /// The curve, its robot and the settings that belong to it.
+    /// The curve and its robot.
     pub task: Task,
     pub solver: Solver,
-    pub horizon: u32,
-    pub swarm: u32,
-    pub iterations: u32,
+    pub settings: NmpcSettings,
     pub obstacles: usize,
 }
 
@@ -206,53 +204,47 @@ pub fn sizes() -> Vec<Size> {
             ..size
         };
         sizes.extend((1..=6).map(of));
-        sizes.extend([1, 5, 10, 20, 50].map(|horizon| Size { horizon, ..size }));
+        sizes.extend([1, 5, 10, 20, 50].map(|steps| size.with(|it| it.horizon_steps = steps)));
         sizes.extend([1, 4, 16, 64].map(|obstacles| Size { obstacles, ..size }));
     }
-    sizes.extend([16, 64, 256, 512].map(|swarm| Size { swarm, ..base }));
-    sizes.extend([10, 100].map(|iterations| Size { iterations, ..base }));
+    sizes.extend([16, 64, 256, 512].map(|count| base.with(|it| it.swarm_size = count)));
+    sizes.extend([10, 100].map(|count| base.with(|it| it.swarm_iterations = count)));
     let line = Task::Line {
         rate_limit_rad_s: 2.0,
     };
     sizes.push(Size::paper(line, Solver::KpsoRefined));
-    sizes.push(Size {
-        swarm: 64,
-        horizon: 20,
-        obstacles: 16,
-        ..refined
-    });
+    sizes.push(refined.among_obstacles());
     sizes
 }
 
 impl Size {
     pub(crate) fn paper(task: Task, solver: Solver) -> Self {
-        let settings = Experiment::new(task, solver).settings();
         Self {
             task,
             solver,
-            horizon: settings.horizon_steps,
-            swarm: settings.swarm_size,
-            iterations: settings.swarm_iterations,
+            settings: Experiment::new(task, solver).settings(),
             obstacles: 0,
         }
     }
 
-    pub(crate) fn settings(&self) -> NmpcSettings {
-        NmpcSettings {
-            horizon_steps: self.horizon,
-            swarm_size: self.swarm,
-            swarm_iterations: self.iterations,
-            ..Experiment::new(self.task, self.solver).settings()
+    pub(crate) fn with(mut self, change: impl FnOnce(&mut NmpcSettings)) -> Self {
+        change(&mut self.settings);
+        self
+    }
+
+    /// Many particles and steps among obstacles.
+    pub(crate) fn among_obstacles(self) -> Self {
+        let larger = self.with(|it| (it.swarm_size, it.horizon_steps) = (64, 20));
+        Self {
+            obstacles: 16,
+            ..larger
         }
     }
 
     pub(crate) fn scene(&self) -> Result<Scene> {
         let scene = self.task.scene()?;
-        let obstacles = obstacles(
-            &scene.robot,
-            self.settings().safe_distance_m,
-            self.obstacles,
-        )?;
+        let safe_m = self.settings.safe_distance_m;
+        let obstacles = obstacles(&scene.robot, safe_m, self.obstacles)?;
         let cycles = if obstacles.is_empty() {
             CYCLES_MAX
         } else {
@@ -288,7 +280,7 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
 
 /// Runs the closed loop, in which every path solves every cycle.
 fn measure(size: &Size) -> Result<Vec<Value>> {
-    let (scene, settings) = (size.scene()?, size.settings());
+    let (scene, settings) = (size.scene()?, size.settings);
     let mut closed = ClosedLoop::new(&scene, settings)?;
     let mut runners = Vec::new();
     for path in Simd::available() {
@@ -319,9 +311,9 @@ fn measure(size: &Size) -> Result<Vec<Value>> {
             "curve": size.task.name(),
             "path": path,
             "sections": scene.robot.section_count(),
-            "horizon": size.horizon,
-            "swarm": size.swarm,
-            "iterations": size.iterations,
+            "horizon": settings.horizon_steps,
+            "swarm": settings.swarm_size,
+            "iterations": settings.swarm_iterations,
             "obstacles": size.obstacles,
             "p50_us": own_us,
             "p99_us": quantile_us(times, 0.99),
@@ -348,9 +340,9 @@ mod tests {
                 ..Size::paper(Task::Spiral { sections }, Solver::GaussNewton)
             };
             let scene = size.scene().expect("a scene");
-            let settings = size.settings();
+            let settings = size.settings;
             // What the solver itself looks at: all that moves within the horizon at the limit of the rates.
-            let horizon_s = f64::from(size.horizon) * scene.period_s;
+            let horizon_s = f64::from(settings.horizon_steps) * scene.period_s;
             let change_rad = SQRT_2 * scene.robot.sections()[0].rate_max_rad_s * horizon_s;
             let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);
             let reach_m = travel_m.map(|travel_m| travel_m + settings.safe_distance_m);

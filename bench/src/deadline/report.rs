@@ -26,12 +26,7 @@ const SHARES: f64 = 1e-5;
 /// Two counts of misses differ when chance alone would make such a difference less often than this.
 const SIGNIFICANCE: f64 = 0.05;
 
-const EXPLANATION: &str = "<p>Each round runs, under each load, a bare loop (the daemon's own thread with nothing to do), the daemon \
-         while its robot tracks a spiral, and cyclictest where it is installed, one after the other. All times \
-         count from the release on the grid. What the machine itself does, it does to all of them: the ratio to \
-         the bare loop of the same round is what can be believed, and a miss of the daemon is its own only when \
-         its computation took too long or a page was missing. Misses by chance: the probability that as many \
-         misses fall to the daemon when both miss alike.</p>\n";
+const EXPLANATION: &str = include_str!("deadline.html");
 
 const RATIOS: [Column; 11] = [
     word("load", "load"),

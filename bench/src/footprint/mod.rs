@@ -35,13 +35,7 @@ const MOST: Duration = Duration::from_secs(3600);
 /// Unit of what is or is not: 1 is yes, 0 no.
 const YES_NO: &str = "yes/no";
 
-const EXPLANATION: &str = "<p>Each round starts two daemons with their defaults (200 Hz, three sections): for the first one a client \
-         looks from the beginning (times of the start), the second one is measured without any client, then while it \
-         tracks a spiral. The share of a core is the time that the kernel counted the thread on a core, by the time \
-         that passed; the real-time core is the sum of cdcr-cycle and cdcr-exchange.</p>\
-         <p>Resident memory is VmRSS, with all shared memory that the daemon has mapped. \"At the start\" is READY=1, before \
-         any client; what the first client adds is the memory of its own ports and has no target. Locked memory is \
-         counted by address range and is larger. Whether memory is locked (1: in that round) is what the daemon says.</p>";
+const EXPLANATION: &str = include_str!("footprint.html");
 
 /// All that is measured: what, its key with the unit at its end, the unit, and what it may be at most; the figures with
 /// a target first.

@@ -70,18 +70,3 @@ impl Leg {
         [0, 1, 2].map(|part| Self::ALL[self as usize + part])
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_whole_is_followed_by_its_parts() {
-        for (index, grid) in Leg::ALL.iter().enumerate().filter(|(_, leg)| leg.is_grid()) {
-            let names = Leg::ALL[index - 1].with_parts().map(Leg::name);
-            let [whole, _, machinery] = names.map(|name| name.split_once('.').unwrap());
-            let way = grid.name().split_once('.').unwrap().0;
-            assert_eq!((whole.0, machinery), (way, (way, "machinery")));
-        }
-    }
-}

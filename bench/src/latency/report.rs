@@ -23,12 +23,7 @@ const VALUES_OF_P999: u64 = 1000;
 /// The least share of the samples that is drawn.
 const SHARES: f64 = 1e-4;
 
-const EXPLANATION: &str = "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
-         are spread evenly over the period, and has every command in its hands as soon as it is there.</p>\
-         <p>The daemon takes inputs in once in a period, shortly before the release: most of each way is \
-         waiting for the grid, half a period on the average, whatever the machine does. <b>grid</b> is that part; \
-         <b>machinery</b> is the rest: gather, release, computation and hand-over. <b>bare</b> is iceoryx2 between two \
-         processes that do nothing else, measured in the same rounds. A stop is told without its ramp.</p>";
+const EXPLANATION: &str = include_str!("latency.html");
 
 const RATIOS: [(Leg, Leg); 3] = [
     (Leg::CommandHop, Leg::BareOneWay),
@@ -256,28 +251,23 @@ mod tests {
     }
 
     #[test]
-    fn every_leg_has_a_row_of_all_rounds_and_a_stop_a_period_and_a_little_more() {
+    fn a_stop_may_take_a_period_and_a_little_more_and_medians_are_those_of_the_rounds() {
         for (stop_us, kept) in [(5090, true), (5120, false)] {
             let rounds = [round(1, stop_us), round(2, stop_us)];
-            let setting = json!({ "period_us": 5000.0, "looks": { "all": 7, "late": 1 } });
+            let setting = json!({ "period_us": 5000.0 });
             let found = dataset("", setting, &rounds).expect("a result");
             let json = found.json();
-            let row = &json["legs"][Leg::ReferenceCommand as usize];
-            let expected = (&json!("reference.command"), &json!(200));
-            assert_eq!((&row["leg"], &row["samples"]), expected);
-            let near = |value: &Value, expected: f64| {
-                (value.as_f64().expect("a number") - expected).abs() <= 2e-3 * expected
-            };
-            assert!(near(&row["latency_us"]["max"], 200.0), "{row}");
+            assert!(
+                [0, 1]
+                    .iter()
+                    .all(|stop| json["targets"][stop]["kept"] == kept)
+            );
+            let leg = &json["legs"][Leg::ReferenceCommand as usize];
             // The medians of the rounds are 50 and 100.
-            assert!(near(&row["rounds_us"]["p50"], 75.0), "{row}");
-            let ratios = json["ratios"].as_array().expect("a list");
-            assert!(ratios.iter().all(|ratio| near(&ratio["p50"], 1.0)));
+            let p50_us = number(leg, "rounds_us_p50").expect("a number");
+            assert!((p50_us - 75.0).abs() < 0.2, "{leg}");
             let mut metrics = found.metrics.iter();
-            assert!(metrics.all(|m| m.rounds.len() == 2 && !m.name.contains("grid")));
-            assert_eq!(found.recordings.len(), 2 * Leg::ALL.len());
-            let [one, other] = [0, 1].map(|index| &json["targets"][index]["kept"]);
-            assert_eq!([one, other], [&json!(kept); 2]);
+            assert!(metrics.all(|metric| !metric.name.contains("grid")));
         }
     }
 

@@ -78,29 +78,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_parts_of_a_way_make_the_whole() {
-        let mut round = Round::new(0).expect("bounds");
-        for (gather_ns, grid, machinery) in [(400, 300, 600), (90, 0, 900)] {
-            let passage = Passage {
-                sent_ns: 100,
-                gather_ns,
-                received_ns: 1000,
-            };
-            round.record_way(Leg::StopCommand, &passage);
-            let newest = |leg: Leg| round.leg(leg).histogram_ns.max();
-            assert_eq!(newest(Leg::StopCommand), 900);
-            assert_eq!(round.leg(Leg::StopGrid).histogram_ns.count_at(grid), 1);
-            assert_eq!(
-                round
-                    .leg(Leg::StopMachinery)
-                    .histogram_ns
-                    .count_at(machinery),
-                1
-            );
+    fn every_way_is_made_of_a_wait_for_the_grid_and_machinery() {
+        for grid in Leg::ALL.into_iter().filter(|leg| leg.is_grid()) {
+            let whole = Leg::ALL[grid as usize - 1];
+            let mut round = Round::new(0).expect("bounds");
+            for gather_ns in [400, 90] {
+                let passage = Passage {
+                    sent_ns: 100,
+                    gather_ns,
+                    received_ns: 1000,
+                };
+                round.record_way(whole, &passage);
+            }
+            let [whole, grid, machinery] = whole.with_parts();
+            let (way, part) = grid.name().split_once('.').expect("a way and a part");
+            assert!(whole.name().starts_with(way) && part == "grid");
+            assert_eq!(machinery.name(), format!("{way}.machinery"));
+            for (leg, times_ns) in [(whole, [900; 2]), (grid, [300, 0]), (machinery, [600, 900])] {
+                let found = &round.leg(leg).histogram_ns;
+                assert_eq!(found.len(), 2);
+                assert!(times_ns.iter().all(|ns| found.count_at(*ns) > 0), "{leg:?}");
+            }
         }
-        let recording = round.leg(Leg::StopCommand);
-        assert_eq!(recording.histogram_ns.len(), 2);
-        assert!(recording.start_s > 0.0 && recording.duration_s >= 0.0);
-        assert!(round.leg(Leg::LeaseGrid).histogram_ns.is_empty());
     }
 }

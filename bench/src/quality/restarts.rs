@@ -69,19 +69,13 @@ pub const CONTENDERS: [Contender; 6] = [
     contender("gauss-newton", Solver::GaussNewton, 0, u32::MAX),
     contender("gauss-newton-restarted", Solver::GaussNewton, 3, u32::MAX),
     contender("kpso-refined", Solver::KpsoRefined, 0, u32::MAX),
-    contender(
-        "kpso-refined-20ms",
-        Solver::KpsoRefined,
-        0,
-        20_000_000 / QUANTUM_NS,
-    ),
-    contender(
-        "kpso-refined-5ms",
-        Solver::KpsoRefined,
-        0,
-        5_000_000 / QUANTUM_NS,
-    ),
+    contender("kpso-refined-20ms", Solver::KpsoRefined, 0, quanta(20)),
+    contender("kpso-refined-5ms", Solver::KpsoRefined, 0, quanta(5)),
 ];
+
+const fn quanta(time_ms: u32) -> u32 {
+    1_000_000 * time_ms / QUANTUM_NS
+}
 
 const fn contender(
     name: &'static str,

@@ -102,31 +102,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_daemon_accepts_every_robot_and_what_the_period_bounds() {
+    fn the_daemon_accepts_every_robot_with_every_period() {
         // Asked nothing, it spins as it does by default.
-        for (sections, period_ms, spin_us, bounds) in [
-            (1, 5.0, Some(1000.0), [Some(0.2), Some(1.0), Some(1000.0)]),
-            (2, 0.5, Some(0.0), [Some(0.175), Some(0.5), Some(0.0)]),
-            (3, 0.1, None, [Some(0.035), Some(0.1), None]),
-        ] {
-            let (cores, realtime) = (Cores::find().unwrap(), false);
+        for (sections, period_ms, spin_us) in
+            [(1, 5.0, Some(1e3)), (2, 0.5, Some(0.0)), (3, 0.1, None)]
+        {
             let stage = Stage {
-                cores,
-                realtime,
+                cores: Cores::find().unwrap(),
+                realtime: false,
                 spin_us,
                 begun: Instant::now(),
             };
             let launch = stage.launch(&Case::new(sections, Solver::Kpso, 10), period_ms);
-            let set = [
-                "cycle.gather_lead_ms",
-                "cycle.late_start_ms",
-                "realtime.spin_us",
-            ]
-            .map(|key| {
-                let set = launch.settings.iter().rfind(|(name, _)| name == key);
-                set.map(|(_, value)| (value.parse::<f64>().unwrap() * 1e9).round() / 1e9)
-            });
-            assert_eq!(set, bounds);
             let output = launch.command("check").unwrap().output().unwrap();
             let errors = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success(), "{errors}");

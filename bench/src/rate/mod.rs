@@ -298,10 +298,4 @@ mod tests {
             assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
         }
     }
-
-    #[test]
-    fn a_trial_is_as_long_as_both_limits_ask() {
-        let options = RateOptions::of_report(false);
-        assert_eq!([5.0, 0.1].map(|ms| options.measured_s(ms)), [20.0, 2.0]);
-    }
 }

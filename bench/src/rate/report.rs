@@ -12,14 +12,7 @@ use crate::dataset::{
     word,
 };
 
-const EXPLANATION: &str = "<p>A period holds when, of a daemon that really tracks the spiral, at most 0.1 % of the releases were lost \
-         (no cycle, or a command handed over after the end of the period), and no cycle was late by the \
-         daemon's own doing (cause compute or page fault), in its own statistics of at least 2 s and 4000 periods.</p>\
-         <p>A late cycle of the daemon's own doing decides at once. A trial that only lost releases is tried once \
-         more; up to twice where the machine lost them while the work itself fits into the period. Every trial is kept.</p>\
-         <p>A solve ends with its time, so a period can hold with solves that were cut short: their share, and the \
-         distance of the tip from its reference, are what the shorter period costs. Core % is what the cycle and the \
-         exchange use together of their core; Linux halts real-time threads beyond 95 %.</p>";
+const EXPLANATION: &str = include_str!("rate.html");
 
 const STEPS: [Column; 20] = [
     plain("rate Hz", "rate_hz"),

@@ -11,7 +11,7 @@ use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, SKY};
 use crate::named::named;
 
 /// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches
-/// \[mm\]: the test below searches those points.
+/// \[mm\]: see the test below.
 const OUT_OF_REACH_MM: f64 = 34.22;
 
 /// Time constant of a daemon's estimate, by default \[s\].
@@ -375,77 +375,28 @@ fn motors(delay_s: f64, time_constant_s: f64) -> Actuator {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_controller::robot::{Configuration, Jacobian, Robot, RobotParameters};
-    use nalgebra::{Matrix3, Vector3};
+    use cdcr_controller::robot::{Robot, RobotParameters};
 
-    use super::OUT_OF_REACH_MM;
+    use super::*;
+    use crate::closed_loop;
+    use crate::scene::Scene;
 
-    /// The paper's spiral at the end of a cycle.
-    fn spiral_m(robot: &Robot, cycle: u32) -> Vector3<f64> {
-        let time_s = f64::from(cycle) * 0.005;
-        let t = 5_f64.to_radians() + time_s;
-        let bends = [[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]];
-        robot.tip_position(&Configuration::from_bend_angles(&bends))
-    }
-
-    /// Damped Gauss-Newton from `start`: distance of the nearest tip \[m\], and its bends.
-    fn nearest(robot: &Robot, start: Configuration, goal_m: &Vector3<f64>) -> (f64, Configuration) {
-        let (mut best, mut jacobian) = (start, Jacobian::default());
-        let mut best_m = (goal_m - robot.tip_position(&best)).norm();
-        let mut damping = 1e-3;
-        for _ in 0..150 {
-            let missing_m = goal_m - robot.tip_jacobian(&best, &mut jacobian).position_m;
-            let column = |i: usize| Vector3::from_column_slice(&jacobian.column(i)[..3]);
-            // (JᵀJ + λI)⁻¹ Jᵀ = Jᵀ (JJᵀ + λI)⁻¹
-            let gram: Matrix3<f64> = (0..6).map(|i| column(i) * column(i).transpose()).sum();
-            let damped = (gram + Matrix3::identity() * damping).cholesky().unwrap();
-            let weights = damped.solve(&missing_m);
-            let mut tried = best;
-            for (i, bend) in tried.as_mut_slice().iter_mut().enumerate() {
-                *bend += column(i).dot(&weights);
-            }
-            let tried_m = (goal_m - robot.tip_position(&tried)).norm();
-            if tried_m < best_m {
-                (best, best_m, damping) = (tried, tried_m, 0.3 * damping);
-            } else {
-                damping *= 10.0;
-            }
-        }
-        (best_m, best)
-    }
-
-    /// From three shapes for each point, one of them the nearest to the point before: two come to the least distance, which is no less than what a
-    /// straight robot lacks.
+    /// A controller that knows how short its robot is keeps the tip at the nearest point that it reaches.
     #[test]
     fn the_part_of_the_spiral_that_is_out_of_reach_is_that_far_away() {
-        let paper = RobotParameters::paper(3);
-        let mut shorter = paper.clone();
+        let mut shorter = RobotParameters::paper(3);
         for section in &mut shorter.sections {
             section.length_m *= 0.95;
         }
-        let [paper, shorter] = [paper, shorter].map(|robot| Robot::new(&robot).unwrap());
-        let mut last = Configuration::from_bend_angles(&[[0.1, 1.0]; 3]);
-        let mut distances_m = Vec::new();
-        // The cycles that are judged: see FigureEight::settled_mm.
-        for cycle in 598..=994 {
-            let goal_m = spiral_m(&paper, cycle);
-            let azimuth = goal_m.y.atan2(goal_m.x);
-            let starts =
-                [0.1, 0.5].map(|bend| Configuration::from_bend_angles(&[[bend, azimuth]; 3]));
-            let mut found: Vec<_> = starts
-                .into_iter()
-                .chain([last])
-                .map(|start| nearest(&shorter, start, &goal_m))
-                .collect();
-            found.sort_by(|one, other| one.0.total_cmp(&other.0));
-            let (nearest_m, bends) = found[0];
-            assert!(found[1].0 - nearest_m < 1e-6, "{cycle}: {found:?}");
-            assert!(nearest_m > goal_m.norm() - shorter.reach_m());
-            last = bends;
-            distances_m.push(nearest_m);
-        }
-        let mean_mm = 1e3 * distances_m.iter().sum::<f64>() / distances_m.len() as f64;
-        println!("{mean_mm} mm");
+        let scene = Scene {
+            robot: Robot::new(&shorter).unwrap(),
+            ..Scene::spiral(3).unwrap()
+        };
+        let samples = closed_loop::run(&scene, NmpcSettings::default()).unwrap();
+        // The cycles that are judged: see FigureEightRun::settled_mm.
+        let settled = &samples[597..];
+        let errors_mm = settled.iter().map(closed_loop::Sample::error_mm);
+        let mean_mm = errors_mm.sum::<f64>() / settled.len() as f64;
         assert!((mean_mm - OUT_OF_REACH_MM).abs() < 0.005, "{mean_mm}");
     }
 }

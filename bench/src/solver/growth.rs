@@ -2,6 +2,7 @@
 //! of the fastest path.
 
 use serde_json::{Value, json};
+use statrs::statistics::Statistics as _;
 
 use crate::dataset::{Column, Sheet, fixed, number, plain, word};
 use crate::experiment::Solver;
@@ -82,15 +83,8 @@ fn growth(cases: &[Value], solver: Solver, per: Quantity) -> Option<Value> {
 }
 
 fn slope(points: &[(f64, f64)]) -> f64 {
-    let count = points.len() as f64;
-    let (mean_x, mean_y) = points
-        .iter()
-        .fold((0.0, 0.0), |(x, y), p| (x + p.0 / count, y + p.1 / count));
-    let (over, under) = points.iter().fold((0.0, 0.0), |(over, under), p| {
-        let dx = p.0 - mean_x;
-        (over + dx * (p.1 - mean_y), under + dx * dx)
-    });
-    over / under
+    let (x, y): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+    x.iter().covariance(y.iter()) / x.iter().variance()
 }
 
 #[cfg(test)]

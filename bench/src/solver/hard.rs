@@ -120,12 +120,13 @@ fn follow(
     cycles_max: u64,
     quanta: Option<u32>,
 ) -> Result<Value> {
+    let paper = Size::paper(Task::Spiral { sections: 3 }, solver);
+    let longer = paper.with(|it| it.horizon_steps = HORIZON);
     let size = Size {
-        horizon: HORIZON,
         obstacles,
-        ..Size::paper(Task::Spiral { sections: 3 }, solver)
+        ..longer
     };
-    let (scene, settings) = (size.scene()?, size.settings());
+    let (scene, settings) = (size.scene()?, size.settings);
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
     let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
     let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));

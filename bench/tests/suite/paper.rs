@@ -96,6 +96,14 @@ fn the_folder_holds_figures_a_page_and_tables() {
         );
         let has_period = texts.contains(&"period 5 ms");
         assert_eq!(has_period, name.ends_with("-times.svg"), "{name}");
+        let id = name.trim_end_matches(".svg");
+        let page = &bundle.0["paper.html"];
+        for link in [
+            format!("<a href=\"#{id}\">"),
+            format!("<figure id=\"{id}\">"),
+        ] {
+            assert!(page.contains(&link), "{link}");
+        }
         figures += 1;
     }
     assert_eq!(figures, 18);
