@@ -234,7 +234,7 @@ struct FeedState<'t> {
     watch: Watch,
     /// When the last record arrived.
     heard_ns: u64,
-    /// When the last request was answered.
+    /// When the lease was renewed last.
     answered_ns: u64,
     /// Release of the last record.
     released_ns: u64,
@@ -247,7 +247,8 @@ impl FeedState<'_> {
     fn is_over(&self, now_ns: u64) -> bool {
         let end_ns = self.schedule.end_ns();
         let waits_for_end = self.watch.is_tracking() && !self.watch.is_ended();
-        now_ns > end_ns && (!waits_for_end || now_ns > end_ns + END_GRACE_NS)
+        // Only a record can tell that it went to its end.
+        now_ns > end_ns && (!waits_for_end || self.released_ns > end_ns + END_GRACE_NS)
     }
 
     /// How long neither a record nor an answer came.

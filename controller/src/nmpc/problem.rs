@@ -26,7 +26,8 @@ pub(super) struct TrackingProblem<'a> {
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
     stages: Stages,
-    is_of_position: bool,
+    /// What [`Self::is_plain`] knows of reference and settings.
+    has_plain_cost: bool,
 }
 
 const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
@@ -68,9 +69,9 @@ impl<'a> TrackingProblem<'a> {
                 motion.period_s(),
                 motion.horizon().lengths(),
             ),
-            is_of_position: false,
+            has_plain_cost: false,
         };
-        problem.is_of_position = problem.is_of_position();
+        problem.has_plain_cost = problem.is_of_position();
         problem
     }
 

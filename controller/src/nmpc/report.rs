@@ -21,7 +21,7 @@ pub enum SolveStatus {
     /// No solve took place, or state or last rates have another section count than the robot. The rates are zero.
     #[default]
     Idle,
-    /// The last step was below the tolerance, or the cost is zero to working precision.
+    /// The last step was below the tolerance, rounding would hide what another gains, or the cost is zero to working precision.
     Converged,
     /// The budget ended it; the best solution so far is used.
     BudgetSpent,

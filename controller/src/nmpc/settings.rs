@@ -13,7 +13,7 @@ use crate::optimizer::{GaussNewtonSettings, KpsoSettings, VelocityRule};
 pub enum SolverKind {
     /// Knowledge-based particle swarm, as in the paper.
     Kpso,
-    /// Damped Gauss-Newton steps from the best candidate.
+    /// Damped Gauss-Newton steps from the last plan, and from the best candidate where an error is left.
     GaussNewton,
     /// Gauss-Newton refines, and the swarm chooses the basin where that leaves an error.
     #[default]
@@ -52,7 +52,7 @@ crate::parameters! {
     #[serde(default, deny_unknown_fields)]
     pub struct NmpcSettings {
         /// "kpso-refined": Gauss-Newton, and the swarm where that leaves an error. "kpso": the paper's swarm alone.
-        /// "gauss-newton": damped steps from the best candidate.
+        /// "gauss-newton": damped steps from the last plan, and from the best candidate where an error is left.
         solver: SolverKind = SolverKind::KpsoRefined;
         /// Prediction steps N, {range}.
         horizon_steps: u32 = 2, in ranges::HORIZON_STEPS;
@@ -253,6 +253,8 @@ pub mod ranges {
 
 /// A Gauss-Newton step below this counts as converged: at 5 ms it moves a tip by 1e-15 m.
 const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
+/// An error of the tip that is small \[m\].
+const SMALL_ERROR_M: f64 = 1e-6;
 /// A mean position error below this counts as none \[m\].
 const POSITION_TOLERANCE_M: f64 = 1e-15;
 
@@ -329,7 +331,13 @@ impl NmpcSettings {
             damping: self.damping,
             step_tolerance: STEP_TOLERANCE_RAD_S,
             is_rough: false,
+            residuals_max: self.small_cost(),
         }
+    }
+
+    /// The cost of an error of the tip that is small: nobody searches for less, and derivatives of the point before tell all that matters beside it.
+    pub(super) fn small_cost(&self) -> f64 {
+        self.position_weight * SMALL_ERROR_M * SMALL_ERROR_M
     }
 
     /// A cost at or below this is zero to working precision.

@@ -15,8 +15,6 @@ const POSE_ROWS: usize = 12;
 /// Constraints that a Gauss-Newton step sees: of limits and of clearances those that are nearest to being broken, half of the room
 /// for each kind that needs it; further ones only count in the cost.
 pub(super) const CONSTRAINTS_MAX: usize = 256;
-/// Below this error of the tip \[m\] a vanished gradient is not looked into.
-const STUCK_ERROR_M: f64 = 1e-6;
 
 /// A search that its time ends leaves the noise of a swarm in the rates, which the next cycle has to take out again. Only a plan that costs less than
 /// this share of the refined one is worth that.
@@ -309,7 +307,7 @@ impl Solver {
     /// Whether the cost, but for that of rates, is that of an error which matters.
     pub(super) fn error_is_left(&self, task: &Task) -> bool {
         let error = self.incumbent.cost() - task.problem.regularisation_at(self.incumbent.z());
-        error > task.settings.position_weight * STUCK_ERROR_M * STUCK_ERROR_M
+        error > task.settings.small_cost()
     }
 
     /// Tries the ways out of a place where the gradient vanishes. Whether that helped.

@@ -109,7 +109,7 @@ pub(crate) trait Problem {
         self.evaluate_below(z, f64::INFINITY, budget)
     }
 
-    /// The cost that rounding alone leaves, where a cost is that of residuals without constraints, which take little time beside their derivatives. None: it is not.
+    /// The cost that rounding alone leaves, where a cost is that of residuals and perhaps of a weight on the unknowns, without constraints, and residuals take little time beside their derivatives. None: it is not.
     fn rounding(&self) -> Option<f64> {
         None
     }

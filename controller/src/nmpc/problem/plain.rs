@@ -26,7 +26,7 @@ impl TrackingProblem<'_> {
 
     /// Whether the cost is that of the tip's position and of the rates alone, and its rows are not staged.
     pub(in crate::nmpc) fn is_plain(&self) -> bool {
-        self.is_of_position && self.is_free()
+        self.has_plain_cost && self.is_free()
     }
 
     /// The cost of one plan, and the residuals of its positions, as far as there is room for them.

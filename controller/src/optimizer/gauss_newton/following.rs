@@ -1,10 +1,11 @@
 //! Steps with the derivatives of the point before: where those have led nearly to the end, they lead on from there, for a tenth of the time that new ones
 //! take.
 
-use super::GaussNewton;
+use super::{GaussNewton, dot};
 use crate::optimizer::{Bounds, Budget, Incumbent, Problem};
 
-/// The part of the cost that a step leaves at most whose derivatives serve once more: a thousandth of the residuals.
+/// The part of the cost that a step leaves at most whose derivatives serve once more: a thousandth of the residuals. With a weight on the unknowns, the part
+/// of its gain that the next step has at most.
 const FOLLOWED_SHARE: f64 = 1e-6;
 /// Such steps at most after one that was linearised.
 const FOLLOWING_MAX: u32 = 3;
@@ -13,14 +14,16 @@ const LINEARISED_ROUNDINGS: f64 = 4.0;
 /// and one of so many none to step on.
 const FOLLOWED_ROUNDINGS: f64 = 0.25;
 
-/// A step that was linearised.
+/// The step whose derivatives are used again.
 #[derive(Clone, Copy)]
-pub(super) struct Led {
+pub(super) struct LinearisedStep {
     /// The cost where it was linearised.
     pub before: f64,
-    /// What it was to gain.
+    /// By how much the model said that the cost falls.
     pub gain: f64,
     pub damping: f64,
+    /// [`GaussNewtonSettings::residuals_max`](super::GaussNewtonSettings::residuals_max).
+    pub residuals_max: f64,
 }
 
 /// Whether the cost is what rounding leaves.
@@ -29,23 +32,30 @@ pub(super) fn is_rounding(rounding: Option<f64>, cost: f64) -> bool {
 }
 
 impl GaussNewton {
-    /// Goes on after a step that was linearised. The steps that made the incumbent better, and whether another would gain nothing.
+    /// Goes on after a step from a point that was linearised. The steps that made the incumbent better, and whether another would gain nothing.
     pub(super) fn follow<P: Problem>(
         &mut self,
         around: (&P, &Bounds, Option<f64>),
-        led: Led,
+        linearised: LinearisedStep,
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> (u32, bool) {
-        let Led {
+        let LinearisedStep {
             mut before,
             mut gain,
             damping,
-        } = led;
+            residuals_max,
+        } = linearised;
         let Some(rounding) = around.2 else {
             return (0, false);
         };
-        let weight = self.model.weighed().map(|(weight, _)| weight);
+        let weighed = self.model.weighed();
+        let weight = weighed.map(|(weight, _)| weight);
+        // Where residuals stay, it is their curvature that tells where the cost is least, and these derivatives do not know it.
+        let left = |(weight, _)| incumbent.cost() - weight * dot(incumbent.z(), incumbent.z());
+        if weighed.map_or(0.0, left) > residuals_max {
+            return (0, false);
+        }
         let leads_on = |before: f64, cost: f64| {
             let serves = cost <= FOLLOWED_SHARE * before || is_rounding(Some(rounding), cost);
             serves && cost > FOLLOWED_ROUNDINGS * rounding
@@ -67,8 +77,10 @@ impl GaussNewton {
                 if weight.is_some() {
                     let most = FOLLOWED_SHARE * gain;
                     gain = own.gain(dimension);
-                    converged = trial.hides(&own.step[..dimension], gain);
-                    (!converged && gain <= most).then_some(())?;
+                    let is_hidden = trial.hides(&own.step[..dimension], gain);
+                    // What rests at a bound may have to leave it: new derivatives tell.
+                    converged = is_hidden && own.free.len() == dimension;
+                    (!is_hidden && gain <= most).then_some(())?;
                 }
                 trial.offer(&own.step[..dimension], 1.0, budget)
             });
@@ -90,8 +102,9 @@ mod tests {
     use crate::optimizer::{Evaluation, LinearModel, Place, Stages};
     use crate::wide::Wide;
 
-    /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1), and how often it was linearised.
+    /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1, l + l z₀²), of which the last stays, and how often it was linearised.
     struct Curved {
+        left: f64,
         stages: Stages,
         rounding: Option<f64>,
         weight: f64,
@@ -99,10 +112,11 @@ mod tests {
     }
 
     impl Curved {
-        fn residuals(z: &[f64]) -> [f64; 2] {
+        fn residuals(&self, z: &[f64]) -> [f64; 3] {
             [
                 z[0] + 0.1 * z[1] * z[1] - 0.3,
                 z[1] - 0.2 * z[0] * z[0] - 0.1,
+                self.left * (1.0 + z[0] * z[0]),
             ]
         }
     }
@@ -115,9 +129,9 @@ mod tests {
             false
         }
         fn evaluate_below(&self, z: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
-            let [first, second] = Self::residuals(z);
+            let squared = self.residuals(z).map(|residual| residual * residual);
             let rates = self.weight * (z[0] * z[0] + z[1] * z[1]);
-            let cost = first * first + second * second + rates;
+            let cost = squared.iter().sum::<f64>() + rates;
             Some(Evaluation::from_cost(Wide([cost])))
         }
         fn rounding(&self) -> Option<f64> {
@@ -129,14 +143,15 @@ mod tests {
             residuals: &mut [f64],
             budget: &mut Budget<'_>,
         ) -> Option<Evaluation<1>> {
-            residuals.copy_from_slice(&Self::residuals(z));
+            residuals.copy_from_slice(&self.residuals(z));
             self.evaluate_at(z, budget)
         }
         fn linearise(&self, z: &[f64], model: &mut LinearModel, _: &mut Budget<'_>) -> bool {
             self.linearised.set(self.linearised.get() + 1);
-            let [first, second] = Self::residuals(z);
+            let [first, second, last] = self.residuals(z);
             model.push(first, &[1.0, 0.2 * z[1]], Place::LAST);
             model.push(second, &[-0.4 * z[0], 1.0], Place::LAST);
+            model.push(last, &[2.0 * self.left * z[0], 0.0], Place::LAST);
             if self.weight > 0.0 {
                 model.weigh(self.weight, z);
             }
@@ -145,8 +160,9 @@ mod tests {
     }
 
     /// The cost found from so far beside the root, steps accepted, and linearisations.
-    fn refined(beside: f64, weight: f64, rounding: Option<f64>) -> (f64, u32, u32) {
+    fn refined(beside: f64, [weight, left]: [f64; 2], rounding: Option<f64>) -> (f64, u32, u32) {
         let problem = Curved {
+            left,
             stages: Stages::one(2),
             rounding,
             weight,
@@ -159,12 +175,13 @@ mod tests {
         let budget = &mut Budget::unlimited();
         incumbent.restart(&start, problem.evaluate_at(&start, budget).as_ref());
         let settings = GaussNewtonSettings {
-            steps: 8,
+            steps: 60,
             damping: 1e-14,
             step_tolerance: 0.0,
             is_rough: false,
+            residuals_max: 1e-12,
         };
-        let outcome = GaussNewton::with_capacity(2, 2, 2, 0).refine(
+        let outcome = GaussNewton::with_capacity(2, 3, 3, 0).refine(
             &problem,
             &bounds,
             &settings,
@@ -179,10 +196,10 @@ mod tests {
     fn near_the_end_derivatives_serve_more_than_once() {
         let rounding = f64::EPSILON * f64::EPSILON;
         for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
-            let (cost, accepted, linearised) = refined(beside, 0.0, Some(rounding));
+            let (cost, accepted, linearised) = refined(beside, [0.0; 2], Some(rounding));
             assert!(cost <= LINEARISED_ROUNDINGS * rounding, "{beside}: {cost}");
             assert!(accepted > linearised, "{beside}: {linearised} times");
-            let (_, _, each) = refined(beside, 0.0, None);
+            let (_, _, each) = refined(beside, [0.0; 2], None);
             assert!(linearised < each, "{beside}: {linearised} of {each} times");
         }
     }
@@ -191,16 +208,26 @@ mod tests {
     fn with_a_weight_on_the_unknowns_they_lead_to_the_least_cost_likewise() {
         let rounding = f64::EPSILON * f64::EPSILON;
         for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
-            let (cost, _, linearised) = refined(beside, 1e-8, Some(rounding));
-            let (least, _, each) = refined(beside, 1e-8, None);
+            let (cost, _, linearised) = refined(beside, [1e-8, 0.0], Some(rounding));
+            let (least, _, each) = refined(beside, [1e-8, 0.0], None);
             assert!(cost - least <= 1e-8 * least, "{beside}: {cost} {least}");
             assert!(linearised < each, "{beside}: {linearised} of {each} times");
         }
     }
 
     #[test]
+    fn where_residuals_stay_old_derivatives_do_not_end_it() {
+        let rounding = f64::EPSILON * f64::EPSILON;
+        for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
+            let (cost, ..) = refined(beside, [1e-8, 0.3], Some(rounding));
+            let (least, ..) = refined(beside, [1e-8, 0.3], None);
+            assert!(cost - least <= 1e-15 * least, "{beside}: {cost} {least}");
+        }
+    }
+
+    #[test]
     fn what_is_at_its_end_is_not_linearised() {
-        let (_, accepted, linearised) = refined(0.0, 0.0, Some(1.0));
+        let (_, accepted, linearised) = refined(0.0, [0.0; 2], Some(1.0));
         assert_eq!([accepted, linearised], [0, 0]);
     }
 }

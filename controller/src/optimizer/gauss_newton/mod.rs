@@ -7,7 +7,7 @@ mod smoother;
 mod step;
 mod trial;
 
-use following::{Led, is_rounding};
+use following::{LinearisedStep, is_rounding};
 use interior_point::InteriorPoint;
 use riccati::Riccati;
 use smoother::{Pull, Smoother};
@@ -29,6 +29,8 @@ pub(crate) struct GaussNewtonSettings {
     /// Whether another refinement follows: a step of the interior point is then good enough where it is better, and steps that gain next to nothing end
     /// the refinement.
     pub(crate) is_rough: bool,
+    /// The largest sum of squared residuals of which, beside a weight on the unknowns, no more matters than old derivatives tell.
+    pub(crate) residuals_max: f64,
 }
 
 /// How a refinement ended.
@@ -36,7 +38,7 @@ pub(crate) struct GaussNewtonSettings {
 pub(crate) struct GaussNewtonOutcome {
     /// Steps that made the incumbent better.
     pub(crate) accepted: u32,
-    /// Whether the last step was below the tolerance, or the projected gradient vanished.
+    /// Whether the last step was below the tolerance, or rounding would hide what another gains.
     pub(crate) converged: bool,
     /// Norm of the projected gradient at the last point that was linearised.
     pub(crate) gradient_norm: f64,
@@ -180,12 +182,13 @@ impl GaussNewton {
                 break;
             }
             if improved {
-                let led = Led {
+                let linearised = LinearisedStep {
                     before,
                     gain,
                     damping,
+                    residuals_max: settings.residuals_max,
                 };
-                let (accepted, converged) = self.follow(around, led, budget, incumbent);
+                let (accepted, converged) = self.follow(around, linearised, budget, incumbent);
                 outcome.accepted += accepted;
                 if converged {
                     outcome.converged = true;
@@ -242,7 +245,7 @@ impl GaussNewton {
     ) -> R {
         let vectors = [&mut self.base, &mut self.trial, &mut self.tried];
         let [mut base, mut at, mut tried_residuals] = vectors.map(core::mem::take);
-        let residuals = &mut tried_residuals[..self.model.cost_rows()];
+        let rows = self.model.cost_rows();
         base.clear();
         base.extend_from_slice(incumbent.z());
         let mut trial = Trial {
@@ -254,7 +257,7 @@ impl GaussNewton {
             origin,
             step_tolerance: 0.0,
             is_rough: false,
-            residuals: rounding.map(|_| residuals),
+            residuals: rounding.map(|_| &mut tried_residuals[..rows]),
         };
         let result = tried(self, &mut trial);
         (self.base, self.trial, self.tried) = (base, at, tried_residuals);
@@ -385,6 +388,7 @@ mod tests {
             damping: 1e-9,
             step_tolerance: 1e-12,
             is_rough: false,
+            residuals_max: 1e-12,
         };
         let outcome = GaussNewton::with_capacity(3, 3, 2, 0).refine(
             problem,
@@ -468,6 +472,7 @@ mod tests {
             damping: 1e-9,
             step_tolerance: 1e-12,
             is_rough: false,
+            residuals_max: 1e-12,
         };
         let outcome = GaussNewton::with_capacity(4, 4, 3, 0).refine(
             &problem,
@@ -496,6 +501,7 @@ mod tests {
             damping: 1e-14,
             step_tolerance: 1e-5,
             is_rough: false,
+            residuals_max: 1e-12,
         };
         let mut gauss_newton = GaussNewton::with_capacity(2, 2, 2, 0);
         let outcome = gauss_newton.refine(&problem, &bounds, &settings, budget, &mut incumbent);
@@ -529,6 +535,7 @@ mod tests {
             damping: 1e-9,
             step_tolerance: 0.0,
             is_rough: false,
+            residuals_max: 1e-12,
         };
         GaussNewton::with_capacity(2, 2, 2, 0).refine(
             &problem,

@@ -13,7 +13,7 @@ pub(crate) enum Found {
     Tried,
 }
 
-/// A longer step may gain what its model does not know of.
+/// The largest component of a step (rad/s in rates) whose gain rounding may hide: a longer step may gain what its model does not know of.
 const HIDDEN_STEP: f64 = 1e-6;
 
 /// Offers steps to the incumbent, so that a budget which ends in the middle of one leaves the best of it.

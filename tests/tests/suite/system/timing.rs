@@ -18,9 +18,10 @@ use super::{error_max_m, freeze};
 #[test]
 fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
     for (period_ms, lead_ms, duration_s) in [(0.5, 0.1, 0.5), (2.0, 0.2, 0.5), (100.0, 5.0, 3.0)] {
+        let timeout_ms = 100.0 * period_ms;
         let daemon = Daemon::start(&format!(
             "[cycle]\nperiod_ms = {period_ms}\ngather_lead_ms = {lead_ms}\nmiss_limit = 1000000\n\
-             watchdog_ms = 20000.0\n[reference]\nlease_ms = 60000.0\n[link]\nmeasurement_timeout_ms = 10000.0\n"
+             watchdog_ms = 20000.0\n[reference]\nlease_ms = 60000.0\n[link]\nmeasurement_timeout_ms = {timeout_ms}\n"
         ));
         let connection = daemon.connect();
         let records = track(&connection, &paper_line(duration_s));

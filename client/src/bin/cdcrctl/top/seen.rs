@@ -107,11 +107,14 @@ impl Seen {
         }
         if let Some(Happening { text, level }) = late {
             self.last_late = Some((now_ns, cause));
-            // The newest stands for those right before it: where the machine stalls, they would leave no room for anything else.
-            if self.lines.back().is_some_and(|line| line.is_late) {
-                self.lines.pop_back();
+            // One stands for those right before it, the newest or a worse one: where the machine stalls, they would leave no room for anything else.
+            let is_bad = level > Level::Info;
+            match self.lines.back().map(|line| (line.is_late, line.is_bad)) {
+                Some((true, true)) if !is_bad => return,
+                Some((true, _)) => drop(self.lines.pop_back()),
+                _ => {}
             }
-            self.tell(now_ns, text, level > Level::Info);
+            self.tell(now_ns, text, is_bad);
             if let Some(line) = self.lines.back_mut() {
                 line.is_late = true;
             }
@@ -234,7 +237,7 @@ fn keep(points: &mut VecDeque<Position>, point: Position) {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_shared_types::codes::Mode;
+    use cdcr_shared_types::codes::{Mode, timing};
 
     use super::*;
 
@@ -273,6 +276,20 @@ mod tests {
             "{texts:?}"
         );
         assert!((seen.rate_hz().expect("a rate") - 200.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_late_start_does_not_hide_the_deadline_that_was_missed_right_before() {
+        let mut seen = Seen::default();
+        seen.note(&record(1, 1), 0);
+        for (cycle, flags) in [(2, 0), (3, timing::DEADLINE_MISS), (4, 0)] {
+            let mut record = record(cycle, 1);
+            record.timing_flags = flags;
+            record.scheduling.late_cause = LateCause::Load.code();
+            seen.note(&record, 0);
+        }
+        let late: Vec<_> = seen.lines.iter().filter(|line| line.is_late).collect();
+        assert!(late.len() == 1 && late[0].is_bad, "{:?}", texts(&seen));
     }
 
     #[test]
