@@ -14,7 +14,7 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, plot};
+use crate::chart::{BLUE, GREEN, GREY, Panel, Scale, of_rows, plot};
 use crate::closed_loop::{self, ClosedLoop, End, PlanEvaluator, timed_solve};
 use crate::dataset::{Column, Dataset, RoundTable, fixed, percent, plain, word};
 use crate::experiment::{Solver, Task};
@@ -122,7 +122,7 @@ fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
 
 fn panels(rows: &[Value]) -> Vec<Panel> {
     let panel = |rows: &[Value]| {
-        let curve = |label, key, colour| Curve::of_rows(label, rows, "budget_us", key, colour);
+        let curve = |label, key, colour| of_rows(label, rows, "budget_us", key, colour);
         Panel::new(
             format!("Case {}", rows[0]["case"].as_str().unwrap_or_default()),
             ["budget [µs]", "later than the budget [µs]"],

@@ -1,196 +1,42 @@
-//! Sheets of charts: lines over labelled axes, each with its legend above it, as SVG.
-//!
-//! Drawn twice as large as it is meant to be seen, because the library places everything on whole pixels.
-
-use std::ops::Range;
+//! What the charts of results have beside those of `cdcr_chart`.
 
 use anyhow::Result;
+pub(crate) use cdcr_chart::{
+    BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
+    YELLOW,
+};
 use hdrhistogram::Histogram;
 use hdrhistogram::iterators::IterationValue;
-use plotters::coord::Shift;
-use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
-use plotters::prelude::*;
-use plotters::style::RGBColor;
 use serde_json::Value;
 
 use crate::dataset::{Plot, number};
 
-// A palette that colour-blind people can tell apart (Okabe and Ito).
-pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
-pub(crate) const ORANGE: RGBColor = RGBColor(213, 94, 0);
-pub(crate) const GREEN: RGBColor = RGBColor(0, 158, 115);
-pub(crate) const PURPLE: RGBColor = RGBColor(204, 121, 167);
-pub(crate) const SKY: RGBColor = RGBColor(86, 180, 233);
-pub(crate) const YELLOW: RGBColor = RGBColor(230, 159, 0);
-pub(crate) const GREY: RGBColor = RGBColor(150, 150, 150);
-pub(crate) const DARK: RGBColor = RGBColor(40, 40, 40);
-const PALE: RGBColor = RGBColor(225, 225, 225);
-
-const WIDTH: u32 = 1600;
-const TITLE: (&str, u32) = ("sans-serif", 32);
-const LABEL: (&str, u32) = ("sans-serif", 27);
-const TICK: (&str, u32) = ("sans-serif", 25);
-/// Width of a letter of a legend, about.
-const LETTER: u32 = 15;
-const LINE_OF_TEXT: u32 = 38;
-const LABEL_LEFT: u32 = 128;
-const LABEL_BOTTOM: u32 = 84;
-const MARGIN: u32 = 20;
-/// The library centres a vertical label on the left edge of its area.
-const MARGIN_LEFT: u32 = 22;
-/// Room for half of the last tick label.
-const MARGIN_RIGHT: u32 = 45;
-const SWATCH: u32 = 45;
 /// Shorter times are drawn here \[µs\].
 const SHORTEST_US: f64 = 0.1;
 
-pub(crate) type Point = (f64, f64);
-
-pub(crate) struct Curve {
-    label: String,
-    pieces: Vec<Vec<Point>>,
-    style: ShapeStyle,
-}
-
-impl Curve {
-    /// A line; an empty label keeps it out of the legend.
-    pub(crate) fn line(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
-        Self::pieces(label, vec![points], colour)
-    }
-
-    /// One number of each row over another one; rows that lack one of them are left out.
-    pub(crate) fn of_rows<'a>(
-        label: &str,
-        rows: impl IntoIterator<Item = &'a Value>,
-        x: &str,
-        y: &str,
-        colour: RGBColor,
-    ) -> Self {
-        let points = rows
-            .into_iter()
-            .filter_map(|row| Some((number(row, x)?, number(row, y)?)));
-        Self::line(label, points.collect(), colour)
-    }
-
-    pub(crate) fn pieces(
-        label: impl Into<String>,
-        pieces: Vec<Vec<Point>>,
-        colour: RGBColor,
-    ) -> Self {
-        Self {
-            label: label.into(),
-            pieces,
-            style: colour.stroke_width(4),
-        }
-    }
-
-    pub(crate) fn level(label: impl Into<String>, y: f64, x: Range<f64>, colour: RGBColor) -> Self {
-        Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
-    }
-
-    /// From the least share that is drawn to all.
-    pub(crate) fn upright(label: impl Into<String>, x: f64, least: f64, colour: RGBColor) -> Self {
-        Self::line(label, vec![(x, least), (x, 1.0)], colour)
-    }
-
-    pub(crate) fn width(mut self, width: u32) -> Self {
-        self.style.stroke_width = width;
-        self
-    }
-
-    pub(crate) fn is_empty(&self) -> bool {
-        self.points().next().is_none()
-    }
-
-    fn points(&self) -> impl Iterator<Item = &Point> {
-        self.pieces.iter().flatten()
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Scale {
-    Linear,
-    /// A logarithmic y axis; what is below the floor is drawn on it.
-    Log {
-        floor: f64,
-    },
-    /// Both axes logarithmic; what is below the floor is drawn on it. All x are above zero.
-    LogLog {
-        floor: f64,
-    },
-    /// A logarithmic x axis; all x are above zero.
-    LogAcross,
-    /// Both linear, a unit as long across as up.
-    Equal,
-}
-
-pub(crate) struct Panel {
-    title: String,
-    x: &'static str,
-    y: &'static str,
-    scale: Scale,
-    pub(crate) curves: Vec<Curve>,
-}
-
-impl Panel {
-    pub(crate) fn new(
-        title: impl Into<String>,
-        [x, y]: [&'static str; 2],
-        scale: Scale,
-        curves: Vec<Curve>,
-    ) -> Self {
-        Self {
-            title: title.into(),
-            x,
-            y,
-            scale,
-            curves,
-        }
-    }
-
-    fn is_log(&self) -> bool {
-        matches!(self.scale, Scale::Log { .. } | Scale::LogLog { .. })
-    }
-
-    fn is_log_across(&self) -> bool {
-        matches!(self.scale, Scale::LogLog { .. } | Scale::LogAcross)
-    }
-
-    /// Whether no point of any curve is as high as that.
-    pub(crate) fn is_below(&self, y: f64) -> bool {
-        let mut points = self.curves.iter().flat_map(Curve::points);
-        points.all(|point| point.1 < y)
-    }
-}
-
-/// Draws panels in rows of `columns`, each `height` high. Those over powers of one thing have one x axis: they can be compared.
+/// Draws panels in rows of so many, each so high: see [`cdcr_chart::svg`].
 pub(crate) fn plot(
     name: &'static str,
     caption: &'static str,
-    (columns, height): (usize, u32),
+    size: (usize, u32),
     panels: &[Panel],
 ) -> Result<Plot> {
-    let rows = panels.len().div_ceil(columns);
-    let mut svg = String::new();
-    {
-        let size = (WIDTH, height * rows as u32);
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE)?;
-        for (area, panel) in root.split_evenly((rows, columns)).iter().zip(panels) {
-            draw(area, panel, common(panel, panels))?;
-        }
-        root.present()?;
-    }
+    let svg = cdcr_chart::svg(size, panels)?;
     Ok(Plot { name, caption, svg })
 }
 
-/// The x axis of a panel over powers of something: as wide as all such panels need.
-fn common(panel: &Panel, panels: &[Panel]) -> Option<Range<f64>> {
-    let is_compared = |other: &&Panel| other.is_log_across() && other.x == panel.x;
-    let compared = panels.iter().filter(is_compared);
-    let widest = |a: Range<f64>, b: Range<f64>| a.start.min(b.start)..a.end.max(b.end);
-    let across = compared.map(powers_across).reduce(widest);
-    across.filter(|_| panel.is_log_across())
+/// One number of each row over another one; rows that lack one of them are left out.
+pub(crate) fn of_rows<'a>(
+    label: &str,
+    rows: impl IntoIterator<Item = &'a Value>,
+    x: &str,
+    y: &str,
+    colour: RGBColor,
+) -> Curve {
+    let points = rows
+        .into_iter()
+        .filter_map(|row| Some((number(row, x)?, number(row, y)?)));
+    Curve::line(label, points.collect(), colour)
 }
 
 /// For each time \[µs\] the share of all that were longer: a step for each bucket of the histogram.
@@ -206,219 +52,9 @@ pub(crate) fn longer(times_ns: &Histogram<u64>) -> Vec<Point> {
     times_ns.iter_recorded().map(point).collect()
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
-fn draw(area: &Area<'_>, panel: &Panel, common: Option<Range<f64>>) -> Result<()> {
-    let (width, height) = area.dim_in_pixel();
-    let entries = legend(panel, width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
-    let head = LINE_OF_TEXT * (entries.last().map_or(0, |entry| entry.line + 1) + 1) + MARGIN;
-    let (top, chart) = area.split_vertically(head);
-    let left = (MARGIN_LEFT + LABEL_LEFT).cast_signed();
-    top.draw(&Text::new(
-        panel.title.clone(),
-        (left, 8),
-        TITLE.into_font().color(&DARK),
-    ))?;
-    for entry in entries {
-        let x = left + entry.offset.cast_signed();
-        let y = (LINE_OF_TEXT * (entry.line + 1)).cast_signed() + 24;
-        let end = x + SWATCH.cast_signed();
-        top.draw(&PathElement::new([(x, y), (end, y)], entry.curve.style))?;
-        let label = entry.curve.label.clone();
-        top.draw(&Text::new(
-            label,
-            (end + 10, y - 14),
-            TICK.into_font().color(&DARK),
-        ))?;
-    }
-    let (own, up) = ranges(panel, (width, height - head));
-    let across = common.unwrap_or(own);
-    match panel.scale {
-        Scale::Log { floor } => fill(&chart, panel, across, up.log_scale(), floor),
-        Scale::LogLog { floor } => fill(&chart, panel, across.log_scale(), up.log_scale(), floor),
-        Scale::LogAcross => fill(&chart, panel, across.log_scale(), up, f64::NEG_INFINITY),
-        Scale::Linear | Scale::Equal => fill(&chart, panel, across, up, f64::NEG_INFINITY),
-    }
-}
-
-struct Entry<'a> {
-    curve: &'a Curve,
-    line: u32,
-    offset: u32,
-}
-
-/// The curves that have a label, in lines not longer than `room`.
-fn legend(panel: &Panel, room: u32) -> Vec<Entry<'_>> {
-    let (mut line, mut offset) = (0, 0);
-    let labelled = panel.curves.iter().filter(|curve| !curve.label.is_empty());
-    labelled
-        .map(|curve| {
-            let width = SWATCH + 35 + LETTER * curve.label.chars().count() as u32;
-            if offset > 0 && offset + width > room {
-                (line, offset) = (line + 1, 0);
-            }
-            let entry = Entry {
-                curve,
-                line,
-                offset,
-            };
-            offset += width;
-            entry
-        })
-        .collect()
-}
-
-fn fill<X, Y>(area: &Area<'_>, panel: &Panel, across: X, up: Y, floor: f64) -> Result<()>
-where
-    X: AsRangedCoord<Value = f64>,
-    X::CoordDescType: ValueFormatter<f64>,
-    Y: AsRangedCoord<Value = f64>,
-    Y::CoordDescType: ValueFormatter<f64>,
-{
-    let is_wide = area.dim_in_pixel().0 > WIDTH / 2;
-    let mut chart = ChartBuilder::on(area)
-        .margin_left(MARGIN_LEFT)
-        .margin_right(MARGIN_RIGHT)
-        .margin_bottom(MARGIN)
-        .x_label_area_size(LABEL_BOTTOM)
-        .y_label_area_size(LABEL_LEFT)
-        .build_cartesian_2d(across, up)?;
-    chart
-        .configure_mesh()
-        .x_desc(panel.x)
-        .y_desc(panel.y)
-        .axis_desc_style(LABEL.into_font().color(&DARK))
-        .label_style(TICK.into_font().color(&DARK))
-        .axis_style(GREY)
-        .x_labels(if is_wide { 12 } else { 7 })
-        .y_labels(8)
-        .x_label_formatter(&|x| tick(*x, panel.is_log_across()))
-        .y_label_formatter(&|y| tick(*y, panel.is_log()))
-        .bold_line_style(PALE.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .draw()?;
-    for curve in &panel.curves {
-        let lines = curve.pieces.iter().map(|piece| {
-            let points: Vec<Point> = piece.iter().map(|&(x, y)| (x, y.max(floor))).collect();
-            PathElement::new(points, curve.style)
-        });
-        chart.draw_series(lines)?;
-    }
-    Ok(())
-}
-
-/// A tick: plain on a linear axis and where that is short, else with a power of ten. Steps between plain ticks are above
-/// 1e-6; adding zero takes the sign from a negative zero.
-fn tick(value: f64, is_log: bool) -> String {
-    if !is_log || (9e-3..2e4).contains(&value) {
-        return format!("{}", (value * 1e6).round() / 1e6 + 0.0);
-    }
-    let text = format!("{value:.2e}");
-    let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
-    let digits = digits.trim_end_matches('0').trim_end_matches('.');
-    format!("{digits}e{power}")
-}
-
-fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>) {
-    let points = || panel.curves.iter().flat_map(Curve::points);
-    let (left, right) = extent(points().map(|p| p.0));
-    let (low, high) = extent(points().map(|p| p.1));
-    match panel.scale {
-        Scale::Linear => (left..right, widened(low, high)),
-        Scale::Log { floor } => (left..right, decades(low.max(floor), high.max(floor))),
-        Scale::LogLog { floor } => (
-            powers_across(panel),
-            decades(low.max(floor), high.max(floor)),
-        ),
-        Scale::LogAcross => (powers_across(panel), widened(low, high)),
-        Scale::Equal => {
-            let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
-            let plot_height = f64::from(height - LABEL_BOTTOM - MARGIN);
-            let unit = ((right - left) / plot_width).max((high - low) / plot_height);
-            let unit = (1.12 * unit).max(1e-9);
-            let around = |a: f64, b: f64, pixels: f64| {
-                let (middle, half) = (f64::midpoint(a, b), 0.5 * pixels * unit);
-                middle - half..middle + half
-            };
-            (
-                around(left, right, plot_width),
-                around(low, high, plot_height),
-            )
-        }
-    }
-}
-
-fn powers_across(panel: &Panel) -> Range<f64> {
-    let points = panel.curves.iter().flat_map(Curve::points);
-    let (left, right) = extent(points.map(|point| point.0));
-    decades(if left > 0.0 { left } else { 0.1 * right }, right)
-}
-
-/// Least and greatest finite value, apart; zero to one of nothing.
-fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    let all = values.filter(|value| value.is_finite());
-    let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
-        (low.min(x), high.max(x))
-    });
-    if low > high {
-        (0.0, 1.0)
-    } else if low == high {
-        (low - 0.5, high + 0.5)
-    } else {
-        (low, high)
-    }
-}
-
-fn widened(low: f64, high: f64) -> Range<f64> {
-    let room = 0.05 * (high - low);
-    low - room..high + room
-}
-
-fn decades(low: f64, high: f64) -> Range<f64> {
-    let (first, last) = (low.log10().floor(), high.log10().ceil());
-    // A little more, or rounding takes the labels from the ends.
-    0.999 * 10_f64.powf(first)..1.001 * 10_f64.powf(last.max(first + 1.0))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_panel_without_points_can_be_drawn() {
-        let (log, log_log) = (Scale::Log { floor: 1e-3 }, Scale::LogLog { floor: 1e-3 });
-        for scale in [Scale::Linear, log, log_log, Scale::LogAcross, Scale::Equal] {
-            let panel = Panel::new(
-                "nothing",
-                ["x", "y"],
-                scale,
-                vec![Curve::line("", Vec::new(), BLUE)],
-            );
-            let drawn = plot("", "", (1, 500), &[panel]).expect("drawn");
-            assert!(drawn.svg.contains("nothing"));
-        }
-    }
-
-    #[test]
-    fn panels_over_one_knob_have_one_axis() {
-        let panel = |x, scale, points| {
-            let curve = Curve::line("", points, BLUE);
-            Panel::new("", [x, "y"], scale, vec![curve])
-        };
-        let log_log = Scale::LogLog { floor: 1e-4 };
-        let panels = [
-            panel("weight", Scale::LogAcross, vec![(2e-10, 1.0), (1e-6, 2.0)]),
-            panel("weight", log_log, vec![(1e-8, 1.0), (2e-5, 2.0)]),
-            panel("time", Scale::LogAcross, vec![(15.0, 1.0), (900.0, 2.0)]),
-            panel("time", Scale::Linear, vec![(15.0, 1.0), (900.0, 2.0)]),
-        ];
-        let [error, change, other, linear] =
-            [0, 1, 2, 3].map(|place| common(&panels[place], &panels));
-        assert_eq!(error, change);
-        assert_eq!(error, Some(decades(2e-10, 2e-5)));
-        assert_eq!(other, Some(decades(15.0, 900.0)));
-        assert_eq!(linear, None);
-    }
 
     #[test]
     fn all_are_at_least_as_long_as_the_shortest_and_none_longer_than_the_longest() {

@@ -6,16 +6,16 @@ use anyhow::{Context, Result};
 use cdcr_client::counted;
 use cdcr_controller::nmpc::Coordinates;
 use cdcr_controller::robot::{Configuration, ZyxAngles};
-use plotters::style::RGBColor;
 
 use crate::chart::{
-    BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, plot,
+    BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
+    YELLOW, plot,
 };
 use crate::closed_loop::Sample;
 use crate::dataset::Plot;
 use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};
-use view::View;
+use view::{backbone, ball, path, reference};
 
 /// A section bent by less than this has no direction to speak of \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
@@ -305,12 +305,12 @@ impl<'a> Drawn<'a> {
         let samples = self.samples();
         let last = samples.len().saturating_sub(1);
         let panel = |view: View, from: &str| {
-            let mut curves = vec![Curve::line("line", view.reference(samples), ORANGE).width(8)];
+            let mut curves = vec![Curve::line("line", reference(view, samples), ORANGE).width(8)];
             for i in 0..SHAPES {
                 let Some(sample) = samples.get(i * last / (SHAPES - 1)) else {
                     continue;
                 };
-                let points = view.backbone(&self.run.scene.robot, &sample.configuration);
+                let points = backbone(view, &self.run.scene.robot, &sample.configuration);
                 let is_end = i == 0 || i == SHAPES - 1;
                 let label = if is_end {
                     format!("{:.2} s", sample.time_s)
@@ -319,7 +319,7 @@ impl<'a> Drawn<'a> {
                 };
                 curves.push(Curve::line(label, points, between(GREY, BLUE, i)).width(5));
             }
-            view.panel(&format!("{}, {from}", self.title), curves)
+            view.panel(format!("{}, {from}", self.title), curves)
         };
         [panel(View::SIDE, "side"), panel(View::FRONT, "front")]
     }
@@ -381,18 +381,18 @@ fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
     for (task, colour) in tasks.iter().zip(COLOURS) {
         let (run, samples) = (task.run, task.samples());
         let label = format!("n = {}", run.scene.robot.section_count());
-        side.push(Curve::line("", View::SIDE.reference(samples), GREY).width(10));
-        side.push(Curve::line(label, View::SIDE.path(samples), colour));
+        side.push(Curve::line("", reference(View::SIDE, samples), GREY).width(10));
+        side.push(Curve::line(label, path(View::SIDE, samples), colour));
         if let Some(last) = samples.last() {
-            let robot = View::SIDE.backbone(&run.scene.robot, &last.configuration);
+            let robot = backbone(View::SIDE, &run.scene.robot, &last.configuration);
             side.push(Curve::line("", robot, colour).width(7));
         }
     }
     if let Some(task) = tasks.last() {
-        let reference = View::ABOVE.reference(task.samples());
-        above.push(Curve::line("reference", reference, GREY).width(10));
-        let path = View::ABOVE.path(task.samples());
-        above.push(Curve::line("tip, n = 3", path, GREEN));
+        let samples = task.samples();
+        let along = reference(View::ABOVE, samples);
+        above.push(Curve::line("reference", along, GREY).width(10));
+        above.push(Curve::line("tip, n = 3", path(View::ABOVE, samples), GREEN));
     }
     vec![
         View::ABOVE.panel("Simulated spiral from above", above),
@@ -412,17 +412,17 @@ fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
         let (run, samples) = (task.run, task.samples());
         let centre_m = obstacle_m(&run.scene);
         if curves.is_empty() {
-            curves.push(Curve::line("reference", view.reference(samples), GREY).width(10));
-            curves.push(Curve::line("obstacle", view.ball(&centre_m, 2e-3), DARK).width(8));
+            curves.push(Curve::line("reference", reference(view, samples), GREY).width(10));
+            curves.push(Curve::line("obstacle", ball(view, &centre_m, 2e-3), DARK).width(8));
         }
-        curves.push(Curve::line("", view.ball(&centre_m, distance_m), colour).width(2));
+        curves.push(Curve::line("", ball(view, &centre_m, distance_m), colour).width(2));
         let label = format!("D = {} mm", 1e3 * distance_m);
-        curves.push(Curve::line(label, view.path(samples), colour));
+        curves.push(Curve::line(label, path(view, samples), colour));
         let nearest = samples
             .iter()
             .min_by(|a, b| a.clearance_m.total_cmp(&b.clearance_m));
         if let Some(sample) = nearest {
-            let robot = view.backbone(&run.scene.robot, &sample.configuration);
+            let robot = backbone(view, &run.scene.robot, &sample.configuration);
             curves.push(Curve::line("", robot, colour).width(7));
         }
     }

@@ -1,13 +1,14 @@
 //! What the runs say, as rows, plots and single numbers.
 
 use anyhow::Result;
-use plotters::style::RGBColor;
 use serde_json::{Value, json};
 
 use super::course::Course;
 use super::restarts::{CONTENDERS, Contender, Field, STUCK_SHARE, arrives, excess_share, is_stuck};
 use super::variant::{Axis, SOLVERS};
-use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, SKY, Scale, YELLOW, plot};
+use crate::chart::{
+    BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, RGBColor, SKY, Scale, YELLOW, of_rows, plot,
+};
 use crate::dataset::{
     Column, Dataset, Plot, Sheet, by_rows, each, filled, fixed, number, percent, plain, power,
     together, word,
@@ -218,7 +219,7 @@ fn panel(
     let curve = |solver: Solver| {
         let ours = rows.iter().filter(|row| row["solver"] == solver.name());
         let ours = ours.copied();
-        Curve::of_rows(solver.name(), ours, "budget_us", key, colour(solver.name()))
+        of_rows(solver.name(), ours, "budget_us", key, colour(solver.name()))
     };
     let mut curves: Vec<Curve> = SOLVERS.map(curve).into();
     let across = number(rows.first()?, "budget_us")?..number(rows.last()?, "budget_us")?;

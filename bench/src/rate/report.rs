@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::case::Case;
 use super::trial::Trial;
 use super::{Measured, Shortest};
-use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, plot};
+use crate::chart::{BLUE, DARK, GREEN, ORANGE, Panel, Scale, of_rows, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
     word,
@@ -146,7 +146,7 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
 /// # Errors
 /// When it cannot be drawn.
 pub fn picture(rows: &[Value]) -> Result<Plot> {
-    let line = |label: &str, key: &str, colour| Curve::of_rows(label, rows, "rate_hz", key, colour);
+    let line = |label: &str, key: &str, colour| of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
     let times = vec![
         line("period", "period_us", DARK),

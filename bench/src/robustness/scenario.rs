@@ -4,10 +4,9 @@ use cdcr_controller::closed_loop::{Driven, FigureEight, Part, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::{Flaws, Preset};
-use plotters::style::RGBColor;
 use serde_json::Value;
 
-use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, SKY};
+use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, RGBColor, SKY};
 use crate::named::named;
 
 /// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches

@@ -6,7 +6,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::Preset;
 use serde_json::{Value, json};
 
-use crate::chart::{BLUE, Curve, ORANGE, Panel, Scale, plot};
+use crate::chart::{BLUE, ORANGE, Panel, Scale, of_rows, plot};
 use crate::dataset::{Column, Dataset, Sheet, fixed, word};
 use crate::interrupt;
 use crate::progress::Progress;
@@ -164,7 +164,7 @@ fn follow(eight: &FigureEight, knobs: Turned, sensor: Sensor) -> Result<FigureEi
 /// Error, and change of the rates, over a knob; its 0 has no place on an axis of powers.
 fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
     let turned = || rows.iter().filter(|row| row["value"] != json!(0.0));
-    let curve = |label, key, colour| Curve::of_rows(label, turned(), "value", key, colour);
+    let curve = |label, key, colour| of_rows(label, turned(), "value", key, colour);
     let error = vec![
         curve("mean", "mean_error_mm", BLUE),
         curve("largest", "max_error_mm", ORANGE),

@@ -17,12 +17,13 @@ const SOURCES: [&str; 9] = [
 ];
 
 /// All crates, for the length of their files.
-const CRATES: [&str; 12] = [
+const CRATES: [&str; 13] = [
     "controller",
     "shared-types",
     "daemon",
     "client",
     "interchange",
+    "chart",
     "testbed",
     "bench",
     "c",
@@ -50,6 +51,7 @@ daemon/src/cycle | tracing:: | the cycle does not log
 interchange/src | iceoryx2 | what leaves the machine knows no shared memory
 interchange/src | std::time | what leaves the machine knows no clock
 interchange/src | std::fs | what leaves the machine knows no file
+chart/src | cdcr_ | a chart knows no robot
 c/src | iceoryx2 | what C calls is the client library
 daemon/src/handover | iceoryx2 | what threads exchange knows no shared memory
 daemon/src/bare | iceoryx2 | the bare loop knows no shared memory

@@ -1,7 +1,6 @@
 //! Pictures of one run, as SVG.
 
 mod error;
-mod panel;
 mod path;
 mod shape;
 mod timing;
@@ -11,20 +10,17 @@ pub(super) use path::path;
 pub(super) use shape::shape;
 pub(super) use timing::timing;
 
-use plotters::style::RGBColor;
+use std::fs;
+use std::path::Path;
 
-// A palette that colour-blind people can tell apart (Okabe and Ito).
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const ORANGE: RGBColor = RGBColor(213, 94, 0);
-const GREEN: RGBColor = RGBColor(0, 158, 115);
-const PURPLE: RGBColor = RGBColor(204, 121, 167);
-const GREY: RGBColor = RGBColor(170, 170, 170);
-/// Grid lines.
-const PALE: RGBColor = RGBColor(225, 225, 225);
+use anyhow::Context;
+use cdcr_chart::Panel;
 
-const TITLE: (&str, i32) = ("sans-serif", 22);
-const LABEL: (&str, i32) = ("sans-serif", 16);
-const TICK: (&str, i32) = ("sans-serif", 14);
+/// Draws panels into a file, in rows of so many, each so high.
+fn write(file: &Path, size: (usize, u32), panels: &[Panel]) -> anyhow::Result<()> {
+    let svg = cdcr_chart::svg(size, panels)?;
+    fs::write(file, svg).with_context(|| format!("cannot write {}", file.display()))
+}
 
 #[cfg(test)]
 mod tests {
@@ -56,7 +52,7 @@ mod tests {
         )
         .expect("drawn");
         let has = |file: &str, words: &[&str]| {
-            let svg = std::fs::read_to_string(folder.join(file)).expect("written");
+            let svg = fs::read_to_string(folder.join(file)).expect("written");
             for word in words {
                 assert!(svg.contains(word), "{word} in {file}");
             }
@@ -84,9 +80,9 @@ mod tests {
                 "every 0.5 s",
             ],
         );
-        // Ten moments in 4.97 s: a tip in each view, and one in the legend.
-        let svg = std::fs::read_to_string(folder.join("shape.svg")).expect("written");
-        assert_eq!(svg.matches("<circle").count(), 2 * 10 + 1);
+        // Ten moments in 4.97 s: in each view their tips, and one in the legend.
+        let svg = fs::read_to_string(folder.join("shape.svg")).expect("written");
+        assert_eq!(svg.matches("<circle").count(), 2 * (10 + 1));
         for file in ["path.svg", "shape.svg", "error.svg", "timing.svg"] {
             has(file, &["simulated"]);
         }
@@ -120,7 +116,7 @@ mod tests {
         let draw = |cycles: &[_]| {
             let file = folder.join("gaps.svg");
             error(&file, cycles, &report(cycles, &Status::default())).expect("drawn");
-            let svg = std::fs::read_to_string(file).expect("written");
+            let svg = fs::read_to_string(file).expect("written");
             let blue = |line: &&str| line.contains("<polyline") && line.contains("#0072B2");
             (
                 svg.lines().filter(blue).count(),
@@ -146,7 +142,7 @@ mod tests {
         let file = folder.path().join("timing.svg");
         timing(&file, &cycles, &report, 5e3).expect("drawn");
         // The ends of the scale have labels.
-        let svg = std::fs::read_to_string(file).expect("written");
+        let svg = fs::read_to_string(file).expect("written");
         assert!(svg.contains("\n≤ 0.1\n") && svg.contains("\n10000\n"));
         let backbone = Backbone::new(3).expect("the paper's");
         let file = folder.path().join("shape.svg");

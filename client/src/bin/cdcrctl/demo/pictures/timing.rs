@@ -1,15 +1,18 @@
 use std::ops::Range;
 use std::path::Path;
 
+use cdcr_chart::{BLUE, GREEN, GREY, ORANGE, PALE};
 use cdcr_client::counted;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, TICK, TITLE};
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 use crate::spread::Spread;
 
+const TITLE: (&str, i32) = ("sans-serif", 22);
+const LABEL: (&str, i32) = ("sans-serif", 16);
+const TICK: (&str, i32) = ("sans-serif", 14);
 /// Bars in each factor of ten.
 const BARS_PER_DECADE: f64 = 10.0;
 /// Times below this are counted here: a logarithm knows no zero \[µs\].
