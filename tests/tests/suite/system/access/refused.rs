@@ -321,6 +321,9 @@ fn a_root_folder_that_is_mounted_read_only_is_said_to_be_so() {
     let words = ["not confirmed", "read-only"];
     daemon.place().says("cdcrctl stop", 1, &words);
     assert!(mount(&format!("umount '{root}'")));
-    daemon.place().says("cdcrctl status", 0, &["stopped"]);
+    // The signal comes to the next cycle, and that to the next status.
+    wait_until("stopped", || {
+        text(&daemon.place().cdcrctl(&["status"])).contains("stopped")
+    });
     assert!(daemon.stop().success(), "{}", daemon.log());
 }
