@@ -1,8 +1,10 @@
 //! `cdcrctl record` and what reads its files.
 
+mod recorded;
+
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
 
@@ -15,61 +17,13 @@ use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_shared_types::message::Struct;
 use cdcr_tests::{
     Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, refused, text, track, until_undisturbed,
-    wait_mode, wait_until,
+    wait_mode,
 };
 use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::own_mounts::{has_own_mounts, mount, name_of};
-
-/// A daemon, and a program that records what it does.
-struct Recorded {
-    daemon: Daemon,
-    recorder: Program,
-    file: PathBuf,
-}
-
-impl Recorded {
-    fn start(configuration: &str) -> Self {
-        let daemon = Daemon::start(configuration);
-        let file = daemon.place().folder().join("run.mcap");
-        Self::into(daemon, file)
-    }
-
-    fn into(daemon: Daemon, file: PathBuf) -> Self {
-        Self {
-            recorder: Self::recorder(&daemon, &file),
-            daemon,
-            file,
-        }
-    }
-
-    /// A recorder whose streams are open.
-    fn recorder(daemon: &Daemon, file: &Path) -> Program {
-        let mut command = daemon.place().command("cdcrctl");
-        let recorder = Program::start(command.arg("record").arg("-o").arg(file));
-        wait_until("the recorder has begun", || file.exists());
-        recorder
-    }
-
-    fn end(&mut self) -> String {
-        self.recorder.signal(Signal::INT);
-        assert_says(&self.recorder.output(), 0, &["run.mcap"])
-    }
-
-    fn cdcrctl(&self, arguments: &[&str]) -> String {
-        let mut command = self.daemon.place().command("cdcrctl");
-        let folder = self.daemon.place().folder();
-        let output = Program::start(command.args(arguments).current_dir(folder)).output();
-        assert!(output.status.success(), "{arguments:?}: {}", text(&output));
-        String::from_utf8(output.stdout).unwrap()
-    }
-
-    fn info(&self) -> Value {
-        let printed = self.cdcrctl(&["info", "run.mcap", "--format", "json"]);
-        serde_json::from_str(&printed).unwrap()
-    }
-}
+use recorded::Recorded;
 
 /// How many messages of a topic a recorder says that it lost.
 fn lost(said: &str, topic: Topic) -> u64 {
