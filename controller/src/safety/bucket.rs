@@ -1,14 +1,15 @@
-/// Counts trouble in: each bad release weighs as much as [`WEIGHT`](Self::WEIGHT) good ones, never below zero. At its
-/// limit, trouble is no accident any more: so many bad releases in a row, or more than one in ten for long enough.
+/// A leaky bucket: each bad release adds [`WEIGHT`](Self::WEIGHT), each good one removes 1, never below zero.
+/// It overflows after `limit` bad releases in a row, or when more than one release in ten is bad for long
+/// enough.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LeakyBucket {
-    /// In parts of a bad release: [`WEIGHT`](Self::WEIGHT) make one.
+    /// In units of a good release: [`WEIGHT`](Self::WEIGHT) units are one bad release.
     level: u64,
     limit: u32,
 }
 
 impl LeakyBucket {
-    /// Good releases that make up for a bad one.
+    /// Good releases that compensate for a bad one.
     pub const WEIGHT: u32 = 9;
 
     /// An empty bucket that overflows at `limit` ≥ 1 bad releases in a row.
@@ -30,7 +31,7 @@ impl LeakyBucket {
         self.level = (self.level + u64::from(amount) * u64::from(Self::WEIGHT)).min(most);
     }
 
-    /// Present level, in whole bad releases that are not made up for.
+    /// Present level in bad releases, rounded down.
     pub fn level(&self) -> u32 {
         (self.level / u64::from(Self::WEIGHT)) as u32
     }

@@ -4,36 +4,37 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 use super::clearance::{ClearanceGuard, Guarded, Stopping, fastest, shortened_to};
 use super::{Limited, Limits, LimitsHit, play};
 
-/// What a command is checked against.
+/// The inputs of the safety checks of one command.
 #[derive(Debug, Clone, Copy)]
 pub struct Situation<'a> {
-    /// The robot.
+    /// Model of the robot.
     pub robot: &'a Robot,
-    /// Where it is.
+    /// Present configuration.
     pub at: &'a Configuration,
-    /// Where its motors are led, when that is elsewhere: commanded positions, or motors beside cables that have play. Limits and clearance
-    /// hold there, too.
+    /// Commanded configuration of the motors, if it differs: for position commands, or for motors whose
+    /// cables have play. Limits and clearance must hold there, too.
     pub commanded: Option<&'a Configuration>,
-    /// What is taken of the play between the robot's motors and its cables; `None`, or a play of 0: they have none.
+    /// Play between motors and cables, and its present state; `None` or a play of 0 means no play.
     pub slack: Option<&'a Slack>,
-    /// The command before.
+    /// Previous command.
     pub previous: &'a BendRates,
-    /// Obstacles, where they are now.
+    /// Obstacles at their present positions.
     pub obstacles: &'a [Obstacle],
-    /// Distance D that the body keeps \[m\].
+    /// Safe distance D \[m\].
     pub safe_distance_m: f64,
-    /// How far the tip may be beside where the bends place it \[m\], 0 or more: so much more the body keeps, each section its part
-    /// ([`Robot::thicker`], [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
+    /// Uncertainty of the tip position against the bends \[m\], 0 or more. The body counts as thicker by a
+    /// part of it in each section ([`Robot::thicker`],
+    /// [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
     pub tip_offset_m: f64,
-    /// How fast the rate of a component may grow \[rad/s²\]; infinite: as it likes.
+    /// Largest increase of a rate \[rad/s²\]; infinite: no limit.
     pub acceleration_rad_s2: f64,
     /// Period \[s\].
     pub period_s: f64,
-    /// How long the robot moves by a command when no other follows \[s\], at least a period.
+    /// Time for which the robot executes a command when no other follows \[s\], at least a period.
     pub moving_s: f64,
-    /// How fast the fastest component shrinks after that \[rad/s²\]; infinite: it stops at once.
+    /// Deceleration of the fastest component after that \[rad/s²\]; infinite: the robot stops at once.
     pub deceleration_rad_s2: f64,
-    /// Whether the robot comes to rest: then rates are only shortened.
+    /// Whether the robot comes to rest: rates are then only shortened.
     pub comes_to_rest: bool,
 }
 
@@ -45,39 +46,39 @@ impl<'a> Situation<'a> {
         }
     }
 
-    /// The limits of rates of which no component is faster than this, or than any may be.
+    /// Limits for rates whose components exceed neither `fastest_rad_s` nor their own limit.
     pub(super) fn limits(&self, fastest_rad_s: f64) -> Limits<'a> {
         let sections = self.robot.sections().iter();
         let limit_rad_s = sections.fold(0.0_f64, |most, section| most.max(section.rate_max_rad_s));
-        let way_s = self.stopping().way(fastest_rad_s.min(limit_rad_s)).way_s;
-        Limits::new(self.robot, self.at, way_s)
+        let path_s = self.stopping().path(fastest_rad_s.min(limit_rad_s)).path_s;
+        Limits::new(self.robot, self.at, path_s)
             .with_commanded(self.commanded)
             .with_stopping(self.stopping())
     }
 
-    /// The same of a robot that moves.
+    /// The same limits with that of the acceleration.
     fn limits_moving(&self, fastest_rad_s: f64) -> Limits<'a> {
         let change_rad_s = self.acceleration_rad_s2 * self.period_s;
         self.limits(fastest_rad_s)
             .with_acceleration(self.previous, change_rad_s)
     }
 
-    /// The nearest rates inside the limits.
+    /// The permitted rates nearest to `desired`.
     fn limited(&self, desired: &BendRates) -> Limited {
         let limited = self.limits_moving(fastest(desired)).nearest(desired);
         Limited {
-            // The projection keeps that but for rounding.
+            // The projection satisfies that except for rounding.
             rates: shortened_to(limited.rates, fastest(desired)),
             ..limited
         }
     }
 
-    /// The play of cables that have some.
+    /// The play, if it is not zero.
     fn play(&self) -> Option<&'a Slack> {
         self.slack.filter(|slack| slack.play_m() > 0.0)
     }
 
-    /// A robot that comes to rest: `ramp` is only shortened.
+    /// Command of a robot that comes to rest: `ramp` is only shortened.
     fn shortened(&self, ramp: &BendRates) -> SafeCommand {
         let limited = self.limits(fastest(ramp)).shorten(ramp);
         let guard = ClearanceGuard {
@@ -87,7 +88,7 @@ impl<'a> Situation<'a> {
         SafeCommand::new(limited, guard.scale_down(&limited.rates))
     }
 
-    /// The guard of a robot without play.
+    /// The guard for a robot without play.
     pub(super) fn guard(&self) -> ClearanceGuard<'a> {
         ClearanceGuard {
             robot: self.robot,
@@ -102,29 +103,33 @@ impl<'a> Situation<'a> {
     }
 }
 
-/// A command inside every limit that keeps clear.
+/// A command that satisfies all limits and the clearance rule.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SafeCommand {
     /// The rates \[rad/s\].
     pub rates: BendRates,
-    /// Which limits changed them.
+    /// The limits that changed them.
     pub limits_hit: LimitsHit,
     /// Whether the clearance guard changed them.
     pub clearance_hit: bool,
-    /// Smallest clearance of the body, thicker where the tip is beside its bends, to any obstacle now \[m\]: negative inside an obstacle, infinite without obstacles, NaN
-    /// when the state is not finite.
+    /// Smallest present clearance of the body, thickened by the uncertainty of the tip, to any obstacle
+    /// \[m\]: negative inside an obstacle, infinite without obstacles, NaN when the state is not finite.
     pub clearance_m: f64,
 }
 
-/// What a mode desires, made safe: the nearest command inside every limit, and of those near to it one that keeps clear (docs/model.md §7 and §8). Both hold at the end of the period and, when no other command follows, until the robot rests.
+/// Makes the rates desired by a mode safe: the nearest rates inside all limits, then rates close to those
+/// that satisfy the clearance rule (docs/model.md §7 and §8). Both hold at the end of the period and, when no
+/// other command follows, until the robot is at rest.
 ///
-/// A section whose cables have play stands while its motors turn round, so another one must not come nearer to an obstacle because the first
-/// one gives way. The rule of the guard holds for the cables on their way through the play, too: section by section, exactly at the ends of the period and
-/// of the stopping way, 1 mm less between. Where the command does not hold that, the sections that hold
-/// it alone go on, the others stand until they may; and all of them stand where that does not hold either, or where the work for one command is used up.
+/// While the motors of a section move through the play of its cables, the section stands still. Another
+/// section must not come closer to an obstacle because the first one does not compensate. So the rule of the
+/// guard also holds for the cables while they move through their play: section by section, exact at the ends
+/// of the period and of the stopping path, 1 mm less between. If a command violates that, the sections that
+/// satisfy it alone continue and the others stand still. All sections stand still if that violates the rule,
+/// too, or if the work budget of the command is spent.
 ///
-/// A robot that comes to rest goes on along the stopping way of the command before, through its play, too: its ramp is only scaled down.
-/// Allocates nothing.
+/// A robot that comes to rest continues along the stopping path of the previous command, through its play,
+/// too: its ramp is only scaled down. Allocates nothing.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
     let Situation {
         robot,
@@ -140,12 +145,12 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
         return situation.shortened(desired);
     }
     let limited = situation.limited(desired);
-    // What the guard makes of them is not faster.
+    // The guard returns no faster rates.
     let limits = situation.limits_moving(fastest(&limited.rates));
     let safe = SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates));
     match situation.play() {
         None => safe,
-        Some(slack) => play::held(situation, slack, safe),
+        Some(slack) => play::kept(situation, slack, safe),
     }
 }
 
@@ -179,8 +184,8 @@ mod tests {
         BendRates::from_slice(&values).unwrap()
     }
 
-    /// Any finite rate, as often as one that a robot can have.
-    fn wish() -> impl Strategy<Value = f64> {
+    /// Any finite rate, half of them in the range of a robot.
+    fn any_rate() -> impl Strategy<Value = f64> {
         use prop::num::f64::{NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO};
         prop_oneof![
             -3.0..3.0_f64,
@@ -197,7 +202,7 @@ mod tests {
             at in prop::array::uniform4(-2.5..2.5_f64),
             off in prop::array::uniform4(-0.6..0.6_f64),
             previous in prop::array::uniform4(-2.0..2.0_f64),
-            desired in prop::array::uniform4(wish()),
+            desired in prop::array::uniform4(any_rate()),
             centre in prop::array::uniform3(-0.5..0.5_f64),
             taken in prop::array::uniform6(-0.5..0.5_f64),
             play_m in prop_oneof![Just(0.0), 0.0..2e-3_f64],
@@ -254,14 +259,14 @@ mod tests {
             let after = |rates: &BendRates| thicker.body(&at.advanced(rates, PERIOD_S));
             let most_m = if comes_to_rest { 0.01 - 1.001e-3 } else { 0.01 };
             let floor_m = after(&BendRates::zero(2)).clearance_m(&obstacle).min(most_m);
-            // A ramp is judged where cables with play are on their way (`play`).
+            // Ramps with play are tested in `play`.
             let is_judged = !comes_to_rest || play_m == 0.0;
             prop_assert!(!is_judged || after(&safe.rates).clearance_m(&obstacle) >= floor_m);
-            // Nobody who wishes to stand is moved: neither on the way nor at rest, in no mode.
+            // Zero rates stay zero in every mode, in motion and at rest.
             for previous in [&previous, &BendRates::zero(2)] {
                 for comes_to_rest in [false, true] {
-                    let still = Situation { previous, comes_to_rest, ..situation };
-                    prop_assert_eq!(safe_command(&still, &BendRates::zero(2)).rates, BendRates::zero(2));
+                    let standing = Situation { previous, comes_to_rest, ..situation };
+                    prop_assert_eq!(safe_command(&standing, &BendRates::zero(2)).rates, BendRates::zero(2));
                 }
             }
         }

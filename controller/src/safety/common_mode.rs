@@ -1,16 +1,18 @@
 use crate::robot::{CABLES_MAX, Robot, SECTIONS_MAX};
 
-/// Watches the common mode of each section's three cables: the mean of their lengths. Where they stand at equal angles it is the length of the backbone however that is bent (§2 of
-/// docs/model.md); angles that are off by δ change it by r δ Σθ at most. The bends that lengths tell have no part of it, but a cable that broke or came off its drum changes it, and so do cables that go slack together.
+/// Supervision of the common mode of each section: the mean length of its three cables. With cables at equal
+/// angles it is the length of the backbone, independent of the bend (§2 of docs/model.md); angles that are
+/// off by δ change it by at most r δ Σθ. The bends computed from lengths do not contain it. A cable that
+/// breaks or comes off its drum changes it, and so do cables that go slack together.
 #[derive(Debug, Clone, Copy)]
 pub struct CommonModeWatch {
     most_m: f64,
-    /// When control began, section by section (m).
+    /// Value when control began, by section \[m\].
     begin_m: Option<[f64; SECTIONS_MAX]>,
 }
 
 impl CommonModeWatch {
-    /// A common mode may change by `most_m` (m); 0: by any amount.
+    /// A common mode may change by `most_m` \[m\]; 0: no limit.
     pub fn new(most_m: f64) -> Self {
         Self {
             most_m,
@@ -18,12 +20,13 @@ impl CommonModeWatch {
         }
     }
 
-    /// Control begins: the next lengths are those that count.
+    /// Restarts: the next lengths are the new reference.
     pub fn begin(&mut self) {
         self.begin_m = None;
     }
 
-    /// Whether the common mode of a section is farther than allowed from where it was. That is told once: the next lengths count then.
+    /// Whether the common mode of a section left its permitted range. Reported once: the next lengths then
+    /// are the new reference.
     pub fn is_broken(&mut self, robot: &Robot, lengths_m: &[f64; CABLES_MAX]) -> bool {
         let (sections_m, _) = lengths_m.as_chunks::<3>();
         let mean_m = core::array::from_fn(|j| sections_m[j].iter().sum::<f64>() / 3.0);

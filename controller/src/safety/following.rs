@@ -1,65 +1,66 @@
-//! Whether the robot goes where it is commanded to.
+//! Supervision of the following error: does the robot execute its commands?
 
 use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
 
-/// Commanded configurations that are remembered over the lag.
+/// Number of commanded configurations stored over the lag.
 const PAST_MAX: usize = 32;
-/// Time after which a robot that obeys speeds is no longer held to what it was commanded \[s\]: small errors of its
-/// speed add up, and control makes up for them.
+/// Time constant with which the expected position of a speed-controlled robot returns to the measured one
+/// \[s\]: small speed errors accumulate, and the controller compensates for them.
 const FORGETTING_S: f64 = 1.0;
 
-/// What counts as not following.
+/// Thresholds of the following error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FollowingRules {
     /// A larger following error of a section is a warning \[rad\].
     pub warning_rad: f64,
     /// A larger one is a fault \[rad\].
     pub fault_rad: f64,
-    /// How far the robot may lag behind its commands \[s\].
+    /// Largest permitted lag of the robot behind its commands \[s\].
     pub lag_s: f64,
 }
 
-/// How far the robot is from where it should be.
+/// Difference between measured and expected configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FollowingError {
-    /// Of each section \[rad\].
+    /// By section \[rad\].
     pub bend_rad: [f64; SECTIONS_MAX],
-    /// Of each cable \[m\]: positive where it is longer than commanded.
+    /// By cable \[m\]: positive where it is longer than commanded.
     pub cable_m: [f64; CABLES_MAX],
 }
 
 impl FollowingError {
-    /// That of the section which is farthest off \[rad\].
+    /// Error of the section with the largest error \[rad\].
     pub fn largest_rad(&self) -> f64 {
         self.bend_rad.iter().copied().fold(0.0, f64::max)
     }
 }
 
-/// Compares what is measured with what was commanded in the last [`lag_s`](FollowingRules::lag_s): a component of the
-/// bend vector that lies between the least and the largest commanded one is where a robot with a lag or delay up to that
-/// may be, and its error is zero.
+/// Compares measurements with the commands of the last [`lag_s`](FollowingRules::lag_s). A robot with a lag
+/// or delay up to `lag_s` may be anywhere between the smallest and the largest commanded value of that time;
+/// a component of the bend vector inside that range has no error.
 ///
-/// For a robot that obeys positions, what was commanded is the commanded position. One that obeys speeds has none: it
-/// is held to the integral of its speeds, which is drawn to what is measured with a time constant of a second.
+/// For a robot that obeys positions, the commanded value is the commanded position. For one that obeys
+/// speeds, it is the integral of the speeds, which returns to the measured value with a time constant of one
+/// second.
 #[derive(Debug, Clone)]
 pub struct FollowingWatch {
     rules: FollowingRules,
     obeys_positions: bool,
     commanded: Configuration,
-    /// Where each component was commanded to be \[rad\], and until when \[s\]. By component: a robot with few sections
-    /// reads little of it.
+    /// Commanded value of each component \[rad\], and the time until which it was commanded \[s\]. Stored by
+    /// component, because robots with few sections then read less memory.
     past_rad: [[f64; PAST_MAX]; COORDINATES_MAX],
     until_s: [f64; PAST_MAX],
     newest: usize,
-    /// Since control began \[s\].
+    /// Time since control began \[s\].
     now_s: f64,
-    /// Since the last measurement \[s\].
+    /// Time since the last measurement \[s\].
     unmeasured_s: f64,
     error: FollowingError,
 }
 
 impl FollowingWatch {
-    /// A robot that begins at `at`.
+    /// Supervision of a robot that starts at `at`.
     pub fn new(rules: FollowingRules, obeys_positions: bool, at: Configuration) -> Self {
         Self {
             rules,
@@ -76,12 +77,12 @@ impl FollowingWatch {
         }
     }
 
-    /// Begins anew: the robot is where it should be.
+    /// Restarts: the robot is at its expected position.
     pub fn begin(&mut self, at: Configuration) {
         *self = Self::new(self.rules, self.obeys_positions, at);
     }
 
-    /// The same while the robot is still on its way to `at`: what was commanded within the lag is moved along.
+    /// Restarts while the robot still moves to `at`: the commanded values of the lag are shifted along.
     pub fn begin_moving(&mut self, at: Configuration) {
         let from = core::mem::replace(&mut self.commanded, at);
         let ends = at.as_slice().iter().zip(from.as_slice());
@@ -93,7 +94,7 @@ impl FollowingWatch {
         self.error = FollowingError::default();
     }
 
-    /// What it checks by.
+    /// The thresholds.
     pub fn rules(&self) -> &FollowingRules {
         &self.rules
     }
@@ -113,7 +114,7 @@ impl FollowingWatch {
         self.now_s += elapsed_s;
     }
 
-    /// The robot was measured.
+    /// Evaluates a measurement.
     pub fn measured(&mut self, robot: &Robot, measured: &Configuration) -> &FollowingError {
         if !self.obeys_positions {
             let gain = self.unmeasured_s / (self.unmeasured_s + FORGETTING_S);
@@ -134,17 +135,17 @@ impl FollowingWatch {
         &self.error
     }
 
-    /// At the last measurement.
+    /// Error at the last measurement.
     pub fn error(&self) -> &FollowingError {
         &self.error
     }
 
-    /// Whether the robot does not follow.
+    /// Whether the error exceeds the threshold of a fault.
     pub fn is_broken(&self) -> bool {
         self.error.largest_rad() > self.rules.fault_rad
     }
 
-    /// The least and the largest of each component that was commanded within the lag.
+    /// Smallest and largest commanded value of each component within the lag.
     fn commanded_range(&self) -> (Configuration, Configuration) {
         let since_s = self.now_s - self.rules.lag_s;
         let (mut least, mut most) = (self.commanded, self.commanded);

@@ -1,4 +1,4 @@
-//! Rates that the robot may have: finite, in the box, bends inside their limits, cables neither too fast nor too far.
+//! Limits of rates: finite, inside the box, bends inside their limits, cables inside their speed and stroke.
 
 mod stops;
 
@@ -7,12 +7,13 @@ use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot}
 use super::clearance::Stopping;
 use super::projection::{Region, Vector};
 
-/// How far inside a limit the nearest command aims, in rad and m, so that rounding does not lead beyond it: there the
-/// command would have to be scaled down, by any amount. The projection leaves 10⁻¹³ of a bound, times the way.
+/// Distance inside a limit at which the nearest command aims, in rad and m, so that rounding does not exceed
+/// the limit: the command would then be scaled down by any amount. The projection is accurate to 10⁻¹³ of a
+/// bound, times the path.
 const INSIDE: f64 = 1e-11;
 /// The same for the speed of a cable, as a share of its limit.
 const SPEED_INSIDE: f64 = 1e-12;
-/// Tangents that replace the round limit of a bend before what is left is cut off.
+/// Tangents that approximate the circular limit of a bend before the rest is cut off.
 const TANGENTS: usize = 8;
 
 /// Which limits changed a command.
@@ -28,7 +29,7 @@ pub struct LimitsHit {
     pub cable_stroke: bool,
     /// A rate would have grown faster than the largest acceleration.
     pub acceleration: bool,
-    /// The desired rates, or the state that they start from, were not finite or of another number of sections than the robot, and the rates
+    /// Desired rates or state were not finite, or had another number of sections than the robot; the rates
     /// became zero.
     pub non_finite: bool,
 }
@@ -38,7 +39,6 @@ impl LimitsHit {
         self != Self::default()
     }
 
-    /// What either of both changed.
     pub(super) fn or(self, other: Self) -> Self {
         Self {
             rate: self.rate || other.rate,
@@ -56,36 +56,41 @@ impl LimitsHit {
 pub struct Limited {
     /// The rates \[rad/s\].
     pub rates: BendRates,
-    /// What had to be changed.
+    /// The limits that changed the command.
     pub hit: LimitsHit,
 }
 
-/// The limits of one command, which the robot obeys for `way_s` \[s\].
+/// The limits of one command, which the robot executes for `path_s` \[s\]:
 ///
-/// Rates in the box, and no component farther from the previous one than the acceleration allows (to slow down is always
-/// allowed: a component may lie anywhere between zero and its previous value, and so much beyond either); each bend at the
-/// end of the way at most its section's limit (one beyond it may only shrink); cables at most at their speed limit and, at the
-/// end of the way, at most their stroke away from their lengths at the straight robot (one beyond it may only come back).
-/// Zero rates are inside, and with any rates all shorter ones in the same direction.
+/// * Rates are inside the box, and no component leaves the previous one by more than the acceleration
+///   permits. Slowing down is always permitted: a component may lie anywhere between zero and its previous
+///   value, and the permitted change beyond either.
+/// * At the end of the path, each bend is inside its section's limit; a bend beyond the limit may only
+///   shrink.
+/// * Cables are inside their speed limit. At the end of the path, they are inside their stroke about the
+///   lengths of the straight robot; a cable beyond its stroke may only return.
+///
+/// Zero rates satisfy all limits. With any permitted rates, all shorter rates in the same direction are
+/// permitted.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits<'a> {
     robot: &'a Robot,
     at: &'a Configuration,
-    /// Where the robot is commanded to be: bends and strokes hold there, too.
+    /// Commanded configuration, from which bends and strokes must satisfy the limits, too.
     commanded: Option<&'a Configuration>,
-    /// The largest rates \[rad/s\].
+    /// Largest rates \[rad/s\].
     rate_max_rad_s: Vector,
-    /// Between which the acceleration lets them be \[rad/s\].
+    /// Range of the rates by the acceleration \[rad/s\].
     least_rad_s: Vector,
     most_rad_s: Vector,
-    way_s: f64,
-    /// How the robot comes to rest after them, where it does not stop at once: slower rates have a shorter way.
+    path_s: f64,
+    /// Motion after the command, if the robot does not stop at once: slower rates have a shorter path.
     stopping: Option<Stopping>,
 }
 
 impl<'a> Limits<'a> {
-    /// Those of a robot `at` a configuration.
-    pub fn new(robot: &'a Robot, at: &'a Configuration, way_s: f64) -> Self {
+    /// Limits of a robot `at` a configuration.
+    pub fn new(robot: &'a Robot, at: &'a Configuration, path_s: f64) -> Self {
         let mut rate_max_rad_s = Vector::default();
         let pairs = rate_max_rad_s.as_chunks_mut::<2>().0.iter_mut();
         for (pair, section) in pairs.zip(robot.sections()) {
@@ -98,25 +103,26 @@ impl<'a> Limits<'a> {
             rate_max_rad_s,
             least_rad_s: [f64::NEG_INFINITY; COORDINATES_MAX],
             most_rad_s: [f64::INFINITY; COORDINATES_MAX],
-            way_s,
+            path_s,
             stopping: None,
         }
     }
 
-    /// Bends and strokes stay inside at the commanded position, too.
+    /// Adds the limits of bends and strokes at the commanded configuration.
     #[must_use]
     pub fn with_commanded(self, commanded: Option<&'a Configuration>) -> Self {
         Self { commanded, ..self }
     }
 
-    /// The way becomes that of the rates.
+    /// Makes the path that of the rates.
     #[must_use]
     pub(super) fn with_stopping(mut self, stopping: Stopping) -> Self {
         self.stopping = stopping.deceleration_rad_s2.is_finite().then_some(stopping);
         self
     }
 
-    /// No component leaves the previous one by more than `change_rad_s` = acceleration · period, as [`Limits`] has it.
+    /// Adds the limit of acceleration: no component leaves the previous one by more than `change_rad_s` =
+    /// acceleration · period.
     #[must_use]
     pub fn with_acceleration(mut self, previous: &BendRates, change_rad_s: f64) -> Self {
         for (i, previous) in previous.as_slice().iter().enumerate() {
@@ -126,8 +132,8 @@ impl<'a> Limits<'a> {
         self
     }
 
-    /// The command inside every limit, and not faster than `desired`, that is nearest to it. Unchanged where that is inside; zero where it or the state
-    /// is not finite.
+    /// The permitted command nearest to `desired`, and not faster. Unchanged if `desired` is permitted; zero
+    /// if `desired` or the state is not finite.
     pub fn nearest(&self, desired: &BendRates) -> Limited {
         let hit = self.broken(desired);
         let rates = if hit.non_finite {
@@ -141,9 +147,9 @@ impl<'a> Limits<'a> {
         Limited { rates, hit }
     }
 
-    /// For a robot that comes to rest: each section's rates are those of `ramp`, or shorter in the same direction. So no
-    /// component is larger than in the ramp, and zero rates stay zero wherever the robot is: a measurement beyond a limit
-    /// never makes a resting robot move. Zero rates where ramp or state are not finite.
+    /// For a robot that comes to rest: each section's rates are those of `ramp`, or shorter in the same
+    /// direction. So no component exceeds that of the ramp, and zero rates stay zero for every state: a
+    /// measurement beyond a limit never moves a resting robot. Zero rates if ramp or state are not finite.
     pub fn shorten(&self, ramp: &BendRates) -> Limited {
         let hit = self.broken(ramp);
         let rates = if hit.non_finite {
@@ -156,7 +162,8 @@ impl<'a> Limits<'a> {
         Limited { rates, hit }
     }
 
-    /// `rates`, scaled down together to what largest rates, acceleration and cable speed allow: their direction stays.
+    /// `rates`, scaled down together to the largest rates, acceleration and cable speed, in the same
+    /// direction.
     pub(super) fn straight(&self, rates: &BendRates) -> BendRates {
         let mut share = self.speed_share(rates);
         for (i, rate) in rates.as_slice().iter().enumerate() {
@@ -174,12 +181,12 @@ impl<'a> Limits<'a> {
         rates
     }
 
-    /// Which limits these rates break.
+    /// The limits that these rates violate.
     fn broken(&self, rates: &BendRates) -> LimitsHit {
         let sections = self.robot.section_count();
         let is_known = |at: &Configuration| at.is_finite() && at.section_count() == sections;
         let are_known = rates.is_finite() && rates.section_count() == sections;
-        if !(are_known && self.places().all(is_known)) {
+        if !(are_known && self.configurations().all(is_known)) {
             return LimitsHit {
                 non_finite: true,
                 ..LimitsHit::default()
@@ -191,7 +198,7 @@ impl<'a> Limits<'a> {
             hit.acceleration |= *rate < self.least_rad_s[i] || *rate > self.most_rad_s[i];
         }
         hit.cable_speed = self.speed_share(rates) < 1.0;
-        for at in self.places() {
+        for at in self.configurations() {
             let sections = 0..self.robot.section_count();
             hit.bend |= sections
                 .into_iter()
@@ -209,17 +216,18 @@ impl<'a> Limits<'a> {
         self.most_rad_s[i].min(self.rate_max_rad_s[i])
     }
 
-    fn places(&self) -> impl Iterator<Item = &'a Configuration> {
+    fn configurations(&self) -> impl Iterator<Item = &'a Configuration> {
         core::iter::once(self.at).chain(self.commanded)
     }
 
-    /// Cut to the box, then shortened section by section, then all together: what a step made sure of, the next one keeps.
+    /// Clamps to the box, then shortens section by section, then all together: each step preserves the limits
+    /// of the steps before.
     pub(super) fn shortened(&self, rates: &BendRates) -> BendRates {
         let mut rates = *rates;
         for (i, rate) in rates.as_mut_slice().iter_mut().enumerate() {
             *rate = rate.clamp(self.lower_rad_s(i), self.upper_rad_s(i));
         }
-        for at in self.places() {
+        for at in self.configurations() {
             for j in 0..self.robot.section_count() {
                 let share = self.bend_share(at, &rates, j);
                 scale(&mut rates.as_mut_slice()[2 * j..2 * j + 2], share);
@@ -227,30 +235,30 @@ impl<'a> Limits<'a> {
         }
         let share = self.speed_share(&rates);
         scale(rates.as_mut_slice(), share);
-        for at in self.places() {
+        for at in self.configurations() {
             let share = self.stroke_share(at, &rates);
             scale(rates.as_mut_slice(), share);
         }
         rates
     }
 
-    /// The share of its rates that section j may have.
+    /// Permitted share of the rates of section j.
     fn bend_share(&self, at: &Configuration, rates: &BendRates, j: usize) -> f64 {
         let (bend, rate) = (at.section(j), rates.section(j));
-        let way = rate.map(|rate| self.way_s * rate);
+        let motion = rate.map(|rate| self.path_s * rate);
         let radius = self.robot.sections()[j].bend_max_rad.max(at.bend_rad(j));
-        if (bend[0] + way[0]).hypot(bend[1] + way[1]) <= radius {
+        if (bend[0] + motion[0]).hypot(bend[1] + motion[1]) <= radius {
             return 1.0;
         }
-        // Where the way leaves the disc: |bend + share · way| = radius.
-        let way_2 = way[0] * way[0] + way[1] * way[1];
-        let outwards = bend[0] * way[0] + bend[1] * way[1];
+        // The path leaves the disc where |bend + share · path| = radius.
+        let motion_2 = motion[0] * motion[0] + motion[1] * motion[1];
+        let outwards = bend[0] * motion[0] + bend[1] * motion[1];
         let room = (radius * radius - bend[0] * bend[0] - bend[1] * bend[1]).max(0.0);
-        let share = ((outwards * outwards + way_2 * room).sqrt() - outwards) / way_2;
+        let share = ((outwards * outwards + motion_2 * room).sqrt() - outwards) / motion_2;
         share.clamp(0.0, 1.0)
     }
 
-    /// The share of the rates that the speed of every cable allows.
+    /// Share of the rates that all cable speeds permit.
     fn speed_share(&self, rates: &BendRates) -> f64 {
         let speeds_m_s = self.robot.cable_speeds(rates);
         let fastest_m_s = speeds_m_s
@@ -259,14 +267,14 @@ impl<'a> Limits<'a> {
         (self.robot.cable_speed_max_m_s() / fastest_m_s).min(1.0)
     }
 
-    /// The share of the rates that the stroke of every cable allows: strokes are linear in the bends.
+    /// Share of the rates that all cable strokes permit; strokes are linear in the bends.
     fn stroke_share(&self, at: &Configuration, rates: &BendRates) -> f64 {
         let max_m = self.robot.cable_stroke_max_m();
         let strokes_m = self.robot.cable_strokes(at);
         let speeds_m_s = self.robot.cable_speeds(rates);
         let mut share = 1.0_f64;
         for (stroke_m, speed_m_s) in strokes_m.iter().zip(speeds_m_s) {
-            let change_m = self.way_s * speed_m_s;
+            let change_m = self.path_s * speed_m_s;
             let (least_m, most_m) = (stroke_m.min(-max_m), stroke_m.max(max_m));
             let next_m = stroke_m + change_m;
             if next_m > most_m {
@@ -278,13 +286,13 @@ impl<'a> Limits<'a> {
         share
     }
 
-    /// Makes `region` what the limits leave of rates of which no component is faster, but for the round limits of the bends: [`Self::nearest_in`]
-    /// adds those.
+    /// Fills `region` with the limits for rates whose components do not exceed `fastest_rad_s`, except the
+    /// circular limits of the bends: [`Self::nearest_in`] adds those.
     pub(super) fn fill(&self, region: &mut Region, fastest_rad_s: f64) {
         let lower = core::array::from_fn(|i| self.lower_rad_s(i));
         let upper = core::array::from_fn(|i| self.upper_rad_s(i));
         let dimensions = self.robot.coordinate_count();
-        region.reset(dimensions, [lower, upper], fastest_rad_s, self.way_s);
+        region.reset(dimensions, [lower, upper], fastest_rad_s, self.path_s);
         let mut columns = [[0.0; CABLES_MAX]; COORDINATES_MAX];
         let mut unit = BendRates::zero(self.robot.section_count());
         for (i, column) in columns[..self.robot.coordinate_count()]
@@ -295,10 +303,10 @@ impl<'a> Limits<'a> {
             *column = self.robot.cable_speeds(&unit);
             unit.as_mut_slice()[i] = 0.0;
         }
-        // What each cable may be paid in and out by.
+        // Remaining stroke of each cable in both directions.
         let mut rooms_m = [[f64::INFINITY; 2]; CABLES_MAX];
         let max_m = self.robot.cable_stroke_max_m();
-        for at in self.places() {
+        for at in self.configurations() {
             for (rooms_m, stroke_m) in rooms_m.iter_mut().zip(self.robot.cable_strokes(at)) {
                 let here_m = [max_m + stroke_m, max_m - stroke_m];
                 *rooms_m = [0, 1].map(|i| rooms_m[i].min(here_m[i].max(0.0) - INSIDE));
@@ -312,8 +320,8 @@ impl<'a> Limits<'a> {
         }
     }
 
-    /// The rates in `region` and inside the limits of the bends that are nearest to `desired`; `None` where none were found.
-    /// Tangents to the round limits are added to `region` as they are met.
+    /// The rates nearest to `desired` in `region` and inside the limits of the bends; `None` if none were
+    /// found. Tangents to violated circular limits are added to `region`.
     pub(super) fn nearest_in(&self, region: &mut Region, desired: &BendRates) -> Option<BendRates> {
         let mut to = Vector::default();
         to[..desired.as_slice().len()].copy_from_slice(desired.as_slice());
@@ -329,13 +337,13 @@ impl<'a> Limits<'a> {
         Some(self.shortened(&rates))
     }
 
-    /// A tangent for every bend that leaves its limit; whether there was one.
+    /// Adds a tangent for every bend beyond its limit. Returns whether there was one.
     fn add_tangents(&self, rates: &BendRates, region: &mut Region) -> bool {
         let mut added = false;
-        for at in self.places() {
+        for at in self.configurations() {
             for j in 0..self.robot.section_count() {
                 let (bend, rate) = (at.section(j), rates.section(j));
-                let target = [0, 1].map(|i| bend[i] + self.way_s * rate[i]);
+                let target = [0, 1].map(|i| bend[i] + self.path_s * rate[i]);
                 let size = target[0].hypot(target[1]);
                 let radius = self.robot.sections()[j].bend_max_rad.max(at.bend_rad(j)) - INSIDE;
                 if size <= radius + 0.5 * INSIDE {
@@ -353,12 +361,12 @@ impl<'a> Limits<'a> {
     }
 }
 
-/// [`Limits::nearest`] of a robot that is commanded again after `period_s`.
+/// [`Limits::nearest`] for a robot that receives its next command after `period_s`.
 pub fn limit(robot: &Robot, at: &Configuration, desired: &BendRates, period_s: f64) -> Limited {
     Limits::new(robot, at, period_s).nearest(desired)
 }
 
-/// [`Limits::shorten`] of such a robot.
+/// [`Limits::shorten`] for such a robot.
 pub fn shorten(robot: &Robot, at: &Configuration, ramp: &BendRates, period_s: f64) -> Limited {
     Limits::new(robot, at, period_s).shorten(ramp)
 }

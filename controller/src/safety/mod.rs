@@ -1,8 +1,10 @@
-//! The safety checks before the cables: which mode we are in, and what a command may be.
+//! The safety checks of every command: the mode machine, limits, clearance guard and supervision of
+//! measurements.
 //!
-//! Invariant: nothing here optimises, and nothing looks further than the robot moves by one command and the ramp to rest
-//! after it. It sees the state, the obstacles, what the solver would like, and what happened; it answers with a mode
-//! and a command inside every limit that brings the body no nearer to an obstacle than allowed. No clock, no message.
+//! Invariant: nothing here optimises, predicts beyond the motion of one command and its ramp to rest, or
+//! knows a clock or a message. Inputs are the state, the obstacles, the desired rates and the events of a
+//! cycle; outputs are a mode and a command inside every limit that moves the body no closer to an obstacle
+//! than allowed.
 
 mod bucket;
 mod clearance;

@@ -43,42 +43,42 @@ pub enum Reason {
     Shutdown,
     /// The reference lease was given back.
     LeaseReleased,
-    /// The body is nearer to an obstacle than may ever be.
+    /// The body is closer to an obstacle than the fault threshold.
     ClearanceBroken,
-    /// The measurement jumped farther than the robot can move, again and again.
+    /// The measurement repeatedly jumped farther than the robot can move.
     MeasurementJump,
     /// The measurement stood still while the robot was commanded to move.
     MeasurementFrozen,
     /// The measured configuration is too far from the commanded one.
     FollowingError,
-    /// The inputs are older than a command may be.
+    /// The inputs are too old to compute a command.
     InputsStale,
     /// The machine slept.
     Suspended,
-    /// Who sends the obstacles is silent.
+    /// The source of the obstacles is silent.
     ObstacleSourceSilent,
-    /// The reference was replaced by one that is farther from the tip than it may be approached from.
+    /// A new reference is too far from the tip to be approached.
     ReferenceTooFar,
     /// The common mode of a section's cables changed.
     CommonMode,
-    /// It was stopped or faulted before the process was started again.
+    /// The robot was stopped or faulted before the process was restarted.
     StoppedBefore,
 }
 
-/// The mode, with what belongs to it.
+/// The mode with its state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {
     /// Before the first good cycle.
     #[default]
     Starting,
-    /// At rest, or on the way to it.
+    /// At rest, or on the ramp to it.
     Holding {
         /// Why.
         reason: Reason,
     },
     /// Following the reference.
     Tracking {
-        /// Whether the reference has begun: before, its first point counts.
+        /// Whether the reference has begun; before, the robot approaches its first point.
         begun: bool,
     },
     /// On the way to the straight configuration.
@@ -96,12 +96,12 @@ pub enum Mode {
 }
 
 impl Mode {
-    /// Whether only a reset leaves it.
+    /// Whether only a reset ends this mode.
     pub fn is_latched(&self) -> bool {
         matches!(self, Self::Stopped { .. } | Self::Faulted { .. })
     }
 
-    /// Whether the robot rests in this mode, or comes to rest: nothing may make it faster.
+    /// Whether the robot rests in this mode, or comes to rest: nothing may increase its rates.
     pub fn comes_to_rest(&self) -> bool {
         !matches!(self, Self::Tracking { .. } | Self::Homing)
     }
@@ -118,15 +118,16 @@ impl Mode {
     }
 }
 
-/// What can be asked of the machine.
+/// Requests to the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
-    /// Follow the reference of one lease: who asks for that has not asked to follow the next holder's.
+    /// Track the reference of one lease. A request for one lease does not apply to the next holder's
+    /// reference.
     Track {
         /// Number of the lease.
         lease_number: u32,
     },
-    /// Stop following.
+    /// Stop tracking.
     Hold,
     /// Move to the straight configuration.
     Home,
@@ -142,22 +143,22 @@ pub enum Refusal {
     /// The mode does not allow it.
     #[error("the present mode does not allow it")]
     WrongMode,
-    /// Nobody holds the reference lease, or another client than when this was asked.
+    /// Nobody holds the reference lease, or its holder changed after the request.
     #[error("nobody holds the reference lease, or another client does since")]
     NoLease,
     /// No reference lies ahead.
     #[error("there is no reference ahead")]
     NoReference,
-    /// The reference is farther from the tip than it may be approached from.
+    /// The reference is too far from the tip to be approached.
     #[error("the reference is too far from the tip")]
     TooFar,
-    /// The cause of the fault still stands.
+    /// The cause of the fault persists.
     #[error("the cause of the fault still stands")]
     CauseStands,
-    /// The robot has to wait, though nothing is broken: [`Observation::wait`].
+    /// The robot must wait, without a fault: [`Observation::wait`].
     #[error("the robot has to wait")]
     Waits,
-    /// A stop or a fault came after this was asked, or in the same cycle.
+    /// A stop or a fault came after the request, or in the same cycle.
     #[error("the robot was stopped after this was asked")]
     Overruled,
     /// The process ends.
@@ -165,7 +166,7 @@ pub enum Refusal {
     Ending,
 }
 
-/// The reference lease, as a cycle sees it.
+/// State of the reference lease in a cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LeaseState {
     /// Nobody holds it: it was never taken, or given back.
@@ -177,18 +178,18 @@ pub enum LeaseState {
     Expired,
 }
 
-/// What one cycle sees.
+/// Inputs of the machine in one cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Observation {
-    /// Whether the configuration of the robot is known. Until it is, the machine keeps starting.
+    /// Whether the configuration of the robot is known. The machine stays in `Starting` until it is.
     pub measured: bool,
-    /// Where this release lies relative to the reference.
+    /// Position of this release relative to the reference.
     pub reference: ReferenceState,
-    /// Whether it is too far from the tip to be tracked.
+    /// Whether the reference is too far from the tip to be tracked.
     pub too_far: bool,
     /// The reference lease.
     pub lease: LeaseState,
-    /// Its number: leases are counted as they are acquired.
+    /// Number of the lease; each acquisition increments it.
     pub lease_number: u32,
     /// Whether the robot is straight.
     pub at_home: bool,
@@ -196,17 +197,17 @@ pub struct Observation {
     pub misses_overflow: bool,
     /// Whether the machine slept since the cycle before.
     pub suspended: bool,
-    /// Why the robot may not move on now, without a fault.
+    /// Why the robot must wait now, without a fault.
     pub wait: Option<Reason>,
-    /// A fault that stands in this cycle.
+    /// A fault that is present in this cycle.
     pub fault: Option<Reason>,
 }
 
-/// The mode and every way it changes.
+/// The mode and its transitions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ModeMachine {
     mode: Mode,
-    /// Number of the lease whose reference is tracked, or was last.
+    /// Number of the lease that is tracked, or was tracked last.
     tracked_lease: u32,
     faults: u64,
     ends: bool,
@@ -214,7 +215,7 @@ pub struct ModeMachine {
 }
 
 impl ModeMachine {
-    /// A machine in this mode: to go on from a record. `lease_number`: of the reference that it tracks.
+    /// A machine that resumes from a record, with the number of the tracked lease.
     pub fn resumed(mode: Mode, lease_number: u32) -> Self {
         Self {
             mode,
@@ -223,7 +224,7 @@ impl ModeMachine {
         }
     }
 
-    /// A machine of a robot that was stopped or faulted before, and not reset since.
+    /// A machine for a robot that was stopped or faulted and not reset since.
     pub fn stopped_before() -> Self {
         Self {
             stopped_before: true,
@@ -241,7 +242,7 @@ impl ModeMachine {
         self.faults
     }
 
-    /// What the world does to the mode, once in each cycle and before requests.
+    /// Updates the mode from the observation, once per cycle and before requests.
     pub fn observe(&mut self, seen: &Observation) {
         if !seen.measured {
             return;
@@ -273,7 +274,7 @@ impl ModeMachine {
         }
     }
 
-    /// Carries a request out, or says why not. A stop is never refused.
+    /// Executes a request or refuses it. A stop is never refused.
     ///
     /// # Errors
     /// [`Refusal`]; the mode is then unchanged.
@@ -282,7 +283,7 @@ impl ModeMachine {
             return Err(Refusal::Ending);
         }
         match (request, self.mode) {
-            // What has stopped already keeps its first reason; but that a daemon ends is no stop.
+            // A latched mode keeps its first reason, except that a request to stop replaces a shutdown.
             (
                 Request::Stop,
                 Mode::Stopped {
@@ -324,8 +325,8 @@ impl ModeMachine {
         }
     }
 
-    /// Carries out the requests of one cycle, in their order; but when a stop is among them, or
-    /// `stop_at_once` says so, nothing but the stop is carried out. Leaves each answer in `answers`.
+    /// Executes the requests of one cycle in order. If a stop is among them, or `stop_at_once` is set, only
+    /// the stop is executed. Returns the answers.
     pub fn requests<const N: usize>(
         &mut self,
         requests: &[Option<Request>; N],
@@ -347,7 +348,8 @@ impl ModeMachine {
         })
     }
 
-    /// A fault found after the observation of this cycle: the solver's result, the command.
+    /// Enters `Faulted` for a fault found after the observation of this cycle, in the solution or the
+    /// command.
     pub fn fault(&mut self, cause: Reason) {
         if !matches!(self.mode, Mode::Faulted { .. }) {
             self.faults += 1;
@@ -355,7 +357,8 @@ impl ModeMachine {
         }
     }
 
-    /// The process ends: come to rest, and stay there whatever is asked. A fault keeps its cause.
+    /// The process ends: the robot comes to rest, and all further requests but stops are refused. A fault
+    /// keeps its cause.
     pub fn shut_down(&mut self) {
         let is_new = !core::mem::replace(&mut self.ends, true);
         if is_new && !matches!(self.mode, Mode::Faulted { .. }) {
@@ -365,12 +368,13 @@ impl ModeMachine {
         }
     }
 
-    /// Tracking goes on while the lease that it began with is held and the reference lasts.
+    /// Tracking continues while its lease is held and its reference lasts.
     fn keep_tracking(&mut self, seen: &Observation) {
         match (seen.lease, seen.reference) {
             (LeaseState::Expired, _) => self.hold(Reason::LeaseExpired),
             (LeaseState::Free, _) => self.hold(Reason::LeaseReleased),
-            // Acquired anew since the last observation: the reference is another client's, who has not asked to track.
+            // The lease was acquired again: the reference is another client's, who has not requested
+            // tracking.
             (LeaseState::Held, _) if seen.lease_number != self.tracked_lease => {
                 self.hold(Reason::LeaseExpired);
             }

@@ -1,52 +1,51 @@
 use crate::estimator::Measurement;
 use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot};
 
-/// What a robot cannot do, so that its measurement must be wrong.
+/// Limits of plausible measurements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlausibilityRules {
-    /// A bend-vector component may be this far from where its largest rate can have brought it \[rad\].
+    /// Permitted distance of a bend component from the range reachable at its largest rate \[rad\].
     pub jump_rad: f64,
-    /// So many jumps in a row are a fault.
+    /// Number of consecutive jumps that is a fault.
     pub jump_limit: u32,
-    /// A component that stays the same in every bit while it is commanded to move this far, net, is frozen
-    /// \[rad\].
+    /// A component whose bits do not change while its net commanded motion exceeds this is frozen \[rad\].
     pub frozen_rad: f64,
 }
 
-/// What the check of one measurement found.
+/// Result of the check of one measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Plausibility {
-    /// The robot can be there.
+    /// Plausible.
     Good,
-    /// No robot moves that fast: leave it out.
+    /// Faster than the robot can move: to be ignored.
     Jump,
-    /// The last of a series of jumps: leave it out, and a fault.
+    /// Last of a series of jumps: to be ignored, and a fault.
     Lost,
-    /// It should have changed, and has not: a fault.
+    /// Did not change although it should have: a fault.
     Frozen,
 }
 
-/// Compares each measurement with those of its kind before.
+/// Compares each measurement with earlier ones of its kind.
 ///
-/// A sensor that lost its count, a swapped cable or a driver that repeats old values with new stamps shows
-/// here, and nowhere else: its numbers are finite, fresh and within the limits.
+/// It detects a sensor that lost its count, a swapped cable, or a driver that repeats old values with new
+/// time stamps. Nothing else detects these: the values are finite, fresh and within the limits.
 #[derive(Debug, Clone)]
 pub struct MeasurementWatch {
     rules: PlausibilityRules,
-    /// Where the bends, and the tip position, can have gone.
+    /// Range of the bends and of the tip position.
     bends: Option<Track>,
     tip: Option<Track>,
     jumps: u32,
-    /// The way of every bend component since the beginning: the sum of rate · time, with its sign \[rad\].
+    /// Net commanded motion of each bend component since the start: the sum of rate · time \[rad\].
     commanded_rad: [f64; COORDINATES_MAX],
     still: Option<Still>,
 }
 
-/// A point that follows the measurements, but no faster than the robot can.
+/// A point that follows the measurements no faster than the robot can move.
 ///
-/// The true value moves no faster either. So while each measurement is within ε of the truth, the point is,
-/// too, and a measurement is never farther than 2ε from it, however often it changes: noise adds nothing up.
-/// Behind what moves too fast the point falls back, until the distance is a jump.
+/// The true value moves no faster either. While each measurement is within ε of the truth, the point is, too,
+/// and a measurement is never farther than 2ε from the point: noise does not accumulate. A value that moves
+/// too fast leaves the point behind until the distance counts as a jump.
 #[derive(Debug, Clone, Copy)]
 struct Track {
     /// Bend components \[rad\], or the coordinates of the tip \[m\].
@@ -54,16 +53,16 @@ struct Track {
     measured_ns: u64,
 }
 
-/// The last good measurement, and since when each of its channels is the same.
+/// The last good measurement, and the time of the last change of each of its channels.
 #[derive(Debug, Clone, Copy)]
 struct Still {
     measurement: Measurement,
-    /// The commanded way of each channel when it last changed \[rad\].
+    /// Commanded motion of each channel at its last change \[rad\].
     changed_at_rad: [f64; CABLES_MAX],
 }
 
 impl MeasurementWatch {
-    /// Nothing was measured yet.
+    /// A watch without measurements.
     pub fn new(rules: PlausibilityRules) -> Self {
         Self {
             rules,
@@ -75,22 +74,22 @@ impl MeasurementWatch {
         }
     }
 
-    /// What it checks by.
+    /// The limits.
     pub fn rules(&self) -> &PlausibilityRules {
         &self.rules
     }
 
-    /// The robot was commanded to move at `rates` for `elapsed_s`.
+    /// Adds the commanded motion: `rates` for `elapsed_s`.
     pub fn commanded(&mut self, rates: &BendRates, elapsed_s: f64) {
-        for (way_rad, rate) in self.commanded_rad.iter_mut().zip(rates.as_slice()) {
-            *way_rad += rate * elapsed_s;
+        for (motion_rad, rate) in self.commanded_rad.iter_mut().zip(rates.as_slice()) {
+            *motion_rad += rate * elapsed_s;
         }
     }
 
-    /// Checks a measurement that is newer than every one before. The caller leaves out what jumps.
+    /// Checks a measurement that is newer than all before. The caller ignores jumps.
     ///
-    /// A fault is said once. After a series of jumps nobody knows which side was right, so the next
-    /// measurement is believed; the robot rests by then, and who resets it has looked.
+    /// A fault is reported once. After a series of jumps it is unknown which values were right, so the next
+    /// measurement is accepted; the robot is at rest by then, and a reset is an operator's decision.
     pub fn check(
         &mut self,
         robot: &Robot,
@@ -112,7 +111,7 @@ impl MeasurementWatch {
         Plausibility::Good
     }
 
-    /// Takes the measurement into its track, or says that it jumps.
+    /// Updates the track with the measurement. Returns false for a jump.
     fn follow(&mut self, robot: &Robot, measurement: &Measurement, measured_ns: u64) -> bool {
         let jump_rad = self.rules.jump_rad;
         let rate_of = |k: usize| robot.sections()[k / 2].rate_max_rad_s;
@@ -134,34 +133,34 @@ impl MeasurementWatch {
         }
     }
 
-    /// Whether a channel is the same though it should have moved. Keeps the measurement.
+    /// Whether a channel did not change although it should have. Stores the measurement.
     fn is_frozen(&mut self, robot: &Robot, measurement: &Measurement) -> bool {
-        let ways_rad = channel_ways_rad(robot, measurement, &self.commanded_rad);
+        let motions_rad = channel_motions_rad(robot, measurement, &self.commanded_rad);
         let mut still = Still {
             measurement: *measurement,
-            changed_at_rad: ways_rad,
+            changed_at_rad: motions_rad,
         };
         let mut is_frozen = false;
         if let Some(before) = &self.still {
-            for (channel, way_rad) in ways_rad.iter().enumerate() {
+            for (channel, motion_rad) in motions_rad.iter().enumerate() {
                 if is_same(&before.measurement, measurement, channel) {
                     still.changed_at_rad[channel] = before.changed_at_rad[channel];
-                    let moved_rad = way_rad - before.changed_at_rad[channel];
+                    let moved_rad = motion_rad - before.changed_at_rad[channel];
                     is_frozen |= moved_rad.abs() > self.rules.frozen_rad;
                 }
             }
         }
         if is_frozen {
-            // Said once: a robot at rest does not change, and could never prove that it is measured again.
-            still.changed_at_rad = ways_rad;
+            // Reported once: a robot at rest does not change, and could never prove that its sensor works.
+            still.changed_at_rad = motions_rad;
         }
         self.still = Some(still);
         is_frozen
     }
 }
 
-/// Moves the track towards `values`, each component by its largest rate at most. False, and nothing moved, where
-/// one of them is more than `tolerance` farther than that, or not a number. The first values are believed.
+/// Moves the track towards `values`, each component by its largest rate at most. Returns false and moves
+/// nothing if a value is more than `tolerance` beyond that, or NaN. The first values are accepted.
 fn follow(
     track: &mut Option<Track>,
     values: &[f64],
@@ -180,41 +179,42 @@ fn follow(
     let elapsed_s = measured_ns.saturating_sub(before.measured_ns) as f64 * 1e-9;
     let mut point = before.point;
     for (k, (point, value)) in point.iter_mut().zip(values).enumerate() {
-        let (gap, way) = (value - *point, rate_of(k) * elapsed_s);
-        if gap.is_nan() || gap.abs() > tolerance + way {
+        let (gap, reach) = (value - *point, rate_of(k) * elapsed_s);
+        if gap.is_nan() || gap.abs() > tolerance + reach {
             return false;
         }
-        *point += gap.clamp(-way, way);
+        *point += gap.clamp(-reach, reach);
     }
     *before = Track { point, measured_ns };
     true
 }
 
-/// The commanded way of every channel of such a measurement \[rad\]: of a bend component its own; of a cable
-/// what moves it, over its distance from the backbone; of a tip, which moves with all, those of all components.
-fn channel_ways_rad(
+/// Commanded motion of each channel of a measurement \[rad\]: of a bend component its own; of a cable its
+/// motion divided by its distance from the backbone; of a tip, which moves with all components, those of all
+/// components.
+fn channel_motions_rad(
     robot: &Robot,
     measurement: &Measurement,
     commanded_rad: &[f64; COORDINATES_MAX],
 ) -> [f64; CABLES_MAX] {
     let commanded = Configuration::padded(*commanded_rad, robot.section_count());
     if let Measurement::CableLengths(_) = measurement {
-        // Linear: a way of the bends gives a way of the cables.
-        let mut ways = robot.cable_strokes(&commanded);
-        let (cables, _) = ways.as_chunks_mut::<3>();
+        // Strokes are linear in the bends.
+        let mut motions = robot.cable_strokes(&commanded);
+        let (cables, _) = motions.as_chunks_mut::<3>();
         for (cables, section) in cables.iter_mut().zip(robot.sections()) {
-            *cables = cables.map(|way_m| way_m / section.cable_radius_m);
+            *cables = cables.map(|stroke_m| stroke_m / section.cable_radius_m);
         }
-        return ways;
+        return motions;
     }
-    let mut ways_rad = [0.0; CABLES_MAX];
-    for (way_rad, commanded_rad) in ways_rad.iter_mut().zip(commanded.as_slice()) {
-        *way_rad = *commanded_rad;
+    let mut motions_rad = [0.0; CABLES_MAX];
+    for (motion_rad, commanded_rad) in motions_rad.iter_mut().zip(commanded.as_slice()) {
+        *motion_rad = *commanded_rad;
     }
-    ways_rad
+    motions_rad
 }
 
-/// Whether a channel is what it was. A tip position counts as a whole: its one value is in every channel.
+/// Whether a channel is unchanged. A tip position counts as a whole: its one value is in every channel.
 fn is_same(before: &Measurement, now: &Measurement, channel: usize) -> bool {
     match (before, now) {
         (Measurement::Configuration(before), Measurement::Configuration(now)) => {
@@ -228,14 +228,14 @@ fn is_same(before: &Measurement, now: &Measurement, channel: usize) -> bool {
     }
 }
 
-/// The length that hangs on the base of section `j` \[m\]: a bend of δ in it moves the tip by no more than δ times
-/// that, because it turns all that follows by δ at most.
+/// Length from the base of section `j` to the tip \[m\]: a change δ of its bend moves the tip by at most δ
+/// times this length, because it turns everything after it by at most δ.
 fn hanging_m(robot: &Robot, j: usize) -> f64 {
     robot.sections()[j..].iter().map(|s| s.length_m).sum()
 }
 
-/// A speed that the tip cannot exceed \[m/s\]: all components at their largest rates, and each moves the tip as
-/// far as it can. The two components of a section make √2.
+/// Upper bound of the speed of the tip \[m/s\]: all components at their largest rates, each with its largest
+/// effect on the tip. The two components of a section give √2.
 fn tip_speed_m_s(robot: &Robot) -> f64 {
     let sections = robot.sections().iter().enumerate();
     let speeds = sections.map(|(j, section)| section.rate_max_rad_s * hanging_m(robot, j));

@@ -1,13 +1,13 @@
-//! What cables with play leave of a command that is safe without.
+//! Correction of a safe command for cables with play.
 
 use super::clearance::fastest;
 use super::{SafeCommand, Situation};
 use crate::estimator::Slack;
 use crate::robot::BendRates;
 
-/// `safe` where it holds the rule of the guard on the way through the play, too; else what does, as
-/// [`safe_command`](super::safe_command) says.
-pub(super) fn held(situation: &Situation<'_>, slack: &Slack, safe: SafeCommand) -> SafeCommand {
+/// `safe` if it satisfies the rule of the guard while cables move through their play, too; otherwise the
+/// correction that [`safe_command`](super::safe_command) describes.
+pub(super) fn kept(situation: &Situation<'_>, slack: &Slack, safe: SafeCommand) -> SafeCommand {
     if fastest(&safe.rates) == 0.0 || situation.obstacles.is_empty() {
         return safe;
     }
@@ -16,12 +16,12 @@ pub(super) fn held(situation: &Situation<'_>, slack: &Slack, safe: SafeCommand) 
         if holds(&safe.rates) {
             return safe;
         }
-        mended(situation, &safe, holds)
+        repaired(situation, &safe, holds)
     })
 }
 
-/// Of a command that does not hold, the sections that hold alone.
-fn mended(
+/// The sections of a command that satisfy the rule individually.
+fn repaired(
     situation: &Situation<'_>,
     safe: &SafeCommand,
     holds: &dyn Fn(&BendRates) -> bool,
@@ -69,7 +69,7 @@ mod tests {
         Slack::new(PLAY_M, slack_m)
     }
 
-    /// The motors of cables that are there.
+    /// Configuration of the motors that belongs to that of the cables.
     fn motors(robot: &Robot, at: &Configuration, slack: &Slack) -> Configuration {
         let mut motors = *at;
         let taken = slack.bends(robot);
@@ -111,14 +111,14 @@ mod tests {
         }
     }
 
-    /// Where the cables are on their way.
+    /// Configuration of the cables after the motors moved.
     fn after(
         situation: &Situation<'_>,
         slack: &Slack,
         rates: &BendRates,
-        way_s: f64,
+        path_s: f64,
     ) -> Configuration {
-        let moved = Configuration::straight(rates.section_count()).advanced(rates, way_s);
+        let moved = Configuration::straight(rates.section_count()).advanced(rates, path_s);
         let strokes_m = situation.robot.cable_strokes(situation.at);
         let motors_m = situation.robot.cable_strokes(&moved);
         let next = slack.moved(situation.robot, &moved);
@@ -134,13 +134,14 @@ mod tests {
         situation.robot.bend_from_cable_strokes(&cables_m)
     }
 
-    /// What is left of the clearances of the cables beyond what each section must keep of D = `kept_m` \[m\].
-    fn spare_m(situation: &Situation<'_>, next: &Configuration, kept_m: f64) -> f64 {
-        let [still, body] = [situation.at, next].map(|at| situation.robot.body(at));
+    /// Smallest margin of the clearances of the cables beyond the required clearance, at most `required_m`
+    /// \[m\].
+    fn margin_m(situation: &Situation<'_>, next: &Configuration, required_m: f64) -> f64 {
+        let [standing, body] = [situation.at, next].map(|at| situation.robot.body(at));
         let mut least_m = f64::INFINITY;
         for obstacle in situation.obstacles {
             for j in 0..situation.robot.section_count() {
-                let floor_m = still.clearance_of(j, obstacle).min(kept_m);
+                let floor_m = standing.clearance_of(j, obstacle).min(required_m);
                 least_m = least_m.min(body.clearance_of(j, obstacle) - floor_m);
             }
         }
@@ -175,12 +176,12 @@ mod tests {
             let rates = safe.rates;
             let end_s = 3.0 * PERIOD_S + 0.5 * fastest(&rates) / DECELERATION_RAD_S2;
             for (part, less_m) in (0..=40).map(|part| (f64::from(part) / 40.0, 1e-3)).chain([(1.0, 0.0), (PERIOD_S / end_s, 0.0)]) {
-                let left_m = spare_m(&begin, &after(&begin, &slack, &rates, part * end_s), 0.01);
+                let left_m = margin_m(&begin, &after(&begin, &slack, &rates, part * end_s), 0.01);
                 prop_assert!(left_m >= -less_m - 1e-9, "{left_m} at {part}");
             }
-            for (from, way_s) in [(&at, end_s), (&sent, end_s), (&at, PERIOD_S), (&sent, PERIOD_S)] {
+            for (from, path_s) in [(&at, end_s), (&sent, end_s), (&at, PERIOD_S), (&sent, PERIOD_S)] {
                 let begin = Situation { at: from, ..begin };
-                let left_m = spare_m(&begin, &from.advanced(&rates, way_s), 0.01);
+                let left_m = margin_m(&begin, &from.advanced(&rates, path_s), 0.01);
                 prop_assert!(left_m >= -1e-9, "{left_m} without play");
             }
             prop_assert!(safe.clearance_hit || safe == safe_command(&without_play(&begin), &desired));
@@ -197,12 +198,12 @@ mod tests {
                 prop_assert_eq!(slowed, ramp);
             }
             let end_s = 3.0 * PERIOD_S + 0.5 * fastest(&slowed) / DECELERATION_RAD_S2;
-            let left_m = spare_m(&stops, &after(&stops, &slack, &slowed, end_s), 0.01 - 1.001e-3);
+            let left_m = margin_m(&stops, &after(&stops, &slack, &slowed, end_s), 0.01 - 1.001e-3);
             prop_assert!(left_m >= -1e-9, "{left_m} by the ramp");
         }
     }
 
-    /// A mast beside section 1 is nearer than section 2 comes, whose own clearance of it has to stay.
+    /// A mast next to section 1 is closer than section 2 can come; section 2 must keep its own clearance.
     #[test]
     fn each_section_keeps_its_own_clearance() {
         let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
@@ -232,7 +233,7 @@ mod tests {
             let safe = safe_command(&moved, &desired);
             was_hit |= safe.rates != safe_command(&without_play(&moved), &desired).rates;
             let end_s = 3.0 * PERIOD_S + 0.5 * fastest(&safe.rates) / DECELERATION_RAD_S2;
-            let left_m = spare_m(&moved, &after(&moved, &slack, &safe.rates, end_s), 0.03);
+            let left_m = margin_m(&moved, &after(&moved, &slack, &safe.rates, end_s), 0.03);
             assert!(left_m >= -1e-9, "{angle}: {left_m}");
         }
         assert!(was_hit);

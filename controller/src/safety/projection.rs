@@ -1,9 +1,11 @@
-//! The nearest point of a region that half-spaces and a box bound, in the few dimensions of a command.
+//! The nearest point of a region that is bounded by half-spaces and a box, in the few dimensions of a
+//! command.
 //!
-//! Knows no robot. Dual active-set method of Goldfarb and Idnani (Mathematical Programming 27, 1983) with the identity as
-//! Hessian: it begins at the point itself, takes in the half-space that is violated most, and lets go of those that no
-//! longer hold the point back. A search for the same point goes on from where the one before ended: with what is added afterwards, and
-//! with bounds that moved. Work and memory are bounded, nothing allocates, the same input gives the same bits.
+//! Invariant: nothing here knows the robot. Dual active-set method of Goldfarb and Idnani (Mathematical
+//! Programming 27, 1983) with the identity as Hessian: it starts at the point itself, adds the half-space
+//! that is violated most, and releases those with negative multipliers. A later search for the same point
+//! continues from the previous solution after half-spaces were added or bounds moved. Work and memory are
+//! bounded, nothing allocates, the same input gives the same bits.
 
 mod active;
 
@@ -11,64 +13,64 @@ use crate::robot::COORDINATES_MAX;
 
 use active::Active;
 
-/// A point, or a normal.
+/// A point or a normal.
 pub(super) type Vector = [f64; COORDINATES_MAX];
 
-/// Half-spaces beside the box: those of the cables and bends, and of two corrections among many obstacles. More are left out, which
-/// [`Region::is_full`] tells.
+/// Largest number of half-spaces: those of cables and bends, and those of two corrections among many
+/// obstacles. Further ones are left out, which [`Region::is_full`] reports.
 const ROWS_MAX: usize = 152;
-/// Half-spaces that are taken in or let go before the search gives up.
+/// Active-set changes before a search fails.
 const STEPS_MAX: usize = 100;
-/// What each takes the time of, beside the rows that are looked at: products of two vectors.
+/// Cost of one change in products of two vectors, without the scan of the rows.
 const STEP_PRODUCTS: u32 = 24;
-/// What counts as inside, in the unit of the point, or as a share of it where it is larger than 1.
+/// Tolerance of the bounds, in the unit of the point; relative for bounds larger than 1.
 const INSIDE: f64 = 1e-13;
-/// What the way of a point may be longer by than its sum tells, as a share: rounding.
+/// Relative allowance for rounding in the travelled distance.
 const ROUNDING: f64 = 1e-9;
-/// Below this squared length a normal depends on those that hold the point already.
+/// A normal counts as linearly dependent on the active ones below this squared length of its remainder.
 const DEPENDENT: f64 = 1e-14;
 
 /// A box and half-spaces, in the first `dimensions` coordinates.
 #[derive(Debug, Clone)]
 pub(super) struct Region {
     dimensions: usize,
-    /// The sides of the box, without and with what [`Region::slow_down_to`] leaves of it.
+    /// The sides of the box as given, and restricted by [`Region::slow_down_to`].
     sides: [Vector; 2],
     lower: Vector,
     upper: Vector,
-    /// The largest component.
+    /// Largest permitted component.
     most: f64,
-    way_s: f64,
+    path_s: f64,
     rows: [Row; ROWS_MAX],
-    /// Beside each row how long the way of the point that is found must be before it can be violated.
+    /// For each row, the travelled distance below which it cannot be violated.
     clear_until: [f64; ROWS_MAX],
     row_count: usize,
     /// Whether a half-space was left out.
     is_full: bool,
-    /// What was looked for took the time of so many products of two vectors.
+    /// Work since [`Region::take_products`], in products of two vectors.
     products: u32,
-    /// The nearest point to `to` before more half-spaces came, and what holds it there; changed in place, because they are large.
+    /// The last solution, and its active set; updated in place, because both are large.
     found: Found,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Found {
-    /// Whether there is one.
+    /// Whether the solution is valid.
     is_known: bool,
     to: Vector,
     at: Vector,
-    /// The length of its way from where all rows were looked at, at most.
+    /// Upper bound of the distance travelled since all rows were evaluated.
     travelled: f64,
     active: Active,
 }
 
-/// What holds the nearest point, by what its bounds change with.
-pub(super) struct Pulls {
-    /// Half the squared distance of the point.
+/// Sensitivity of the solution to the bounds that change.
+pub(super) struct Sensitivity {
+    /// Half the squared distance of the solution.
     pub(super) half_square: f64,
-    /// How much that falls for each unit of the largest component, and of 1 / way.
+    /// Its decrease per unit of the largest component, and per unit of 1 / path.
     pub(super) most: f64,
-    pub(super) per_way: f64,
+    pub(super) per_inverse_path: f64,
 }
 
 /// normal · x ≥ bound, with a normal of length 1.
@@ -76,24 +78,24 @@ pub(super) struct Pulls {
 struct Row {
     normal: Vector,
     bound: f64,
-    /// What the bound is at least, and what moves it.
+    /// Lower bound of `bound`, and the quantity that `bound` varies with.
     fixed: f64,
-    room: Room,
+    varies: Varies,
 }
 
-/// What a bound changes with.
+/// The quantity that a bound varies with.
 #[derive(Debug, Clone, Copy)]
-enum Room {
-    /// Nothing.
-    None,
-    /// It is -room / way.
-    Way(f64),
-    /// It is that of the largest component, as a side of the box.
-    Most,
+enum Varies {
+    /// The bound is constant.
+    Never,
+    /// The bound is -room / path.
+    WithPath(f64),
+    /// The bound is that of the largest component, as a side of the box.
+    WithLargest,
 }
 
 impl Region {
-    /// No point. A constant, because it is large: it is changed in place, too.
+    /// An empty region. A constant because of its size; it is modified in place.
     #[allow(
         clippy::large_stack_arrays,
         reason = "24 kB, once for each command that a limit or the guard changes"
@@ -104,7 +106,7 @@ impl Region {
         lower: [0.0; COORDINATES_MAX],
         upper: [0.0; COORDINATES_MAX],
         most: 0.0,
-        way_s: 0.0,
+        path_s: 0.0,
         rows: [Row::ZERO; ROWS_MAX],
         clear_until: [0.0; ROWS_MAX],
         row_count: 0,
@@ -119,19 +121,20 @@ impl Region {
         },
     };
 
-    /// A box without half-spaces, for points that are obeyed for `way_s`, with no component larger than `most`.
-    pub(super) fn reset(&mut self, dimensions: usize, sides: [Vector; 2], most: f64, way_s: f64) {
+    /// A box without half-spaces, for points that are executed for `path_s`, with no component larger than
+    /// `most`.
+    pub(super) fn reset(&mut self, dimensions: usize, sides: [Vector; 2], most: f64, path_s: f64) {
         self.dimensions = dimensions;
         self.sides = sides;
-        self.way_s = way_s;
+        self.path_s = path_s;
         self.row_count = 0;
         self.is_full = false;
         self.slow_down_to(most);
     }
 
-    /// Whether a half-space leaves out a part of the box.
+    /// Whether a half-space excludes a part of the box.
     fn is_cut_by(&self, Row { normal, bound, .. }: &Row) -> bool {
-        // No normal has a component beyond the dimensions, and no box a side.
+        // Components beyond the dimensions are zero in each normal and each side.
         let mut least = [0.0; COORDINATES_MAX];
         for (i, least) in least.iter_mut().enumerate() {
             *least = (normal[i] * self.lower[i]).min(normal[i] * self.upper[i]);
@@ -145,37 +148,38 @@ impl Region {
         self.is_full
     }
 
-    /// What was looked for since this was asked last took the time of so many products of two vectors.
+    /// Returns the work since the last call, in products of two vectors.
     pub(super) fn take_products(&mut self) -> u32 {
         core::mem::take(&mut self.products)
     }
 
-    /// Only where normal · x ≥ bound. What leaves out no part of the box is no row of the region; nor is a normal without length. Whether it is one.
+    /// Adds the half-space normal · x ≥ bound, unless it excludes no part of the box or its normal has no
+    /// length. Returns whether it was added.
     pub(super) fn bound(&mut self, normal: &Vector, bound: f64) -> bool {
         let before = self.row_count;
-        self.add(normal, bound, Room::None);
+        self.add(normal, bound, Varies::Never);
         self.row_count > before
     }
 
-    /// Only where normal · x ≥ bound, and normal · x · way ≥ -room.
+    /// Adds the half-spaces normal · x ≥ bound and normal · x · path ≥ -room.
     pub(super) fn bound_along(&mut self, normal: &Vector, bound: f64, room: f64) {
-        self.add(normal, bound, Room::Way(room));
+        self.add(normal, bound, Varies::WithPath(room));
     }
 
-    fn add(&mut self, normal: &Vector, fixed: f64, room: Room) {
+    fn add(&mut self, normal: &Vector, fixed: f64, varies: Varies) {
         let mut row = Row {
             normal: *normal,
             bound: 0.0,
             fixed,
-            room,
+            varies,
         };
-        row.move_to(self.most, self.way_s);
+        row.move_to(self.most, self.path_s);
         if !self.is_cut_by(&row) {
             return;
         }
         let length = dot(normal, normal).sqrt();
         row.scale(1.0 / length);
-        row.move_to(self.most, self.way_s);
+        row.move_to(self.most, self.path_s);
         if length > 0.0 && length.is_finite() && row.bound.is_finite() {
             self.push(row);
         }
@@ -190,7 +194,7 @@ impl Region {
         }
     }
 
-    /// Only where no component is larger than `most`.
+    /// Restricts every component to `most`.
     pub(super) fn slow_down_to(&mut self, most: f64) {
         self.found.is_known = false;
         self.most = most;
@@ -198,17 +202,17 @@ impl Region {
         self.upper = self.sides[1].map(|upper| upper.min(most));
     }
 
-    /// Only where no component is larger than `most`, of points that are obeyed for `way_s`, neither more than before the first half-space. Of the half-spaces that move freely with the way, those stay
-    /// that hold what was found.
-    pub(super) fn move_to(&mut self, most: f64, way_s: f64) {
+    /// Restricts every component to `most`, for points that are executed for `path_s`; neither may exceed its
+    /// value at the first half-space. Of the half-spaces that vary with the path alone, the active ones stay.
+    pub(super) fn move_to(&mut self, most: f64, path_s: f64) {
         let is_known = self.found.is_known;
         self.slow_down_to(most);
-        self.way_s = way_s;
+        self.path_s = path_s;
         let mut kept = 0;
         for index in 0..self.row_count {
             if !self.rows[index].is_free() {
                 self.rows[kept] = self.rows[index];
-                self.rows[kept].move_to(most, way_s);
+                self.rows[kept].move_to(most, path_s);
                 kept += 1;
             }
         }
@@ -218,7 +222,7 @@ impl Region {
         }
         let active = &mut self.found.active;
         for row in &mut active.rows[..active.count] {
-            row.move_to(most, way_s);
+            row.move_to(most, path_s);
         }
         for index in 0..self.found.active.count {
             let row = self.found.active.rows[index];
@@ -230,32 +234,35 @@ impl Region {
         self.look_at_all();
     }
 
-    /// What holds what was found last. For every other largest component and way half the squared distance is at least what these tell: it is a convex function of
-    /// the largest component and 1 / way. `None` where nothing was found.
-    pub(super) fn pulls(&self) -> Option<Pulls> {
+    /// Sensitivity of the last solution. It gives a lower bound of half the squared distance for every other
+    /// largest component and path, because that is a convex function of the largest component and 1 / path.
+    /// `None` without a solution.
+    pub(super) fn sensitivity(&self) -> Option<Sensitivity> {
         if !self.found.is_known {
             return None;
         }
         let Found { to, at, active, .. } = &self.found;
         let mut away = *to;
         add(&mut away, at, -1.0);
-        let mut pulls = Pulls {
+        let mut sensitivity = Sensitivity {
             half_square: 0.5 * dot(&away, &away),
             most: 0.0,
-            per_way: 0.0,
+            per_inverse_path: 0.0,
         };
         for (row, multiplier) in active.rows[..active.count].iter().zip(&active.multipliers) {
-            match row.room {
-                Room::Way(room) if row.bound > row.fixed => pulls.per_way += multiplier * room,
-                Room::Most if row.bound > row.fixed => pulls.most += multiplier,
+            match row.varies {
+                Varies::WithPath(room) if row.bound > row.fixed => {
+                    sensitivity.per_inverse_path += multiplier * room;
+                }
+                Varies::WithLargest if row.bound > row.fixed => sensitivity.most += multiplier,
                 _ => {}
             }
         }
-        Some(pulls)
+        Some(sensitivity)
     }
 
-    /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
-    /// a bounded number of steps.
+    /// The point of the region that is nearest to `to`, except for rounding. `None` if the region is empty,
+    /// or if no solution was found in a bounded number of steps.
     pub(super) fn nearest(&mut self, to: &Vector) -> Option<Vector> {
         if !(self.found.is_known && self.found.to == *to) {
             self.found.to = *to;
@@ -268,13 +275,14 @@ impl Region {
         self.found.is_known.then_some(self.found.at)
     }
 
-    /// The point is elsewhere, or the bounds are.
+    /// Marks all rows for evaluation, after the point or the bounds changed.
     fn look_at_all(&mut self) {
         self.found.travelled = 0.0;
         self.clear_until[..self.row_count].fill(f64::NEG_INFINITY);
     }
 
-    /// From the nearest point to the same one with fewer half-spaces, and those that hold it. `None`: they hold no point.
+    /// Continues from a solution with fewer half-spaces. `None`: the region is empty, or the number of steps
+    /// is exceeded.
     fn go_on(&mut self) -> Option<()> {
         let mut steps = 0;
         while let Some(row) = self.most_violated() {
@@ -293,21 +301,21 @@ impl Region {
                 }
                 let forward = active.solved_forward(|i| dot(&active.rows[i].normal, &row.normal));
                 let shares = active.solved_back(&forward);
-                let way = active.rest(&row.normal, &shares);
-                let square = dot(&way, &row.normal);
+                let direction = active.rest(&row.normal, &shares);
+                let square = dot(&direction, &row.normal);
                 let full = if square > DEPENDENT && active.count < self.dimensions {
                     (row.bound - dot(&row.normal, at)) / square
                 } else {
                     f64::INFINITY
                 };
-                let (until, let_go) = active.lets_go(&shares);
+                let (until, released) = active.first_released(&shares);
                 let step = full.min(until);
                 if step == f64::INFINITY {
                     return None;
                 }
                 if full < f64::INFINITY {
-                    add(at, &way, step);
-                    *travelled += step * dot(&way, &way).sqrt() * (1.0 + ROUNDING);
+                    add(at, &direction, step);
+                    *travelled += step * dot(&direction, &direction).sqrt() * (1.0 + ROUNDING);
                 }
                 add(&mut active.multipliers, &shares, -step);
                 multiplier += step;
@@ -315,20 +323,20 @@ impl Region {
                     active.push(row, multiplier, forward);
                     break;
                 }
-                active.remove(let_go);
+                active.remove(released);
             }
         }
         Some(())
     }
 
-    /// What is violated most at the point that is found; a NaN violates nothing.
+    /// The bound that is violated most at the present point; a NaN violates nothing.
     fn most_violated(&mut self) -> Option<Row> {
         let Found { at, travelled, .. } = &self.found;
         let (mut most, mut found) = (INSIDE, None);
-        let mut look = |side: Side, bound: f64, lack: f64| {
+        let mut look = |side: Side, bound: f64, violation: f64| {
             let scale = 1.0 + bound.abs();
-            if lack > most * scale {
-                (most, found) = (lack / scale, Some(side));
+            if violation > most * scale {
+                (most, found) = (violation / scale, Some(side));
             }
         };
         let rows = self.rows[..self.row_count].iter().enumerate();
@@ -337,9 +345,9 @@ impl Region {
                 continue;
             }
             self.products += 1;
-            let lack = row.bound - dot(&row.normal, at);
-            *clear_until = travelled - lack;
-            look(Side::Row(index), row.bound, lack);
+            let violation = row.bound - dot(&row.normal, at);
+            *clear_until = travelled - violation;
+            look(Side::Row(index), row.bound, violation);
         }
         for i in 0..self.dimensions {
             let (lower, upper) = (self.lower[i], self.upper[i]);
@@ -354,7 +362,7 @@ impl Region {
     }
 }
 
-/// A half-space of a region, by its number or its coordinate.
+/// Identifies a bound of a region.
 #[derive(Debug, Clone, Copy)]
 enum Side {
     Row(usize),
@@ -367,7 +375,7 @@ impl Row {
         normal: [0.0; COORDINATES_MAX],
         bound: 0.0,
         fixed: 0.0,
-        room: Room::None,
+        varies: Varies::Never,
     };
 
     /// A side of the box.
@@ -375,43 +383,44 @@ impl Row {
         let mut row = Self {
             bound: fixed.max(-most),
             fixed,
-            room: Room::Most,
+            varies: Varies::WithLargest,
             ..Self::ZERO
         };
         row.normal[i] = sign;
         row
     }
 
-    /// The same half-space with a longer normal.
+    /// The same half-space with a scaled normal.
     fn scale(&mut self, by: f64) {
         self.normal = self.normal.map(|component| component * by);
         self.fixed *= by;
-        if let Room::Way(room) = &mut self.room {
+        if let Varies::WithPath(room) = &mut self.varies {
             *room *= by;
         }
     }
 
-    fn move_to(&mut self, most: f64, way_s: f64) {
-        self.bound = match self.room {
-            Room::None => self.fixed,
-            Room::Way(room) => self.fixed.max(-room / way_s),
-            Room::Most => self.fixed.max(-most),
+    fn move_to(&mut self, most: f64, path_s: f64) {
+        self.bound = match self.varies {
+            Varies::Never => self.fixed,
+            Varies::WithPath(room) => self.fixed.max(-room / path_s),
+            Varies::WithLargest => self.fixed.max(-most),
         };
     }
 
-    /// Whether nothing but the way bounds it.
+    /// Whether only the path bounds it.
     fn is_free(&self) -> bool {
         self.fixed == f64::NEG_INFINITY
     }
 }
 
 impl Found {
-    /// The nearest point that is on the bounds of those held, but for those that would not hold it there. `None` where they depend on each other.
+    /// Recomputes the solution for the present bounds of the active set, and releases rows with negative
+    /// multipliers. `None` if the rows are linearly dependent.
     fn hold(&mut self) -> Option<()> {
         let Self { to, at, active, .. } = self;
         loop {
-            let lack = |row: &Row| row.bound - dot(&row.normal, to);
-            active.multipliers = active.solved(|i| lack(&active.rows[i]))?;
+            let violation = |row: &Row| row.bound - dot(&row.normal, to);
+            active.multipliers = active.solved(|i| violation(&active.rows[i]))?;
             let least = (0..active.count).min_by(|i, j| {
                 let [one, other] = [i, j].map(|i| active.multipliers[*i]);
                 one.total_cmp(&other)
@@ -429,7 +438,7 @@ impl Found {
     }
 }
 
-/// Four sums side by side: one alone waits for each addition.
+/// Four sums in parallel: a single one would wait for each addition.
 fn dot(a: &Vector, b: &Vector) -> f64 {
     sum(&core::array::from_fn(|i| a[i] * b[i]))
 }

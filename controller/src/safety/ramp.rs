@@ -1,11 +1,11 @@
-//! Rates of a robot that goes to rest, or home.
+//! Rates of a robot that comes to rest, or homes.
 
 use crate::robot::{BendRates, Configuration, Robot};
 
 use super::Limits;
 
-/// The next rates on the way to rest: every component shrinks by the same factor, so the direction is
-/// kept, and the fastest one loses at most `deceleration_rad_s2 · period_s`.
+/// The next rates of a ramp to rest: all components shrink by the same factor, so the direction stays, and
+/// the fastest one decreases by at most `deceleration_rad_s2 · period_s`.
 pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f64) -> BendRates {
     let mut rates = *previous;
     let fastest = rates
@@ -13,7 +13,7 @@ pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f6
         .iter()
         .fold(0.0_f64, |fastest, rate| fastest.max(rate.abs()));
     let left = fastest - deceleration_rad_s2 * period_s;
-    // What rounding leaves of the last step is rest, too.
+    // A remainder by rounding counts as rest.
     let share = if left > 1e-9 * fastest {
         left / fastest
     } else {
@@ -25,9 +25,9 @@ pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f6
     rates
 }
 
-/// Rates on the straight line to the straight robot, the fastest component at `rate_rad_s`; zero on arrival. Where a
-/// section's rate, a cable's speed or the acceleration (`change_rad_s` from the `previous` command) does not allow that,
-/// all of them are slower, so that the limits do not bend the line.
+/// Rates on the straight line to the straight robot, with the fastest component at `rate_rad_s`; zero on
+/// arrival. If a section's rate, a cable's speed or the acceleration (`change_rad_s` from the `previous`
+/// command) does not permit that, all components are slower, so the limits do not bend the line.
 pub fn homing_rates(
     robot: &Robot,
     at: &Configuration,

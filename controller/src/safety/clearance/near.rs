@@ -1,4 +1,5 @@
-//! The obstacles that the body can get too near to, section by section, and what is left of their clearances at a place.
+//! Obstacles within reach of the body, section by section, and the margins of their clearances at points of
+//! the stopping path.
 
 use core::cell::{Cell, OnceCell};
 
@@ -8,94 +9,93 @@ use crate::robot::{
     BendRates, Body, BodyMotion, Closest, Configuration, Nearest, Pose, Robot, SECTIONS_MAX,
 };
 
-use super::watched::{CAPSULE_LOOKS, There, Watched, least_m};
-use super::{ClearanceGuard, StoppingWay, fastest};
+use super::watched::{CAPSULE_COST, PredictedObstacle, WatchedObstacle, least_m};
+use super::{ClearanceGuard, StoppingPath, fastest};
 
-/// Obstacles that are watched one by one. When more than these are within reach, the robot stands still.
+/// Obstacles that are checked individually. If more are within reach, the robot stands still.
 pub(super) const NEAR_MAX: usize = 64;
-/// What is not looked for between two places of the way \[m\], at most: half of what lies between the axes at distance D, if
-/// that is less, so that no thin section jumps through a thin obstacle.
+/// Largest undershoot that is tolerated between two points of the path \[m\]. Half the distance between the
+/// axes at clearance D, if that is less, so that no thin section passes through a thin obstacle.
 const DIP_M: f64 = 1e-3;
-/// What a bound on a clearance allows for rounding \[m\], with obstacles of any size.
+/// Allowance for rounding in bounds of clearances \[m\], for obstacles of any size.
 pub(super) const ROUNDING_M: f64 = 1e-6;
-/// The work for one command, in the time of an exact clearance from a sphere, about 22 ns: when it is used up, what is not known to
-/// be clear counts as not clear.
-const LOOKS: u32 = 4000;
-/// So many more where a command is linearised anew,
-const RENEWAL_LOOKS: u32 = 3250;
-/// with as many obstacles near at most: among more of them the worst case stays as long as it is.
-const RENEWED_MAX: usize = 32;
-/// How many of them a place of the way takes the time of,
-const PLACE_LOOKS: u32 = 24;
-/// a plane between a section and an obstacle,
-const PLANE_LOOKS: u32 = 2;
-/// a row of a correction, beside its clearance,
-pub(super) const ROW_LOOKS: u32 = 4;
-/// its part of the solution,
-pub(super) const SOLVED_LOOKS: u32 = 6;
-/// and where all rows are made linear anew, the copy of a region and what finds its nearest point, beside the products there:
-/// each of these counts as one.
-pub(super) const REGION_LOOKS: u32 = 25;
+/// Work budget of one command, in units of one exact clearance from a sphere (about 22 ns). When it is spent,
+/// a clearance that is not yet verified counts as violated.
+const WORK_BUDGET: u32 = 4000;
+/// Additional budget for the relinearisation of a command.
+const RELINEARISATION_BUDGET: u32 = 3250;
+/// Relinearisation is used up to this number of near obstacles, so that the worst case does not become
+/// longer.
+const RELINEARISED_MAX: usize = 32;
+/// Cost of one point of the path.
+const POINT_COST: u32 = 24;
+/// Cost of one separating plane between a section and an obstacle.
+const PLANE_COST: u32 = 2;
+/// Cost of one row of a correction, without its clearance.
+pub(super) const ROW_COST: u32 = 4;
+/// Cost of one row in the projection.
+pub(super) const SOLVE_COST: u32 = 6;
+/// Cost of copying a region and starting its projection; each product of two vectors there costs 1.
+pub(super) const REGION_COST: u32 = 25;
 
-/// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: of any value
-/// where it is not asked for, NaN where the state is not finite.
-pub(super) type Spare = [[f64; SECTIONS_MAX]; NEAR_MAX];
+/// Margins: clearance minus required clearance \[m\], or a lower bound of it, by near obstacle and section.
+/// Arbitrary where not requested, NaN where the state is not finite.
+pub(super) type Margins = [[f64; SECTIONS_MAX]; NEAR_MAX];
 
-/// Sections of each watched obstacle, a bit each.
+/// A set of sections for each near obstacle, one bit per section.
 pub(super) type Sections = [u8; NEAR_MAX];
 
-/// The watched obstacles.
-pub(super) struct Near<'a> {
-    /// The robot that stands still.
-    still: &'a Stance,
-    /// What no section comes near to is farther than this from all of them \[m\].
+/// The near obstacles.
+pub(super) struct NearObstacles<'a> {
+    /// The robot at rest.
+    standing: &'a BodyPose,
+    /// Obstacles outside this list are farther than this from every section \[m\].
     beyond_m: f64,
     period_s: f64,
     watched_count: usize,
-    watched: [Option<Watched<'a>>; NEAR_MAX],
-    /// What is left of [`LOOKS`].
-    looks: Cell<u32>,
-    /// The watched obstacles in the order in which they are looked at: first those that were the last to be too near, then
-    /// those that are nearest now.
+    watched: [Option<WatchedObstacle<'a>>; NEAR_MAX],
+    /// Remaining part of [`WORK_BUDGET`].
+    budget: Cell<u32>,
+    /// Order in which obstacles are checked: the most recently violated first, then by present distance.
     order: Cell<[u8; NEAR_MAX]>,
-    /// What was too small when rates were checked last.
-    lack: Cell<Option<Lack>>,
-    /// What was found so between the ends of the way, of a command that is made linear anew.
-    between: Cell<Option<Lack>>,
-    /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
+    /// Violation found by the last check.
+    violation: Cell<Option<Violation>>,
+    /// Violation found between the ends of the path of a command that is relinearised.
+    between: Cell<Option<Violation>>,
+    /// Sections that already have a row in the region of a correction.
     rows: [Cell<u8>; NEAR_MAX],
-    /// From each watched capsule to each section, the direction in which these were nearest when that was looked for last; zero where it was not.
+    /// Last known direction of shortest distance from each capsule to each section; zero if unknown.
     directions: [[Cell<[f64; 3]>; SECTIONS_MAX]; NEAR_MAX],
-    /// What each section must keep after the period \[m\], beside obstacles that move; zero where that was not looked for.
+    /// Required clearance of each section from a moving obstacle after one period \[m\]; zero if unknown.
     period_floor_m: [[Cell<f64>; SECTIONS_MAX]; NEAR_MAX],
 }
 
-/// Where a section is too near to a watched obstacle, or may be.
+/// A point of the path at which a section violates the required clearance, or may violate it.
 #[derive(Clone, Copy)]
-pub(super) struct Lack {
+pub(super) struct Violation {
     pub(super) index: usize,
     pub(super) section: usize,
-    pub(super) way_s: f64,
+    pub(super) path_s: f64,
 }
 
-/// A shape, and what clearances from it take.
-pub(super) struct Stance {
+/// A configuration with its derived geometry.
+pub(super) struct BodyPose {
     pub(super) at: Configuration,
     frames: [Pose; SECTIONS_MAX + 1],
     pub(super) body: Body,
     motion: OnceCell<BodyMotion>,
 }
 
-/// Where the robot is at s = `way_s`: bend + s q̇.
-pub(super) struct Place {
-    pub(super) way_s: f64,
+/// The robot at s = `path_s`: bend + s q̇.
+pub(super) struct PathPoint {
+    pub(super) path_s: f64,
     pub(super) time_s: f64,
-    pub(super) stance: Stance,
-    /// How far each section is from where it is now, at most \[m\].
+    pub(super) pose: BodyPose,
+    /// Upper bound of each section's distance from its present pose \[m\].
     displacement_m: [f64; SECTIONS_MAX],
 }
 
-impl Stance {
+impl BodyPose {
     pub(super) fn new(robot: &Robot, at: &Configuration) -> Self {
         let frames = robot.section_frames(at);
         Self {
@@ -106,66 +106,66 @@ impl Stance {
         }
     }
 
-    /// How its points move.
+    /// Motion of the body's points by the rates.
     pub(super) fn motion(&self, robot: &Robot) -> &BodyMotion {
         self.motion.get_or_init(|| robot.body_motion(&self.at))
     }
 
-    /// How far each section is from where it is in another stance, at most \[m\].
+    /// Upper bound of the distance of each section's points from their position in another pose \[m\].
     pub(super) fn displacement_m(&self, robot: &Robot, other: &Self) -> [f64; SECTIONS_MAX] {
         robot.displacement_m((&other.at, &other.frames), (&self.at, &self.frames))
     }
 }
 
-impl<'a> Near<'a> {
-    /// Those of a robot that is in this stance. `None` when there are more than fit.
+impl<'a> NearObstacles<'a> {
+    /// Near obstacles of a robot in the pose `standing`. `None` when there are more than [`NEAR_MAX`].
     pub(super) fn find(
         guard: &ClearanceGuard<'a>,
-        still: &'a Stance,
+        standing: &'a BodyPose,
         rates: &BendRates,
         is_ramp: bool,
     ) -> Option<Self> {
-        let way = guard.stopping.way(fastest(rates));
+        let way = guard.stopping.path(fastest(rates));
         let travel_m = guard.farthest_m(rates);
-        let time_s = way.time_s(way.way_s);
+        let time_s = way.time_s(way.path_s);
         let radii_m = guard.robot.sections().iter().map(|s| s.body_radius_m);
         let thinnest_m = radii_m.fold(f64::INFINITY, f64::min);
         let nearest_m = travel_m.iter().copied().fold(f64::INFINITY, f64::min);
         let mut near = Self {
-            still,
+            standing,
             beyond_m: guard.safe_distance_m + nearest_m,
             period_s: guard.period_s,
             watched_count: 0,
             watched: [None; NEAR_MAX],
-            looks: Cell::new(LOOKS),
+            budget: Cell::new(WORK_BUDGET),
             order: Cell::new(core::array::from_fn(|index| index as u8)),
-            lack: Cell::new(None),
+            violation: Cell::new(None),
             between: Cell::new(None),
             rows: [const { Cell::new(0) }; NEAR_MAX],
             directions: [const { [const { Cell::new([0.0; 3]) }; SECTIONS_MAX] }; NEAR_MAX],
             period_floor_m: [const { [const { Cell::new(0.0) }; SECTIONS_MAX] }; NEAR_MAX],
         };
-        let (mut looks, mut least_m) = (LOOKS, f64::INFINITY);
+        let (mut budget, mut least_m) = (WORK_BUDGET, f64::INFINITY);
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
             let safe_m = guard.safe_distance_m;
             let speed_m_s = obstacle.velocity_m_s().norm();
             let reach_m = travel_m.map(|travel_m| safe_m + travel_m + 2.0 * time_s * speed_m_s);
             let enough_m = least_m.max(safe_m);
-            let start_m = still.body.clearances_below(obstacle, &reach_m, enough_m);
+            let start_m = standing.body.clearances_below(obstacle, &reach_m, enough_m);
             if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
             let dip_m = DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m()));
-            // A ramp may end in what the command before was allowed between, and a rounding deeper.
+            // A ramp may end inside the tolerance of the command before it, and deeper by rounding.
             let is_continued = is_ramp && speed_m_s == 0.0;
-            let watched = Watched {
+            let watched = WatchedObstacle {
                 obstacle,
                 index: near.watched_count,
                 speed_m_s,
                 start_m,
-                kept_m: if is_continued {
-                    // But at its ends never contact by the ramp itself.
+                required_m: if is_continued {
+                    // At its ends the ramp itself never causes contact.
                     (safe_m - dip_m - ROUNDING_M).max(safe_m.min(0.0))
                 } else {
                     safe_m
@@ -173,17 +173,16 @@ impl<'a> Near<'a> {
                 dip_m,
             };
             let exact_count = start_m.iter().filter(|m| **m < enough_m).count() as u32;
-            looks = looks.saturating_sub(watched.looks() * exact_count);
+            budget = budget.saturating_sub(watched.cost() * exact_count);
             least_m = watched.nearest_m().min(least_m);
             *slots.next()? = Some(watched);
             near.watched_count += 1;
         }
-        near.looks.set(looks);
+        near.budget.set(budget);
         near.order_by_distance();
         Some(near)
     }
 
-    /// Those that are nearest now are looked at first.
     fn order_by_distance(&mut self) {
         let mut nearest_m = [f64::INFINITY; NEAR_MAX];
         for (nearest_m, watched) in nearest_m.iter_mut().zip(self.watched()) {
@@ -196,61 +195,73 @@ impl<'a> Near<'a> {
         self.order.set(order);
     }
 
-    /// The least clearance of the body now \[m\], where a watched section has it; NaN where the state is not finite.
+    /// Smallest present clearance of the body \[m\], if it belongs to a near obstacle; NaN where the state is
+    /// not finite.
     pub(super) fn least_clearance_m(&self) -> Option<f64> {
-        let least_m = least_m(self.watched().map(Watched::nearest_m));
+        let least_m = least_m(self.watched().map(WatchedObstacle::nearest_m));
         (least_m.is_nan() || least_m <= self.beyond_m).then_some(least_m)
     }
 
-    pub(super) fn watched(&self) -> impl Iterator<Item = &Watched<'a>> {
+    pub(super) fn watched(&self) -> impl Iterator<Item = &WatchedObstacle<'a>> {
         self.watched.iter().map_while(Option::as_ref)
     }
 
-    /// The sections that can come below what is kept along the way, when no point of theirs is faster than `travel_m_s`.
-    pub(super) fn open(&self, way: &StoppingWay, travel_m_s: &[f64; SECTIONS_MAX]) -> Sections {
-        let time_s = way.time_s(way.way_s);
-        let mut open = [0; NEAR_MAX];
-        for (open, watched) in open.iter_mut().zip(self.watched()) {
+    /// Sections that can violate the required clearance along the path, given an upper bound of the speed of
+    /// their points.
+    pub(super) fn undecided(
+        &self,
+        way: &StoppingPath,
+        travel_m_s: &[f64; SECTIONS_MAX],
+    ) -> Sections {
+        let time_s = way.time_s(way.path_s);
+        let mut undecided = [0; NEAR_MAX];
+        for (undecided, watched) in undecided.iter_mut().zip(self.watched()) {
             let moved_m = watched.speed_m_s * time_s + ROUNDING_M;
             for (j, start_m) in watched.start_m.iter().enumerate() {
-                let is_clear = start_m - travel_m_s[j] * way.way_s - moved_m >= watched.kept_m;
-                *open |= u8::from(!is_clear) << j;
+                let is_clear = start_m - travel_m_s[j] * way.path_s - moved_m >= watched.required_m;
+                *undecided |= u8::from(!is_clear) << j;
             }
         }
-        open
+        undecided
     }
 
-    /// Where the robot is at s = `way_s`.
-    pub(super) fn place(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, way_s: f64) -> Place {
-        self.count(PLACE_LOOKS);
-        let stance = Stance::new(guard.robot, &guard.after(&self.still.at, rates, way_s));
-        Place {
-            way_s,
-            time_s: guard.stopping.way(fastest(rates)).time_s(way_s),
-            displacement_m: stance.displacement_m(guard.robot, self.still),
-            stance,
+    pub(super) fn point(
+        &self,
+        guard: &ClearanceGuard<'_>,
+        rates: &BendRates,
+        path_s: f64,
+    ) -> PathPoint {
+        self.spend(POINT_COST);
+        let pose = BodyPose::new(guard.robot, &guard.after(&self.standing.at, rates, path_s));
+        PathPoint {
+            path_s,
+            time_s: guard.stopping.path(fastest(rates)).time_s(path_s),
+            displacement_m: pose.displacement_m(guard.robot, self.standing),
+            pose,
         }
     }
 
-    /// Fills `spare_m` with the spare of the sections in `which` at the start of the way.
-    pub(super) fn spare_at_start(&self, which: &Sections, spare_m: &mut Spare) {
+    /// Fills `margin_m` with the margins of the sections in `which` at the start of the path.
+    pub(super) fn margins_at_start(&self, which: &Sections, margin_m: &mut Margins) {
         for (index, watched) in self.watched().enumerate() {
             for j in sections(which[index]) {
-                spare_m[index][j] = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
+                margin_m[index][j] =
+                    watched.start_m[j] - watched.start_m[j].min(watched.required_m);
             }
         }
     }
 
-    /// Fills `spare_m` with the spare of the sections in `which` at a place, where none is less than -`lack_m` of its obstacle.
+    /// Fills `margin_m` with the margins of the sections in `which` at a point of the path. Each must be at
+    /// least -`tolerance_m` of its obstacle.
     ///
     /// # Errors
-    /// As [`check`](super::way::check).
-    pub(super) fn spare_at(
+    /// As [`check`](super::path_check::check).
+    pub(super) fn margins_at(
         &self,
-        place: &Place,
+        point: &PathPoint,
         which: &Sections,
-        lack_m: impl Fn(&Watched<'_>) -> f64,
-        spare_m: &mut Spare,
+        tolerance_m: impl Fn(&WatchedObstacle<'_>) -> f64,
+        margin_m: &mut Margins,
     ) -> Result<(), f64> {
         let mut order = self.order.get();
         for turn in 0..self.watched_count {
@@ -258,97 +269,103 @@ impl<'a> Near<'a> {
             let Some(watched) = &self.watched[index] else {
                 continue;
             };
-            let there = watched.after(place.time_s);
+            let predicted = watched.after(point.time_s);
             for j in sections(which[index]) {
-                let spare = self.spare_m(place, &there, j);
-                // A NaN is too little, too.
-                let lack_m = lack_m(watched);
-                let is_enough = spare >= -lack_m;
+                let margin_here_m = self.margin_m(point, &predicted, j);
+                // A NaN counts as a violation.
+                let tolerance_m = tolerance_m(watched);
+                let is_enough = margin_here_m >= -tolerance_m;
                 if !is_enough {
                     order[..=turn].rotate_right(1);
                     self.order.set(order);
-                    self.set_lack(index, j, place.way_s);
-                    let start = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
-                    return Err((start + lack_m) / (start - spare));
+                    self.note_violation(index, j, point.path_s);
+                    let start = watched.start_m[j] - watched.start_m[j].min(watched.required_m);
+                    return Err((start + tolerance_m) / (start - margin_here_m));
                 }
-                spare_m[index][j] = spare;
+                margin_m[index][j] = margin_here_m;
             }
         }
         Ok(())
     }
 
-    /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
-    fn spare_m(&self, place: &Place, there: &There<'_>, j: usize) -> f64 {
-        let watched = there.watched;
-        let least_m = place.clearance_min_m(watched, j);
-        if least_m >= watched.kept_m {
-            return least_m - watched.kept_m;
+    /// Margin of section j at a point \[m\]: exact, or a lower bound that is at least 0.
+    fn margin_m(&self, point: &PathPoint, predicted: &PredictedObstacle<'_>, j: usize) -> f64 {
+        let watched = predicted.watched;
+        let least_m = point.clearance_min_m(watched, j);
+        if least_m >= watched.required_m {
+            return least_m - watched.required_m;
         }
-        let most_m = watched.floor_most_m(j, place.time_s);
-        let clearance_m = self.clearance_below(&place.stance.body, there, j, most_m);
+        let most_m = watched.floor_bound_m(j, point.time_s);
+        let clearance_m = self.clearance_below(&point.pose.body, predicted, j, most_m);
         if clearance_m >= most_m {
             return clearance_m - most_m;
         }
-        clearance_m - self.floor_m(there, j)
+        clearance_m - self.floor_m(predicted, j)
     }
 
-    /// Where section j is nearest to an obstacle at a place, if its clearance is less than `enough_m`.
+    /// Point of section j that is closest to an obstacle, if its clearance is less than `enough_m`.
     pub(super) fn nearest_below(
         &self,
-        place: &Place,
-        there: &There<'_>,
+        point: &PathPoint,
+        predicted: &PredictedObstacle<'_>,
         j: usize,
         enough_m: f64,
     ) -> Option<Nearest> {
-        if place.clearance_min_m(there.watched, j) >= enough_m {
+        if point.clearance_min_m(predicted.watched, j) >= enough_m {
             return None;
         }
-        let body = &place.stance.body;
-        let closest = self.closest_below(body, there, j, enough_m).ok()?;
+        let body = &point.pose.body;
+        let closest = self.closest_below(body, predicted, j, enough_m).ok()?;
         let is_short = closest.clearance_m < enough_m;
-        is_short.then(|| body.place(&closest, there.obstacle()))
+        is_short.then(|| body.place(&closest, predicted.obstacle()))
     }
 
-    /// The clearance of section j of a body \[m\]: exactly, or a bound of at least `enough_m`.
-    fn clearance_below(&self, body: &Body, there: &There<'_>, j: usize, enough_m: f64) -> f64 {
-        let closest = self.closest_below(body, there, j, enough_m);
+    /// Clearance of section j \[m\]: exact, or a lower bound that is at least `enough_m`.
+    fn clearance_below(
+        &self,
+        body: &Body,
+        predicted: &PredictedObstacle<'_>,
+        j: usize,
+        enough_m: f64,
+    ) -> f64 {
+        let closest = self.closest_below(body, predicted, j, enough_m);
         closest.map_or_else(|least_m| least_m, |closest| closest.clearance_m)
     }
 
-    /// From an obstacle to where section j of a body is nearest, or was when that was looked for last.
+    /// Direction from an obstacle to the closest point of section j, at present or when it was computed last.
     pub(super) fn direction(
         &self,
         body: &Body,
-        there: &There<'_>,
+        predicted: &PredictedObstacle<'_>,
         j: usize,
     ) -> Option<Vector3<f64>> {
-        self.count(PLANE_LOOKS);
-        let direction = if there.watched.is_ball() {
-            body.direction(&body.closest_of(j, there.obstacle()))
+        self.spend(PLANE_COST);
+        let direction = if predicted.watched.is_sphere() {
+            body.direction(&body.closest_of(j, predicted.obstacle()))
         } else {
-            Vector3::from(self.directions[there.watched.index][j].get())
+            Vector3::from(self.directions[predicted.watched.index][j].get())
         };
         (direction != Vector3::zeros()).then_some(direction)
     }
 
-    /// Where section j of a body is nearest to an obstacle.
+    /// Closest point of section j to an obstacle.
     ///
     /// # Errors
-    /// A bound of its clearance \[m\] that is at least `enough_m`, where there is one.
+    /// A lower bound of the clearance \[m\] that is at least `enough_m`, if there is one.
     fn closest_below(
         &self,
         body: &Body,
-        there: &There<'_>,
+        predicted: &PredictedObstacle<'_>,
         j: usize,
         enough_m: f64,
     ) -> Result<Closest, f64> {
-        let obstacle = there.obstacle();
-        if there.watched.is_ball() {
-            self.count(1);
+        let obstacle = predicted.obstacle();
+        if predicted.watched.is_sphere() {
+            self.spend(1);
             return Ok(body.closest_of(j, obstacle));
         }
-        // The direction in which both were nearest last tells more than the chord does.
-        let known = &self.directions[there.watched.index][j];
+        // The last direction of shortest distance gives a tighter bound than the chord.
+        let known = &self.directions[predicted.watched.index][j];
         let direction = Vector3::from(known.get());
         let least_m = if direction == Vector3::zeros() {
             body.clearance_min_of(j, obstacle)
@@ -356,141 +373,134 @@ impl<'a> Near<'a> {
             body.clearance_min_along(j, obstacle, &direction)
         };
         if least_m >= enough_m {
-            self.count(1);
+            self.spend(1);
             return Err(least_m);
         }
-        self.count(CAPSULE_LOOKS);
+        self.spend(CAPSULE_COST);
         let closest = body.closest_of(j, obstacle);
         known.set(body.direction(&closest).into());
         Ok(closest)
     }
 
-    /// What section j must keep \[m\]: min(D, what is left to the robot that stands still). A NaN gives D, which
-    /// no NaN reaches.
-    pub(super) fn floor_m(&self, there: &There<'_>, j: usize) -> f64 {
-        let There {
+    /// Required clearance of section j \[m\]: min(D, clearance of the robot at rest). A NaN gives D, which no
+    /// NaN satisfies.
+    pub(super) fn floor_m(&self, predicted: &PredictedObstacle<'_>, j: usize) -> f64 {
+        let PredictedObstacle {
             watched, time_s, ..
-        } = *there;
+        } = *predicted;
         let start_m = watched.start_m[j];
         if watched.stands() || start_m == f64::INFINITY {
-            return start_m.min(watched.kept_m);
+            return start_m.min(watched.required_m);
         }
-        if start_m - watched.moves_m(time_s) - ROUNDING_M >= watched.kept_m {
-            return watched.kept_m;
+        if start_m - watched.moves_m(time_s) - ROUNDING_M >= watched.required_m {
+            return watched.required_m;
         }
-        // Every command is looked at there.
+        // Every command is checked at the end of the period, so that value is cached.
         let is_period = time_s == self.period_s;
         let known_m = &self.period_floor_m[watched.index][j];
         if is_period && known_m.get() != 0.0 {
             return known_m.get();
         }
         let floor_m = self
-            .clearance_below(&self.still.body, there, j, watched.kept_m)
-            .min(watched.kept_m);
+            .clearance_below(&self.standing.body, predicted, j, watched.required_m)
+            .min(watched.required_m);
         if is_period {
             known_m.set(floor_m);
         }
         floor_m
     }
 
-    /// The robot that stands still.
-    pub(super) fn still(&self) -> &Stance {
-        self.still
+    /// The robot at rest.
+    pub(super) fn standing(&self) -> &BodyPose {
+        self.standing
     }
 
-    /// What was too small when rates were checked last; `None` when nothing was, or they were not.
-    pub(super) fn lack(&self) -> Option<Lack> {
-        self.lack.get()
+    /// Violation found by the last check; `None` if there was none, or no check.
+    pub(super) fn violation(&self) -> Option<Violation> {
+        self.violation.get()
     }
 
-    /// What lacks between the ends of the way of a command that is made linear anew.
-    pub(super) fn between(&self) -> Option<Lack> {
+    /// Violation between the ends of the path of a command that is relinearised.
+    pub(super) fn between(&self) -> Option<Violation> {
         self.between.get()
     }
 
-    pub(super) fn note_between(&self, lack: Option<Lack>) {
-        self.between.set(lack);
+    pub(super) fn note_between(&self, violation: Option<Violation>) {
+        self.between.set(violation);
     }
 
-    pub(super) fn forget_lack(&self) {
-        self.lack.set(None);
+    pub(super) fn clear_violation(&self) {
+        self.violation.set(None);
     }
 
-    pub(super) fn set_lack(&self, index: usize, section: usize, way_s: f64) {
-        self.lack.set(Some(Lack {
+    pub(super) fn note_violation(&self, index: usize, section: usize, path_s: f64) {
+        self.violation.set(Some(Violation {
             index,
             section,
-            way_s,
+            path_s,
         }));
     }
 
-    /// Whether a row was taken for this section and this watched obstacle.
     pub(super) fn has_row(&self, index: usize, section: usize) -> bool {
         self.rows[index].get() & 1 << section != 0
     }
 
-    /// From now on there is one.
     pub(super) fn note_row(&self, index: usize, section: usize) {
         self.rows[index].set(self.rows[index].get() | 1 << section);
     }
 
-    /// How many there are.
     pub(super) fn row_count(&self) -> u32 {
         let rows = self.rows.iter();
         rows.map(|sections| sections.get().count_ones()).sum()
     }
 
-    /// Without rows, and with what a check found.
-    pub(super) fn begin_again(&self, lack: Option<Lack>) {
+    /// Removes all rows and restores the violation of an earlier check.
+    pub(super) fn restore(&self, violation: Option<Violation>) {
         self.rows.iter().for_each(|sections| sections.set(0));
-        self.lack.set(lack);
+        self.violation.set(violation);
     }
 
-    /// Takes these from what is left of [`LOOKS`].
-    pub(super) fn count(&self, looks: u32) {
-        self.looks.set(self.looks.get().saturating_sub(looks));
+    /// Spends a part of [`WORK_BUDGET`].
+    pub(super) fn spend(&self, cost: u32) {
+        self.budget.set(self.budget.get().saturating_sub(cost));
     }
 
-    /// Adds [`RENEWAL_LOOKS`] to it.
-    pub(super) fn allow_renewal(&self) {
-        self.looks.set(self.looks.get() + RENEWAL_LOOKS);
+    pub(super) fn allow_relinearisation(&self) {
+        self.budget.set(self.budget.get() + RELINEARISATION_BUDGET);
     }
 
-    /// Whether so few obstacles are near that a command is linearised anew.
+    /// Whether the number of near obstacles permits relinearisation.
     pub(super) fn are_few(&self) -> bool {
-        self.watched_count <= RENEWED_MAX
+        self.watched_count <= RELINEARISED_MAX
     }
 
-    /// Whether the time for one command is used up.
-    pub(super) fn is_out_of_looks(&self) -> bool {
-        self.looks.get() == 0
+    pub(super) fn is_budget_spent(&self) -> bool {
+        self.budget.get() == 0
     }
 
-    /// Whether as much is left as it takes to scale a command down.
-    pub(super) fn has_looks_to_correct(&self) -> bool {
-        self.looks.get() >= LOOKS / 8
+    /// Whether the remaining budget suffices to scale a command down after a correction.
+    pub(super) fn has_budget_to_correct(&self) -> bool {
+        self.budget.get() >= WORK_BUDGET / 8
     }
 
-    /// Whether nothing is near.
     pub(super) fn is_empty(&self) -> bool {
         self.watched_count == 0
     }
 }
 
-impl Place {
-    /// What the clearance of a section is at least, by how far it is from where it is now \[m\].
-    fn clearance_min_m(&self, watched: &Watched<'_>, j: usize) -> f64 {
+impl PathPoint {
+    /// Lower bound of the clearance of a section \[m\], by its distance from the present pose.
+    fn clearance_min_m(&self, watched: &WatchedObstacle<'_>, j: usize) -> f64 {
         let moved_m = self.displacement_m[j] + watched.moves_m(self.time_s) + ROUNDING_M;
         watched.start_m[j] - moved_m
     }
 }
 
-/// The sections of a bit set.
 pub(super) fn sections(bits: u8) -> impl Iterator<Item = usize> {
     (0..SECTIONS_MAX).filter(move |j| bits & (1 << j) != 0)
 }
 
-/// Where the rule holds exactly for these rates: after the period, and after the stopping way.
+/// Points at which the rule holds exactly: the end of the period and the end of the stopping path.
 pub(super) fn ends_s(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; 2] {
-    [guard.period_s, guard.stopping.way(fastest(rates)).way_s]
+    [guard.period_s, guard.stopping.path(fastest(rates)).path_s]
 }

@@ -1,45 +1,46 @@
-//! The rule of the guard for cables that go through their play.
+//! The rule of the guard for cables that move through their play.
 
 use crate::estimator::Slack;
 use crate::robot::{BendRates, Configuration, SECTIONS_MAX};
 
 use super::ClearanceGuard;
-use super::near::{Near, Stance};
-use super::way::check;
+use super::near::{BodyPose, NearObstacles};
+use super::path_check::check;
 
-/// What the sums of a play leave of a clearance that stays \[m\].
+/// Rounding of clearances that stay constant, in the sums of a play \[m\].
 const ROUNDING_M: f64 = 1e-12;
 
 impl<'a> ClearanceGuard<'a> {
-    /// Gives `judge` what tells whether the rule of [`Self::apply`] holds, from where the robot is, for cables with play: for `rates`, and for
-    /// others that are not faster. All that it asks shares the work for one command; when that is used up, nothing holds.
+    /// Calls `evaluate` with a predicate that tests the rule of [`Self::apply`] for cables with play, for
+    /// rates that are not faster than `rates`. All tests share the work budget of one command; when it is
+    /// spent, the predicate is false.
     pub(in crate::safety) fn through_play<T>(
         &self,
         slack: &'a Slack,
         rates: &BendRates,
-        judge: impl FnOnce(&dyn Fn(&BendRates) -> bool) -> T,
+        evaluate: impl FnOnce(&dyn Fn(&BendRates) -> bool) -> T,
     ) -> T {
         let slack = Some(slack);
         let guard = Self { slack, ..*self };
-        let stance = Stance::new(guard.robot, guard.at);
-        let near = Near::find(&guard, &stance, rates, false);
-        let holds = |near: &Near<'_>, rates: &BendRates| {
-            !near.is_out_of_looks() && check(near, &guard, rates).is_ok()
+        let pose = BodyPose::new(guard.robot, guard.at);
+        let near = NearObstacles::find(&guard, &pose, rates, false);
+        let holds = |near: &NearObstacles<'_>, rates: &BendRates| {
+            !near.is_budget_spent() && check(near, &guard, rates).is_ok()
         };
-        judge(&|rates| near.as_ref().is_some_and(|near| holds(near, rates)))
+        evaluate(&|rates| near.as_ref().is_some_and(|near| holds(near, rates)))
     }
 
-    /// Where the robot is after its motors moved for `way_s` at `rates`.
+    /// Configuration after the motors moved for `path_s` at `rates`.
     pub(in crate::safety) fn after(
         &self,
         at: &Configuration,
         rates: &BendRates,
-        way_s: f64,
+        path_s: f64,
     ) -> Configuration {
         let Some(slack) = self.slack else {
-            return at.advanced(rates, way_s);
+            return at.advanced(rates, path_s);
         };
-        let moved = self.moved(rates, way_s);
+        let moved = self.moved(rates, path_s);
         let before = slack.bends(self.robot);
         let after = slack.moved(self.robot, &moved).bends(self.robot);
         let mut cables = *at;
@@ -51,9 +52,10 @@ impl<'a> ClearanceGuard<'a> {
         cables
     }
 
-    /// How much each section bends at most when its motors would bend it by `motors`, in any unit: cables that stand in their play leave of
-    /// what a section and those before it pull together anything between nothing and all.
-    pub(super) fn bent_most(&self, motors: [f64; SECTIONS_MAX]) -> [f64; SECTIONS_MAX] {
+    /// Upper bound of each section's bending when its motors would bend it by `motors`, in any unit. Cables
+    /// inside their play transmit any part of the pull of a section and of the sections before it, from none
+    /// to all.
+    pub(super) fn bend_bound(&self, motors: [f64; SECTIONS_MAX]) -> [f64; SECTIONS_MAX] {
         let mut most = motors;
         if self.slack.is_some() {
             let mut before = 0.0;
@@ -66,20 +68,21 @@ impl<'a> ClearanceGuard<'a> {
         most
     }
 
-    /// Whether bends move on a line between these two places of the way: no cable comes out of its play there.
-    pub(super) fn is_even_between(&self, rates: &BendRates, from_s: f64, to_s: f64) -> bool {
+    /// Whether the bends move on a straight line between two points of the path: no cable leaves its play
+    /// there.
+    pub(super) fn is_linear_between(&self, rates: &BendRates, from_s: f64, to_s: f64) -> bool {
         self.slack.is_none_or(|slack| {
-            let [from, to] = [from_s, to_s].map(|way_s| self.moved(rates, way_s));
+            let [from, to] = [from_s, to_s].map(|path_s| self.moved(rates, path_s));
             slack.is_even_between(self.robot, &from, &to)
         })
     }
 
-    /// What a clearance may lack by rounding where the rule holds exactly \[m\].
+    /// Allowance for rounding where the rule holds exactly \[m\].
     pub(super) fn rounding_m(&self) -> f64 {
         self.slack.map_or(0.0, |_| ROUNDING_M)
     }
 
-    fn moved(&self, rates: &BendRates, way_s: f64) -> Configuration {
-        Configuration::straight(self.robot.section_count()).advanced(rates, way_s)
+    fn moved(&self, rates: &BendRates, path_s: f64) -> Configuration {
+        Configuration::straight(self.robot.section_count()).advanced(rates, path_s)
     }
 }

@@ -1,72 +1,73 @@
-//! The half-spaces of rates in which clearances that are too small become as large as they must be.
+//! Half-spaces of rates in which violated clearances become large enough.
 
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
 
-use super::near::{Near, Place, ROUNDING_M, ROW_LOOKS, SOLVED_LOOKS, ends_s, sections};
-use super::watched::Watched;
-use super::{Beginning, ClearanceGuard, fastest};
+use super::near::{NearObstacles, PathPoint, ROUNDING_M, ROW_COST, SOLVE_COST, ends_s, sections};
+use super::watched::WatchedObstacle;
+use super::{ClearanceGuard, Linearisation, fastest};
 
-/// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
-const MARGIN_M: f64 = 1e-9;
-/// Rows that are taken at once, at most.
+/// Extra clearance that a correction asks for \[m\], so that rounding does not undo it.
+const EXTRA_M: f64 = 1e-9;
+/// Largest number of rows added by one correction.
 const ROWS_MAX: usize = 56;
 
-/// A clearance that is too small, or may be.
+/// A clearance that is violated, or may become violated.
 #[derive(Clone, Copy)]
-struct Short<'a> {
-    /// What is left, at least \[m\].
-    spare_m: f64,
-    place: &'a Place,
-    watched: &'a Watched<'a>,
+struct TooNear<'a> {
+    /// Lower bound of its margin \[m\].
+    margin_m: f64,
+    point: &'a PathPoint,
+    watched: &'a WatchedObstacle<'a>,
     index: usize,
     section: usize,
-    /// Where both are nearest there.
+    /// Points of shortest distance there.
     nearest: Nearest,
 }
 
-/// What a half-space is to first order around.
+/// Point of linearisation of a half-space.
 #[derive(Clone, Copy)]
 enum Around<'a> {
-    /// The robot that stands still; wider by what these rates gain.
+    /// The robot at rest; the half-space is widened by the gain of these rates.
     Rest { wider_rad_s: f64 },
-    /// Rates, with what is asked for beyond the allowed clearance.
-    Rates { rates: &'a BendRates, margin_m: f64 },
+    /// At these rates, with extra clearance.
+    Rates { rates: &'a BendRates, extra_m: f64 },
 }
 
-/// Bounds `region` to where the clearances that are too small are as large as they must be, to first order: those at the place where the
-/// check of these rates found one. Whether there were some. Of very many the smallest are left out.
+/// Bounds `region` by the linearised clearances at the point where the check of these rates found a
+/// violation. Returns whether there were any. Of more than [`ROWS_MAX`], those with the smallest margins are
+/// used.
 pub(super) fn bound(
-    near: &Near<'_>,
+    near: &NearObstacles<'_>,
     guard: &ClearanceGuard<'_>,
     rates: &BendRates,
     region: &mut Region,
 ) -> bool {
-    let Some(lack) = near.lack() else {
+    let Some(violation) = near.violation() else {
         return false;
     };
-    let place = near.place(guard, rates, lack.way_s);
+    let point = near.point(guard, rates, violation.path_s);
     let mut least = Least {
         rows: [None; ROWS_MAX],
         count: 0,
     };
-    let is_end = ends_s(guard, rates).contains(&lack.way_s);
+    let is_end = ends_s(guard, rates).contains(&violation.path_s);
     for (index, watched) in near.watched().enumerate() {
-        let there = watched.after(place.time_s);
+        let predicted = watched.after(point.time_s);
         for section in sections(watched.sections()) {
-            let floor_m = watched.floor_most_m(section, place.time_s);
-            // Between the ends, the one that was found counts as too small, and no other.
+            let floor_m = watched.floor_bound_m(section, point.time_s);
+            // Between the ends, only the violation that was found counts.
             let enough_m = if is_end {
                 floor_m
-            } else if (index, section) == (lack.index, lack.section) {
+            } else if (index, section) == (violation.index, violation.section) {
                 f64::INFINITY
             } else {
                 continue;
             };
-            if let Some(nearest) = near.nearest_below(&place, &there, section, enough_m) {
-                least.insert(Short {
-                    spare_m: nearest.clearance_m - floor_m,
-                    place: &place,
+            if let Some(nearest) = near.nearest_below(&point, &predicted, section, enough_m) {
+                least.insert(TooNear {
+                    margin_m: nearest.clearance_m - floor_m,
+                    point: &point,
                     watched,
                     index,
                     section,
@@ -78,12 +79,12 @@ pub(super) fn bound(
     let shorts = || least.rows.iter().flatten();
     for short in shorts() {
         if near.has_row(short.index, short.section) {
-            let margin_m = MARGIN_M;
+            let extra_m = EXTRA_M;
             short.bound(
                 near,
                 guard,
                 &short.nearest,
-                Around::Rates { rates, margin_m },
+                Around::Rates { rates, extra_m },
                 region,
             );
         } else {
@@ -103,61 +104,67 @@ pub(super) fn bound(
     least.count > 0
 }
 
-/// Bounds `region` at both ends of the way for every clearance that can bound it: to first order around the robot that stands still, where half-spaces are wider by the
-/// slack of `beginning`; or around other rates, there for those alone that had a row or are too small, and where something lacked between the ends.
-pub(super) fn bound_again(
-    near: &Near<'_>,
+/// Bounds `region` at both ends of the path by every clearance that can become active. Linearised at rest,
+/// half-spaces are wider by the slack of `linearisation`. Linearised at other rates, only clearances that had
+/// a row or are violated count, and the violation found between the ends.
+pub(super) fn bound_relinearised(
+    near: &NearObstacles<'_>,
     guard: &ClearanceGuard<'_>,
     desired_rates: &BendRates,
     around: Option<&BendRates>,
-    beginning: &Beginning,
+    linearisation: &Linearisation,
     region: &mut Region,
 ) {
     let row_around = match around {
         None => Around::Rest {
-            wider_rad_s: beginning.slack * fastest(desired_rates),
+            wider_rad_s: linearisation.slack * fastest(desired_rates),
         },
         Some(rates) => Around::Rates {
             rates,
-            margin_m: beginning.margin_m,
+            extra_m: linearisation.extra_m,
         },
     };
     let rest = BendRates::zero(desired_rates.section_count());
     let farthest_m = guard.farthest_m(desired_rates);
-    let longest_s = guard.stopping.way(fastest(desired_rates)).way_s;
+    let longest_s = guard.stopping.path(fastest(desired_rates)).path_s;
     let [period_s, end_s] = ends_s(guard, around.unwrap_or(desired_rates));
     let between = near.between().filter(|_| around.is_some());
-    for way_s in [Some(period_s), Some(end_s), between.map(|lack| lack.way_s)] {
-        let Some(way_s) = way_s else { break };
-        let place = near.place(guard, around.unwrap_or(&rest), way_s);
-        let is_end = way_s == period_s || way_s == end_s;
-        // From rest to any rates; from rates to any others it is twice as far.
-        let changes = if around.is_some() { 2.0 } else { 1.0 } * way_s / longest_s;
+    for path_s in [
+        Some(period_s),
+        Some(end_s),
+        between.map(|violation| violation.path_s),
+    ] {
+        let Some(path_s) = path_s else { break };
+        let point = near.point(guard, around.unwrap_or(&rest), path_s);
+        let is_end = path_s == period_s || path_s == end_s;
+        // Bound of the change of rates: from rest to any rates, or twice that between two rates.
+        let changes = if around.is_some() { 2.0 } else { 1.0 } * path_s / longest_s;
         for (index, watched) in near.watched().enumerate() {
-            if near.is_out_of_looks() {
-                // What is missing then is caught by the check, which has none either.
+            if near.is_budget_spent() {
+                // The check that follows rejects the rates then: it has no budget either.
                 return;
             }
-            if around.is_none() && watched.stands() && way_s < end_s {
-                // The end tells more.
+            if around.is_none() && watched.stands() && path_s < end_s {
+                // The row at the end of the path is stricter.
                 continue;
             }
-            let there = watched.after(place.time_s);
+            let predicted = watched.after(point.time_s);
             for section in sections(watched.sections()) {
-                let lacks =
-                    between.is_some_and(|lack| (lack.index, lack.section) == (index, section));
-                let enough_m = if !is_end && !lacks {
+                let is_violated = between.is_some_and(|violation| {
+                    (violation.index, violation.section) == (index, section)
+                });
+                let enough_m = if !is_end && !is_violated {
                     continue;
-                } else if lacks || around.is_none() || near.has_row(index, section) {
-                    // No rates that are not faster lead from farther away to what is kept.
-                    watched.kept_m + changes * farthest_m[section] + ROUNDING_M
+                } else if is_violated || around.is_none() || near.has_row(index, section) {
+                    // The required clearance is out of reach of all rates that are not faster.
+                    watched.required_m + changes * farthest_m[section] + ROUNDING_M
                 } else {
-                    watched.floor_most_m(section, place.time_s)
+                    watched.floor_bound_m(section, point.time_s)
                 };
-                if let Some(nearest) = near.nearest_below(&place, &there, section, enough_m) {
-                    let short = Short {
-                        spare_m: 0.0,
-                        place: &place,
+                if let Some(nearest) = near.nearest_below(&point, &predicted, section, enough_m) {
+                    let short = TooNear {
+                        margin_m: 0.0,
+                        point: &point,
                         watched,
                         index,
                         section,
@@ -172,74 +179,76 @@ pub(super) fn bound_again(
     }
 }
 
-/// Those with the least spare.
+/// The clearances with the smallest margins.
 struct Least<'a> {
-    rows: [Option<Short<'a>>; ROWS_MAX],
+    rows: [Option<TooNear<'a>>; ROWS_MAX],
     count: usize,
 }
 
 impl<'a> Least<'a> {
-    fn insert(&mut self, short: Short<'a>) {
+    fn insert(&mut self, short: TooNear<'a>) {
         if self.count < ROWS_MAX {
             self.rows[self.count] = Some(short);
             self.count += 1;
             return;
         }
         let known = self.rows.iter_mut().flatten();
-        if let Some(most) = known.max_by(|one, other| one.spare_m.total_cmp(&other.spare_m))
-            && short.spare_m < most.spare_m
+        if let Some(most) = known.max_by(|one, other| one.margin_m.total_cmp(&other.margin_m))
+            && short.margin_m < most.margin_m
         {
             *most = short;
         }
     }
 }
 
-impl Short<'_> {
-    /// Where both are nearest when the robot stands still.
-    fn standing(&self, near: &Near<'_>) -> Nearest {
-        near.count(self.watched.looks());
-        let there = self.watched.after(self.place.time_s);
-        near.still().body.nearest_of(self.section, there.obstacle())
+impl TooNear<'_> {
+    /// Points of shortest distance for the robot at rest.
+    fn standing(&self, near: &NearObstacles<'_>) -> Nearest {
+        near.spend(self.watched.cost());
+        let predicted = self.watched.after(self.point.time_s);
+        near.standing()
+            .body
+            .nearest_of(self.section, predicted.obstacle())
     }
 
-    /// To first order around these rates, or around the robot that stands still: there each clearance is as large as it must be, so
-    /// that there is a region. Whether that bounds it.
+    /// Adds the half-space linearised at these rates, or at rest, where every clearance suffices and so the
+    /// region is not empty. Returns whether the half-space cuts the region.
     fn bound(
         &self,
-        near: &Near<'_>,
+        near: &NearObstacles<'_>,
         guard: &ClearanceGuard<'_>,
         nearest: &Nearest,
         around: Around<'_>,
         region: &mut Region,
     ) -> bool {
-        near.count(ROW_LOOKS);
-        let stance = match around {
-            Around::Rest { .. } => near.still(),
-            Around::Rates { .. } => &self.place.stance,
+        near.spend(ROW_COST);
+        let pose = match around {
+            Around::Rest { .. } => near.standing(),
+            Around::Rates { .. } => &self.point.pose,
         };
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
-        let motion = stance.motion(guard.robot);
+        let motion = pose.motion(guard.robot);
         motion.point_jacobian(self.section, nearest.s, &mut columns);
         let d = &nearest.direction;
-        let slope = columns.map(|[x, y, z]| self.place.way_s * (d.x * x + d.y * y + d.z * z));
+        let slope = columns.map(|[x, y, z]| self.point.path_s * (d.x * x + d.y * y + d.z * z));
         let least_m = match around {
-            Around::Rates { rates, margin_m } => {
+            Around::Rates { rates, extra_m } => {
                 let rates = rates.as_slice().iter();
                 let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
-                let there = self.watched.after(self.place.time_s);
-                let floor_m = near.floor_m(&there, self.section);
-                gained_m + margin_m + floor_m - nearest.clearance_m
+                let predicted = self.watched.after(self.point.time_s);
+                let floor_m = near.floor_m(&predicted, self.section);
+                gained_m + extra_m + floor_m - nearest.clearance_m
             }
             Around::Rest { wider_rad_s } => {
-                // The clearance is what is left to the robot that stands still, and at least the floor.
-                let left_m = (nearest.clearance_m - self.watched.kept_m).max(0.0);
+                // At rest the clearance is at least the required one.
+                let left_m = (nearest.clearance_m - self.watched.required_m).max(0.0);
                 let slope_m_s = slope.iter().map(|slope| slope * slope).sum::<f64>().sqrt();
                 -left_m - wider_rad_s * slope_m_s
             }
         };
         let is_bound = region.bound(&slope, least_m);
         if is_bound {
-            near.count(SOLVED_LOOKS);
+            near.spend(SOLVE_COST);
         }
         is_bound
     }

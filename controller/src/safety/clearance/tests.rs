@@ -23,13 +23,13 @@ const STOPPING: Stopping = Stopping {
     deceleration_rad_s2: 40.0,
 };
 
-fn way(rates: &BendRates) -> StoppingWay {
-    STOPPING.way(fastest(rates))
+fn path(rates: &BendRates) -> StoppingPath {
+    STOPPING.path(fastest(rates))
 }
 
 /// That of the fastest rates of the paper's robot.
 fn longest_way_s() -> f64 {
-    STOPPING.way(2.0).way_s
+    STOPPING.path(2.0).path_s
 }
 
 impl Moment {
@@ -56,16 +56,16 @@ impl Moment {
     }
 
     /// What is left of the clearances beyond what must be, at a place of the way \[m\]: and of what may be missing `between`.
-    fn spare_m(&self, rates: &BendRates, way_s: f64, between: bool, is_ramp: bool) -> f64 {
-        let next = self.at.advanced(rates, way_s);
-        let (body, still) = (self.robot.body(&next), self.robot.body(&self.at));
+    fn margin_m(&self, rates: &BendRates, path_s: f64, between: bool, is_ramp: bool) -> f64 {
+        let next = self.at.advanced(rates, path_s);
+        let (body, standing) = (self.robot.body(&next), self.robot.body(&self.at));
         // A section that is farther away has nothing to keep.
         let reach_m = [self.safe_distance_m; SECTIONS_MAX];
         let mut least_m = f64::INFINITY;
         for obstacle in &self.obstacles {
-            let moved = obstacle.moved(way(rates).time_s(way_s));
+            let moved = obstacle.moved(path(rates).time_s(path_s));
             let [now, standing] =
-                [&body, &still].map(|body| body.clearances_in_reach(&moved, &reach_m));
+                [&body, &standing].map(|body| body.clearances_in_reach(&moved, &reach_m));
             let may_lack_m = if between {
                 1e-3 + PERIOD_S * obstacle.velocity_m_s().norm()
             } else {
@@ -83,14 +83,14 @@ impl Moment {
 
     /// The rule of [`ClearanceGuard::apply`], or of [`ClearanceGuard::scale_down`], looked at in many places.
     fn keeps(&self, rates: &BendRates, is_ramp: bool) -> bool {
-        let is_exact = |way_s| self.spare_m(rates, way_s, false, is_ramp) >= 0.0;
-        let end_s = way(rates).way_s;
-        let places = (0..=100).map(|part| end_s * f64::from(part) / 100.0);
+        let is_exact = |path_s| self.margin_m(rates, path_s, false, is_ramp) >= 0.0;
+        let end_s = path(rates).path_s;
+        let origins = (0..=100).map(|part| end_s * f64::from(part) / 100.0);
         is_exact(PERIOD_S)
             && is_exact(end_s)
-            && places
+            && origins
                 .into_iter()
-                .all(|way_s| self.spare_m(rates, way_s, true, is_ramp) >= 0.0)
+                .all(|path_s| self.margin_m(rates, path_s, true, is_ramp) >= 0.0)
     }
 }
 
@@ -98,7 +98,7 @@ fn trunk(sections: usize) -> Robot {
     Robot::new(&RobotParameters::paper(sections)).unwrap()
 }
 
-fn ball(centre_m: Vector3<f64>, radius_m: f64) -> Obstacle {
+fn sphere(centre_m: Vector3<f64>, radius_m: f64) -> Obstacle {
     Obstacle::new(Shape::Sphere { centre_m }, radius_m, Vector3::zeros()).unwrap()
 }
 
@@ -156,8 +156,8 @@ fn moments() -> impl Strategy<Value = Moment> {
                 let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
                 let desired_rates = BendRates::from_slice(&rates[..2 * sections]).unwrap();
                 let desired_rates = limit(&robot, &at, &desired_rates, longest_way_s()).rates;
-                let place = |numbers| placed(&robot, &at, numbers);
-                let obstacles = obstacles.into_iter().map(place).collect();
+                let point = |numbers| placed(&robot, &at, numbers);
+                let obstacles = obstacles.into_iter().map(point).collect();
                 Moment {
                     robot,
                     at,
@@ -188,13 +188,13 @@ proptest! {
         deceleration_rad_s2 in 5.0..500.0_f64,
         mut shares in prop::array::uniform3(0.0..=1.0_f64),
     ) {
-        let way = Stopping { moving_s, deceleration_rad_s2 }.way(fastest_rad_s);
+        let way = Stopping { moving_s, deceleration_rad_s2 }.path(fastest_rad_s);
         shares.sort_by(f64::total_cmp);
-        let [from, between, to] = shares.map(|share| (share * way.way_s, way.time_s(share * way.way_s)));
+        let [from, between, to] = shares.map(|share| (share * way.path_s, way.time_s(share * way.path_s)));
         let span_s = to.1 - from.1;
         let even_s = from.1 + span_s * (between.0 - from.0) / (to.0 - from.0).max(1e-12);
         prop_assert!((between.1 - even_s).abs() <= 0.25 * span_s + 1e-9, "{shares:?}");
-        prop_assert!((way.way_after_s(between.1) - between.0).abs() <= 1e-12);
+        prop_assert!((way.path_after_s(between.1) - between.0).abs() <= 1e-12);
     }
 }
 
@@ -229,7 +229,7 @@ proptest! {
 
     #[test]
     fn far_from_everything_nothing_changes(mut moment in moments(), away in 1.2..1000.0_f64) {
-        moment.obstacles = vec![ball(Vector3::new(away, 0.0, 0.0), 0.05); 3];
+        moment.obstacles = vec![sphere(Vector3::new(away, 0.0, 0.0), 0.05); 3];
         let guarded = moment.guard();
         prop_assert_eq!((guarded.rates, guarded.hit), (moment.desired_rates, false));
     }
@@ -263,7 +263,7 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
     let (at, commanded) = ([0.0, 0.0], [0.3, 0.0]);
     let [at, commanded] = [at, commanded].map(|bends| Configuration::from_slice(&bends).unwrap());
     let centre_m = robot.tip_position(&commanded) + Vector3::new(0.0451, 0.0, 0.0);
-    let obstacles = [ball(centre_m, 0.02)];
+    let obstacles = [sphere(centre_m, 0.02)];
     let desired_rates = BendRates::from_slice(&[1.0, 0.0]).unwrap();
     let guard = |commanded| ClearanceGuard {
         robot: &robot,
@@ -278,27 +278,27 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
     let limits = Limits::new(&robot, &at, longest_way_s());
     assert!(!guard(None).apply(&limits, &desired_rates).hit);
     let kept = guard(Some(&commanded)).apply(&limits, &desired_rates);
-    let sent = commanded.advanced(&kept.rates, way(&kept.rates).way_s);
+    let sent = commanded.advanced(&kept.rates, path(&kept.rates).path_s);
     assert!(kept.hit && robot.clearance_m(&sent, &obstacles[0]) >= 0.01);
 }
 
 /// A robot that wants to bend towards a ball for a second.
-fn push(sections: usize, ball: &Obstacle, rates: &[f64]) -> (Vec<f64>, Configuration) {
+fn push(sections: usize, sphere: &Obstacle, rates: &[f64]) -> (Vec<f64>, Configuration) {
     let robot = trunk(sections);
     let mut at = Configuration::straight(sections);
     let mut clearances_m = Vec::new();
     for _ in 0..200 {
         let desired_rates = BendRates::from_slice(rates).unwrap();
-        let guarded = guard(&robot, &at, &desired_rates, &[ball.moved(0.0)]);
+        let guarded = guard(&robot, &at, &desired_rates, &[sphere.moved(0.0)]);
         at = at.advanced(&guarded.rates, PERIOD_S);
-        clearances_m.push(robot.clearance_m(&at, ball));
+        clearances_m.push(robot.clearance_m(&at, sphere));
     }
     (clearances_m, at)
 }
 
 #[test]
 fn head_on_the_body_comes_to_the_safe_distance_and_stays() {
-    let (clearances_m, _) = push(1, &ball(Vector3::new(0.12, 0.0, 0.28), 0.02), &[1.0, 0.0]);
+    let (clearances_m, _) = push(1, &sphere(Vector3::new(0.12, 0.0, 0.28), 0.02), &[1.0, 0.0]);
     let least_m = clearances_m.iter().copied().fold(f64::INFINITY, f64::min);
     assert!(least_m >= 0.01, "{least_m}");
     let last_m = clearances_m[clearances_m.len() - 1];
@@ -307,7 +307,7 @@ fn head_on_the_body_comes_to_the_safe_distance_and_stays() {
 
 #[test]
 fn at_an_angle_the_body_slides_along() {
-    let obstacle = ball(Vector3::new(0.12, 0.02, 0.28), 0.02);
+    let obstacle = sphere(Vector3::new(0.12, 0.02, 0.28), 0.02);
     let (clearances_m, at) = push(1, &obstacle, &[1.0, -0.3]);
     assert!(clearances_m.iter().all(|clearance_m| *clearance_m >= 0.01));
     assert!(at.as_slice()[1] < -0.25, "it goes on sideways: {at:?}");
@@ -322,7 +322,7 @@ fn along_a_wall_of_many_balls_the_body_slides_as_fast() {
         .map(|i| {
             let (across, along) = (f64::from(i % 5) - 2.0, f64::from(i / 5));
             // Next to nothing is left before the safe distance.
-            ball(
+            sphere(
                 Vector3::new(0.0271, 5e-3 * across, 0.14 + 0.02 * along),
                 2e-3,
             )
@@ -340,7 +340,7 @@ fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
     let robot = trunk(2);
     let mut at = Configuration::from_slice(&[0.5, 0.0, 0.2, 0.0]).unwrap();
     let tip_m = robot.tip_position(&at);
-    let obstacle = ball(tip_m + Vector3::new(0.038, 0.0, 0.0), 0.02);
+    let obstacle = sphere(tip_m + Vector3::new(0.038, 0.0, 0.0), 0.02);
     let mut before_m = robot.clearance_m(&at, &obstacle);
     assert!(before_m < 0.01 && before_m > 0.0);
     for _ in 0..200 {
@@ -362,9 +362,9 @@ fn a_robot_at_rest_stays_at_rest_whatever_comes() {
         centre_m: Vector3::new(0.05, 0.0, 0.5),
     };
     let obstacle = Obstacle::new(shape, 0.02, towards).unwrap();
-    let still = BendRates::zero(2);
-    let guarded = guard(&robot, &at, &still, &[obstacle]);
-    assert_eq!((guarded.rates, guarded.hit), (still, false));
+    let standing = BendRates::zero(2);
+    let guarded = guard(&robot, &at, &standing, &[obstacle]);
+    assert_eq!((guarded.rates, guarded.hit), (standing, false));
     assert!((guarded.clearance_m - 0.015).abs() < 1e-15);
 }
 
@@ -372,7 +372,7 @@ fn a_robot_at_rest_stays_at_rest_whatever_comes() {
 fn a_state_that_is_not_finite_and_too_many_obstacles_stand_still() {
     let robot = trunk(1);
     let desired_rates = BendRates::from_slice(&[0.1, 0.0]).unwrap();
-    let near = ball(Vector3::new(0.03, 0.0, 0.3), 0.01);
+    let near = sphere(Vector3::new(0.03, 0.0, 0.3), 0.01);
     let lost = Configuration::from_slice(&[f64::NAN, 0.0]).unwrap();
     let guarded = guard(&robot, &lost, &desired_rates, &[near]);
     assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
@@ -389,7 +389,7 @@ fn a_state_that_is_not_finite_and_too_many_obstacles_stand_still() {
 fn a_shortened_command_keeps_clear_in_its_own_time() {
     let mut parameters = RobotParameters::paper(1);
     parameters.sections[0].rate_max_rad_s = 8.0;
-    let stands = ball(Vector3::new(0.14, 0.0, 0.28), 0.02);
+    let stands = sphere(Vector3::new(0.14, 0.0, 0.28), 0.02);
     let mut moment = Moment {
         robot: Robot::new(&parameters).unwrap(),
         at: Configuration::straight(1),
@@ -399,20 +399,20 @@ fn a_shortened_command_keeps_clear_in_its_own_time() {
     };
     let shortened = moment.guard().rates;
     assert!(fastest(&shortened) < 7.0 && moment.keeps(&shortened, false));
-    let end_s = way(&shortened).way_s;
+    let end_s = path(&shortened).path_s;
     let end = moment.at.advanced(&shortened, end_s);
     // 20 mm behind the tip when that rests, where it comes from the side at 1 m/s.
-    let rests_s = way(&shortened).time_s(end_s);
+    let rests_s = path(&shortened).time_s(end_s);
     let centre_m = moment.robot.tip_position(&end) - Vector3::new(0.02, rests_s, 0.0);
     let crosses = Obstacle::new(Shape::Sphere { centre_m }, 0.001, Vector3::y()).unwrap();
     moment.obstacles.push(crosses);
     // In the time of the desired rates it would keep clear of the ball, too; in its own it does not.
-    let clearance_m = |way: StoppingWay| {
-        let there = crosses.moved(way.time_s(end_s));
-        moment.robot.clearance_m(&end, &there)
+    let clearance_m = |way: StoppingPath| {
+        let predicted = crosses.moved(way.time_s(end_s));
+        moment.robot.clearance_m(&end, &predicted)
     };
-    assert!(clearance_m(way(&moment.desired_rates)) > 0.01);
-    assert!(clearance_m(way(&shortened)) < 0.005 && !moment.keeps(&shortened, false));
+    assert!(clearance_m(path(&moment.desired_rates)) > 0.01);
+    assert!(clearance_m(path(&shortened)) < 0.005 && !moment.keeps(&shortened, false));
     let kept = moment.guard().rates;
     assert!(moment.keeps(&kept, false) && fastest(&kept) > 1.0);
 }

@@ -1,35 +1,35 @@
-//! An obstacle that the body can get too near to.
+//! A near obstacle: one that the body can reach with a command and the ramp after it.
 
 use core::cell::OnceCell;
 
 use crate::robot::{Obstacle, SECTIONS_MAX, Shape};
 
-/// How many looks an exact clearance from a capsule takes the time of.
-pub(super) const CAPSULE_LOOKS: u32 = 7;
+/// Cost of one exact clearance from a capsule, in units of the work budget.
+pub(super) const CAPSULE_COST: u32 = 7;
 
 #[derive(Clone, Copy)]
-pub(super) struct Watched<'a> {
+pub(super) struct WatchedObstacle<'a> {
     pub(super) obstacle: &'a Obstacle,
-    /// Its place among the watched.
+    /// Index among the near obstacles.
     pub(super) index: usize,
     pub(super) speed_m_s: f64,
-    /// The clearance of each section now \[m\], at least, and exactly where it is less than `kept_m`: infinite for one that is
-    /// not watched.
+    /// Present clearance of each section \[m\]: a lower bound, exact where it is less than `required_m`,
+    /// infinite for a section that cannot reach the obstacle.
     pub(super) start_m: [f64; SECTIONS_MAX],
-    /// D, or what counts instead \[m\].
-    pub(super) kept_m: f64,
-    /// What is not looked for between two places of the way \[m\].
+    /// Required clearance: D, or less for a ramp \[m\].
+    pub(super) required_m: f64,
+    /// Largest undershoot that is tolerated between two points of the path \[m\].
     pub(super) dip_m: f64,
 }
 
-/// A watched obstacle after a time, moved on when it is asked for.
-pub(super) struct There<'a> {
-    pub(super) watched: &'a Watched<'a>,
+/// A near obstacle at a later time; its position is computed on demand.
+pub(super) struct PredictedObstacle<'a> {
+    pub(super) watched: &'a WatchedObstacle<'a>,
     pub(super) time_s: f64,
     moved: OnceCell<Obstacle>,
 }
 
-impl There<'_> {
+impl PredictedObstacle<'_> {
     pub(super) fn obstacle(&self) -> &Obstacle {
         if self.watched.stands() {
             return self.watched.obstacle;
@@ -39,10 +39,10 @@ impl There<'_> {
     }
 }
 
-impl Watched<'_> {
-    /// Where it is after a time.
-    pub(super) fn after(&self, time_s: f64) -> There<'_> {
-        There {
+impl WatchedObstacle<'_> {
+    /// The obstacle after `time_s`.
+    pub(super) fn after(&self, time_s: f64) -> PredictedObstacle<'_> {
+        PredictedObstacle {
             watched: self,
             time_s,
             moved: OnceCell::new(),
@@ -53,38 +53,38 @@ impl Watched<'_> {
         self.speed_m_s == 0.0
     }
 
-    /// The least of its clearances now \[m\]; NaN where one is.
+    /// Smallest present clearance \[m\]; NaN if one is.
     pub(super) fn nearest_m(&self) -> f64 {
         least_m(self.start_m.into_iter())
     }
 
-    pub(super) fn is_ball(&self) -> bool {
+    pub(super) fn is_sphere(&self) -> bool {
         matches!(self.obstacle.shape(), Shape::Sphere { .. })
     }
 
-    /// What an exact clearance from it counts.
-    pub(super) fn looks(&self) -> u32 {
-        if self.is_ball() { 1 } else { CAPSULE_LOOKS }
+    /// Cost of one exact clearance.
+    pub(super) fn cost(&self) -> u32 {
+        if self.is_sphere() { 1 } else { CAPSULE_COST }
     }
 
-    /// Those that can come too near.
+    /// The sections that can reach it.
     pub(super) fn sections(&self) -> u8 {
         let bit = |j: usize| u8::from(self.start_m[j] != f64::INFINITY) << j;
         (0..SECTIONS_MAX).map(bit).sum()
     }
 
-    /// How far it moves at most \[m\].
+    /// Distance that it moves in a time \[m\].
     pub(super) fn moves_m(&self, time_s: f64) -> f64 {
         self.speed_m_s * time_s
     }
 
-    /// What that is at most, for less than it costs to find it.
-    pub(super) fn floor_most_m(&self, j: usize, time_s: f64) -> f64 {
-        (self.start_m[j] + self.moves_m(time_s)).min(self.kept_m)
+    /// Upper bound of the required clearance \[m\], cheaper than the exact one.
+    pub(super) fn floor_bound_m(&self, j: usize, time_s: f64) -> f64 {
+        (self.start_m[j] + self.moves_m(time_s)).min(self.required_m)
     }
 }
 
-/// The least of some clearances; NaN where one is.
+/// The smallest clearance; NaN if one is.
 pub(super) fn least_m(clearances_m: impl Iterator<Item = f64>) -> f64 {
     clearances_m.fold(f64::INFINITY, |least_m, clearance_m| {
         if least_m.is_nan() || clearance_m >= least_m {

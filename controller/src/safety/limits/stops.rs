@@ -1,31 +1,35 @@
-//! The nearest rates of a robot that comes to rest after them: slower ones stop sooner, and have more room.
+//! The nearest rates of a robot that comes to rest after them: slower rates stop sooner, and so have more
+//! room.
 //!
-//! With no component faster than f, and s = s(f) to rest, the rates inside the limits are convex, and the nearest of them has a distance. Half
-//! its square is a convex function of f and 1/s, so the multipliers of what holds those rates give a plane below it. But 1/s(f) is convex, too: over f the
-//! distance can have several minima. So the f that is tried next is the one at which the highest plane is lowest, until no plane leaves room for less (docs/model.md §7).
+//! For a largest component f and the path s = s(f) to rest, the permitted rates are a convex set with one
+//! nearest point. Half its squared distance is a convex function of f and 1/s, so the multipliers of the
+//! solution give a tangent plane below it. But 1/s(f) is convex, too: as a function of f, the distance can
+//! have several minima. The search therefore tries the f at which the highest plane is lowest, until no plane
+//! permits a smaller distance (docs/model.md §7).
 
 use super::Limits;
 use crate::robot::BendRates;
 use crate::safety::clearance::{Stopping, fastest};
 use crate::safety::projection::Region;
 
-/// Fastest components that are tried.
+/// Largest number of tried values of f.
 const TRIED_MAX: usize = 16;
-/// What the square of the distance may be too large by, as a share,
+/// Permitted relative excess of the squared distance,
 const WITHIN: f64 = 1e-6;
-/// of this square at least \[rad²/s²\].
+/// relative to this value at least \[rad²/s²\].
 const SQUARE_MIN: f64 = 1e-9;
 
-/// A plane below half the squared distance: `offset - most f - per_way / s(f)`, which touches it at f = `fastest_rad_s`.
+/// A lower bound of half the squared distance: `offset - most f - per_inverse_path / s(f)`, exact at f =
+/// `fastest_rad_s`.
 #[derive(Clone, Copy)]
 struct Plane {
     fastest_rad_s: f64,
     offset: f64,
     most: f64,
-    per_way: f64,
+    per_inverse_path: f64,
 }
 
-/// Those that are known, by their fastest component.
+/// The known planes, ordered by f.
 struct Planes {
     stopping: Stopping,
     known: [Plane; TRIED_MAX + 1],
@@ -33,13 +37,13 @@ struct Planes {
 }
 
 impl Limits<'_> {
-    /// The rates of [`Self::nearest`]; `None` where none were found. All that are looked at are inside the limits.
+    /// The rates of [`Self::nearest`]; `None` if none were found. All candidates are permitted.
     pub(super) fn nearest_that_stops(&self, desired: &BendRates) -> Option<BendRates> {
         let sides =
             (0..desired.as_slice().len()).map(|i| self.upper_rad_s(i).max(-self.lower_rad_s(i)));
-        // Not faster than asked for: until the robot rests was counted with that.
+        // Not faster than desired: the path to rest was computed for those rates.
         let most_rad_s = sides.fold(0.0_f64, f64::max).min(fastest(desired));
-        let mut limits = self.of_way(most_rad_s);
+        let mut limits = self.for_fastest(most_rad_s);
         let mut region = Region::EMPTY;
         limits.fill(&mut region, most_rad_s);
         let mut rates = limits.nearest_in(&mut region, desired)?;
@@ -59,8 +63,8 @@ impl Limits<'_> {
                 break;
             };
             fastest_rad_s = next_rad_s;
-            limits = self.of_way(fastest_rad_s);
-            region.move_to(fastest_rad_s, limits.way_s);
+            limits = self.for_fastest(fastest_rad_s);
+            region.move_to(fastest_rad_s, limits.path_s);
             let Some(nearest) = limits.nearest_in(&mut region, desired) else {
                 break;
             };
@@ -72,39 +76,41 @@ impl Limits<'_> {
         Some(rates)
     }
 
-    /// The limits of rates of which no component is faster.
-    pub(super) fn of_way(&self, fastest_rad_s: f64) -> Self {
-        let way_s = match self.stopping {
-            Some(stopping) => stopping.way(fastest_rad_s).way_s,
-            None => self.way_s,
+    /// The limits of rates whose components do not exceed `fastest_rad_s`.
+    pub(super) fn for_fastest(&self, fastest_rad_s: f64) -> Self {
+        let path_s = match self.stopping {
+            Some(stopping) => stopping.path(fastest_rad_s).path_s,
+            None => self.path_s,
         };
-        Self { way_s, ..*self }
+        Self { path_s, ..*self }
     }
 }
 
 impl Plane {
-    /// The one that touches at what was found last; `None` where nothing was.
+    /// The plane of the last solution; `None` without a solution.
     fn of(region: &Region, stopping: Stopping, fastest_rad_s: f64) -> Option<Self> {
-        let pulls = region.pulls()?;
-        let per_way_1_s = 1.0 / stopping.way(fastest_rad_s).way_s;
+        let sensitivity = region.sensitivity()?;
+        let inverse_path_1_s = 1.0 / stopping.path(fastest_rad_s).path_s;
         Some(Self {
             fastest_rad_s,
-            offset: pulls.half_square + pulls.most * fastest_rad_s + pulls.per_way * per_way_1_s,
-            most: pulls.most,
-            per_way: pulls.per_way,
+            offset: sensitivity.half_square
+                + sensitivity.most * fastest_rad_s
+                + sensitivity.per_inverse_path * inverse_path_1_s,
+            most: sensitivity.most,
+            per_inverse_path: sensitivity.per_inverse_path,
         })
     }
 }
 
 impl Planes {
-    /// The one of rest, where only the fastest component bounds.
+    /// The plane of rest, where only the largest component is a bound.
     fn at_rest(stopping: Stopping, desired: &BendRates) -> Self {
         let components = desired.as_slice().iter();
         let rest = Plane {
             fastest_rad_s: 0.0,
             offset: 0.5 * components.clone().map(|rate| rate * rate).sum::<f64>(),
             most: components.map(|rate| rate.abs()).sum(),
-            per_way: 0.0,
+            per_inverse_path: 0.0,
         };
         Self {
             stopping,
@@ -121,8 +127,8 @@ impl Planes {
         self.count += 1;
     }
 
-    /// The fastest component at which the highest of the planes is lowest, if it is below `enough` there. Between two neighbours that is where they cross: planes are concave
-    /// over f.
+    /// The f at which the highest plane is lowest, if its value there is below `enough`. Planes are concave
+    /// in f, so between two neighbours that is their intersection.
     fn lowest_below(&self, enough: f64) -> Option<f64> {
         let known = &self.known[..self.count];
         let neighbours = known.iter().zip(&known[1..]);
@@ -131,13 +137,13 @@ impl Planes {
         (value < enough).then_some(fastest_rad_s)
     }
 
-    /// Where two planes cross between the places at which they touch, and their value there.
+    /// The f at which two planes intersect between their points of contact, and their value there.
     fn crossing(&self, low: &Plane, high: &Plane) -> (f64, f64) {
-        let (moving_s, slope_s2) = (self.stopping.moving_s, self.stopping.way_slope_s2());
+        let (moving_s, slope_s2) = (self.stopping.moving_s, self.stopping.path_slope_s2());
         let offset = low.offset - high.offset;
         let most = low.most - high.most;
-        // (offset - most f) (moving + slope f) = per_way
-        let constant = offset * moving_s - (low.per_way - high.per_way);
+        // (offset - most f) (moving + slope f) = per_inverse_path
+        let constant = offset * moving_s - (low.per_inverse_path - high.per_inverse_path);
         let linear = offset * slope_s2 - most * moving_s;
         let square = -most * slope_s2;
         let root = (linear * linear - 4.0 * square * constant).sqrt();
@@ -147,9 +153,10 @@ impl Planes {
             .into_iter()
             .find(|fastest_rad_s| range.contains(fastest_rad_s))
             .unwrap_or(0.5 * (range.start + range.end));
-        let per_way_1_s = 1.0 / (moving_s + slope_s2 * crossing_rad_s);
-        let [low, high] = [low, high]
-            .map(|plane| plane.offset - plane.most * crossing_rad_s - plane.per_way * per_way_1_s);
+        let inverse_path_1_s = 1.0 / (moving_s + slope_s2 * crossing_rad_s);
+        let [low, high] = [low, high].map(|plane| {
+            plane.offset - plane.most * crossing_rad_s - plane.per_inverse_path * inverse_path_1_s
+        });
         (low.max(high), crossing_rad_s)
     }
 }

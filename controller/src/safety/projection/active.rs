@@ -1,16 +1,16 @@
-//! What holds the nearest point, and the linear equations of it.
+//! The active set of the projection, and its linear equations.
 
 use crate::robot::COORDINATES_MAX;
 
 use super::{Row, Vector, add, dot};
 
-/// The half-spaces that hold the point, and how strongly.
+/// The active half-spaces and their multipliers.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Active {
     pub(super) rows: [Row; COORDINATES_MAX],
     pub(super) multipliers: Vector,
     pub(super) count: usize,
-    /// Cholesky's factor of Nᵀ N, with the normals as N: row by row, as they are taken in.
+    /// Cholesky factor of Nᵀ N for the normals N, by row, in the order of addition.
     factor: [Vector; COORDINATES_MAX],
 }
 
@@ -22,23 +22,23 @@ impl Active {
         factor: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
     };
 
-    /// The solution of Nᵀ N x = `right`. `None` where those held depend on each other.
+    /// The solution of Nᵀ N x = `right`. `None` if the normals are linearly dependent.
     pub(super) fn solved(&self, right: impl Fn(usize) -> f64) -> Option<Vector> {
         let is_dependent = (0..self.count).any(|i| self.factor[i][i] == 0.0);
         (!is_dependent).then(|| self.solved_back(&self.solved_forward(right)))
     }
 
-    /// The first half of that: L y = `right`.
+    /// Forward substitution: L y = `right`.
     pub(super) fn solved_forward(&self, right: impl Fn(usize) -> f64) -> Vector {
         let mut solved = [0.0; COORDINATES_MAX];
         for (i, row) in self.factor[..self.count].iter().enumerate() {
-            // What follows is zero in one of both.
+            // Components from i on are zero in `row` or in `solved`.
             solved[i] = (right(i) - dot(row, &solved)) / row[i];
         }
         solved
     }
 
-    /// The second half: Lᵀ x = y.
+    /// Back substitution: Lᵀ x = y.
     pub(super) fn solved_back(&self, forward: &Vector) -> Vector {
         let mut solved = *forward;
         for (i, row) in self.factor[..self.count].iter().enumerate().rev() {
@@ -49,7 +49,7 @@ impl Active {
         solved
     }
 
-    /// What of `normal` the held ones do not span.
+    /// Component of `normal` orthogonal to the active normals.
     pub(super) fn rest(&self, normal: &Vector, shares: &Vector) -> Vector {
         let mut rest = *normal;
         for (row, share) in self.rows[..self.count].iter().zip(shares) {
@@ -58,8 +58,8 @@ impl Active {
         rest
     }
 
-    /// The step after which the first of those held lets go, and which that is.
-    pub(super) fn lets_go(&self, shares: &Vector) -> (f64, usize) {
+    /// The step at which the first multiplier becomes zero, and its index.
+    pub(super) fn first_released(&self, shares: &Vector) -> (f64, usize) {
         let (mut until, mut first) = (f64::INFINITY, 0);
         for i in 0..self.count {
             let step = self.multipliers[i].max(0.0) / shares[i];
@@ -70,7 +70,7 @@ impl Active {
         (until, first)
     }
 
-    /// Takes in a row, with what [`Self::solved_forward`] makes of its products with those held.
+    /// Adds a row; `forward` is [`Self::solved_forward`] of its products with the active rows.
     pub(super) fn push(&mut self, row: Row, multiplier: f64, mut forward: Vector) {
         let rest = dot(&row.normal, &row.normal) - dot(&forward, &forward);
         forward[self.count] = rest.max(0.0).sqrt();
@@ -85,7 +85,7 @@ impl Active {
         self.rows.copy_within(i + 1..=self.count, i);
         self.multipliers.copy_within(i + 1..=self.count, i);
         self.multipliers[self.count] = 0.0;
-        // Rows that come after have one number beyond the diagonal now, which rotations of two columns each make zero.
+        // Later rows now have one entry beyond the diagonal; Givens rotations of column pairs eliminate it.
         self.factor.copy_within(i + 1..=self.count, i);
         for k in i..self.count {
             let [here, beyond] = [self.factor[k][k], self.factor[k][k + 1]];

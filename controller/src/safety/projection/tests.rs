@@ -82,18 +82,18 @@ proptest! {
             prop_assert!((one - other).abs() < 1e-9);
         }
         let nearest = nearest.unwrap();
-        let mut lack = |at: &Vector| {
+        let mut violation = |at: &Vector| {
             region.found.at = *at;
             region.look_at_all();
             region.most_violated().map_or(0.0, |row| row.bound - dot(&row.normal, at))
         };
-        prop_assert!(lack(&nearest) < 1e-12);
+        prop_assert!(violation(&nearest) < 1e-12);
         let mut away = to;
         add(&mut away, &nearest, -1.0);
         for other in &others {
             // As far from `inside` towards it as the region goes.
             let mut other = padded(other);
-            while lack(&other) > 0.0 {
+            while violation(&other) > 0.0 {
                 let mut half = inside;
                 add(&mut half, &inside, -0.5);
                 add(&mut half, &other, 0.5);

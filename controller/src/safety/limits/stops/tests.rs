@@ -1,4 +1,4 @@
-//! The search for the fastest component beside a scan of it.
+//! The search for the largest component compared with a scan.
 
 use core::f64::consts::PI;
 
@@ -90,8 +90,8 @@ impl Moment {
     }
 
     fn limits(&self) -> Limits<'_> {
-        let way = self.stopping.way(fastest(&self.desired));
-        Limits::new(&self.robot, &self.at, way.way_s)
+        let path = self.stopping.path(fastest(&self.desired));
+        Limits::new(&self.robot, &self.at, path.path_s)
             .with_commanded(self.commanded.as_ref())
             .with_stopping(self.stopping)
             .with_acceleration(&self.previous, self.change_rad_s)
@@ -105,7 +105,7 @@ impl Moment {
 
     /// The distance of the nearest rates of which no component is faster.
     fn distance(&self, fastest_rad_s: f64) -> f64 {
-        let limits = self.limits().of_way(fastest_rad_s);
+        let limits = self.limits().for_fastest(fastest_rad_s);
         let mut region = Region::EMPTY;
         limits.fill(&mut region, fastest_rad_s);
         let nearest = limits.nearest_in(&mut region, &self.desired);
