@@ -461,5 +461,14 @@ fn what_is_no_recording_is_refused_with_the_reason() {
     ] {
         place.says(&format!("cdcrctl info {file}"), 1, &[file, reason]);
     }
-    place.says("cdcrctl record -o run.mcap", 1, &["run.mcap", "exists"]);
+    let exists = |file| format!("{file} exists: remove it or name another");
+    place.says("cdcrctl record -o run.mcap", 1, &[&exists("run.mcap")]);
+    let table = place.folder().join("tables/telemetry.csv");
+    fs::create_dir(table.parent().unwrap()).unwrap();
+    fs::write(&table, "mine").unwrap();
+    let refused = exists("tables/telemetry.csv");
+    place.says("cdcrctl convert run.mcap --csv tables", 1, &[&refused]);
+    // A table without the others is no result.
+    assert_eq!(fs::read_dir(table.parent().unwrap()).unwrap().count(), 1);
+    assert_eq!(fs::read_to_string(table).unwrap(), "mine");
 }

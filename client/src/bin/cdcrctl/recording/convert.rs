@@ -9,6 +9,7 @@ use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
 use super::file::{Recorded, Recording};
+use super::new_file;
 use crate::Done;
 use crate::args::ConvertOptions;
 use crate::echo::json::text_of;
@@ -22,14 +23,12 @@ pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     let mut recording = Recording::open(&options.file)?;
     fs::create_dir_all(folder).with_context(|| format!("cannot make {name}"))?;
     let mut tables = Tables::new(folder);
-    while let Some(message) = recording.next_message()? {
-        tables
-            .take(&message)
-            .with_context(|| format!("cannot write into {name}"))?;
-    }
+    let written = tables.take_all(&mut recording);
     let rows = tables
-        .finish()
-        .with_context(|| format!("cannot write into {name}"))?;
+        .finish(written.is_ok())
+        .with_context(|| format!("cannot write into {name}"));
+    written?;
+    let rows = rows?;
     ensure!(
         !rows.is_empty(),
         "{} holds no message of cdcrd",
@@ -61,6 +60,14 @@ impl<'a> Tables<'a> {
             folder,
             open: BTreeMap::new(),
         }
+    }
+
+    fn take_all(&mut self, recording: &mut Recording) -> anyhow::Result<()> {
+        while let Some(message) = recording.next_message()? {
+            self.take(&message)
+                .with_context(|| format!("cannot write into {}", self.folder.display()))?;
+        }
+        Ok(())
     }
 
     fn take(&mut self, message: &Recorded) -> anyhow::Result<()> {
@@ -122,7 +129,7 @@ impl<'a> Tables<'a> {
             Entry::Occupied(table) => table.into_mut(),
             Entry::Vacant(free) => {
                 let path = self.folder.join(format!("{name}.csv"));
-                let file = File::create_new(&path).with_context(|| path.display().to_string())?;
+                let file = new_file(&path)?;
                 let mut out = csv::Writer::from_writer(BufWriter::new(file));
                 out.write_record(row.iter().map(|(name, _)| name))?;
                 free.insert(Table { out, path, rows: 0 })
@@ -133,63 +140,80 @@ impl<'a> Tables<'a> {
         Ok(())
     }
 
-    /// Where they are, and how many rows each has.
-    fn finish(self) -> io::Result<Vec<(PathBuf, u64)>> {
-        let mut rows = Vec::new();
-        for (_, mut table) in self.open {
-            table.out.flush()?;
-            rows.push((table.path, table.rows));
+    /// Where they are, and how many rows each has. None is left where not all are whole.
+    fn finish(mut self, are_whole: bool) -> io::Result<Vec<(PathBuf, u64)>> {
+        let flushed = self
+            .open
+            .values_mut()
+            .try_for_each(|table| table.out.flush());
+        let made = self.open.into_values();
+        let made: Vec<_> = made.map(|table| (table.path, table.rows)).collect();
+        if flushed.is_err() || !are_whole {
+            for (path, _) in &made {
+                drop(fs::remove_file(path));
+            }
         }
-        Ok(rows)
+        flushed.map(|()| made)
     }
 }
 
 /// A message as one row: `command.mode`, `bend_rad[2]`. Lists that grow and shrink (plans, events, obstacles, points) are left out, so that
 /// each row has the same cells.
 fn cells(message: &dyn Struct) -> Vec<Cell> {
+    let mut paths = ["robot.sections", "telemetry.robot.sections"].iter();
+    let sections = paths.find_map(|path| message.number(path));
     let mut row = Vec::new();
-    add(message, "", true, &mut row);
+    add(message, "", true, sections.unwrap_or(0) as usize, &mut row);
     row
 }
 
-fn add(message: &dyn Struct, before: &str, has_meaning: bool, row: &mut Vec<Cell>) {
+fn add(
+    message: &dyn Struct,
+    before: &str,
+    has_meaning: bool,
+    sections: usize,
+    row: &mut Vec<Cell>,
+) {
     message.visit(&mut |field, value| {
-        let has_meaning = has_meaning && message.used(field).is_some();
+        let used = message.used(field);
+        let has_meaning = has_meaning && used.is_some();
         let name = format!("{before}{}", field.name);
         match (field.meaning, value) {
             (Meaning::Reserved, _) => {}
             (Meaning::Text, Value::Array(array)) => row.push((name, text_of(array))),
             (_, Value::Array(array)) => {
-                for i in 0..lasting(message, field, array) {
-                    put(
-                        field,
-                        array.element(i),
-                        format!("{name}[{i}]"),
-                        has_meaning,
-                        row,
-                    );
+                for i in 0..lasting(field, array, sections) {
+                    let has_meaning = has_meaning && used.is_some_and(|used| i < used);
+                    let name = format!("{name}[{i}]");
+                    put(field, array.element(i), name, has_meaning, sections, row);
                 }
             }
-            (_, value) => put(field, value, name, has_meaning, row),
+            (_, value) => put(field, value, name, has_meaning, sections, row),
         }
     });
 }
 
-/// Elements of an array that every message of a robot has.
-fn lasting(message: &dyn Struct, field: &Field, array: &dyn Array) -> usize {
-    let Some(used) = field.used else {
-        return array.count();
-    };
-    if !used.count.ends_with("sections") {
-        return 0;
+/// Elements of an array that every message of a robot has. (A measurement before the first one says that it is of no section.)
+fn lasting(field: &Field, array: &dyn Array, sections: usize) -> usize {
+    match field.used {
+        None => array.count(),
+        Some(used) if used.count.ends_with("sections") => (sections * used.each).min(array.count()),
+        Some(_) => 0,
     }
-    let count = message.number(used.count).unwrap_or(0) as usize;
-    (count * used.each).min(array.count())
 }
 
-fn put(field: &Field, value: Value<'_>, name: String, has_meaning: bool, row: &mut Vec<Cell>) {
+fn put(
+    field: &Field,
+    value: Value<'_>,
+    name: String,
+    has_meaning: bool,
+    sections: usize,
+    row: &mut Vec<Cell>,
+) {
     let text = match (field.meaning, value) {
-        (_, Value::Struct(part)) => return add(part, &format!("{name}."), has_meaning, row),
+        (_, Value::Struct(part)) => {
+            return add(part, &format!("{name}."), has_meaning, sections, row);
+        }
         (Meaning::Code(codes), Value::U32(code)) if matches!(field.kind, Kind::U32) => {
             codes.text(code).to_owned()
         }
@@ -201,4 +225,31 @@ fn put(field: &Field, value: Value<'_>, name: String, has_meaning: bool, row: &m
         (_, Value::Array(_)) => return,
     };
     row.push((name, if has_meaning { text } else { String::new() }));
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_shared_types::Telemetry;
+    use cdcr_shared_types::codes::MeasurementKind;
+
+    use super::*;
+
+    #[test]
+    fn a_cycle_before_the_first_measurement_has_the_cells_of_every_other() {
+        let mut record = Telemetry::default();
+        record.robot.sections = 2;
+        let before = cells(&record);
+        record.measurement.sections = 2;
+        record.measurement.kind = MeasurementKind::CableLengths.code();
+        let after = cells(&record);
+        let name = |(name, _): &Cell| name.clone();
+        assert!(before.iter().map(name).eq(after.iter().map(name)));
+        let cable = |row: &[Cell]| {
+            let cable = row
+                .iter()
+                .find(|cell| cell.0 == "measurement.cable_length_m[5]");
+            cable.expect("a column").1.clone()
+        };
+        assert_eq!([cable(&before), cable(&after)], ["", "0"]);
+    }
 }

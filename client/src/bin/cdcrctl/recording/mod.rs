@@ -15,4 +15,20 @@ mod sink;
 mod what_if;
 mod when;
 
+use std::fs::File;
+use std::io::ErrorKind;
+use std::path::Path;
+
+use anyhow::{Context, bail};
 use cdcr_client::channels as topic;
+
+/// A file that was not there.
+fn new_file(path: &Path) -> anyhow::Result<File> {
+    let name = path.display();
+    match File::create_new(path) {
+        Err(cause) if cause.kind() == ErrorKind::AlreadyExists => {
+            bail!("{name} exists: remove it or name another")
+        }
+        made => made.with_context(|| format!("cannot make {name}")),
+    }
+}
