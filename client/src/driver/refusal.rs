@@ -61,7 +61,7 @@ pub enum CommandRefusal {
     },
     /// The first position is not where the robot was measured.
     #[error(
-        "the first position is not where the robot is measured: component {at} is {way} from it, and {most} is the most \
+        "the first position is not where the robot is measured: component {at} is {way:.6} from it, and {most:.6} is the most \
          (rad, or m of a cable). Look at the robot, then cdcrctl reset"
     )]
     Elsewhere {

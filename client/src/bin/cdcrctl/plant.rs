@@ -1,6 +1,7 @@
 //! A simulated robot in a process of its own, where a driver would be.
 
 use std::io::Write;
+use std::mem::discriminant;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -15,6 +16,9 @@ use crate::interrupt::Interrupt;
 
 /// Cables are measured once in this time.
 const TURN: Duration = Duration::from_millis(1);
+
+/// A refusal of the same kind is told again after this long: one may come with every command.
+const TOLD_AGAIN: Duration = Duration::from_secs(10);
 
 /// It listens so long whether it is taken for the robot's driver.
 const LISTENS: Duration = Duration::from_secs(1);
@@ -56,10 +60,16 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     };
     let begun = Instant::now();
     let mut tip_due = begun;
+    let mut told = Vec::new();
     while !interrupt.is_raised() {
         let update = robot.follow()?;
         if let Some(refusal) = update.refused {
-            tell!("refused: {refusal} ({} so far)", robot.driver().refusals());
+            let kind = discriminant(&refusal);
+            told.retain(|(_, at): &(_, Instant)| at.elapsed() < TOLD_AGAIN);
+            if told.iter().all(|(other, _)| *other != kind) {
+                told.push((kind, Instant::now()));
+                tell!("refused: {refusal} ({} so far)", robot.driver().refusals());
+            }
         }
         if !preset.measures_tip() {
             robot.send_cables()?;
