@@ -9,8 +9,8 @@ use cdcr_client::{
     FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
     counted, section_lengths_m,
 };
-use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::{Status, Telemetry};
 
 use crate::Done;
 use crate::args::{
@@ -87,12 +87,8 @@ pub(crate) fn go(
     end_m: impl Fn([f64; 3]) -> [f64; 3],
 ) -> anyhow::Result<Done> {
     let status = connection.status(STATUS)?;
-    let mode = Mode::try_from(status.mode);
-    if matches!(mode, Ok(Mode::Stopped | Mode::Faulted)) && !arguments.dry_run {
-        bail!(
-            "the daemon is {}: leave that with cdcrctl reset",
-            Mode::text_of(status.mode)
-        );
+    if !arguments.dry_run {
+        check_mode(&status)?;
     }
     let before = newest(connection)?;
     let start_m = before.tip_position_m;
@@ -115,6 +111,20 @@ pub(crate) fn go(
         tell_end(&newest(connection)?, goal_m, arguments.max_error)?;
     }
     Ok(done)
+}
+
+/// Fails where only a reset lets the robot move.
+pub(crate) fn check_mode(status: &Status) -> anyhow::Result<()> {
+    ensure!(
+        !matches!(
+            Mode::try_from(status.mode),
+            Ok(Mode::Stopped | Mode::Faulted)
+        ),
+        "the daemon is {} ({}): leave that with cdcrctl reset",
+        Mode::text_of(status.mode),
+        Reason::text_of(status.reason)
+    );
+    Ok(())
 }
 
 /// How a way is fed that begins where the tip is.

@@ -169,7 +169,8 @@ fn advice(outcome: Outcome) -> &'static str {
             "The maximum of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
         }
         Outcome::OutOfRange => {
-            "Positions and velocities are within ±1000000 m and m/s, the radius is 0 to 1000000 m."
+            "Positions and velocities are within ±1000000 m and m/s, the radius is 0 to 1000000 m, and measured_ns is \
+             of CLOCK_MONOTONIC and not in the future."
         }
         Outcome::InThePast => "Its lifetime was over when it arrived: give it a longer --lifetime.",
         other => remedy(other),

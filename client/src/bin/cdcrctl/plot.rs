@@ -47,10 +47,14 @@ impl Watch for PlotOptions {
             (_, fields) => fields.to_vec(),
         };
         let limits = (self.rate, self.count);
+        let mut is_first = true;
         paced(connection, &mut stream, limits, |message| {
             let packet = packet(message.header().sent_ns, json::message(message), &fields)?;
-            // A plotter that does not listen yet is no error: there is nobody who answers.
-            let _ = socket.send_to(packet.as_bytes(), to);
+            // A plotter that does not listen yet is no error: there is nobody who answers. A network may go and come again.
+            let sent = socket.send_to(packet.as_bytes(), to);
+            if std::mem::take(&mut is_first) {
+                sent.with_context(|| format!("cannot send to {to}"))?;
+            }
             Ok(())
         })?;
         Ok(Done::Good)

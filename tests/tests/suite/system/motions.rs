@@ -220,6 +220,36 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
     assert_eq!(plant.output().status.code(), Some(0));
 }
 
+/// Each of a thousand commands a second may be refused, and the terminal has one line of it in ten seconds.
+#[test]
+fn a_simulated_robot_that_follows_nothing_says_so_once() {
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 300.0\n"
+    ));
+    let plant = |arguments: &[&str]| {
+        let mut command = daemon.place().command("cdcrctl");
+        Program::start(command.arg("plant").args(arguments))
+    };
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let robot = plant(&[]);
+    wait_mode(&mut telemetry, Mode::Holding);
+    says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --max-error 20mm", 0);
+    robot.signal(Signal::KILL);
+    wait_mode(&mut telemetry, Mode::Faulted);
+    let stopped = says(&daemon, "jog 0.01,0,0", 1);
+    assert!(
+        stopped.contains("faulted (the measurement is lost)"),
+        "{stopped}"
+    );
+    // Straight, it is not where it is commanded to be.
+    let mut other = plant(&["--force"]);
+    std::thread::sleep(Duration::from_secs(1));
+    other.signal(Signal::INT);
+    let printed = text(&other.output());
+    let told = printed.matches("the first position is not where").count();
+    assert_eq!(told, 1, "{printed}");
+}
+
 #[test]
 fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     // Home takes 60 s.

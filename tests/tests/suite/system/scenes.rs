@@ -114,6 +114,14 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     assert_says(&ended(camera), 1, &["standard input: line 2"]);
     wait_status(&connection, |status| status.obstacle_count == 0);
 
+    // Stamped by a clock that tells the date.
+    let mut camera = piped(&daemon, "obstacle stdin");
+    write(
+        &mut camera,
+        "{\"id\": 1, \"start_m\": [0.5, 0, 0.5], \"radius_m\": 0.02, \"measured_ns\": 1795710684705428294}\n",
+    );
+    assert_says(&ended(camera), 1, &["line 1: ", "CLOCK_MONOTONIC"]);
+
     // The daemon goes away while it waits for a line.
     let mut camera = piped(&daemon, "obstacle stdin");
     write(
@@ -192,6 +200,12 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
     }
     says(&daemon, "plot --udp nowhere", 1, "expected HOST:PORT");
     says(&daemon, "plot --udp localhost:99999", 1, "invalid port");
+    says(
+        &daemon,
+        "plot --udp 127.0.0.1:0",
+        1,
+        "cannot send to 127.0.0.1:0",
+    );
     let whole = "plot status --count 1 --udp 127.0.0.1:9";
     says(&daemon, whole, 1, "choose some fields with --field");
 }

@@ -13,7 +13,7 @@ use cdcr_client::{
     monotonic_ns,
 };
 use cdcr_shared_types::codes::{
-    ChunkMode, EventKind, Interpolation, Mode, ObstacleAction, Outcome, RequestKind,
+    ChunkMode, EventKind, Interpolation, ObstacleAction, Outcome, RequestKind,
 };
 use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
@@ -22,6 +22,7 @@ use super::topic::Topic;
 use crate::Done;
 use crate::args::{ReplayOptions, Target};
 use crate::bar::Bar;
+use crate::feed::check_mode;
 use crate::interrupt::Interrupt;
 use crate::tip_error::TipError;
 use source::{Source, Step};
@@ -47,13 +48,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         fingerprint == status.robot.fingerprint,
         "{name} is of another robot than the daemon's: its sections or limits differ"
     );
-    if [Mode::Stopped, Mode::Faulted]
-        .map(Mode::code)
-        .contains(&status.mode)
-    {
-        let mode = Mode::text_of(status.mode);
-        bail!("the daemon is {mode}: leave that with cdcrctl reset");
-    }
+    check_mode(&status)?;
     let mut player = Player::new(&connection, options.speed)?;
     let played = player.play(&mut source, &name, &interrupt);
     // However it ended; the first error is the one that says why.
