@@ -17,11 +17,12 @@ impl From<Config> for Settings {
 }
 
 impl Settings {
-    /// Values as they were set, a rate weight that depends on the robot as it is in force.
-    pub(super) fn new(mut config: Config, origins: Origins) -> Self {
+    /// Values as they were set, a rate weight that depends on the robot as it is in force: by default, also where "auto" was written.
+    pub(super) fn new(mut config: Config, mut origins: Origins) -> Self {
         let weight = &mut config.controller.rate_weight;
         if *weight == RateWeight::Auto {
             *weight = RateWeight::auto(config.link.is_ideal());
+            origins.forget("controller.rate_weight");
         }
         Self { config, origins }
     }

@@ -128,6 +128,21 @@ fn an_explanation_of_a_table_has_that_of_each_key() {
 }
 
 #[test]
+fn the_printed_default_sets_nothing_not_even_for_another_robot() {
+    let mut lines: Vec<_> = DEFAULT_TEXT.lines().collect();
+    assert_eq!(settings(&lines).unwrap().changed(), []);
+    let kind = lines.iter_mut().find(|line| line.starts_with("kind = "));
+    *kind.unwrap() = "kind = \"driver\"";
+    let keys: Vec<_> = settings(&lines)
+        .unwrap()
+        .changed()
+        .into_iter()
+        .map(|set| set.0)
+        .collect();
+    assert_eq!(keys, ["link.kind"]);
+}
+
+#[test]
 fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
     let long = "a".repeat(40_000);
     for text in [
