@@ -35,8 +35,8 @@ int main(int argc, char **argv) {
     while (!ending) {
         CdcrDriverUpdate update;
         if (cdcr_driver_update(driver, &update)) return failed("update");
-        /* A refused command is reported and counted, and no reason to end: what runs out is rest. */
-        if (update.was_refused) fprintf(stderr, "refused: %s (%llu so far)\n", cdcr_last_error(), (unsigned long long)update.refusals);
+        /* A refused command is counted, reported (the 1st, 2nd, 4th, 8th …), and no reason to end: what runs out is rest. */
+        if (update.was_refused && !(update.refusals & (update.refusals - 1))) fprintf(stderr, "refused: %s (%llu so far)\n", cdcr_last_error(), (unsigned long long)update.refusals);
         if (update.new_daemon) fprintf(stderr, "another daemon commands: %#llx\n", (unsigned long long)update.new_daemon);
         /* The motors get their goal in each turn, whether a command came or not. */
         const uint64_t now_ns = cdcr_monotonic_ns();

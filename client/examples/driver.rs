@@ -30,9 +30,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut length_m = straight_cable_lengths_m(driver.robot());
     let mut last_ns = monotonic_ns();
     while !ending.load(Ordering::Relaxed) {
-        // A refused command is reported and counted, and no reason to end: what runs out is rest.
+        // A refused command is counted, reported (the 1st, 2nd, 4th, 8th …), and no reason to end: what runs out is rest.
         let update = driver.update()?;
-        if let Some(refusal) = update.refused {
+        if let Some(refusal) = update.refused
+            && driver.refusals().is_power_of_two()
+        {
             eprintln!("refused: {refusal} ({} so far)", driver.refusals());
         }
         if let Some(daemon) = update.new_daemon {

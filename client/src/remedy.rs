@@ -78,7 +78,7 @@ pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) ->
     }
     match mode {
         Mode::Starting => {
-            "The driver's first measurement is missing: check that the driver runs and sends."
+            "No measurement of the driver was accepted yet: check that it runs and sends; cdcrctl status counts what was refused, and why."
         }
         Mode::Stopped | Mode::Faulted => "Leave this mode with: cdcrctl reset.",
         Mode::Holding | Mode::Tracking | Mode::Homing if kind == RequestKind::Reset => {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{LateCause, Mode};
+use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
 
 use crate::config::{Validated, ns};
 use crate::convert;
@@ -175,6 +175,7 @@ impl Supervisor {
             self.status.clearance_guarded += u64::from(summary.clearance_guarded);
             self.status.following_warnings += u64::from(summary.following_warning);
             self.log(&summary);
+            self.log_refusals(&summary);
             self.count_tolerated(&summary);
             if !summary.lateness.deadline_miss {
                 self.manager.ready();
@@ -275,6 +276,20 @@ impl Supervisor {
                 skipped_periods = summary.totals.skipped_periods,
                 "late: {cause}"
             );
+        }
+    }
+
+    /// The first message that is refused for a reason; the status counts them all.
+    fn log_refusals(&self, summary: &Summary) {
+        let of = |summary: &Summary, outcome: Outcome| summary.outcomes[outcome.code() as usize];
+        let refusals = Outcome::ALL
+            .iter()
+            .filter(|&&outcome| outcome != Outcome::Accepted);
+        for &outcome in refusals {
+            if of(&self.newest, outcome) == 0 && of(summary, outcome) > 0 {
+                let reason = outcome.text();
+                tracing::warn!(cycle = summary.cycle, reason, "refused a message: {reason}");
+            }
         }
     }
 

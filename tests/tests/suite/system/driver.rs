@@ -219,6 +219,14 @@ fn a_driver_of_the_other_interface_is_refused_and_moves_nothing() {
     let status = connection.status(TIMEOUT).unwrap();
     assert_eq!(status.mode, Mode::Starting.code());
     assert_eq!(robot.bend_rad(), stood);
+    // Once, however many there are.
+    let line = format!("refused a message: {}", Outcome::WrongInterface.text());
+    wait_until("the log says it", || daemon.log().contains(&line));
+    for _ in 0..100 {
+        robot.turn();
+    }
+    let log = daemon.log();
+    assert_eq!(log.matches(&line).count(), 1, "{log}");
 }
 
 #[test]
