@@ -8,6 +8,7 @@
 
 use std::io::{self, Write};
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -58,7 +59,18 @@ struct Arguments {
     port: u16,
 }
 
-fn main() -> anyhow::Result<()> {
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // Where nobody reads it, nobody is told.
+            drop(writeln!(io::stderr(), "error: {error:#}"));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> anyhow::Result<()> {
     // Errors are told in our own words; iceoryx2's log would say them twice.
     set_log_level(LogLevel::Fatal);
     let arguments = Arguments::parse();
@@ -75,7 +87,12 @@ fn main() -> anyhow::Result<()> {
         .bind(HOST, arguments.port)
         .context(&live.context)
         .start_blocking()
-        .with_context(|| format!("cannot listen on {HOST}:{}", arguments.port))?;
+        .with_context(|| {
+            format!(
+                "cannot listen on {HOST}:{}; --port names another one",
+                arguments.port
+            )
+        })?;
     let mut out = io::stdout();
     let port = server.port();
     writeln!(

@@ -449,6 +449,15 @@ fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
 }
 
 #[test]
+fn a_recording_whose_file_was_removed_is_an_error() {
+    let mut run = Recorded::start(PATIENT);
+    fs::remove_file(&run.file).unwrap();
+    run.recorder.signal(Signal::INT);
+    let says = ["run.mcap was removed while it was recorded"];
+    assert_says(&run.recorder.output(), 1, &says);
+}
+
+#[test]
 fn what_is_no_recording_is_refused_with_the_reason() {
     let run = Recorded::start(PATIENT);
     let place = run.daemon.place();

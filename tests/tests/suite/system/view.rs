@@ -165,7 +165,7 @@ fn a_port_that_is_taken_is_named() {
     let daemon = Daemon::start(PATIENT);
     let (_view, port) = serve(&daemon);
     let line = format!("cdcr-view --port {port}");
-    let says = ["cannot listen on 127.0.0.1"];
+    let says = ["error: cannot listen on 127.0.0.1", "--port names another"];
     daemon.place().says(&line, 1, &says);
 }
 

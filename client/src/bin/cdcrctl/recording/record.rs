@@ -3,7 +3,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use cdcr_client::channels::{Drawing, Drawings, Drawn, Recorded, Topic};
 use cdcr_client::{counted, events, monotonic_ns};
 use cdcr_interchange::encode;
@@ -158,6 +158,10 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
         .finish(&ended, &lost, examination)
         .with_context(cannot_write)?;
     tell(&path, counts, &ended, &lost)?;
+    ensure!(
+        path.exists(),
+        "{name} was removed while it was recorded: nothing is left of it"
+    );
     match ended {
         Ended::Failed(cause) => {
             Err(cause).with_context(|| format!("{name}: the recording ended there"))
