@@ -2,7 +2,7 @@ use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGXFSZ};
 
 /// One for all: a signal that comes between two parts of a command counts for the second.
 static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
@@ -14,7 +14,7 @@ pub(crate) struct Interrupt {
 }
 
 impl Interrupt {
-    /// Catches SIGINT, SIGTERM, SIGHUP and SIGQUIT from now on.
+    /// Catches SIGINT, SIGTERM, SIGHUP and SIGQUIT from now on. A file that reaches its limit (`ulimit -f`) is an error of writing, and kills nobody.
     pub(crate) fn catch() -> io::Result<Self> {
         if let Some(raised) = RAISED.get() {
             let raised = Arc::clone(raised);
@@ -24,6 +24,7 @@ impl Interrupt {
         for signal in [SIGINT, SIGTERM, SIGHUP, SIGQUIT] {
             signal_hook::flag::register(signal, Arc::clone(&raised))?;
         }
+        signal_hook::flag::register(SIGXFSZ, Arc::default())?;
         Ok(Self { raised })
     }
 

@@ -19,7 +19,7 @@ use cdcr_tests::{
     Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, refused, text, track, until_undisturbed,
     wait_mode,
 };
-use rustix::process::Signal;
+use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::Value;
 
 use crate::own_mounts::{has_own_mounts, mount, name_of};
@@ -446,6 +446,19 @@ fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
     place.says("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
     place.says("cdcrctl info --repair begun.mcap", 1, &["no message"]);
     assert!(!run.file.with_file_name("begun-repaired.mcap").exists());
+}
+
+#[test]
+fn a_file_at_its_limit_ends_the_recording_like_a_full_disk() {
+    let mut run = Recorded::start(PATIENT);
+    let limit = Rlimit {
+        current: Some(200_000),
+        maximum: None,
+    };
+    let id = Pid::from_raw(run.recorder.id().try_into().unwrap());
+    prlimit(id, Resource::Fsize, limit).unwrap();
+    let says = ["run.mcap: the recording ended there: File too large"];
+    assert_says(&run.recorder.output(), 3, &says);
 }
 
 #[test]
