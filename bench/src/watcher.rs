@@ -14,9 +14,9 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
 use crate::interrupt;
+use crate::subject::ROBOT;
 use crate::subject::TIMEOUT;
 use crate::subject::asker::{Answer, Asker};
-use crate::subject::place::ROBOT;
 use crate::system::cores::Cores;
 use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
 

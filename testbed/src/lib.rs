@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`subject`] | a daemon, its bare loop, cyclictest as processes; a reference that never ends |
 //! | [`load`] | what else the machine does meanwhile |
-//! | [`system`] | cores, threads, counts of the kernel, other programs |
+//! | [`system`] | cores, threads, counts of the kernel |
 //! | [`interrupt`] | signals end a measurement in order |
 //!
 //! Invariant: nothing here knows a benchmark or a format of results.

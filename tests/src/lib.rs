@@ -30,9 +30,9 @@ use cdcr_client::{
     monotonic_ns,
 };
 use cdcr_controller::plant::Preset;
+pub use cdcr_process::in_public_memory;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
-pub use cdcr_testbed::subject::place::in_public_memory;
 use derive_more::{Deref, DerefMut};
 pub use program::{Program, Running};
 use rustix::process::Signal;
@@ -66,12 +66,12 @@ pub fn binary(name: &str) -> PathBuf {
 /// A place in shared memory that no other test uses, and a folder for what else it needs, which may lie on a disk. Both
 /// are removed when it is dropped.
 #[derive(Debug, Deref)]
-pub struct Place(cdcr_testbed::subject::place::Place);
+pub struct Place(cdcr_process::Place);
 
 impl Place {
     /// A fresh place. The first of a process sweeps what killed processes left.
     pub fn new() -> Self {
-        Self(cdcr_testbed::subject::place::Place::new().expect("a place"))
+        Self(cdcr_process::Place::new().expect("a place"))
     }
 
     pub fn write(&self, name: &str, text: &str) -> PathBuf {

@@ -16,9 +16,9 @@ use serde_json::{Value, json};
 
 use crate::environment::{field, first_number};
 use crate::interrupt;
+use crate::subject::ROBOT;
 use crate::subject::TIMEOUT;
 use crate::subject::daemon::{Daemon, Launch};
-use crate::subject::place::ROBOT;
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
 use crate::system::counts::{core_share, threads};

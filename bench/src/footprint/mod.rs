@@ -10,6 +10,7 @@ mod daemon;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
+use cdcr_process::program;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
@@ -19,7 +20,7 @@ use crate::dataset::{
 };
 use crate::metric::{median, range};
 use crate::progress::Progress;
-use crate::subject::daemon::{Launch, program};
+use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 use daemon::MB;

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::monotonic_ns;
+use cdcr_process::{PREFIX, Place, Process, ROOT, program};
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
@@ -26,10 +27,7 @@ use super::leg::Leg;
 use super::round::Round;
 use crate::interrupt;
 use crate::subject::TIMEOUT;
-use crate::subject::daemon::program;
-use crate::subject::place::{self, Place};
 use crate::system::cores::Cores;
-use crate::system::process::Process;
 use crate::system::thread::pin;
 use crate::watcher::on_client_core;
 
@@ -108,8 +106,8 @@ pub fn peer(options: &PeerOptions) -> Result<()> {
 fn is_root_of_place(root: &Path) -> bool {
     let name = root.file_name().unwrap_or_default().to_string_lossy();
     root.parent() == Some(Path::new(Location::MEMORY))
-        && name.starts_with(place::PREFIX)
-        && name.ends_with(place::ROOT)
+        && name.starts_with(PREFIX)
+        && name.ends_with(ROOT)
 }
 
 fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {

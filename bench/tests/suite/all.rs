@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use cdcr_bench::budget::BUDGETS_US;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
+use cdcr_process::in_public_memory;
 use cdcr_scratch::Scratch;
-use cdcr_testbed::subject::place::in_public_memory;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 

@@ -1,9 +1,9 @@
 //! What `cdcr-bench footprint` hands over, from one daemon for a moment.
 use std::process::Stdio;
 
+use cdcr_process::in_public_memory;
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
-use cdcr_testbed::subject::place::in_public_memory;
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 

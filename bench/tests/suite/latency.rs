@@ -12,7 +12,7 @@ use cdcr_bench::benchmark::{Benchmark, defaults};
 use cdcr_bench::latency::baseline::PEER;
 use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
-use cdcr_testbed::subject::place::Place;
+use cdcr_process::Place;
 use cdcr_testbed::system::thread::pin;
 
 use crate::{list, machine, number, printed_json, program, stderr};

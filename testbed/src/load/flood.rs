@@ -12,7 +12,7 @@ use cdcr_shared_types::{Location, Obstacle, ReferencePoint};
 use super::Done;
 use super::rate::every;
 use super::task::Signals;
-use crate::subject::place::ROBOT;
+use crate::subject::ROBOT;
 
 const PERIOD: Duration = Duration::from_micros(100);
 /// Half of it in tests, one of which waits for it.

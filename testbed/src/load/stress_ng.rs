@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use super::Done;
 use super::task::Signals;
 use crate::system::cores::Cores;
-use crate::system::process::{Process, folder, on_path, that_ends_with_us};
+use cdcr_process::{Process, folder, on_path, that_ends_with_us};
 
 /// How often the end of the load is looked for.
 const LOOK: Duration = Duration::from_millis(20);

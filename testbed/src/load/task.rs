@@ -157,7 +157,7 @@ fn every_core(cores: &Cores) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::subject::place::Place;
+    use cdcr_process::Place;
 
     fn cores_of(tasks: &[Task]) -> Vec<usize> {
         tasks.iter().filter_map(|task| task.core).collect()

@@ -8,7 +8,7 @@ use cdcr_shared_types::Location;
 use super::Done;
 use super::rate::every;
 use super::task::Signals;
-use crate::subject::place::ROBOT;
+use crate::subject::ROBOT;
 
 /// Threads that come and go. One alone comes ten times a second: to connect is to wait for a status.
 pub(super) const COMERS: u32 = 5;

@@ -9,8 +9,9 @@ use serde::Deserialize;
 
 use super::Cycle;
 use super::daemon::Launch;
+use crate::interrupt;
 use crate::system::cores::Cores;
-use crate::system::process::Process;
+use cdcr_process::Process;
 
 /// What start, end and a slow machine may add to the duration.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -31,7 +32,11 @@ impl Baseline {
     }
 
     pub fn wait(mut self) -> Result<Vec<Cycle>> {
-        let cycles = cycles(&self.process.wait(2 * self.duration + TIMEOUT)?)?;
+        let cycles = cycles(
+            &self
+                .process
+                .wait(2 * self.duration + TIMEOUT, interrupt::check)?,
+        )?;
         let words = || self.process.stderr_tail();
         ensure!(!cycles.is_empty(), "cdcrd bare told of no cycle{}", words());
         Ok(cycles)

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
 use rustix::thread::{sched_getaffinity, sched_setaffinity};
 
-use crate::system::process::{Process, on_path, that_ends_with_us};
+use cdcr_process::{Process, on_path, that_ends_with_us};
 
 /// What start, end and a slow machine may add to the duration.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -111,7 +111,7 @@ impl Running {
     pub fn wait(mut self) -> Result<Latencies> {
         let duration_s = self.period.as_secs_f64() * self.cycles as f64;
         let limit = Duration::from_secs_f64(2.0 * duration_s) + TIMEOUT;
-        let printed = self.process.wait(limit)?;
+        let printed = self.process.wait(limit, crate::interrupt::check)?;
         let mut each_ns = latencies_in(&printed)
             .with_context(|| format!("what cyclictest printed{}", self.process.stderr_tail()))?;
         let (made, asked) = (each_ns.len(), self.cycles);

@@ -6,16 +6,15 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use cdcr_client::Connection;
+use cdcr_process::{Place, Process, program};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 
-use super::TIMEOUT;
-use super::place::{Place, ROBOT};
+use super::{ROBOT, TIMEOUT};
 use crate::interrupt;
 use crate::system::cores::Cores;
-use crate::system::process::Process;
 
 /// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
 /// not stop the robot, make it hold for want of inputs, or end the lease of its reference.
@@ -88,24 +87,6 @@ impl Launch {
         command.args(["--end-with-parent", &std::process::id().to_string()]);
         Ok(command)
     }
-}
-
-/// A program of ours: in the folder of this one, or, for a test, in the folder above it.
-pub fn program(name: &str) -> Result<PathBuf> {
-    let ourselves = std::env::current_exe().context("cannot tell where this program lies")?;
-    let beside = ourselves.with_file_name(name);
-    let above = ourselves.parent().map(|folder| folder.with_file_name(name));
-    let found = [Some(beside.clone()), above].into_iter().flatten();
-    found
-        .into_iter()
-        .find(|path| path.is_file())
-        .with_context(|| {
-            format!(
-                "{} does not exist: the bench needs {name} beside itself; build both with \
-                 cargo build --release",
-                beside.display()
-            )
-        })
 }
 
 /// A running daemon. Dropping it stops it and removes every trace.

@@ -4,12 +4,13 @@ pub mod asker;
 pub mod baseline;
 pub mod cyclictest;
 pub mod daemon;
-pub mod place;
 pub mod tracking;
 
 use std::time::Duration;
 
 use cdcr_shared_types::codes::LateCause;
+
+pub const ROBOT: &str = "bench";
 
 /// How long a daemon, or whatever else is measured, may take to do what it is asked for: to control its robot, to send a status, to
 /// follow, to answer. On a machine that stalls it may wait for the processor.

@@ -12,8 +12,8 @@ use cdcr_client::{Connection, FeedEvent, FeedOptions, Spiral, Trajectory, sectio
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 
+use super::ROBOT;
 use super::TIMEOUT;
-use super::place::ROBOT;
 use crate::interrupt;
 use crate::system::thread::pin;
 

@@ -1,6 +1,5 @@
-//! What the system offers to a measurement: cores, priorities, clocks, counts, other programs.
+//! What the system offers to a measurement: cores, priorities, clocks, counts.
 
 pub mod cores;
 pub mod counts;
-pub mod process;
 pub mod thread;

@@ -1,9 +1,10 @@
 //! The demo: one command, everything real.
 
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use cdcr_client::Connection;
+use cdcr_process::{PREFIX, ROOT};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{Place, Program, TIMEOUT, in_public_memory, text, wait_status, wait_until};
@@ -192,7 +193,7 @@ impl RunningDemo {
 
     /// Beginning of the names of its files.
     fn prefix(&self) -> String {
-        format!("cdcr-demo-{}-", self.program.id())
+        format!("{PREFIX}{}_", self.program.id())
     }
 
     /// Names in its folder for temporary files.
@@ -225,11 +226,14 @@ impl RunningDemo {
     }
 
     fn wait_tracking(&self) {
-        let [folder] = &self.temporary()[..] else {
-            panic!("one folder: {:?}", self.temporary());
-        };
-        let root = Path::new(Location::MEMORY).join(folder);
-        let location = Location::new(&format!("{folder}_"), &root).unwrap();
+        let memory = in_public_memory(&self.prefix());
+        let mut locks = memory
+            .iter()
+            .filter_map(|path| path.to_str()?.strip_suffix("lock"));
+        let place = locks.next().unwrap();
+        let root = PathBuf::from(format!("{place}{ROOT}"));
+        let prefix = place.rsplit('/').next().unwrap();
+        let location = Location::new(prefix, &root).unwrap();
         let connection = Connection::open_within(&location, "demo", TIMEOUT).unwrap();
         wait_status(&connection, |status| status.mode == Mode::Tracking.code());
     }
@@ -241,8 +245,8 @@ impl Drop for RunningDemo {
             let daemon = Pid::from_raw(daemon.cast_signed()).unwrap();
             let _ = kill_process(daemon, Signal::KILL);
         }
-        for root in in_public_memory(&self.prefix()) {
-            let _ = fs::remove_dir_all(root);
+        for left in in_public_memory(&self.prefix()) {
+            let _ = fs::remove_file(&left).or_else(|_| fs::remove_dir_all(left));
         }
     }
 }
@@ -275,20 +279,20 @@ fn the_daemon_of_a_killed_demo_ends() {
     demo.wait_tracking();
     demo.program.signal(Signal::KILL);
     demo.program.output();
-    // Before it has ended, it keeps its folder locked. Nobody may have waited for it.
+    // Nobody may have waited for it.
     let stat = || fs::read_to_string(format!("/proc/{daemon}/stat")).unwrap_or_default();
     let has_ended = |stat: &str| stat.is_empty() || stat.contains(") Z ");
     wait_until("the end of its daemon", || {
         !demo.is_its_daemon(daemon) && has_ended(&stat())
     });
-    // Of a zombie other threads may still be on their way, and hold what it locked.
-    let folder = demo.place.folder().join("tmp").join(&demo.temporary()[0]);
-    wait_until("its lock is free", || {
-        File::open(&folder).unwrap().try_lock().is_ok()
-    });
-    // Of its memory nothing but folders.
-    for root in in_public_memory(&demo.prefix()) {
-        let mut entries = fs::read_dir(&root).unwrap().flatten();
+    let left = in_public_memory(&demo.prefix());
+    for root in left.iter().filter(|path| path.is_dir()) {
+        // Of a zombie other threads may still be on their way, and hold what it locked.
+        wait_until("its lock is free", || {
+            File::open(root).unwrap().try_lock().is_ok()
+        });
+        // Of its memory nothing but folders, and the lock of its place.
+        let mut entries = fs::read_dir(root).unwrap().flatten();
         assert!(entries.all(|entry| entry.path().is_dir()), "{root:?}");
     }
     // The next one removes what is left, says so, and leaves nothing itself.
@@ -301,7 +305,7 @@ fn the_daemon_of_a_killed_demo_ends() {
         .unwrap();
     assert!(next.status.success(), "{}", text(&next));
     assert!(
-        text(&next).contains("left by a demo that was killed"),
+        text(&next).contains("left by a program that was killed"),
         "{}",
         text(&next)
     );

@@ -1,15 +1,12 @@
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::path::Path;
+use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, ensure};
+use cdcr_process::Process;
 use serde::{Deserialize, Serialize};
 
-use super::daemon::{beside_ourselves, explained};
-use super::place::PrivatePlace;
+use super::daemon::cdcrd;
 use crate::interrupt::Interrupt;
 use crate::spread::Spread;
 
@@ -17,8 +14,6 @@ use crate::spread::Spread;
 const DURATION: &str = "1s";
 /// How long it may take in all: it ends by itself, and a machine that stalls needs longer.
 const TIMEOUT: Duration = Duration::from_secs(10);
-const RESULT: &str = "bare.json";
-const LOG: &str = "bare.log";
 
 /// What the machine alone does to the loop of the demo's daemon: `cdcrd bare`, a moment before.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -60,18 +55,23 @@ struct BarePercentiles {
 }
 
 impl Baseline {
-    /// Runs the loop with the configuration of `place`. `None`: interrupted.
-    pub(super) fn measure(
-        place: &PrivatePlace,
-        interrupt: &Interrupt,
-    ) -> anyhow::Result<Option<Self>> {
-        let mut bare = BareLoop::start(place)?;
-        if !bare.wait(interrupt)? {
+    /// Runs the loop with this configuration. `None`: interrupted.
+    pub(super) fn measure(config: &Path, interrupt: &Interrupt) -> anyhow::Result<Option<Self>> {
+        let mut command = cdcrd("bare", config)?;
+        command.args(["--duration", DURATION, "--format", "json"]);
+        // It meets nobody, so where does not matter.
+        for name in ["CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"] {
+            command.env_remove(name);
+        }
+        let undisturbed = || {
+            ensure!(!interrupt.is_raised(), "interrupted");
+            Ok(())
+        };
+        let ended = Process::start("cdcrd bare", command)?.wait(TIMEOUT, undisturbed);
+        if interrupt.is_raised() {
             return Ok(None);
         }
-        let json = fs::read_to_string(place.folder().join(RESULT))
-            .context("cannot read the result of cdcrd bare")?;
-        let summary: BareSummary = serde_json::from_str(&json).context(
+        let summary: BareSummary = serde_json::from_str(&ended?).context(
             "cannot read the result of cdcrd bare; build cdcrd and cdcrctl from one version",
         )?;
         Ok(Some(summary.into()))
@@ -97,68 +97,6 @@ impl From<BareSummary> for Baseline {
             },
             causes: bare.causes,
         }
-    }
-}
-
-/// The running `cdcrd bare`. Dropping it ends it.
-struct BareLoop<'a> {
-    child: Child,
-    place: &'a PrivatePlace,
-}
-
-impl<'a> BareLoop<'a> {
-    fn start(place: &'a PrivatePlace) -> anyhow::Result<Self> {
-        let folder = place.folder();
-        let file = |name: &str| {
-            File::create(folder.join(name))
-                .with_context(|| format!("cannot write to {}", folder.display()))
-        };
-        let program = beside_ourselves("cdcrd")?;
-        let child = Command::new(&program)
-            .args(["bare", "--end-with-parent", &std::process::id().to_string()])
-            .args(["--config", PrivatePlace::CONFIG])
-            .args(["--duration", DURATION, "--format", "json"])
-            .current_dir(folder)
-            // It meets nobody, so where does not matter.
-            .env_remove("CDCR_ROBOT")
-            .env_remove("CDCR_PREFIX")
-            .env_remove("CDCR_ROOT")
-            .stdin(Stdio::null())
-            .stdout(file(RESULT)?)
-            .stderr(file(LOG)?)
-            // Ctrl-C reaches us alone.
-            .process_group(0)
-            .spawn()
-            .with_context(|| format!("cannot start {}", program.display()))?;
-        Ok(Self { child, place })
-    }
-
-    /// Waits until it has ended. `false`: interrupted.
-    fn wait(&mut self, interrupt: &Interrupt) -> anyhow::Result<bool> {
-        let deadline = Instant::now() + TIMEOUT;
-        let log = self.place.folder().join(LOG);
-        while Instant::now() < deadline {
-            if interrupt.is_raised() {
-                return Ok(false);
-            }
-            match self.child.try_wait()? {
-                Some(code) if code.success() => return Ok(true),
-                Some(code) => {
-                    bail!(explained(&format!("cdcrd bare failed ({code})"), &log))
-                }
-                None => thread::sleep(Duration::from_millis(5)),
-            }
-        }
-        let what = format!("cdcrd bare did not end within {} s", TIMEOUT.as_secs());
-        bail!(explained(&what, &log))
-    }
-}
-
-impl Drop for BareLoop<'_> {
-    fn drop(&mut self) {
-        // Both fail only when it has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

@@ -7,7 +7,6 @@ mod cycle;
 mod daemon;
 mod diagnosis;
 mod pictures;
-mod place;
 mod report;
 mod shape;
 mod sketch;
@@ -22,6 +21,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, Spiral};
+use cdcr_process::Place;
 
 use crate::Done;
 use crate::args::{DemoOptions, Format};
@@ -32,7 +32,6 @@ use baseline::Baseline;
 use causes::IncidentCauses;
 use cycle::Cycle;
 use daemon::DemoDaemon;
-use place::PrivatePlace;
 use report::{DemoReport, Run};
 use shape::Backbone;
 use sketch::Sketch;
@@ -49,7 +48,6 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
         ..Spiral::for_sections(&vec![PAPER_SECTION_M; sections])
     };
     let interrupt = Interrupt::catch()?;
-    place::sweep_abandoned();
     let Some(run) = measure(sections, &spiral, &interrupt)? else {
         tell!("interrupted: the demo's daemon is stopped");
         return Ok(Done::Interrupted);
@@ -76,14 +74,15 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
 
 /// The bare loop, then a daemon that tracks the spiral; both end whatever happens. `None`: interrupted.
 fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::Result<Option<Run>> {
-    let place = PrivatePlace::new(&config::text(sections, spiral))?;
-    let baseline = match Baseline::measure(&place, interrupt) {
+    let place = Place::new()?;
+    let config = daemon::write_configuration(&place, &config::text(sections, spiral))?;
+    let baseline = match Baseline::measure(&config, interrupt) {
         Ok(Some(baseline)) => Ok(baseline),
         Ok(None) => return Ok(None),
         // The robot is what the demo shows; the loop beside it only helps to explain.
         Err(cause) => Err(format!("{cause:#}")),
     };
-    let mut daemon = DemoDaemon::start(place)?;
+    let mut daemon = DemoDaemon::start(place, &config)?;
     let Some(connection) = daemon.connect(interrupt)? else {
         return Ok(None);
     };

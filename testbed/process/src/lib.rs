@@ -1,6 +1,17 @@
-//! Other programs that run for a measurement: what they say is kept, and none outlives us.
+//! Other programs that run for us: what they say is kept, and none outlives us. Ours run in a private [`Place`].
+//!
+//! Invariant: nothing here knows a client, a robot or what is measured, so that the demo of `cdcrctl` can use it.
+
+#![allow(
+    missing_docs,
+    clippy::missing_errors_doc,
+    reason = "a library of this workspace: a comment that repeats a name helps nobody"
+)]
+
+mod place;
 
 use std::fs::{self, File};
+use std::io::Write as _;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -13,7 +24,7 @@ use rustix::process::{
     Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
 };
 
-use crate::interrupt;
+pub use place::{PREFIX, Place, ROOT, in_public_memory};
 
 /// How often it is looked whether a program has ended.
 const LOOK: Duration = Duration::from_millis(20);
@@ -68,9 +79,9 @@ impl Process {
         Ok(self.look()?.is_some())
     }
 
-    /// Waits until it ends by itself, and hands over what it wrote to its standard output.
-    pub fn wait(&mut self, limit: Duration) -> Result<String> {
-        let Some(status) = self.ended_within(limit, interrupt::check)? else {
+    /// Waits until it ends by itself, or `check` fails, and hands over what it wrote to its standard output.
+    pub fn wait(&mut self, limit: Duration, check: impl Fn() -> Result<()>) -> Result<String> {
+        let Some(status) = self.ended_within(limit, check)? else {
             let seconds = limit.as_secs();
             bail!(
                 "{} did not end within {seconds} s{}",
@@ -111,16 +122,24 @@ impl Process {
     }
 
     pub fn stderr_tail(&self) -> String {
-        let text = |what: &str| fs::read_to_string(self.folder().join(what)).unwrap_or_default();
         // A program that reports an error on its standard output does so in few words.
-        let words = match text(STDERR) {
-            errors if errors.trim().is_empty() => text(STDOUT).chars().take(2000).collect(),
+        let words = match self.written(STDERR) {
+            errors if errors.trim().is_empty() => self.written(STDOUT).chars().take(2000).collect(),
             errors => errors,
         };
         match words.trim() {
             "" => "; it said nothing".to_owned(),
             words => format!("; it said:\n{words}"),
         }
+    }
+
+    /// What it wrote to its standard error.
+    pub fn stderr(&self) -> String {
+        self.written(STDERR)
+    }
+
+    fn written(&self, file: &str) -> String {
+        fs::read_to_string(self.folder().join(file)).unwrap_or_default()
     }
 
     /// How it ended, if it has; then nobody is left to end the rest of its group but us.
@@ -157,7 +176,8 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if let Err(error) = self.end() {
-            eprintln!("warning: {error:#}");
+            // Not by a macro, which panics where nobody reads it.
+            let _ = writeln!(std::io::stderr(), "warning: {error:#}");
         }
     }
 }
@@ -170,6 +190,22 @@ const STDERR: &str = "stderr";
 pub fn folder() -> Result<Scratch> {
     Scratch::temporary()
         .context("a folder for temporary files: set TMPDIR to one that can be written")
+}
+
+/// A program of ours: in the folder of this one, or, for a test, in the folder above it.
+pub fn program(name: &str) -> Result<PathBuf> {
+    let ourselves = std::env::current_exe().context("cannot tell where this program lies")?;
+    let beside = ourselves.with_file_name(name);
+    let tests = ourselves.parent().filter(|folder| folder.ends_with("deps"));
+    let above = tests.map(|folder| folder.with_file_name(name));
+    let mut found = [Some(beside.clone()), above].into_iter().flatten();
+    found.find(|path| path.is_file()).with_context(|| {
+        format!(
+            "{} does not exist: {} needs {name} beside itself; build both with cargo build --release",
+            beside.display(),
+            ourselves.file_name().unwrap_or_default().display()
+        )
+    })
 }
 
 /// Where a program lies that is found by its name, or none.
@@ -220,11 +256,13 @@ mod tests {
     #[test]
     fn what_a_program_says_is_kept() {
         assert_eq!(
-            shell("echo one; echo two >&2").wait(TIMEOUT).unwrap(),
+            shell("echo one; echo two >&2")
+                .wait(TIMEOUT, || Ok(()))
+                .unwrap(),
             "one\n"
         );
         let error = shell("echo why >&2; exit 3")
-            .wait(TIMEOUT)
+            .wait(TIMEOUT, || Ok(()))
             .unwrap_err()
             .to_string();
         assert!(
@@ -232,7 +270,7 @@ mod tests {
             "{error}"
         );
         let error = shell("sleep 100")
-            .wait(Duration::ZERO)
+            .wait(Duration::ZERO, || Ok(()))
             .unwrap_err()
             .to_string();
         assert!(error.contains("did not end within 0 s"), "{error}");
@@ -250,7 +288,7 @@ mod tests {
     #[test]
     fn what_a_program_leaves_in_its_group_ends_when_it_has_ended() {
         let mut process = shell("sleep 100 & echo $!");
-        let left = process.wait(TIMEOUT).unwrap();
+        let left = process.wait(TIMEOUT, || Ok(())).unwrap();
         let stat = Path::new("/proc").join(left.trim()).join("stat");
         let deadline = Instant::now() + TIMEOUT;
         // It is gone, or dead and not yet waited for by whoever has inherited it.
@@ -273,7 +311,11 @@ mod tests {
             until_it_speaks(&process);
             process
         });
-        let error = starter.join().unwrap().wait(TIMEOUT).unwrap_err();
+        let error = starter
+            .join()
+            .unwrap()
+            .wait(TIMEOUT, || Ok(()))
+            .unwrap_err();
         assert!(error.to_string().contains("signal: 15"), "{error}");
     }
 

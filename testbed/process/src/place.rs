@@ -11,8 +11,6 @@ pub use cdcr_scratch::PREFIX;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::Location;
 
-pub const ROBOT: &str = "bench";
-
 /// What the name of a place's root folder ends with.
 pub const ROOT: &str = "root";
 
@@ -29,7 +27,7 @@ pub struct Place {
 impl Place {
     pub fn new() -> Result<Self> {
         loop {
-            let folder = Scratch::temporary().context("a folder for temporary files")?;
+            let folder = super::folder()?;
             let in_memory =
                 |part: &str| Path::new(Location::MEMORY).join(format!("{}{part}", folder.prefix()));
             let location = Location::new(folder.prefix(), &in_memory(ROOT));
