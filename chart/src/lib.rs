@@ -1,4 +1,4 @@
-//! Sheets of charts: lines over labelled axes, each with its legend above it, as SVG.
+//! Sheets of charts: lines, dots and bars over labelled axes, each with its legend above it, as SVG.
 //!
 //! Drawn twice as large as it is meant to be seen, because the library places everything on whole pixels.
 
@@ -52,7 +52,14 @@ pub struct Curve {
     label: String,
     pieces: Vec<Vec<Point>>,
     style: ShapeStyle,
-    is_dotted: bool,
+    mark: Mark,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Mark {
+    Line,
+    Dots,
+    Bars,
 }
 
 impl Curve {
@@ -66,16 +73,26 @@ impl Curve {
             label: label.into(),
             pieces,
             style: colour.stroke_width(4),
-            is_dotted: false,
+            mark: Mark::Line,
         }
     }
 
     /// Points without a line between them.
     pub fn dots(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
         Self {
-            is_dotted: true,
+            mark: Mark::Dots,
             style: colour.filled(),
             ..Self::line(label, points, colour)
+        }
+    }
+
+    /// Each from the lower end of a logarithmic axis up to its count, between its ends.
+    pub fn bars(label: impl Into<String>, bars: Vec<[Point; 2]>, colour: RGBColor) -> Self {
+        let bars = bars.into_iter().map(Vec::from).collect();
+        Self {
+            mark: Mark::Bars,
+            style: colour.filled(),
+            ..Self::pieces(label, bars, colour)
         }
     }
 
@@ -235,10 +252,10 @@ fn draw(area: &Area<'_>, panel: &Panel, common: Option<Range<f64>>) -> Result<()
         let y = (LINE_OF_TEXT * (entry.line + 1)).cast_signed() + 24;
         let end = x + SWATCH.cast_signed();
         let style = entry.curve.style;
-        if entry.curve.is_dotted {
-            top.draw(&Circle::new((i32::midpoint(x, end), y), DOT, style))?;
-        } else {
-            top.draw(&PathElement::new([(x, y), (end, y)], style))?;
+        match entry.curve.mark {
+            Mark::Dots => top.draw(&Circle::new((i32::midpoint(x, end), y), DOT, style))?,
+            Mark::Bars => top.draw(&Rectangle::new([(x, y - DOT), (end, y + DOT)], style))?,
+            Mark::Line => top.draw(&PathElement::new([(x, y), (end, y)], style))?,
         }
         let label = entry.curve.label.clone();
         top.draw(&Text::new(
@@ -314,16 +331,24 @@ where
         .light_line_style(TRANSPARENT)
         .draw()?;
     for curve in &panel.curves {
-        if curve.is_dotted {
-            let dot = |point: &Point| Circle::new(*point, DOT, curve.style);
-            chart.draw_series(curve.points().map(dot))?;
-            continue;
+        let pieces = curve.pieces.iter();
+        match curve.mark {
+            Mark::Dots => {
+                let dot = |point: &Point| Circle::new(*point, DOT, curve.style);
+                chart.draw_series(curve.points().map(dot))?;
+            }
+            Mark::Bars => {
+                let ends = |bar: &Vec<Point>| [(bar[0].0, floor), bar[1]];
+                let bar = |bar| Rectangle::new(ends(bar), curve.style);
+                chart.draw_series(pieces.map(bar))?;
+            }
+            Mark::Line => {
+                let drawn = |&(x, y): &Point| (x, y.max(floor));
+                let line = |piece: &Vec<Point>| piece.iter().map(drawn).collect::<Vec<_>>();
+                let line = |piece| PathElement::new(line(piece), curve.style);
+                chart.draw_series(pieces.map(line))?;
+            }
         }
-        let lines = curve.pieces.iter().map(|piece| {
-            let points: Vec<Point> = piece.iter().map(|&(x, y)| (x, y.max(floor))).collect();
-            PathElement::new(points, curve.style)
-        });
-        chart.draw_series(lines)?;
     }
     Ok(())
 }
@@ -346,11 +371,8 @@ fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>
     let (low, high) = extent(points().map(|p| p.1));
     match panel.scale {
         Scale::Linear => (left..right, widened(low, high)),
-        Scale::Log { floor } => (left..right, decades(low.max(floor), high.max(floor))),
-        Scale::LogLog { floor } => (
-            powers_across(panel),
-            decades(low.max(floor), high.max(floor)),
-        ),
+        Scale::Log { floor } => (left..right, decades_above(floor, low, high)),
+        Scale::LogLog { floor } => (powers_across(panel), decades_above(floor, low, high)),
         Scale::LogAcross => (powers_across(panel), widened(low, high)),
         Scale::Equal => {
             let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
@@ -393,6 +415,12 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
 fn widened(low: f64, high: f64) -> Range<f64> {
     let room = 0.05 * (high - low);
     low - room..high + room
+}
+
+/// A floor that is no power of ten is an end itself.
+fn decades_above(floor: f64, low: f64, high: f64) -> Range<f64> {
+    let decades = decades(low.max(floor), high.max(floor));
+    decades.start.max(0.999 * floor)..decades.end
 }
 
 fn decades(low: f64, high: f64) -> Range<f64> {

@@ -310,15 +310,15 @@ fn prepare_drawn(connection: Connection, curve: &Curve) -> anyhow::Result<Prepar
     let (arguments, trajectory): (_, Box<dyn Trajectory>) = match curve {
         Curve::Spiral(options) => {
             let spiral = spiral(options, &lengths(&options.curve)?);
-            (&options.feed, changed(spiral, &options.change)?)
+            (&options.curve.feed, changed(spiral, &options.curve.change)?)
         }
         Curve::Line(options) => {
             let line = line(options, &lengths(&options.curve)?);
-            (&options.feed, changed(line, &options.change)?)
+            (&options.curve.feed, changed(line, &options.curve.change)?)
         }
         Curve::Circle(options) => {
             let circle = circle(options, &lengths(&options.curve)?);
-            (&options.feed, changed(circle, &options.change)?)
+            (&options.curve.feed, changed(circle, &options.curve.change)?)
         }
         Curve::Helix(options) => {
             let rise = |radius_m| options.rise.map_or(1.0, |rise_m| rise_m / radius_m);

@@ -92,6 +92,6 @@ pub enum TrajectoryFileProblem {
     #[error("the quaternion has length {0:.4}; it must be 1")]
     NotUnit(f64),
     /// So many rows are nothing to follow.
-    #[error("has {0} rows of data; a reference needs at least 2 below the header t_s,x_m,y_m,z_m")]
+    #[error("has {0} rows of data; it needs at least 2 below the header t_s,x_m,y_m,z_m")]
     TooShort(usize),
 }

@@ -83,7 +83,7 @@ pub(crate) struct FeedArguments {
     pub(crate) step: Duration,
 }
 
-/// Which robot a curve is made for.
+/// Which robot a curve of the paper is made for, and how it is sent.
 #[derive(Debug, Args)]
 pub(crate) struct CurveArguments {
     /// Sections that the curve is made for [default: those of the daemon's robot]
@@ -92,6 +92,10 @@ pub(crate) struct CurveArguments {
     /// How long it lasts [default: as in the paper]
     #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
     pub(crate) duration: Option<Duration>,
+    #[command(flatten)]
+    pub(crate) change: ChangeArguments,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
 }
 
 /// How a curve or a file is changed before it is sent. Its first point stays where it is.
@@ -118,10 +122,6 @@ pub(crate) struct SpiralOptions {
     pub(crate) start: Option<f64>,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
-    #[command(flatten)]
-    pub(crate) change: ChangeArguments,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
 }
 
 #[derive(Debug, Args)]
@@ -138,10 +138,6 @@ pub(crate) struct LineOptions {
     pub(crate) axis: Option<Vector>,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
-    #[command(flatten)]
-    pub(crate) change: ChangeArguments,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
 }
 
 #[derive(Debug, Args)]
@@ -157,10 +153,6 @@ pub(crate) struct CircleOptions {
     pub(crate) rate: f64,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
-    #[command(flatten)]
-    pub(crate) change: ChangeArguments,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
 }
 
 /// Where a figure is, how large, and how fast.

@@ -143,7 +143,7 @@ mod tests {
         timing(&file, &cycles, &report, 5e3).expect("drawn");
         // The ends of the scale have labels.
         let svg = fs::read_to_string(file).expect("written");
-        assert!(svg.contains("\n≤ 0.1\n") && svg.contains("\n10000\n"));
+        assert!(svg.contains("\n0.1\n") && svg.contains("\n10000\n"));
         let backbone = Backbone::new(3).expect("the paper's");
         let file = folder.path().join("shape.svg");
         shape(&file, &cycles, &spiral, &backbone, &report).expect("drawn");
