@@ -86,12 +86,7 @@ fn cycle(row: &Row) -> Result<Cycle> {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
-    use cdcr_scratch::Scratch;
-
     use super::*;
-    use crate::system::thread::may_be_realtime;
 
     const HEAD: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,\
                         run_delay_ns,page_faults,cause\n";
@@ -129,56 +124,5 @@ mod tests {
             let error = format!("{:#}", cycles(text).unwrap_err());
             assert!(error.contains("same version"), "{error}");
         }
-    }
-
-    #[test]
-    fn the_real_loop_keeps_to_its_grid() {
-        let cores = Cores::find().unwrap();
-        let launch = Launch::patient(None).placed(&cores, may_be_realtime());
-        let bare = Baseline::start(&launch, &cores, Duration::from_millis(500)).unwrap();
-        let folder = bare.process.folder().to_owned();
-        let cycles = bare.wait().unwrap();
-        assert!(!folder.exists());
-        // 5 ms apart, but for what was skipped.
-        for pair in cycles.windows(2) {
-            let periods = (pair[1].due_ns - pair[0].due_ns) / 5_000_000;
-            assert_eq!(pair[1].due_ns, pair[0].due_ns + periods * 5_000_000);
-            // The one before slept through its releases, or ran into those of the next one.
-            let skipped = pair[0].skipped_periods + pair[1].skipped_periods;
-            assert!((1..=1 + u64::from(skipped)).contains(&periods));
-            assert!(pair[0].response_ns >= pair[0].wake_ns);
-        }
-        let releases = |cycles: &[Cycle]| -> u64 {
-            let of = |cycle: &Cycle| 1 + u64::from(cycle.skipped_periods);
-            cycles.iter().map(of).sum()
-        };
-        // It ends with the first cycle that is the hundredth, or comes after it.
-        let (_, before) = cycles.split_last().unwrap();
-        assert!(releases(before) < 100 && releases(&cycles) >= 100);
-    }
-
-    #[test]
-    fn a_bad_configuration_says_what_is_wrong() {
-        let folder = Scratch::temporary().unwrap();
-        let config = folder.path().join("bad.toml");
-        fs::write(&config, "[cycle]\nperiod = 5\n").unwrap();
-        let launch = Launch::patient(Some(config));
-        let bare = Baseline::start(&launch, &Cores::find().unwrap(), Duration::from_millis(500));
-        let error = bare.unwrap().wait().unwrap_err().to_string();
-        assert!(
-            error.contains("bad.toml") && error.contains("period"),
-            "{error}"
-        );
-    }
-
-    #[test]
-    fn a_dropped_loop_ends() {
-        let cores = Cores::find().unwrap();
-        let launch = Launch::patient(None).placed(&cores, false);
-        let bare = Baseline::start(&launch, &cores, Duration::from_secs(3600)).unwrap();
-        let process = std::path::PathBuf::from(format!("/proc/{}", bare.process.id()));
-        assert!(process.exists());
-        drop(bare);
-        assert!(!process.exists());
     }
 }

@@ -279,19 +279,6 @@ mod tests {
     }
 
     #[test]
-    fn a_dropped_one_ends_and_leaves_nothing() {
-        let Some(cyclictest) = usable() else {
-            return;
-        };
-        let core = Cores::find().unwrap().realtime;
-        let running = cyclictest.start(PERIOD, Some(80), core, 1_000_000).unwrap();
-        let id = running.process.id();
-        drop(running);
-        assert!(!PathBuf::from(format!("/proc/{id}")).exists());
-        assert!(!PathBuf::from(format!("/dev/shm/cyclictest{id}")).exists());
-    }
-
-    #[test]
     fn a_period_that_it_cannot_keep_is_refused() {
         let cyclictest = Cyclictest {
             program: PathBuf::from("cyclictest"),
@@ -300,16 +287,5 @@ mod tests {
             .start(Duration::from_nanos(1500), None, 0, 1)
             .unwrap_err();
         assert!(error.to_string().contains("1500 ns"), "{error}");
-    }
-
-    #[test]
-    fn what_it_says_is_in_the_error() {
-        let Some(mut cyclictest) = usable() else {
-            return;
-        };
-        cyclictest.program = on_path("false").unwrap();
-        let running = cyclictest.start(PERIOD, None, 0, 1).unwrap();
-        let error = running.wait().unwrap_err().to_string();
-        assert!(error.contains("cyclictest failed"), "{error}");
     }
 }

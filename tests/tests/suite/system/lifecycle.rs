@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use cdcr_client::{ConnectError, Connection};
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, wait_status};
 use rustix::process::Signal;
 
 #[test]
@@ -63,23 +63,6 @@ fn walk(folder: &std::path::Path) -> Vec<PathBuf> {
             below
         })
         .collect()
-}
-
-#[test]
-fn killed_and_started_again_it_works_at_once() {
-    let mut daemon = Daemon::start(PATIENT);
-    let before = daemon.connect();
-    wait_status(&before, |status| status.cycles > 5);
-    for _ in 0..3 {
-        daemon.kill();
-        daemon.restart();
-        let after = daemon.connect();
-        let mut telemetry = after.telemetry().unwrap();
-        wait_mode(&mut telemetry, Mode::Holding);
-    }
-    drop(before);
-    let status = daemon.stop();
-    assert!(status.success(), "{}", daemon.log());
 }
 
 #[test]
