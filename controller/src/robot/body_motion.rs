@@ -1,17 +1,17 @@
-//! How points of the backbone move with the bends, in one shape (§1 of docs/model.md).
+//! Motion of points of the backbone with the bends, in one shape (§1 of docs/model.md).
 
 use nalgebra::Vector3;
 
 use super::{Arc, COORDINATES_MAX, Configuration, Pose, Robot, SECTIONS_MAX};
 
-/// What the velocities of many points of one shape have in common. Fixed arrays, no heap.
+/// The terms that the velocities of many points of one shape share. Fixed arrays, no heap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BodyMotion {
     sections: [SectionMotion; SECTIONS_MAX],
     section_count: usize,
 }
 
-/// One section, and how its end moves and turns for a unit rate of each component of its bend.
+/// One section, and the velocity and rotational velocity of its end for a unit rate of each component of its bend.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct SectionMotion {
     start: Pose,
@@ -23,8 +23,8 @@ struct SectionMotion {
 }
 
 impl SectionMotion {
-    /// Of the part of a section up to a share `s` of its length. The arc up to s is an arc with bend s b and length s l, hence
-    /// ∂p(s)/∂b = s ∂p/∂b of that arc.
+    /// The part of a section up to a share `s` of its length. The arc up to s is an arc with bend s b and length s l,
+    /// hence ∂p(s)/∂b = s ∂p/∂b of that arc.
     fn new(start: &Pose, length_m: f64, [u, v]: [f64; 2], s: f64) -> (Self, Arc) {
         let arc = Arc::new(s * length_m, [s * u, s * v]);
         let (p, w) = (arc.position_derivatives_m_rad(), arc.rotation_derivatives());
@@ -41,11 +41,10 @@ impl SectionMotion {
 }
 
 impl BodyMotion {
-    /// How a point of the backbone moves with the bends: fills `jacobian` with its velocity (m/rad, base frame) for a unit rate
-    /// of each coordinate (u1, v1, …), 2n columns and zeros after them, and returns the point (m), that of
-    /// [`Robot::body_point`].
+    /// Fills `jacobian` with the velocity of a point of the backbone (m/rad, base frame) for a unit rate of each
+    /// coordinate (u1, v1, …): 2n columns, then zeros. Returns the point (m), as [`Robot::body_point`] does.
     ///
-    /// `s` is held within [0, 1]; a section beyond the last gives the tip. Sections after the point do not move it.
+    /// `s` is clamped to [0, 1]; a section beyond the last gives the tip. Sections after the point do not move it.
     pub fn point_jacobian(
         &self,
         section: usize,
@@ -76,7 +75,7 @@ impl BodyMotion {
 }
 
 impl Robot {
-    /// How the points of this shape move.
+    /// Prepares the Jacobians of the points of this shape.
     pub fn body_motion(&self, configuration: &Configuration) -> BodyMotion {
         let mut start = Pose::identity();
         let mut next = |j: usize| {

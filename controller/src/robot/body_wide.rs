@@ -1,4 +1,4 @@
-//! Clearance of W bodies side by side: what the swarm asks at every step of its plans.
+//! Clearance of W bodies side by side, for the rollouts of the swarm.
 
 use super::clearance::ROUNDING_M;
 use super::lanes::{Frame, WideVector};
@@ -10,14 +10,14 @@ use core::f64::consts::PI;
 
 /// The bodies of W configurations, prepared for many obstacles. Fixed arrays, no heap.
 ///
-/// Lane by lane the bits are those of W = 1, whatever the other lanes hold.
+/// Each lane has the same bits as W = 1, whatever the other lanes contain.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BodyWide<const W: usize> {
-    /// Base first, then `None`, which costs no time to write.
+    /// Base first. The rest are `None`, which costs no time to write.
     sections: [Option<SectionWide<W>>; SECTIONS_MAX],
 }
 
-/// One section, its frames and a ball around it.
+/// One section, its end frames and a bounding ball.
 #[derive(Debug, Clone, Copy)]
 struct SectionWide<const W: usize> {
     parameters: SectionParameters,
@@ -26,15 +26,15 @@ struct SectionWide<const W: usize> {
     end: Frame<W>,
     centre_m: WideVector<W>,
     radius_m: Wide<W>,
-    /// From start to end.
+    /// From start to end of the arc.
     chord_m: WideVector<W>,
-    /// One over its square; 0 where it has no length.
+    /// One over the squared chord length; 0 for a chord of no length.
     per_chord_1_m2: Wide<W>,
-    /// How far the arc is from its chord at most (m).
+    /// Bound on the distance between a point of the arc and the chord (m).
     bulge_m: Wide<W>,
 }
 
-/// A chord shorter than the root of this (m²) is a point.
+/// Below this squared length (m²), a chord is treated as a point.
 const POINT_M2: f64 = 1e-30;
 
 impl<const W: usize> SectionWide<W> {
@@ -74,8 +74,8 @@ impl<const W: usize> SectionWide<W> {
         (after_start - self.chord_m * share).norm_squared()
     }
 
-    /// How far the chord is from a segment in one direction, which is given in a length (m): the distance times that (m²), and that (m). The direction is
-    /// about the one between them where they are nearest.
+    /// Distance between chord and segment along one direction, about the one that joins their nearest points. Returned
+    /// as the distance times the length of the direction vector (m²), and that length (m).
     #[inline(always)]
     fn chord_apart(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
         let zero = Wide::splat(0.0);
@@ -93,8 +93,8 @@ impl<const W: usize> SectionWide<W> {
 }
 
 impl<const W: usize> BodyWide<W> {
-    /// The lanes in which one section, counted from 0, is farther than `enough_m` (m, finite) from an obstacle, by balls around it and by
-    /// its chord: for next to nothing. `None` where all lanes are, or there is no such section.
+    /// Lanes in which section `j`, from 0, is farther than `enough_m` (m, finite) from an obstacle. A cheap test by
+    /// bounding balls and the chord. `None` if all lanes are, or if there is no such section.
     #[inline(always)]
     pub(crate) fn section_is_beyond(
         &self,
@@ -102,7 +102,7 @@ impl<const W: usize> BodyWide<W> {
         obstacle: &Obstacle,
         enough_m: f64,
     ) -> Option<[bool; W]> {
-        /// What a squared distance may be off by rounding, relatively.
+        /// Relative rounding error of a squared distance.
         const ROUNDING: f64 = 1.0 + 1e-14;
         let section = self.sections[j].as_ref()?;
         let (axis, zero) = (obstacle.axis(), Wide::splat(0.0));
@@ -113,7 +113,7 @@ impl<const W: usize> BodyWide<W> {
         if all(far) {
             return None;
         }
-        // Nearer than the ball, by the chord.
+        // The chord gives a tighter bound than the ball.
         let reach_m = (section.bulge_m + kept_m).max(zero);
         let off_chord = if axis.is_point() {
             let square_m2 = section.chord_square_m2(&WideVector::splat(&axis.start_m));
@@ -126,10 +126,10 @@ impl<const W: usize> BodyWide<W> {
         (!all(far)).then_some(far)
     }
 
-    /// Clearance (m) of one section of each body, counted from 0, from an obstacle, where it is below `enough_m`, and exactly `enough_m` where it
-    /// is not. `beyond` is what [`Self::section_is_beyond`] says of them.
+    /// Clearance (m) of section `j`, from 0, of each body from an obstacle, limited to `enough_m`. `beyond` is the
+    /// result of [`Self::section_is_beyond`]; those lanes return exactly `enough_m`.
     ///
-    /// Exact as [`Body::clearance_of`] is. A lane with a NaN or an infinity in its bends may give any number.
+    /// As exact as [`Body::clearance_of`]. A lane with a NaN or an infinity in its bends may give any number.
     ///
     /// [`Body::clearance_of`]: super::Body::clearance_of
     #[inline(always)]
@@ -146,13 +146,13 @@ impl<const W: usize> BodyWide<W> {
         };
         let (_, distance_m) = section.tube().nearest(obstacle.axis());
         let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
-        // Lanes beyond have enough, by whatever rounding: as if they were alone.
+        // Lanes beyond return `enough_m` whatever their rounding, as they would alone.
         enough.select(enough.min_or_nan(clearance_m), beyond)
     }
 }
 
 impl<const W: usize> SectionWide<W> {
-    /// Prepared for exact distances.
+    /// The section prepared for exact distances.
     #[inline(always)]
     fn tube(&self) -> Tube<W> {
         Tube::new(&self.start, &self.end, &self.parameters, self.bend_rad)
@@ -160,11 +160,11 @@ impl<const W: usize> SectionWide<W> {
 }
 
 impl Robot {
-    /// The bodies of W configurations, `bend_rad(i)` being the i-th bend-vector component of each (rad): a [`Body`] in every
-    /// lane.
+    /// The bodies of W configurations: a [`Body`] in every lane. `bend_rad(i)` is the i-th bend-vector component of
+    /// each (rad).
     ///
-    /// Neither branches nor trigonometry: the series of the section's coefficients, good to 5e-16 for θ ≤ π, to 1e-12 for
-    /// θ ≤ 2π.
+    /// No branches and no trigonometry: the coefficients come from the power series, accurate to 5e-16 for θ ≤ π and to
+    /// 1e-12 for θ ≤ 2π.
     ///
     /// [`Body`]: super::Body
     #[inline(always)]
@@ -172,7 +172,7 @@ impl Robot {
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
     ) -> BodyWide<W> {
-        // Filled in place: a copy would cost as much as the arithmetic.
+        // Filled in place, because a copy would cost as much as the arithmetic.
         let mut body = BodyWide {
             sections: [None; SECTIONS_MAX],
         };

@@ -1,21 +1,21 @@
-//! How long each cable is for a given shape, how fast it runs, and back (§2 of docs/model.md).
+//! Cable lengths and speeds from a shape, and the shape from cable lengths (§2 of docs/model.md).
 //!
-//! Section j has three cables 120° apart, at its radius r from the backbone. Between base and their end they pass every section
-//! before j, so lengths are coupled, through the **pull** s of the first j sections:
+//! Section j has three cables 120° apart, at its radius r from the backbone. They pass through every section before j,
+//! so that the lengths are coupled by the **pull** s of the first j sections:
 //! ```text
 //! β_ij = 2πi/3 + offset_j
 //! s_j  = Σ_{k≤j} r_k (u_k, v_k)                           (m)
 //! L_ij = Σ_{k≤j} l_k - s_j · (cos β_ij, sin β_ij)
 //! ```
-//! which is linear in the bend vector. Cables run parallel to the backbone, as through a continuous guide; n disks per section
-//! make them chords, shorter at the outside by 0.05 mm with 20 disks at 75°.
+//! The lengths are linear in the bend vector. Cables are modelled parallel to the backbone, as in a continuous guide.
+//! With n disks per section they are chords: shorter at the outside, by 0.05 mm with 20 disks at 75°.
 
 use super::{BendRates, CABLES_MAX, Configuration, Robot};
 use crate::wide::Wide;
 
 impl Robot {
-    /// Length of each cable (m): three for each section, base section first;
-    /// 3n are used, the rest are 0. The three of one section always sum to three times the backbone up to its end.
+    /// Length of each cable (m): three for each section, base section first; 3n are used, the rest are 0. The three
+    /// lengths of a section always sum to three times the backbone length up to its end.
     pub fn cable_lengths(&self, configuration: &Configuration) -> [f64; CABLES_MAX] {
         let mut lengths_m = self.cable_shortening(configuration.pairs());
         let (cables, _) = lengths_m.as_chunks_mut::<3>();
@@ -27,23 +27,24 @@ impl Robot {
         lengths_m
     }
 
-    /// Speed of each cable (m/s) in the order of [`Self::cable_lengths`]; positive pays out. 3n are used, the rest are 0.
+    /// Speed of each cable (m/s) in the order of [`Self::cable_lengths`]; positive when the cable is paid out. 3n are
+    /// used, the rest are 0.
     pub fn cable_speeds(&self, rates: &BendRates) -> [f64; CABLES_MAX] {
         self.cable_shortening(rates.pairs())
             .map(|speed_m_s| 0.0 - speed_m_s)
     }
 
-    /// How much longer than at the straight robot each cable is (m) in the order of [`Self::cable_lengths`]; positive is paid
-    /// out. 3n are used, the rest are 0. Linear in the bends.
+    /// Stroke of each cable (m) in the order of [`Self::cable_lengths`]: its length minus that of the straight robot,
+    /// positive when paid out. 3n are used, the rest are 0. Linear in the bends.
     pub fn cable_strokes(&self, configuration: &Configuration) -> [f64; CABLES_MAX] {
         self.cable_shortening(configuration.pairs())
             .map(|stroke_m| 0.0 - stroke_m)
     }
 
-    /// The shape whose cables have these lengths (m), in the order of [`Self::cable_lengths`].
+    /// The shape from cable lengths (m), in the order of [`Self::cable_lengths`].
     ///
-    /// Two unknowns from three cables: the least-squares solution, which ignores an error common to the three. The share of the
-    /// proximal sections is removed first. It is not limited to what the robot can bend. Lengths after the first 3n are ignored.
+    /// Two unknowns from three cables: the least-squares solution, which ignores an error common to the three. The pull
+    /// of the proximal sections is subtracted. Bend limits are not applied. Lengths after the first 3n are ignored.
     pub fn bend_from_cable_lengths(&self, lengths_m: &[f64; CABLES_MAX]) -> Configuration {
         let mut configuration = Configuration::straight(self.section_count());
         let (bends, _) = configuration.as_mut_slice().as_chunks_mut::<2>();
@@ -72,8 +73,8 @@ impl Robot {
         configuration
     }
 
-    /// The shape whose cables are longer by these strokes (m) than those of the straight robot, as [`Self::cable_strokes`] has them; likewise
-    /// without an error common to the three of a section. Linear in the strokes.
+    /// The shape from cable strokes (m), as [`Self::cable_strokes`] returns them. An error common to the three cables
+    /// of a section is ignored. Linear in the strokes.
     pub fn bend_from_cable_strokes(&self, strokes_m: &[f64; CABLES_MAX]) -> Configuration {
         let mut lengths_m = self.cable_lengths(&Configuration::straight(self.section_count()));
         for (length_m, stroke_m) in lengths_m.iter_mut().zip(strokes_m) {
@@ -82,15 +83,15 @@ impl Robot {
         self.bend_from_cable_lengths(&lengths_m)
     }
 
-    /// `s_j · (cos β_ij, sin β_ij)` for each cable: the linear part that lengths and speeds share.
+    /// `s_j · (cos β_ij, sin β_ij)` for each cable: the linear part of lengths and speeds.
     fn cable_shortening(&self, bends: &[[f64; 2]]) -> [f64; CABLES_MAX] {
         self.cable_shortening_wide(|i| Wide([bends[i / 2][i % 2]]))
             .map(|shortening| shortening.0[0])
     }
 
-    /// By how much each cable is shorter than at the straight robot (m), for W shapes side by side:
-    /// `bend_rad(i)` is the i-th bend-vector component of each (rad). Linear: rates (rad/s) give the speed at
-    /// which cables are pulled (m/s). In the order of [`Self::cable_lengths`]; 3n are used, the rest are 0.
+    /// Shortening of each cable relative to the straight robot (m), for W shapes side by side, in the order of
+    /// [`Self::cable_lengths`]. `bend_rad(i)` is the i-th bend-vector component of each (rad). Linear: rates (rad/s)
+    /// give the speed at which cables are pulled (m/s). 3n are used, the rest are 0.
     #[doc(hidden)]
     #[inline(always)]
     pub(crate) fn cable_shortening_wide<const W: usize>(
@@ -119,7 +120,7 @@ mod tests {
     use super::*;
     use crate::robot::{RobotParameters, SECTIONS_MAX};
 
-    /// Robots whose sections differ in everything that cables depend on, with a shape.
+    /// Robots whose sections differ in every parameter that affects the cables, each with a shape.
     fn robots_and_shapes() -> impl Strategy<Value = (Robot, Configuration)> {
         let section = (
             0.05..0.5_f64,

@@ -1,9 +1,10 @@
-//! How far one section is from a segment at least, for less than the exact distance costs (§3 of docs/model.md).
+//! Lower bound on the distance between one section and a segment, cheaper than the exact distance (§3 of
+//! docs/model.md).
 //!
-//! Up to half a circle an arc leaves its chord to one side alone, by at most its bulge. So in any direction n every point of it
-//! is at least as far as the nearer end of the chord, less what the bulge has against n; and a direction in which arc and segment
-//! are apart bounds their distance. The one taken is that between chord and segment where they are nearest: it decides how tight the
-//! bound is, never whether it holds.
+//! Up to half a circle, an arc leaves its chord to one side only, by at most its bulge. Along any direction n, no point
+//! of the arc lies lower than the lower end of the chord, less the part of the bulge that points against n. A direction
+//! along which arc and segment are separated therefore bounds their distance. The direction used joins the nearest
+//! points of chord and segment. It affects how tight the bound is, not its validity.
 
 use core::f64::consts::PI;
 
@@ -13,10 +14,10 @@ use super::lanes::WideVector;
 use super::obstacle::Axis;
 use crate::wide::Wide;
 
-/// Nearer than the root of this (m²), chord and segment have no direction between them.
+/// Below this squared distance (m²), no direction between chord and segment is defined.
 const TOUCHING_M2: f64 = 1e-20;
 
-/// The chord of an arc, and what the arc leaves it by.
+/// The chord of an arc, and bounds on the arc's deviation from it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[allow(
     clippy::struct_field_names,
@@ -25,14 +26,16 @@ const TOUCHING_M2: f64 = 1e-20;
 pub(super) struct Chord {
     start_m: Vector3<f64>,
     span_m: Vector3<f64>,
-    /// From the chord to the middle of the arc at most.
+    /// Bound on the vector from the chord to the middle of the arc.
     bulge_m: Vector3<f64>,
-    /// What the arc may leave it by in any direction: of more than half a circle, whose chord is the middle alone.
+    /// Bound on the deviation in every direction. Positive only for more than half a circle, where the chord is
+    /// replaced by its midpoint.
     slack_m: f64,
 }
 
 impl Chord {
-    /// Of an arc of `length_m` that bends by `bend_rad`, from start to end, with unit vectors along its start and towards its bend.
+    /// Chord of an arc from start to end, of `length_m` and bent by `bend_rad`. The unit vectors point along its start
+    /// and towards its bend.
     pub(super) fn new(
         [start_m, end_m]: [Vector3<f64>; 2],
         [along, across]: [Vector3<f64>; 2],
@@ -60,12 +63,12 @@ impl Chord {
         }
     }
 
-    /// What no point of the arc is nearer to the segment than, beside rounding (m); minus infinity where this tells nothing.
+    /// Lower bound on the distance between arc and segment, up to rounding (m); minus infinity where no bound is found.
     #[inline]
     pub(super) fn distance_min_m(&self, axis: &Axis) -> f64 {
         let between_m = self.nearest_between_m(axis);
         let square_m2 = between_m.norm_squared();
-        // A NaN tells nothing, either.
+        // False for a NaN, too.
         let is_apart = square_m2 > TOUCHING_M2;
         if !is_apart {
             return f64::NEG_INFINITY;
@@ -76,7 +79,7 @@ impl Chord {
         apart / square_m2.sqrt() - self.slack_m
     }
 
-    /// From the point of the segment to that of the chord where these are nearest, about.
+    /// Vector from the nearest point of the segment to the nearest point of the chord, approximately.
     #[inline]
     fn nearest_between_m(&self, axis: &Axis) -> Vector3<f64> {
         let from_m = self.start_m - axis.start_m;

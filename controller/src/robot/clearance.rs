@@ -1,12 +1,12 @@
-//! How far the body is from an obstacle, where, and how that place moves with the bends (§3 of docs/model.md).
+//! Clearance of the body from an obstacle, its place, and its derivative by the bends (§3 of docs/model.md).
 //!
-//! The body is every point within a section's `body_radius_m` of that section's arc; so its ends, and steps in the radius, are
-//! round. Distances are exact, not sampled: 10 points per section would overestimate them by up to 14.7 mm.
+//! The body is every point within a section's `body_radius_m` of that section's arc, so its ends and its steps in
+//! radius are round. Distances are exact, not sampled: 10 points per section would overestimate them by up to 14.7 mm.
 //!
-//! A solver makes one [`Body`] per state and asks it about many obstacles; [`Robot::reaches`] first drops those that are too
-//! far away to matter. The gradient of a clearance is `direction · J`, with J from [`Robot::body_motion`] at the nearest point:
-//! that this point slides along the body is of second order. Where two points are equally near, it is the
-//! gradient of one of the two.
+//! A solver makes one [`Body`] per state and evaluates many obstacles with it; [`Robot::reaches`] first excludes those
+//! that are too far away to matter. The gradient of a clearance is `direction · J`, with J from [`Robot::body_motion`]
+//! at the nearest point. The motion of the nearest point along the body is of second order. Where two points are
+//! equally near, the result is the gradient of one of them.
 
 use std::borrow::Cow;
 
@@ -19,11 +19,11 @@ use super::tube::{Foot, Tube};
 use super::{Configuration, Pose, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
-/// Below this distance (m) between backbone and axis of an obstacle, their difference has no direction.
+/// Below this distance (m) between the backbone and the axis of an obstacle, no direction between them is defined.
 const COINCIDENT_M: f64 = 1e-12;
 
-/// What a bound on a clearance allows for rounding (m), beside that of the obstacle's coordinates: the longest robot is 60 m, and
-/// 60 · 2⁻⁵² m = 1.3e-14 m; [`Body::nearest`] promises 1e-12 m for a capsule.
+/// Allowance for rounding in a bound on a clearance (m), beside that of the obstacle's coordinates. The longest robot
+/// is 60 m, and 60 · 2⁻⁵² m = 1.3e-14 m; [`Body::nearest`] is exact to 1e-12 m for a capsule.
 pub(super) const ROUNDING_M: f64 = 2e-12;
 
 /// The place of the body that is nearest to an obstacle.
@@ -37,23 +37,24 @@ pub struct Nearest {
     pub s: f64,
     /// The point of the backbone (m, base frame).
     pub point_m: Vector3<f64>,
-    /// Unit vector from the obstacle's axis to that point: where to move it for more clearance. Where backbone and axis meet it
-    /// is normal to both, or, if they are parallel or the obstacle is a ball, normal to the plane of the arc.
+    /// Unit vector from the obstacle's axis to that point: the direction of increasing clearance. Where backbone and
+    /// axis meet, it is normal to both. If they meet in parallel, or the obstacle is a ball, it is normal to the plane
+    /// of the arc.
     pub direction: Vector3<f64>,
 }
 
-/// The body in one state, prepared for many obstacles. 1.6 kB in fixed arrays, no heap.
+/// The body in one state, prepared for many obstacles. 1.5 kB in fixed arrays, no heap.
 ///
-/// A NaN in the bends makes every clearance NaN, never a large number: write `clearance_m >= wanted`, which it fails.
+/// A NaN in the bends makes every clearance NaN, never a large number: `clearance_m >= required_m` is then false.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Body {
-    /// The first `section_count` are used, the rest repeat the last.
+    /// The first `section_count` are used; the rest repeat the last.
     tubes: [Tube<1>; SECTIONS_MAX],
     chords: [Chord; SECTIONS_MAX],
     section_count: usize,
 }
 
-/// Between which points a clearance is least.
+/// The section and the point of an obstacle's axis between which the clearance is least.
 pub(crate) struct Closest {
     /// As [`Nearest::clearance_m`] (m).
     pub(crate) clearance_m: f64,
@@ -63,20 +64,21 @@ pub(crate) struct Closest {
 }
 
 impl Body {
-    /// The nearest place of the body to an obstacle; of several, one.
+    /// The place of the body nearest to an obstacle; one of several if equally near.
     ///
-    /// Exact beside rounding, for a capsule to 1e-12 m beside it. Bounded work: for each section a few square roots, for a
-    /// capsule at most 80 Newton steps more; sections that are further than what is found are skipped.
+    /// Exact up to rounding; for a capsule, up to 1e-12 m and rounding. Bounded work: a few square roots for each
+    /// section, and at most 80 Newton steps more for a capsule. Sections whose bound exceeds the least clearance found
+    /// are skipped.
     pub fn nearest(&self, obstacle: &Obstacle) -> Nearest {
         self.place(&self.closest(obstacle), obstacle)
     }
 
-    /// The same for one section of this robot, from 0.
+    /// As [`Self::nearest`], for one section, from 0.
     pub fn nearest_of(&self, section: usize, obstacle: &Obstacle) -> Nearest {
         self.place(&self.closest_of(section, obstacle), obstacle)
     }
 
-    /// All that is known of the place that [`Self::closest_of`] found.
+    /// All fields of the place that [`Self::closest_of`] found.
     pub(crate) fn place(&self, closest: &Closest, obstacle: &Obstacle) -> Nearest {
         let tube = &self.tubes[closest.section];
         let foot = tube.foot(&closest.axis_m);
@@ -95,13 +97,13 @@ impl Body {
         }
     }
 
-    /// [`Nearest::clearance_m`] (m) alone, a little cheaper.
+    /// [`Nearest::clearance_m`] (m) alone, at a slightly lower cost.
     pub fn clearance_m(&self, obstacle: &Obstacle) -> f64 {
         self.closest(obstacle).clearance_m
     }
 
-    /// The least clearance from some obstacles (m): infinite without any, NaN for a NaN in the bends. Those that are farther than
-    /// what is found cost next to nothing.
+    /// Least clearance from several obstacles (m): infinite for none, NaN for a NaN in the bends. Obstacles farther
+    /// away than the least clearance found cost very little.
     pub fn least_clearance_m(&self, obstacles: impl IntoIterator<Item = Obstacle>) -> f64 {
         let mut least_m = f64::INFINITY;
         for obstacle in obstacles {
@@ -116,9 +118,9 @@ impl Body {
         least_m
     }
 
-    /// Whether the body may be within `travel_m` (m) of the obstacle. Cheap, by balls around the sections: where it says no, the
-    /// clearance is above `travel_m`; where it says yes, it need not be below. Ask with the safe distance plus all that body
-    /// and obstacle can move over the horizon. A NaN gives yes.
+    /// True if the body may be within `travel_m` (m) of the obstacle: a cheap, conservative test by balls around the
+    /// sections. If false, the clearance is above `travel_m`; if true, it may be above, too. Pass the safe distance
+    /// plus the motion of body and obstacle over the horizon. True for a NaN.
     pub fn reaches(&self, obstacle: &Obstacle, travel_m: f64) -> bool {
         let axis = obstacle.axis();
         let radius_m = obstacle.radius_m();
@@ -127,16 +129,17 @@ impl Body {
             .any(|tube| !is_beyond(clearance_min_m(tube, axis, radius_m), axis, travel_m))
     }
 
-    /// Which sections may be within `travel_m[j]` (m) of the obstacle: bit j is clear only if the clearance of section j is
-    /// certainly above that. First by balls, then by the exact distance; a NaN sets the bit. Ask with the safe distance plus all
-    /// that the section ([`Robot::travel_m`]) and the obstacle can move.
+    /// Sections that may be within `travel_m[j]` (m) of the obstacle: bit j is clear only if the clearance of section j
+    /// is certainly above that. Tested by balls, then by the exact distance; a NaN sets the bit. Pass the safe distance
+    /// plus the motion of the section ([`Robot::travel_m`]) and of the obstacle.
     pub fn sections_in_reach(&self, obstacle: &Obstacle, travel_m: &[f64; SECTIONS_MAX]) -> u8 {
         let clearances_m = self.clearances_in_reach(obstacle, travel_m);
         let bit = |j: usize| u8::from(clearances_m[j] != f64::INFINITY) << j;
         (0..self.section_count).map(bit).sum()
     }
 
-    /// The clearance of each section (m), infinite for those that [`Self::sections_in_reach`] leaves away, and after the last.
+    /// Clearance of each section (m); infinite for sections that [`Self::sections_in_reach`] excludes and beyond the
+    /// last.
     pub fn clearances_in_reach(
         &self,
         obstacle: &Obstacle,
@@ -145,8 +148,8 @@ impl Body {
         self.clearances_below(obstacle, travel_m, f64::INFINITY)
     }
 
-    /// The same, exactly where it is below `enough_m` (m): elsewhere perhaps a bound that is not below it either, which is cheaper for
-    /// a capsule.
+    /// As [`Self::clearances_in_reach`], exact where the clearance is below `enough_m` (m). Elsewhere it may be a lower
+    /// bound of at least `enough_m`, which is cheaper for a capsule.
     pub fn clearances_below(
         &self,
         obstacle: &Obstacle,
@@ -178,19 +181,19 @@ impl Body {
         clearances_m
     }
 
-    /// The clearance of one section of this robot, from 0 (m).
+    /// Clearance of one section, from 0 (m).
     pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
         self.closest_of(section, obstacle).clearance_m
     }
 
-    /// The direction of [`Nearest`] alone, for less: not finite where backbone and axis meet.
+    /// The direction of [`Nearest`] alone, at a lower cost; not finite where backbone and axis meet.
     pub(crate) fn direction(&self, closest: &Closest) -> Vector3<f64> {
         let tube = &self.tubes[closest.section];
         tube.way_from_m(&closest.axis_m).normalize()
     }
 
-    /// What the clearance of one section of this robot is at least (m), by its chord: for about a fifth of the time that the
-    /// exact one from a capsule takes. Minus infinity where the chord tells nothing, and for a NaN in the bends.
+    /// Lower bound on the clearance of one section, from 0 (m), by its chord. It takes about a fifth of the time of the
+    /// exact clearance from a capsule. Minus infinity where no bound is found, and for a NaN in the bends.
     pub fn clearance_min_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
         let axis = obstacle.axis();
         let distance_m = self.chords[section].distance_min_m(axis);
@@ -198,8 +201,9 @@ impl Body {
         distance_m - radii_m - (ROUNDING_M + axis.rounding_m())
     }
 
-    /// The same, by a direction of length 1 from the obstacle: tight where that is about the one of [`Nearest`], unless the section bends around the
-    /// obstacle. NaN for more than half a circle.
+    /// Lower bound on the clearance of one section (m) along a unit vector that points away from the obstacle. Tight if
+    /// the vector is close to the direction of [`Nearest`], unless the section bends around the obstacle. NaN for more
+    /// than half a circle.
     pub fn clearance_min_along(
         &self,
         section: usize,
@@ -219,7 +223,7 @@ impl Body {
 
     /// The section and the point of the obstacle's axis between which clearance is least.
     fn closest(&self, obstacle: &Obstacle) -> Closest {
-        // First the section that promises most, so that most of the others need no search.
+        // Starts with the section of the lowest bound, so that most of the others need no search.
         let axis = obstacle.axis();
         let mut bounds_m = [f64::INFINITY; SECTIONS_MAX];
         let mut first = 0;
@@ -235,7 +239,7 @@ impl Body {
                 continue;
             }
             let other = self.closest_of(section, obstacle);
-            // A NaN replaces what was found, and stays.
+            // A NaN replaces the result and stays.
             if other.clearance_m < best.clearance_m || other.clearance_m.is_nan() {
                 best = other;
             }
@@ -243,7 +247,7 @@ impl Body {
         best
     }
 
-    /// The same for one section.
+    /// As [`Self::closest`], for one section.
     pub(crate) fn closest_of(&self, section: usize, obstacle: &Obstacle) -> Closest {
         let (axis, tube) = (obstacle.axis(), &self.tubes[section]);
         let (t, Wide([distance_m])) = tube.nearest(axis);
@@ -255,7 +259,8 @@ impl Body {
     }
 }
 
-/// What the clearance of a section from an obstacle of `radius_m` (m) is at least (m): that of a ball around it.
+/// Lower bound on the clearance of a section from an obstacle of `radius_m` (m): the clearance of the ball around it
+/// (m).
 #[inline]
 fn clearance_min_m(tube: &Tube<1>, axis: &Axis, radius_m: f64) -> f64 {
     let (centre_m, Wide([ball_radius_m])) = tube.ball();
@@ -263,18 +268,18 @@ fn clearance_min_m(tube: &Tube<1>, axis: &Axis, radius_m: f64) -> f64 {
     square_m2.sqrt() - ball_radius_m - tube.radius_m - radius_m
 }
 
-/// Whether a clearance (m) is certainly above `travel_m` (m), rounding or not. A NaN is not.
+/// True if a clearance (m) is certainly above `travel_m` (m), including rounding. False for a NaN.
 #[inline]
 fn is_beyond(clearance_m: f64, axis: &Axis, travel_m: f64) -> bool {
     clearance_m - (ROUNDING_M + axis.rounding_m()) > travel_m
 }
 
-/// A direction away from an obstacle whose axis meets the backbone at `foot`, as [`Nearest::direction`] documents it.
+/// Direction away from an obstacle whose axis meets the backbone at `foot`, as documented at [`Nearest::direction`].
 #[cold]
 fn away(tube: &Tube<1>, foot: &Foot, span_m: &Vector3<f64>) -> Vector3<f64> {
     let both = foot.tangent.cross(span_m);
     let area = both.norm();
-    // Within a microradian of parallel the two have no common normal that rounding leaves alone.
+    // Within a microradian of parallel, the common normal is dominated by rounding.
     if area > 1e-6 * span_m.norm() {
         both / area
     } else {
@@ -283,7 +288,7 @@ fn away(tube: &Tube<1>, foot: &Foot, span_m: &Vector3<f64>) -> Vector3<f64> {
 }
 
 impl Robot {
-    /// The body in this shape.
+    /// The body of the robot in this shape.
     pub fn body(&self, configuration: &Configuration) -> Body {
         let mut frames = [Pose::identity(); SECTIONS_MAX + 1];
         let mut pose = Pose::identity();
@@ -294,10 +299,12 @@ impl Robot {
         self.body_from_frames(configuration, &frames)
     }
 
-    /// This robot with a thicker body, for one whose tip is measured `tip_offset_m` (m) beside where the bends place it: a section of it keeps a
-    /// distance where the true one does. Section j, up to whose end the body is `s_j` long, is thicker by `|offset| · min(1, s_j / |p|)`, with the
-    /// tip p from the base in the shape `at`. Why: §3 of docs/model.md. The fingerprint stays; a body radius may leave its range. An offset of 0 or less
-    /// changes nothing; one that is not a number is no distance that a body could keep.
+    /// This robot with a thicker body, for a robot whose tip is measured `tip_offset_m` (m) beside the tip of the
+    /// model. A section of the thicker body that keeps a distance ensures that the true section keeps it, too.
+    ///
+    /// The radius of section j grows by `|offset| · min(1, s_j / |p|)`: s_j is the body length up to its end, p the tip
+    /// from the base in the shape `at`. Derivation: §3 of docs/model.md. The fingerprint stays; a body radius may leave
+    /// its range. An offset of 0 or less changes nothing; a NaN makes every radius NaN.
     #[must_use]
     pub fn thicker(&self, at: &Configuration, tip_offset_m: f64) -> Cow<'_, Self> {
         if tip_offset_m <= 0.0 {
@@ -313,7 +320,7 @@ impl Robot {
         Cow::Owned(thicker)
     }
 
-    /// The same for a caller that has the frames already: those that [`Self::section_frames`] gives for this shape.
+    /// The body, for a caller that already has the [`Self::section_frames`] of this shape.
     pub fn body_from_frames(
         &self,
         configuration: &Configuration,
@@ -356,14 +363,14 @@ impl Robot {
         self.body(configuration).reaches(obstacle, travel_m)
     }
 
-    /// How far any point of each section can move (m) when the bend vector of section k changes by at most
+    /// Largest motion of any point of each section (m) when the bend vector of section k changes by at most
     /// `max_bend_change_rad[k]` (rad, Euclidean norm); 0 after the last section.
     ///
-    /// An arc's end moves by at most ℓ/2 per radian and turns by at most a radian, and so does each part of it. Hence
-    /// Δⱼ ℓⱼ/2 + Σ_{k<j} Δₖ (ℓₖ/2 + Σ_{k<i≤j} ℓᵢ).
+    /// An arc's end moves by at most ℓ/2 per radian and turns by at most a radian per radian, and so does each part of
+    /// it. Hence Δⱼ ℓⱼ/2 + Σ_{k<j} Δₖ (ℓₖ/2 + Σ_{k<i≤j} ℓᵢ).
     pub fn travel_m(&self, max_bend_change_rad: &[f64; SECTIONS_MAX]) -> [f64; SECTIONS_MAX] {
         let mut travel_m = [0.0; SECTIONS_MAX];
-        // How far the start of the section moves, and by how much it turns.
+        // Motion of the section's start, and its turn.
         let (mut start_m, mut turn_rad) = (0.0, 0.0);
         for (j, section) in self.sections().iter().enumerate() {
             let own_m = 0.5 * section.length_m * max_bend_change_rad[j];
@@ -374,11 +381,11 @@ impl Robot {
         travel_m
     }
 
-    /// What any point of each section is accelerated by at most (m/s²) when the bend vectors change at constant rates of these norms
-    /// (rad/s); 0 after the last section.
+    /// Upper bound on the acceleration of any point of each section (m/s²) when the bend vectors change at constant
+    /// rates of these norms (rad/s); 0 after the last section.
     ///
-    /// The tangent at a share σ of section k turns with at most a = Σ_{i<k} rᵢ + σ rₖ, and its second derivative is at most a²:
-    /// hence Σ ℓₖ ∫ a² dσ = Σ ℓₖ (S² + S rₖ + rₖ²/3), with S = Σ_{i<k} rᵢ.
+    /// The tangent at a share σ of section k turns at a rate of at most a = Σ_{i<k} rᵢ + σ rₖ, and its second
+    /// derivative is at most a². Hence Σ ℓₖ ∫ a² dσ = Σ ℓₖ (S² + S rₖ + rₖ²/3), with S = Σ_{i<k} rᵢ.
     pub fn acceleration_m_s2(&self, rates_rad_s: &[f64; SECTIONS_MAX]) -> [f64; SECTIONS_MAX] {
         let mut acceleration_m_s2 = [0.0; SECTIONS_MAX];
         let (mut sum_m_s2, mut turn_rad_s) = (0.0, 0.0);
@@ -392,12 +399,13 @@ impl Robot {
         acceleration_m_s2
     }
 
-    /// How far any point of each section lies at most (m) from where it is in another shape; 0 after the last section. Each shape
-    /// comes with its [`Self::section_frames`].
+    /// Upper bound on the distance of any point of each section (m) between two shapes; 0 after the last section. Each
+    /// shape comes with its [`Self::section_frames`].
     ///
-    /// A point of a section is o + R a. From there to o' + R' a' it is at most |o' - o| + ‖R' - R‖ ℓ + Δ ℓ/2, with the largest
-    /// singular value ‖R' - R‖ of a difference of rotations: its Frobenius norm over √2. Nor is it farther than the farther end
-    /// of the section and what the arcs leave their chords by, together: (‖R' - R‖ θ + Δ (1 + θ)) ℓ/8.
+    /// A point of a section is o + R a, in the other shape o' + R' a'. Their distance is at most |o' - o| + ‖R' - R‖ ℓ
+    /// + Δ ℓ/2. Here ‖R' - R‖ is the largest singular value of a difference of rotations, which is its Frobenius norm
+    /// over √2. A second bound is the larger displacement of the section's two ends, plus the difference of the arcs'
+    /// deviations from their chords: (‖R' - R‖ θ + Δ (1 + θ)) ℓ/8.
     pub fn displacement_m(
         &self,
         (from, from_frames): (&Configuration, &[Pose; SECTIONS_MAX + 1]),

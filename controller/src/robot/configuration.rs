@@ -1,11 +1,11 @@
-//! How a robot is bent, and how fast that changes: two types, so that an angle is never taken for a rate.
+//! Bends of a robot and their rates of change, as two types, so that an angle cannot be passed as a rate.
 //!
-//! Invariant: components beyond the section count are zero, so equality and copies need no care, and a robot with more
-//! sections than that takes the others as straight.
+//! Invariant: components beyond the section count are zero. Equality and copies therefore compare and copy whole
+//! arrays, and a robot with more sections takes the missing ones as straight.
 
 use super::{COORDINATES_MAX, SECTIONS_MAX};
 
-/// The part that both types share: storage and access.
+/// Storage and access, shared by both types.
 macro_rules! bend_vector {
     ($(#[$doc:meta])* $name:ident, $unit:literal) => {
         $(#[$doc])*
@@ -22,7 +22,7 @@ macro_rules! bend_vector {
             }
 
             #[doc = concat!("From (u1, v1, u2, v2, …) ", $unit, ", base first. `None` unless the length is even and 2 to 12.")]
-            /// Values are taken as they are, a NaN too: ask [`Self::is_finite`].
+            /// Values are not checked, and may be NaN: see [`Self::is_finite`].
             pub fn from_slice(components: &[f64]) -> Option<Self> {
                 let length = components.len();
                 if length == 0 || length > COORDINATES_MAX || !length.is_multiple_of(2) {
@@ -43,7 +43,7 @@ macro_rules! bend_vector {
                 &mut self.components[..2 * self.section_count]
             }
 
-            /// The components of all sections that a robot can have: those that are not there do not bend.
+            /// The components of all [`SECTIONS_MAX`] sections; those beyond the section count are zero.
             pub(crate) fn pairs(&self) -> &[[f64; 2]] {
                 self.components.as_chunks::<2>().0
             }
@@ -58,7 +58,7 @@ macro_rules! bend_vector {
                 self.pairs().get(j).copied().unwrap_or_default()
             }
 
-            /// Whether no component is NaN or infinite.
+            /// True if no component is NaN or infinite.
             pub fn is_finite(&self) -> bool {
                 self.components.iter().all(|component| component.is_finite())
             }
@@ -69,22 +69,23 @@ macro_rules! bend_vector {
 bend_vector! {
     /// The shape of a robot: the bend vector (u, v) = θ (cos φ, sin φ) (rad) of each section, base first.
     ///
-    /// Any finite value is a shape; what a given robot can reach is bounded by its `bend_max_rad`. §1 of docs/model.md.
+    /// Any finite value is a shape. A robot limits each section's bend to `bend_max_rad`. §1 of docs/model.md.
     Configuration, "(rad)"
 }
 
 bend_vector! {
-    /// How fast the shape changes: (u̇, v̇) (rad/s) of each section, base first. The control of the robot.
+    /// Rates of change of the shape: (u̇, v̇) (rad/s) of each section, base first. They are the control input of the
+    /// robot.
     BendRates, "(rad/s)"
 }
 
 impl Configuration {
-    /// The straight robot. `section_count` from 1 to 6; a number outside is taken as the nearest of them.
+    /// The straight robot. `section_count` is clamped to 1 to 6.
     pub fn straight(section_count: usize) -> Self {
         Self::zeros(section_count)
     }
 
-    /// From components (rad) that are zero beyond `section_count`, 1 to 6.
+    /// From components (rad), which must be zero beyond `section_count`, 1 to 6.
     pub(crate) fn padded(components: [f64; COORDINATES_MAX], section_count: usize) -> Self {
         debug_assert!((1..=SECTIONS_MAX).contains(&section_count));
         debug_assert!(
@@ -98,8 +99,8 @@ impl Configuration {
         }
     }
 
-    /// From the paper's coordinates: (θ, φ) (rad) of each section, base first, 1 to 6 of them (further ones are ignored; none
-    /// is one straight section). A negative θ is legal and bends the other way.
+    /// From the paper's coordinates: (θ, φ) (rad) of each section, base first, 1 to 6 sections. Surplus sections are
+    /// ignored; an empty slice gives one straight section. A negative θ is legal and bends towards φ + π.
     pub fn from_bend_angles(bend_angles_rad: &[[f64; 2]]) -> Self {
         let mut configuration = Self::zeros(bend_angles_rad.len());
         let (sections, _) = configuration.as_mut_slice().as_chunks_mut::<2>();
@@ -116,14 +117,14 @@ impl Configuration {
         u.hypot(v)
     }
 
-    /// Direction φ in which section `j` bends (rad), in [-π, π]; 0 for a straight section, which has none.
+    /// Direction φ in which section `j` bends (rad), in [-π, π]; 0 for a straight section.
     pub fn direction_rad(&self, j: usize) -> f64 {
         let [u, v] = self.section(j);
         v.atan2(u)
     }
 
-    /// The shape after `dt_s` (s) at constant rates: exact, as the bend vector is then linear in time. Rates for sections
-    /// that this shape does not have are ignored.
+    /// The shape after `dt_s` (s) at constant rates. Exact, because the bend vector is linear in time. Rates of
+    /// sections beyond this shape's are ignored.
     #[must_use]
     pub fn advanced(&self, rates: &BendRates, dt_s: f64) -> Self {
         let mut next = *self;
@@ -135,7 +136,7 @@ impl Configuration {
 }
 
 impl BendRates {
-    /// A robot at rest. `section_count` from 1 to 6; a number outside is taken as the nearest of them.
+    /// A robot at rest. `section_count` is clamped to 1 to 6.
     pub fn zero(section_count: usize) -> Self {
         Self::zeros(section_count)
     }

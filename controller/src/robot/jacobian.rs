@@ -1,16 +1,17 @@
-//! How the tip moves when a bend changes (§1 of docs/model.md).
+//! Derivative of the tip pose by the bends (§1 of docs/model.md).
 //!
-//! For section j, in the frame of the base ("space frame"): `J_w,j = R₀ⱼ₋₁ ωⱼ` and
-//! `J_v,j = R₀ⱼ₋₁ ∂pⱼ + J_w,j × (p_tip - pⱼ)`: the section's own end moves, and everything beyond it turns about that end.
+//! For section j, in the base frame: `J_w,j = R₀ⱼ₋₁ ωⱼ` and `J_v,j = R₀ⱼ₋₁ ∂pⱼ + J_w,j × (p_tip - pⱼ)`. The section's
+//! own end moves, and everything beyond it turns about that end.
 
 use nalgebra::Vector3;
 
 use super::{COORDINATES_MAX, Configuration, Pose, Robot, SECTIONS_MAX};
 
-/// Jacobian of the tip: 6 rows [v; ω], one column per coordinate, 2n columns, in the frame of the base.
+/// Jacobian of the tip: 6 rows [v; ω], one column for each of the 2n coordinates, in the base frame.
 ///
-/// v is the velocity of the tip (m/rad), ω its rotational velocity (rad/rad): `[v; ω] = J (u̇1, v̇1, …)` and Ṙ = skew(ω) R.
-/// Smooth everywhere. It loses rank at the straight robot: v along the axis is then zero in every column.
+/// v is the velocity of the tip (m/rad), ω its rotational velocity (rad/rad): `[v; ω] = J (u̇1, v̇1, …)` and Ṙ =
+/// skew(ω) R. Smooth everywhere. It loses rank at the straight robot, where the component of v along the axis is zero
+/// in every column.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Jacobian {
     columns: [[f64; 6]; COORDINATES_MAX],
@@ -24,7 +25,7 @@ impl Default for Jacobian {
 }
 
 impl Jacobian {
-    /// Without columns, to be filled by [`Robot::tip_jacobian`].
+    /// An empty Jacobian, to be filled by [`Robot::tip_jacobian`].
     pub const fn new() -> Self {
         Self {
             columns: [[0.0; 6]; COORDINATES_MAX],
@@ -51,10 +52,11 @@ impl Jacobian {
         &self.columns[..self.column_count]
     }
 
-    /// The same Jacobian for the paper's coordinates: columns for θ1, φ1, θ2, φ2, … at these (θ, φ) (rad) of each section.
-    /// They cannot be read back from the bend vector alone: a straight section has no φ, and θ may be negative.
+    /// The same Jacobian in the paper's coordinates: columns for θ1, φ1, θ2, φ2, … at the given (θ, φ) (rad) of each
+    /// section. The angles are an argument because the bend vector does not determine them: a straight section has no
+    /// φ, and θ may be negative.
     ///
-    /// The φ column of a straight section is zero: that is the singularity which the bend vector does not have.
+    /// The φ column of a straight section is zero, a singularity that the bend vector does not have.
     #[must_use]
     pub fn to_bend_angles(&self, bend_angles_rad: &[[f64; 2]]) -> Self {
         let mut by_angles = Self {
@@ -78,7 +80,7 @@ impl Jacobian {
 }
 
 impl Robot {
-    /// Fills the tip's Jacobian, and returns the tip's pose, which it needs anyway.
+    /// Fills the Jacobian of the tip and returns the tip pose, a by-product.
     pub fn tip_jacobian(&self, configuration: &Configuration, jacobian: &mut Jacobian) -> Pose {
         let mut own = [[(Vector3::zeros(), Vector3::zeros()); 2]; SECTIONS_MAX];
         let mut ends = [Vector3::zeros(); SECTIONS_MAX];

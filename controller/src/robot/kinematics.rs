@@ -1,4 +1,4 @@
-//! Where the tip, the joints between sections and the points of the body are (§1 of docs/model.md).
+//! Poses of the tip, of the section ends and of points of the body (§1 of docs/model.md).
 //!
 //! The chain from base to tip: p = Σ R₀ⱼ₋₁ pⱼ, R = Π Rⱼ.
 
@@ -12,13 +12,13 @@ use super::{Arc, Configuration, Robot, SECTIONS_MAX};
 pub struct Pose {
     /// Position in the base frame (m).
     pub position_m: Vector3<f64>,
-    /// Rotation from this frame to the base frame: its columns are this frame's axes. The third is the direction of the
+    /// Rotation from this frame to the base frame. Its columns are this frame's axes; the third is the direction of the
     /// backbone.
     pub rotation: Matrix3<f64>,
 }
 
 impl Pose {
-    /// The base itself.
+    /// The base frame.
     pub fn identity() -> Self {
         Self {
             position_m: Vector3::zeros(),
@@ -46,8 +46,8 @@ impl Robot {
 
     /// Position of the tip in the base frame (m).
     ///
-    /// The hot path of every rollout: from the tip back to the base x ← Rⱼ x + pⱼ, which needs vectors only. With t = l - (u x +
-    /// v y), each section costs its two coefficients and a dozen multiplications.
+    /// Hot path of every rollout. It transforms one vector from the tip back to the base, x ← Rⱼ x + pⱼ, without
+    /// matrices. With t = l - (u x + v y), each section costs its two coefficients and a dozen multiplications.
     #[inline]
     pub fn tip_position(&self, configuration: &Configuration) -> Vector3<f64> {
         let (mut x, mut y, mut z) = (0.0, 0.0, 0.0);
@@ -64,7 +64,7 @@ impl Robot {
         Vector3::new(x, y, z)
     }
 
-    /// The base, then the end of each section in the base frame: entry 0 is the base, entry n the tip; entries beyond repeat
+    /// The frame of the base, then of each section's end: entry 0 is the base, entry n the tip. Entries beyond n repeat
     /// the tip.
     pub fn section_frames(&self, configuration: &Configuration) -> [Pose; SECTIONS_MAX + 1] {
         let mut frames = [Pose::identity(); SECTIONS_MAX + 1];
@@ -79,8 +79,8 @@ impl Robot {
         frames
     }
 
-    /// A point of the backbone in the base frame (m): on section `section` (0 at the base), a share `s` of its length from its
-    /// start. `s` is held within [0, 1]; a section beyond the last gives the tip.
+    /// A point of the backbone in the base frame (m): in section `section` (0 at the base), at the share `s` of its
+    /// length from its start. `s` is clamped to [0, 1]; a section beyond the last gives the tip.
     pub fn body_point(
         &self,
         configuration: &Configuration,
@@ -90,7 +90,7 @@ impl Robot {
         self.body_pose(configuration, section, s).position_m
     }
 
-    /// The same with the direction of the backbone there.
+    /// Pose of the backbone at the point of [`Self::body_point`]; its z axis is the tangent.
     pub fn body_pose(&self, configuration: &Configuration, section: usize, s: f64) -> Pose {
         let start = self
             .arcs(configuration)

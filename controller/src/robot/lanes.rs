@@ -1,4 +1,4 @@
-//! Vectors and frames of W configurations side by side; with W = 1 those of a single one.
+//! Vectors and frames of W configurations side by side; W = 1 is a single one.
 
 use std::ops::{Add, Mul, Sub};
 
@@ -8,7 +8,7 @@ use super::Pose;
 use super::section::series_coefficients_wide;
 use crate::wide::Wide;
 
-/// W vectors of three components. The operations are those of `nalgebra`, in the same order.
+/// W vectors of three components. The operations and their order are those of `nalgebra`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct WideVector<const W: usize>(pub(super) [Wide<W>; 3]);
 
@@ -70,17 +70,17 @@ impl<const W: usize> Mul<Wide<W>> for WideVector<W> {
     }
 }
 
-/// W frames of a robot: [`Pose`] side by side.
+/// W frames of a robot: the poses of W configurations side by side.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frame<const W: usize> {
-    /// In the base frame (m).
+    /// Origin in the base frame (m).
     pub(super) position_m: WideVector<W>,
-    /// Its x, y and z axis in the base frame, unit vectors.
+    /// Unit vectors along x, y and z in the base frame.
     pub(super) axes: [WideVector<W>; 3],
 }
 
 impl<const W: usize> Frame<W> {
-    /// The base itself.
+    /// The base frame.
     #[inline(always)]
     pub(super) fn base() -> Self {
         let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
@@ -94,8 +94,8 @@ impl<const W: usize> Frame<W> {
         }
     }
 
-    /// The frame at the end of a section that starts here, bent by (u, v) (rad): with s = u x + v y and q = g s + f z, it moves
-    /// on by ℓ q, and its axes are x - u q, y - v q and f s + (1 - w g) z.
+    /// The frame at the end of a section that starts here, bent by (u, v) (rad). With s = u x + v y and q = g s + f z,
+    /// the origin moves by ℓ q. The axes become x - u q, y - v q and f s + (1 - w g) z.
     #[inline(always)]
     pub(super) fn then(&self, length_m: f64, [u, v]: [Wide<W>; 2]) -> Self {
         let w = u * u + v * v;

@@ -7,10 +7,11 @@ use super::{Configuration, Robot};
 use crate::wide::LANES;
 
 impl Robot {
-    /// Positions of the tip in the base frame (m): x, y, z of each configuration in `tip_m`, for 2n bend-vector components (rad) of each in `bend_rad`.
-    /// What one of them has more than the other is left alone.
+    /// Tip positions in the base frame (m). `bend_rad` holds 2n bend-vector components (rad) for each configuration,
+    /// `tip_m` receives x, y, z for each. Surplus elements of the longer slice are ignored.
     ///
-    /// Eight side by side, with the instructions of the processor; the bits are those of [`Self::tip_position`].
+    /// Evaluates eight configurations side by side with the processor's SIMD instructions. The result is bit-identical
+    /// to [`Self::tip_position`].
     pub fn tip_positions(&self, bend_rad: &[f64], tip_m: &mut [f64]) {
         Arch::new().dispatch(Tips {
             robot: self,
@@ -42,7 +43,7 @@ impl NullaryFnOnce for Tips<'_> {
     }
 }
 
-/// One after the other.
+/// Evaluates the configurations one by one.
 #[inline(never)]
 fn each(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) {
     let mut shape = Configuration::straight(robot.section_count());
@@ -53,7 +54,8 @@ fn each(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) {
     }
 }
 
-/// As `tip_position`, operation by operation, where the series serve all sections; false where they do not.
+/// The operations of `tip_position` in the same order, for eight configurations. False if the series is not valid for
+/// every section.
 #[inline(always)]
 fn eight(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) -> bool {
     let width = robot.coordinate_count();
@@ -89,7 +91,7 @@ mod tests {
     use super::*;
     use crate::robot::RobotParameters;
 
-    /// From straight to beyond the series, with numbers that are none in two of the blocks.
+    /// From straight to beyond the series; two of the blocks contain NaN or infinity.
     fn bends(count: usize) -> Vec<f64> {
         let bend = |i: usize| match i {
             77 => f64::NAN,

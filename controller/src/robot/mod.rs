@@ -1,4 +1,4 @@
-//! What the robot is: a chain of constant-curvature sections, bent by cables.
+//! Geometry and kinematics of the robot: a chain of constant-curvature sections, bent by cables.
 //!
 //! Notation, used in every file here. A section of length `l` bends by θ towards the direction φ; its **bend vector** is
 //! `b = (u, v) = θ (cos φ, sin φ)` (rad), and `w = u² + v² = θ²`. A robot of n sections is described by
@@ -6,27 +6,27 @@
 //! Lengths are in metres, angles in radians. The base frame has z along the straight robot. Formulas: §1 and §2 of
 //! docs/model.md.
 //!
-//! | file | question it answers |
+//! | file | contents |
 //! |---|---|
-//! | `parameters` | which numbers describe a robot, and which are allowed |
-//! | `configuration` | how is it bent, how fast does that change |
-//! | `section` | where does one arc end, and how does that depend on its bend |
-//! | `kinematics` | where is the tip, a joint of two sections, any point of the body |
-//! | `jacobian` | how does the tip move when a bend changes |
-//! | `orientation` | which angles or quaternion is this rotation |
-//! | `cables` | how long is each cable, how fast does it run, and back |
-//! | `obstacle` | what must the body keep away from, and where is it later |
-//! | `tube` | how far is one section from a point, from a segment |
-//! | `chord` | how far is one section from a segment at least, for less work |
-//! | `clearance` | how far is the body from an obstacle, and where |
-//! | `body_motion` | how does a point of the body move when a bend changes |
-//! | `many` | where are the tips of any number of configurations |
-//! | `wide` | where are the tips of many configurations, side by side |
-//! | `lanes` | vectors and frames of many configurations, side by side |
-//! | `body_wide` | how far are many bodies from an obstacle, side by side |
+//! | `parameters` | parameters of a robot and their ranges |
+//! | `configuration` | bend vectors and their rates |
+//! | `section` | pose at the end of one arc, and its derivatives by the bend |
+//! | `kinematics` | poses of the tip, of the section ends and of any point of the body |
+//! | `jacobian` | derivative of the tip pose by the bends |
+//! | `orientation` | a rotation as three angles or as a quaternion |
+//! | `cables` | cable lengths and speeds from bends, and bends from cable lengths |
+//! | `obstacle` | obstacles and their motion |
+//! | `tube` | exact distance of one section from a point and from a segment |
+//! | `chord` | cheap lower bound on the distance of one section from a segment |
+//! | `clearance` | clearance of the body from an obstacle, and the nearest point |
+//! | `body_motion` | derivative of a point of the body by the bends |
+//! | `many` | tip positions of any number of configurations |
+//! | `wide` | tip positions of W configurations side by side |
+//! | `lanes` | vectors and frames of W configurations side by side |
+//! | `body_wide` | clearance of W bodies side by side |
 //!
-//! A configuration or rates belong to a robot by their section count. Of another count, sections that they do not have are
-//! straight, and rest; those that the robot does not have are ignored.
+//! A configuration or rates may have another section count than the robot. Missing sections are taken as straight and
+//! at rest; surplus sections are ignored.
 //!
 //! Invariant: nothing here knows a reference, a cost, a time or another process. Once a [`Robot`] exists, nothing here
 //! allocates, fails or panics on finite input, except where an index is documented to.
@@ -61,7 +61,7 @@ pub(crate) use section::rotate_wide;
 pub use section::{Arc, Coefficients};
 pub(crate) use wide::Near;
 
-/// Six sections: the longest robot published has five. Every array of this crate is sized by it.
+/// Maximum number of sections: the longest published robot has five. The limit sizes every array of this crate.
 pub const SECTIONS_MAX: usize = 6;
 
 /// Two components (u, v) of the bend vector for each section.

@@ -1,6 +1,6 @@
-//! What the body must keep away from: a sphere or a capsule that may move at constant velocity.
+//! Obstacles of the body: spheres and capsules that may move at constant velocity.
 //!
-//! Invariant: an [`Obstacle`] made by [`Obstacle::new`] holds finite numbers only, so no distance to it overflows.
+//! Invariant: an [`Obstacle`] made by [`Obstacle::new`] holds only finite numbers, so no distance to it overflows.
 
 use core::ops::RangeInclusive;
 
@@ -10,31 +10,31 @@ use thiserror::Error;
 use super::lanes::WideVector;
 use crate::wide::Wide;
 
-/// Allowed components of a position (m) and of a velocity (m/s). A thousand kilometres excludes nonsense and keeps squares
-/// and their products far from overflow.
+/// Allowed components of a position (m) and of a velocity (m/s). The limit of 1000 km excludes nonsense and keeps
+/// squares and their products far from overflow.
 pub const OBSTACLE_COMPONENT: RangeInclusive<f64> = -1e6..=1e6;
 /// Allowed radius of an obstacle (m); 0 is a point or a line.
 pub const OBSTACLE_RADIUS_M: RangeInclusive<f64> = 0.0..=1e6;
 
-/// The axis of an obstacle, in the base frame of the robot: its radius is around that.
+/// Axis of an obstacle in the base frame of the robot. The obstacle is every point within its radius of the axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
     /// A ball.
     Sphere {
-        /// Its centre (m), each component in [`OBSTACLE_COMPONENT`].
+        /// Centre (m), each component in [`OBSTACLE_COMPONENT`].
         centre_m: Vector3<f64>,
     },
-    /// A cylinder with round ends: every point within the radius of a segment. Start and end may coincide: a ball.
+    /// A cylinder with round ends: every point within the radius of a segment. If start and end coincide, it is a ball.
     Capsule {
         /// One end of the segment (m), each component in [`OBSTACLE_COMPONENT`].
         start_m: Vector3<f64>,
-        /// The other end (m), the same.
+        /// The other end of the segment (m), each component in [`OBSTACLE_COMPONENT`].
         end_m: Vector3<f64>,
     },
 }
 
 impl Shape {
-    /// The same shape elsewhere.
+    /// The shape moved by `by_m` (m).
     #[inline(always)]
     fn translated(self, by_m: Vector3<f64>) -> Self {
         match self {
@@ -61,7 +61,7 @@ impl Shape {
         }
     }
 
-    /// Each point beside its key.
+    /// Points of the axis with their keys; the centre of a sphere appears twice.
     fn points(&self) -> [(&'static str, Vector3<f64>); 2] {
         match *self {
             Self::Sphere { centre_m } => [("centre_m", centre_m); 2],
@@ -92,16 +92,16 @@ impl Shape {
     }
 }
 
-/// A segment of less than this square (m²) is taken as a point: its inverse may overflow.
+/// A segment up to this squared length (m²) is taken as a point, because the inverse may overflow.
 const POINT_M2: f64 = 1e-300;
 
-/// A point or a segment, prepared for distances from W points side by side.
+/// A point or a segment, prepared for distances to W points side by side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
     pub(super) start_m: Vector3<f64>,
     pub(super) span_m: Vector3<f64>,
     pub(super) length_m: f64,
-    /// 0 for a point.
+    /// One over the squared length (1/m²); 0 for a point.
     per_square_1_m2: f64,
 }
 
@@ -117,7 +117,7 @@ impl Axis {
         WideVector::splat(&self.start_m) + WideVector::splat(&self.span_m) * t
     }
 
-    /// Share t ∈ [0, 1] at which the segment is nearest to a point; 0 if it is a point itself.
+    /// Share t ∈ [0, 1] of the segment's point nearest to `point_m`; 0 for an axis that is a point.
     #[inline(always)]
     pub(super) fn share<const W: usize>(&self, point_m: &WideVector<W>) -> Wide<W> {
         let after_start = *point_m - WideVector::splat(&self.start_m);
@@ -125,7 +125,7 @@ impl Axis {
         (along * self.per_square_1_m2).clamp(0.0, 1.0)
     }
 
-    /// Squared distance from a point (m²).
+    /// Squared distance between the axis and a point (m²).
     #[inline(always)]
     pub(super) fn square_m2<const W: usize>(&self, point_m: &WideVector<W>) -> Wide<W> {
         let nearest_m = if self.is_point() {
@@ -136,7 +136,7 @@ impl Axis {
         (*point_m - nearest_m).norm_squared()
     }
 
-    /// What its coordinates allow distances of it to be off (m): ten units of the last place.
+    /// Rounding error of distances to this axis, caused by its coordinates (m): ten units in the last place.
     #[inline(always)]
     pub(super) fn rounding_m(&self) -> f64 {
         const SHARE: f64 = 10.0 * f64::EPSILON;
@@ -144,7 +144,7 @@ impl Axis {
     }
 }
 
-/// A checked obstacle: shape, radius around it, and the velocity of the whole. 152 bytes, no heap.
+/// A checked obstacle: shape, radius, and the velocity of the whole. 152 bytes, no heap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Obstacle {
     shape: Shape,
@@ -153,20 +153,20 @@ pub struct Obstacle {
     velocity_m_s: Vector3<f64>,
 }
 
-/// Why numbers are not an obstacle.
+/// The number that makes an obstacle invalid.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("obstacle: {key} has {value}, outside {allowed:?} (SI units: m, m/s); correct it")]
 pub struct ObstacleError {
-    /// Which number or vector: `radius_m`, `velocity_m_s`, `centre_m`, `start_m` or `end_m`.
+    /// Name of the number or vector: `radius_m`, `velocity_m_s`, `centre_m`, `start_m` or `end_m`.
     pub key: &'static str,
-    /// The number, or the first component of the vector that is refused; in the unit that ends the key.
+    /// The number, or the first component of the vector that is out of range; in the unit that ends the key.
     pub value: f64,
     /// [`OBSTACLE_RADIUS_M`] or [`OBSTACLE_COMPONENT`].
     pub allowed: RangeInclusive<f64>,
 }
 
 impl Obstacle {
-    /// A ball that stands, around `centre_m` (m, base frame).
+    /// A ball at rest around `centre_m` (m, base frame).
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -174,8 +174,8 @@ impl Obstacle {
         Self::new(Shape::Sphere { centre_m }, radius_m, Vector3::zeros())
     }
 
-    /// An obstacle of `radius_m` (m) around `shape` (m, base frame) that moves at `velocity_m_s` (m/s, base frame; zero for one
-    /// that stands).
+    /// An obstacle of `radius_m` (m) around `shape` (m, base frame) that moves at `velocity_m_s` (m/s, base frame; zero
+    /// at rest).
     ///
     /// # Errors
     /// The first number that is NaN, infinite or outside [`OBSTACLE_RADIUS_M`] or [`OBSTACLE_COMPONENT`].
@@ -210,28 +210,28 @@ impl Obstacle {
         })
     }
 
-    /// Its axis (m, base frame).
+    /// Axis of the obstacle (m, base frame).
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
 
-    /// What distances to it need.
+    /// The axis prepared for distances.
     #[inline(always)]
     pub(super) fn axis(&self) -> &Axis {
         &self.axis
     }
 
-    /// Its radius around the axis (m), in [`OBSTACLE_RADIUS_M`].
+    /// Radius around the axis (m), in [`OBSTACLE_RADIUS_M`].
     pub fn radius_m(&self) -> f64 {
         self.radius_m
     }
 
-    /// Its velocity (m/s, base frame).
+    /// Velocity (m/s, base frame).
     pub fn velocity_m_s(&self) -> Vector3<f64> {
         self.velocity_m_s
     }
 
-    /// The same obstacle in another frame, into which `frame` takes points of this one.
+    /// The obstacle in another frame. `frame` transforms points from this frame into that one.
     #[must_use]
     pub(crate) fn seen_in(&self, frame: &Isometry3<f64>) -> Self {
         let shape = self.shape.seen_in(frame);
@@ -243,7 +243,7 @@ impl Obstacle {
         }
     }
 
-    /// The obstacle `dt_s` (s, finite) later, at constant velocity without turning; earlier if negative.
+    /// The obstacle after `dt_s` (s, finite; negative for earlier), moved at constant velocity without turning.
     #[must_use]
     #[inline(always)]
     pub fn moved(&self, dt_s: f64) -> Self {

@@ -1,27 +1,27 @@
-//! Other ways to write a rotation: the paper's three angles, and the quaternion of the wire.
+//! Other representations of a rotation: the paper's three angles, and the quaternion of the wire protocol.
 
 use nalgebra::{Matrix3, Vector4};
 
 /// The paper's orientation {Φ, Θ, Ψ} (rad): R = Rz(Φ) Ry(Θ) Rx(Ψ).
 ///
-/// The paper does not print its convention; this is the usual one of its school (§1 of docs/model.md). Near the straight robot
-/// Θ and Ψ are the tilt of the tip's axis, and Φ its twist.
+/// The paper does not print its convention; this is the usual one of its school (§1 of docs/model.md). Near the
+/// straight robot Θ and Ψ are the tilt of the tip's axis, and Φ its twist.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ZyxAngles {
     /// Φ, about z (rad), in [-π, π].
     pub phi_rad: f64,
-    /// Θ, about the y that Φ has turned (rad), in [-π/2, π/2] from a rotation.
+    /// Θ, about the y axis after the turn by Φ (rad); [`Self::from_rotation`] gives [-π/2, π/2].
     pub theta_rad: f64,
-    /// Ψ, about the x that both have turned (rad), in [-π, π].
+    /// Ψ, about the x axis after both turns (rad), in [-π, π].
     pub psi_rad: f64,
 }
 
 impl ZyxAngles {
     /// Angles of a rotation matrix.
     ///
-    /// Φ is taken first and divided out, then Θ and Ψ are read from what is left: for a healthy matrix the formulas of the model,
-    /// and near Θ = ±π/2 ("gimbal lock", where only Φ ∓ Ψ is defined) whatever rounding makes of Φ, Ψ completes it to the same
-    /// rotation. In the lock itself Φ = 0. Finite for every finite matrix.
+    /// Φ is computed first and divided out; Θ and Ψ follow from the remaining rotation. Near Θ = ±π/2 (gimbal lock)
+    /// only Φ ∓ Ψ is defined. There Φ depends on rounding, and Ψ completes it to the same rotation. In exact gimbal
+    /// lock Φ = 0. Finite for every finite matrix.
     pub fn from_rotation(rotation: &Matrix3<f64>) -> Self {
         let r = rotation;
         let phi_rad = r.m21.atan2(r.m11);
@@ -54,8 +54,8 @@ impl ZyxAngles {
 
 /// Unit quaternion (x, y, z, w) of a rotation matrix, with w ≥ 0.
 ///
-/// Shepperd's method (1978): of four equivalent expressions the one that divides by the largest component, never below 1/2, so
-/// there is no rotation at which digits are lost.
+/// Shepperd's method (1978): of four equivalent expressions, it uses the one that divides by the largest component,
+/// which is at least 1/2. No rotation loses digits.
 pub fn quaternion_xyzw(rotation: &Matrix3<f64>) -> [f64; 4] {
     let r = rotation;
     let trace = r.m11 + r.m22 + r.m33;

@@ -1,6 +1,6 @@
-//! The numbers that describe a robot, their allowed ranges, and the checked [`Robot`] made of them.
+//! Parameters of a robot, their allowed ranges, and the checked [`Robot`].
 //!
-//! Invariant: a [`Robot`] exists only with every parameter inside [`ranges`], so no other file checks them again.
+//! Invariant: every parameter of a [`Robot`] is inside [`ranges`], so no other file checks them again.
 
 use core::ops::RangeInclusive;
 
@@ -18,11 +18,11 @@ pub mod ranges {
 
     /// Number of sections.
     pub const SECTION_COUNT: RangeInclusive<usize> = 1..=SECTIONS_MAX;
-    /// Length of a section (m): from a micro-catheter's to a crane's.
+    /// Length of a section (m): from a micro-catheter to a crane.
     pub const LENGTH_M: RangeInclusive<f64> = 0.001..=10.0;
     /// Distance of the cables from the backbone (m). It must also be below the section's length.
     pub const CABLE_RADIUS_M: RangeInclusive<f64> = 1e-4..=1.0;
-    /// Angle of a section's first cable (rad): one turn either way.
+    /// Angle of a section's first cable (rad): one turn in either direction.
     pub const CABLE_OFFSET_RAD: RangeInclusive<f64> =
         -core::f64::consts::TAU..=core::f64::consts::TAU;
     /// Largest bend of a section (rad): beyond π the section's end points back at its own base.
@@ -31,7 +31,7 @@ pub mod ranges {
     pub const RATE_MAX_RAD_S: RangeInclusive<f64> = 1e-3..=100.0;
     /// Radius of the body around the backbone (m); 0 is a line.
     pub const BODY_RADIUS_M: RangeInclusive<f64> = 0.0..=1.0;
-    /// How far a cable can be pulled or paid out from its length at the straight robot (m).
+    /// Largest change of a cable's length from that of the straight robot, in either direction (m).
     pub const CABLE_STROKE_MAX_M: RangeInclusive<f64> = 1e-4..=100.0;
     /// Largest speed of a cable (m/s).
     pub const CABLE_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-4..=100.0;
@@ -59,7 +59,7 @@ crate::parameters! {
 }
 
 impl SectionParameters {
-    /// Every parameter beside its key and its allowed range, in the order that the fingerprint hashes them.
+    /// Every parameter with its key and its allowed range, in the order in which the fingerprint hashes them.
     fn checked(&self) -> [(&'static str, f64, RangeInclusive<f64>); 6] {
         [
             ("length_m", self.length_m, ranges::LENGTH_M),
@@ -83,7 +83,7 @@ impl SectionParameters {
         ]
     }
 
-    /// Refuses the first parameter outside its range. `section` counts from 1, as people do.
+    /// Rejects the first parameter outside its range. `section` counts from 1 for the user.
     fn check(&self, section: usize) -> Result<(), RobotError> {
         for (key, value, allowed) in self.checked() {
             if !allowed.contains(&value) {
@@ -107,23 +107,23 @@ impl SectionParameters {
     }
 }
 
-/// A robot as a configuration file gives it, base section first. Not yet checked: [`Robot::new`] does that.
+/// Parameters of a robot as in a configuration file, base section first. [`Robot::new`] checks them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotParameters {
-    /// The sections, base first; as many as [`ranges::SECTION_COUNT`] allows.
+    /// The sections, base first; their number is in [`ranges::SECTION_COUNT`].
     pub sections: Vec<SectionParameters>,
     /// Largest speed of any cable (m/s), in [`ranges::CABLE_SPEED_MAX_M_S`].
     pub cable_speed_max_m_s: f64,
-    /// How far any cable can be pulled or paid out from its length at the straight robot (m), in
-    /// [`ranges::CABLE_STROKE_MAX_M`]: what winches and springs allow.
+    /// Largest change of a cable's length from that of the straight robot, in either direction (m), in
+    /// [`ranges::CABLE_STROKE_MAX_M`]. Set by winches and springs.
     pub cable_stroke_max_m: f64,
 }
 
 impl RobotParameters {
-    /// The paper's robot with `section_count` sections: 0.3 m each, cables at 12.5 mm, each section's first cable 40°
-    /// further round than the one before (from the paper: lengths; from §2 of docs/model.md: cables). The limits are
-    /// ours: the paper gives none. Valid for [`Robot::new`] with 1 to 6 sections.
+    /// The paper's robot with `section_count` sections: 0.3 m each, cables at 12.5 mm, and each section's first cable
+    /// 40° further round than the previous one's. The lengths are from the paper, the cables from §2 of docs/model.md.
+    /// The paper gives no limits; these are our own. Valid for [`Robot::new`] with 1 to 6 sections.
     pub fn paper(section_count: usize) -> Self {
         let section = |j: usize| SectionParameters {
             length_m: 0.3,
@@ -142,8 +142,8 @@ impl RobotParameters {
 }
 
 impl RobotParameters {
-    /// Every parameter of the whole robot beside its key and its allowed range, in the order that the
-    /// fingerprint hashes them.
+    /// Every parameter of the whole robot with its key and its allowed range, in the order in which the fingerprint
+    /// hashes them.
     fn checked(&self) -> [(&'static str, f64, RangeInclusive<f64>); 2] {
         [
             (
@@ -160,17 +160,17 @@ impl RobotParameters {
     }
 }
 
-/// Why parameters are not a robot. Each says where, which key, the value found and the values allowed.
+/// The parameter that makes a robot invalid: its place, its key, its value and the allowed values.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum RobotError {
     /// Too few or too many sections.
     #[error("{value} sections; a robot has {} to {}, so add or remove some", allowed.start(), allowed.end())]
     SectionCount {
-        /// The list's key.
+        /// Key of the list.
         key: &'static str,
-        /// How many there were.
+        /// Number of sections given.
         value: usize,
-        /// How many there may be: [`ranges::SECTION_COUNT`].
+        /// Allowed number of sections: [`ranges::SECTION_COUNT`].
         allowed: RangeInclusive<usize>,
     },
     /// A parameter of one section is out of range or not a number.
@@ -182,12 +182,12 @@ pub enum RobotError {
         section: usize,
         /// Key of the parameter.
         key: &'static str,
-        /// Its value, in the unit that ends the key.
+        /// Value of the parameter, in the unit that ends the key.
         value: f64,
-        /// Its allowed range, one of [`ranges`].
+        /// Allowed range, one of [`ranges`].
         allowed: RangeInclusive<f64>,
     },
-    /// A section's cables stand further from the backbone than the section is long.
+    /// A section's cables are at least as far from the backbone as the section is long.
     #[error(
         "section {section}: {key} = {value} is outside {allowed:?}: it must stay below length_m; correct either"
     )]
@@ -196,9 +196,9 @@ pub enum RobotError {
         section: usize,
         /// Key of the parameter.
         key: &'static str,
-        /// Its value (m).
+        /// Value of the parameter (m).
         value: f64,
-        /// Its allowed range (m), ending before the section's length.
+        /// Allowed range (m), which ends before the section's length.
         allowed: core::ops::Range<f64>,
     },
     /// A parameter of the whole robot is out of range or not a number.
@@ -206,28 +206,28 @@ pub enum RobotError {
     Whole {
         /// Key of the parameter.
         key: &'static str,
-        /// Its value, in the unit that ends the key.
+        /// Value of the parameter, in the unit that ends the key.
         value: f64,
-        /// Its allowed range, one of [`ranges`].
+        /// Allowed range, one of [`ranges`].
         allowed: RangeInclusive<f64>,
     },
 }
 
-/// A robot whose parameters are all valid. 600 bytes in fixed arrays, no heap: clone it freely.
+/// A robot whose parameters are all valid. 608 bytes in fixed arrays, no heap: cheap to clone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
-    /// The first `section_count` are used, the rest repeat the last.
+    /// The first `section_count` are used; the rest repeat the last.
     sections: [SectionParameters; SECTIONS_MAX],
     section_count: usize,
     cable_speed_max_m_s: f64,
     cable_stroke_max_m: f64,
-    /// (cos β, sin β) of each cable of each section: trigonometry once, not in every cycle.
+    /// (cos β, sin β) of each cable of each section, computed once, not in every cycle.
     cable_directions: [[[f64; 2]; 3]; SECTIONS_MAX],
     fingerprint: u64,
 }
 
 impl Robot {
-    /// Checks the parameters and fixes them for the life of the robot.
+    /// Checks the parameters. They cannot change afterwards.
     ///
     /// # Errors
     /// The first parameter outside [`ranges`] (a NaN is outside every range), base section first, as a [`RobotError`].
@@ -290,7 +290,7 @@ impl Robot {
         3 * self.section_count
     }
 
-    /// Distance from the base that no point of the backbone can exceed (m): the sum of the lengths.
+    /// Upper bound on the distance of any point of the backbone from the base (m): the sum of the lengths.
     pub fn reach_m(&self) -> f64 {
         self.sections().iter().map(|section| section.length_m).sum()
     }
@@ -300,16 +300,19 @@ impl Robot {
         self.cable_speed_max_m_s
     }
 
-    /// How far any cable can be pulled or paid out from its length at the straight robot (m), in
+    /// Largest change of a cable's length from that of the straight robot, in either direction (m), in
     /// [`ranges::CABLE_STROKE_MAX_M`].
     pub fn cable_stroke_max_m(&self) -> f64 {
         self.cable_stroke_max_m
     }
 
-    /// Identifies the parameters, so that two processes, or a recording and its replay, can tell whether they speak of the
-    /// same robot: 64-bit FNV-1a over little-endian bytes of the section count (as u64), then of the bits of each section's
-    /// `length_m`, `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
-    /// of `cable_speed_max_m_s` and `cable_stroke_max_m`. The same on every platform. It depends on bits: 0.0 and -0.0 differ.
+    /// Hash of the parameters, by which two processes, or a recording and its replay, verify that they use the same
+    /// robot.
+    ///
+    /// 64-bit FNV-1a over little-endian bytes: the section count (as u64), then the bits of each section's `length_m`,
+    /// `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
+    /// `cable_speed_max_m_s` and `cable_stroke_max_m`. The same on every platform. It depends on bits: 0.0 and -0.0
+    /// differ.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
@@ -328,7 +331,7 @@ fn cable_directions(offset_rad: f64) -> [[f64; 2]; 3] {
     })
 }
 
-/// As [`Robot::fingerprint`] documents it.
+/// The hash documented at [`Robot::fingerprint`].
 fn fingerprint(parameters: &RobotParameters) -> u64 {
     let count = parameters.sections.len() as u64;
     let of_sections = parameters

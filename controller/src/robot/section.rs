@@ -1,20 +1,21 @@
 //! One section: an arc of constant curvature as a function of its bend vector (§1 of docs/model.md).
 //!
-//! Everything rests on five functions of w = θ², all entire: no singularity at straight. Two suffice,
-//! `h = (θ - sin θ)/θ³` and `k = (1/2 - g)/w`, because
+//! Everything is derived from five functions of w = θ². All are entire, so the straight section is no singularity. Two
+//! of them suffice, `h = (θ - sin θ)/θ³` and `k = (1/2 - g)/w`, because
 //! ```text
 //! f = 1 - w h     g = 1/2 - w k     f' = (h - g)/2     g' = k - h/2         (' = d/dw)
 //! ```
-//! and none of these four differences cancels near w = 0, where the textbook forms (cos θ - f)/(2w) and (f - 2g)/(2w) have
-//! ten digits left at θ = 1e-3 and none at 1e-8.
+//! None of these four differences cancels near w = 0. The textbook forms (cos θ - f)/(2w) and (f - 2g)/(2w) have ten
+//! digits left at θ = 1e-3 and none at 1e-8.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::wide::Wide;
 
-/// Up to here the power series, above it the closed form. It lies just above π², so that a robot (θ ≤ π) never leaves the
-/// series: no trigonometry, no division, no root. There the alternating terms of `w h` sum to 2.7 times its value, which costs
-/// a bit and a half; the closed form divides by w > 10, which costs nothing. At θ = 2π the series would cost five bits.
+/// Largest w of the power series; the closed form serves above it. It lies just above π², so that a robot (θ ≤ π) stays
+/// within the series: no trigonometry, no division, no root. At this limit the alternating terms of `w h` sum to 2.7
+/// times its value, which costs 1.5 bits. At θ = 2π the series would cost five bits; the closed form divides by w > 10
+/// and loses nothing.
 const SERIES_W_MAX: f64 = 10.0;
 
 /// Terms of the series; the first omitted one is below 2e-20 at [`SERIES_W_MAX`].
@@ -51,7 +52,7 @@ fn polynomial(coefficients: &[f64; SERIES_TERMS], w: f64) -> f64 {
         .fold(0.0, |sum, coefficient| sum * w + coefficient)
 }
 
-/// (h, k) at w, from which all five coefficients follow.
+/// (h, k) at w. All five coefficients follow from them.
 #[inline]
 fn h_and_k(w: f64) -> (f64, f64) {
     if w <= SERIES_W_MAX {
@@ -61,7 +62,7 @@ fn h_and_k(w: f64) -> (f64, f64) {
     }
 }
 
-/// (h, k) far from straight, where nothing cancels.
+/// (h, k) far from straight, where the closed form does not cancel.
 #[cold]
 fn h_and_k_closed(w: f64) -> (f64, f64) {
     let theta = w.sqrt();
@@ -70,31 +71,32 @@ fn h_and_k_closed(w: f64) -> (f64, f64) {
     ((1.0 - theta.sin() / theta) / w, (0.5 - g) / w)
 }
 
-/// (f, g) at w: all that a position needs.
+/// (f, g) at w: the coefficients of a position.
 #[inline]
 pub(super) fn position_coefficients(w: f64) -> (f64, f64) {
     let (h, k) = h_and_k(w);
     (1.0 - w * h, 0.5 - w * k)
 }
 
-/// The same by the series alone, and whether they serve at w: the bits of [`position_coefficients`] there, without a branch.
+/// (f, g) from the series alone, without a branch, and whether the series is valid at w. Where it is, the result is
+/// bit-identical to [`position_coefficients`].
 #[inline(always)]
 pub(super) fn series_position_coefficients(w: f64) -> (f64, f64, bool) {
     let (h, k) = (polynomial(&H_SERIES, w), polynomial(&K_SERIES, w));
     (1.0 - w * h, 0.5 - w * k, w <= SERIES_W_MAX)
 }
 
-/// (f, g) at w by the series alone, as the lanes of a swarm compute it: no branch, no trigonometry.
+/// (f, g) at w by the series alone, for the lanes of a swarm: no branch, no trigonometry.
 ///
-/// Even and odd terms apart, each by Horner's rule in w²: four chains of dependent operations of half the
-/// length, which a processor runs side by side.
+/// Even and odd terms are summed separately by Horner's rule in w². This gives four dependency chains of half the
+/// length, which the processor executes in parallel.
 #[inline(always)]
 pub(super) fn series_coefficients(w: f64) -> (f64, f64) {
     let (h, k) = series(w);
     (1.0 - w * h, 0.5 - w * k)
 }
 
-/// (h, k), likewise.
+/// (h, k) at w by the same series.
 #[inline(always)]
 fn series(w: f64) -> (f64, f64) {
     let w2 = w * w;
@@ -112,13 +114,15 @@ fn series(w: f64) -> (f64, f64) {
 
 /// Terms of [`ShortSeries`].
 const SHORT_TERMS: usize = 7;
-/// As far from its centre, in w, what it leaves out is below 1e-17: 0.2⁷/15!.
+/// Largest distance in w from the centre of a [`ShortSeries`]. Up to here its truncation error is below 1e-17:
+/// 0.2⁷/15!.
 const SHORT_REACH: f64 = 0.2;
-/// Coefficients of f and g themselves.
+/// Coefficients of f, then of g.
 const F_SERIES: [f64; SERIES_TERMS] = alternating_inverse_factorials(1);
 const G_SERIES: [f64; SERIES_TERMS] = alternating_inverse_factorials(2);
 
-/// f and g near one w, as polynomials of half as many terms: what a horizon changes of a bend is little.
+/// f and g near one w, as polynomials with half as many terms. They suffice because a bend changes little over a
+/// horizon.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShortSeries {
     centre: f64,
@@ -127,7 +131,7 @@ pub(crate) struct ShortSeries {
 }
 
 impl ShortSeries {
-    /// For bends that are beside (u, v) by `change_rad` at most; None: that is too far.
+    /// Series for bends within `change_rad` of (u, v); `None` if that range is too large.
     pub(super) fn near([u, v]: [f64; 2], change_rad: f64) -> Option<Self> {
         let centre = u * u + v * v;
         let reach = change_rad * (2.0 * centre.sqrt() + change_rad);
@@ -151,7 +155,7 @@ impl ShortSeries {
     }
 }
 
-/// The first coefficients of a polynomial in the distance from `centre`, by repeated division.
+/// The first coefficients of the polynomial expanded about `centre`, by repeated division.
 fn moved(mut of: [f64; SERIES_TERMS], centre: f64) -> [f64; SHORT_TERMS] {
     for first in 0..SHORT_TERMS {
         for k in (first..SERIES_TERMS - 1).rev() {
@@ -181,8 +185,8 @@ pub(super) fn series_coefficients_wide<const W: usize>(w: Wide<W>) -> (Wide<W>, 
     (Wide(f), Wide(g))
 }
 
-/// W directions (cos φ, sin φ) turned by `turn_rad` each, up to 2π: the series give cos δ = 1 - δ² g and
-/// sin δ = δ f without trigonometry.
+/// W directions (cos φ, sin φ), each turned by `turn_rad`, up to 2π. The series give cos δ = 1 - δ² g and sin δ = δ f
+/// without trigonometry.
 #[inline(always)]
 pub(crate) fn rotate_wide<const W: usize>(
     [cos, sin]: [Wide<W>; 2],
@@ -197,7 +201,7 @@ pub(crate) fn rotate_wide<const W: usize>(
     ]
 }
 
-/// The five functions of w = θ² that describe an arc. Pure numbers.
+/// The five functions of w = θ² that describe an arc, dimensionless.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Coefficients {
     /// f = sin θ / θ; 1 at straight.
@@ -215,9 +219,10 @@ pub struct Coefficients {
 impl Coefficients {
     /// At w = u² + v² (rad²), any w ≥ 0.
     ///
-    /// Largest absolute error on θ ≤ 2π, measured against 60 digits at 30 000 points: f 3.4e-16, g 1.1e-16, h 2.8e-17,
-    /// f' 5.2e-17, g' 1.4e-17, that is a few units of the last place of each function's largest value, equally close to
-    /// straight. f, g, f' and g' pass through zero (at θ = π, 2π, 4.49, 2π), and there the relative error is larger.
+    /// Largest absolute error for θ ≤ 2π, measured against 60 digits at 30 000 points: f 3.4e-16, g 1.1e-16, h 2.8e-17,
+    /// f' 5.2e-17, g' 1.4e-17. These are a few units in the last place of each function's largest value, with the same
+    /// accuracy close to straight. The relative error is larger near the zeros of f, g, f' and g' (at θ = π, 2π, 4.49,
+    /// 2π).
     #[inline]
     pub fn from_square(w: f64) -> Self {
         let (h, k) = h_and_k(w);
@@ -232,7 +237,7 @@ impl Coefficients {
     }
 }
 
-/// One bent section, seen from its own base: x and y across, z along the section when it is straight.
+/// One bent section in the frame of its own base: x and y across, z along the straight section.
 ///
 /// Construction costs two polynomials; each method a few multiplications. Any finite bend is valid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -262,8 +267,8 @@ impl Arc {
         Vector3::new(u * g, v * g, f) * self.length_m
     }
 
-    /// Rotation from the frame at the arc's end to the one at its base: R = Rz(φ) Ry(θ) Rz(-φ). The last factor keeps the
-    /// cables at fixed angles of the body.
+    /// Rotation from the frame at the arc's end to the one at its base: R = Rz(φ) Ry(θ) Rz(-φ). The last factor keeps
+    /// the cables at constant angles around the backbone.
     #[inline]
     pub fn rotation(&self) -> Matrix3<f64> {
         let [u, v] = self.bend_rad;

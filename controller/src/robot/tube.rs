@@ -1,28 +1,31 @@
-//! How far one section is from a point and from a segment, exactly (§3 of docs/model.md), for W configurations side by side.
+//! Exact distance of one section from a point and from a segment (§3 of docs/model.md), for W configurations side by
+//! side.
 //!
-//! The section's own axes: x towards its bend, y normal to the plane of its arc, z along its start. With curvature κ = θ/l the
-//! arc belongs to a circle around (1/κ, 0, 0). In units of its radius, a point is at V = (X, Z) = (1 - κx, κz) from the centre,
-//! H = |V|, and
+//! Axes of the section: x towards its bend, y normal to the plane of its arc, z along its start. With curvature κ = θ/l
+//! the arc belongs to a circle around (1/κ, 0, 0). In units of its radius, a point is at V = (X, Z) = (1 - κx, κz) from
+//! the centre, H = |V|, and
 //! ```text
 //! q = H/κ - 1/κ = (κ (x² + z²) - 2x) / (H + 1)      signed distance from the circle within the plane
 //! d = √(q² + y²)                                    distance from the circle
 //! a = atan2(Z, X)                                   angle of the circle's nearest point from the start
 //! ```
-//! None of these divides by κ or cancels as κ → 0: the straight section is no special case. The foot is on the arc if the point
-//! lies between the planes across its two ends (for θ ≤ π); otherwise the nearer end is nearest.
+//! None of these divides by κ or cancels as κ → 0, so the straight section is no special case. For θ ≤ π, the foot is
+//! on the arc if the point lies between the planes across its two ends. Otherwise the nearer end is the nearest point.
 //!
 //! **Segment.** Along a line with velocity (x', y', z') of square L² = x'² + y'² + z'², G = d²/2 has
 //! ```text
 //! G'  = q q' + y y',   q' = (Z z' - X x') / H
 //! G'' = L² - c²/H³,    c = X z' + Z x'   (constant along a line: twice the area swept about the centre, per time)
 //! ```
-//! H is the norm of a linear function, least where the line is nearest to the circle's axis; G'' falls up to there and rises
-//! after. So G is convex, then possibly concave, then convex, and has at most one minimum on either side. Newton's method finds
-//! each from its end of the segment: as G'' falls on the way, no step passes the minimum. Where the nearest point of the arc is
-//! one of its ends, the segment's nearest point is a projection. No minimum can be missed; nothing is sampled.
+//! H is the norm of a linear function, least where the line is nearest to the circle's axis; G'' falls up to that point
+//! and rises after it. So G is convex, then possibly concave, then convex, and has at most one minimum on either side.
+//! Newton's method finds each minimum from its end of the segment. As G'' falls along the search, no step passes the
+//! minimum. Where the nearest point of the arc is one of its ends, the segment's nearest point is a projection. No
+//! minimum can be missed; nothing is sampled.
 //!
-//! **Lanes.** There are no branches between lanes: both cases are computed and one is selected, and a lane whose search has ended
-//! stands still until the others' have. So a lane's bits depend on that lane alone, and W = 1 is the scalar reference.
+//! **Lanes.** There are no branches between lanes: both cases are computed and one is selected. A lane whose search has
+//! ended keeps its value until the other searches end. Each lane's bits therefore depend on that lane alone, and W = 1
+//! is the scalar reference.
 
 use core::f64::consts::{PI, TAU};
 
@@ -34,27 +37,29 @@ use super::lanes::{Frame, WideVector};
 use super::obstacle::Axis;
 use crate::wide::{Wide, any, both, either, not};
 
-/// Below this bend (rad) a section is taken as straight: its end is then less than 1e-15 of its length aside.
+/// Below this bend (rad) a section is taken as straight: its end then deviates by less than 1e-15 of its length.
 const STRAIGHT_RAD: f64 = 1e-15;
 
-/// A segment whose share within the plane of the arc is below this square is taken as normal to that plane: within it, the
-/// whole segment moves by less than 1e-15 of its length.
+/// If the squared share of a segment within the plane of the arc is below this, the segment is taken as normal to that
+/// plane. Within the plane, the whole segment then moves by less than 1e-15 of its length.
 const NORMAL_SHARE: f64 = 1e-30;
 
-/// Nearer to the circle's axis than this, in radii, a point counts as on it: squares of smaller numbers underflow.
+/// Below this distance from the circle's axis, in radii, a point counts as on the axis: squares of smaller numbers
+/// underflow.
 const CENTRE: f64 = 1e-100;
 
-/// Newton's method ends when a step moves the point on the segment by less than this (m), or leaves less of the distance. It converges at
-/// least as fast as for a triple root, by a third per step, so what remains is at most two such steps.
+/// Newton's method ends when a step moves the point on the segment by less than this (m), or when the remaining change
+/// of the distance is less. Convergence is at least that of a triple root, by a third per step, so the remaining error
+/// is at most two such steps.
 const STEP_M: f64 = 1e-12;
 
-/// What a step of s (m) leaves of the distance d (m) is at most this times s²/d: along two more of them G = d²/2 falls by at most
-/// |G'| · 2s ≤ 2s², and the step itself halved d at most.
+/// After a step of s (m), the distance d (m) can fall by at most this times s²/d. Along two more steps G = d²/2 falls
+/// by at most |G'| · 2s ≤ 2s², and the step itself at most halved d.
 const STEP_LEFT: f64 = 8.0;
 
-/// Bound on the steps from each end. To [`STEP_M`] on the segment both ends together took 3.4 over 300 000 random ones, a single one 21 at most. A
-/// double root gains 2⁻⁴⁰; at a triple root, where the distance depends on the fourth power of what remains, (2/3)⁴⁰ = 9e-8 of
-/// the segment is left.
+/// Bound on the steps from each end. Over 300 000 random segments, both ends together took 3.4 steps on average to
+/// reach [`STEP_M`], and a single end at most 21. A double root gains 2⁻⁴⁰. At a triple root, where the distance
+/// depends on the fourth power of the remaining error, (2/3)⁴⁰ = 9e-8 of the segment remains.
 const STEPS_MAX: usize = 40;
 
 /// One section of W bodies: every point within `radius_m` of its arc.
@@ -62,7 +67,8 @@ const STEPS_MAX: usize = 40;
 pub(super) struct Tube<const W: usize> {
     start_m: WideVector<W>,
     end_m: WideVector<W>,
-    /// Unit vectors in the base frame: towards the bend, normal to the plane of the arc, along the start, along the end.
+    /// Unit vectors in the base frame: towards the bend, normal to the plane of the arc, along the start, along the
+    /// end.
     across: WideVector<W>,
     normal: WideVector<W>,
     along: WideVector<W>,
@@ -73,7 +79,7 @@ pub(super) struct Tube<const W: usize> {
     pub(super) radius_m: f64,
 }
 
-/// Where on the backbone a given point is nearest.
+/// The point of the backbone nearest to a given point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Foot {
     /// Share of the section's length, in [0, 1].
@@ -84,8 +90,9 @@ pub(super) struct Foot {
     pub(super) tangent: Vector3<f64>,
 }
 
-/// A ball that contains an arc from `start_m` to `end_m` of `length_m` and squared bend `w` (rad²): centre (m) and radius (m).
-/// Up to θ = π the chord is a diameter of one; any curve stays within half its length of the middle of its chord.
+/// A ball that contains an arc from `start_m` to `end_m` of `length_m` and squared bend `w` (rad²): centre (m) and
+/// radius (m). Up to θ = π the chord is a diameter of a ball that contains the arc. Any curve lies within half its
+/// length of the midpoint of its chord.
 #[inline(always)]
 pub(super) fn ball<const W: usize>(
     start_m: &WideVector<W>,
@@ -111,7 +118,7 @@ impl<const W: usize> Tube<W> {
     ) -> Self {
         let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
         let theta = (u * u + v * v).sqrt();
-        // Not "below": a NaN has to stay one.
+        // `less`, not its negation, so that a NaN stays a NaN.
         let straight = theta.less(Wide::splat(STRAIGHT_RAD));
         let bend_rad = zero.select(theta, straight);
         let (cos, sin) = (
@@ -133,15 +140,15 @@ impl<const W: usize> Tube<W> {
         }
     }
 
-    /// The [`ball`] around it.
+    /// The [`ball`] around this section.
     #[inline(always)]
     pub(super) fn ball(&self) -> (WideVector<W>, Wide<W>) {
         let w = self.bend_rad * self.bend_rad;
         ball(&self.start_m, &self.end_m, self.length_m, w)
     }
 
-    /// Where an axis is nearest to the arc, as a share t ∈ [0, 1] of its span, and that distance (m). Exact beside rounding for
-    /// a point; to 1e-12 m beside rounding for a segment.
+    /// Nearest point of an axis to the arc, as a share t ∈ [0, 1] of its span, and the distance (m). Exact up to
+    /// rounding for a point; up to 1e-12 m and rounding for a segment.
     #[inline(always)]
     pub(super) fn nearest(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
         let (t, square_m2) = if axis.is_point() {
@@ -169,10 +176,11 @@ impl<const W: usize> Tube<W> {
         )
     }
 
-    /// [`Self::nearest`] for a segment, with the squared distance (m²). Bounded work: at most [`STEPS_MAX`] Newton steps from
-    /// either end.
+    /// [`Self::nearest`] for a segment, with the squared distance (m²). Bounded work: at most [`STEPS_MAX`] Newton
+    /// steps from either end.
     ///
-    /// The arc is nearest at one of its ends, or where it is as near as its circle: there the segment ends, or the circle is nearest.
+    /// The nearest point of the arc is one of its ends, or that of its circle. In the second case, the nearest point of
+    /// the segment is one of its ends or a minimum of the distance to the circle.
     #[inline(always)]
     fn nearest_on_segment(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
         let (mut t, mut square_m2) = to_point(axis, &self.start_m);
@@ -180,7 +188,7 @@ impl<const W: usize> Tube<W> {
         let candidates = [to_point(axis, &self.end_m), first, second, third, fourth];
         for i in 0..candidates.len() {
             let (candidate, found_m2) = candidates[i];
-            // A NaN replaces what was found: it must not be lost.
+            // A NaN replaces the result, so that it is not lost.
             let nearer = either(found_m2.less(square_m2), found_m2.is_nan());
             t = candidate.select(t, nearer);
             square_m2 = found_m2.select(square_m2, nearer);
@@ -205,7 +213,7 @@ impl<const W: usize> Tube<W> {
         }
     }
 
-    /// A vector of the base frame in the section's own axes.
+    /// Transforms a vector from the base frame to the section's axes.
     #[inline(always)]
     fn local(&self, vector: &WideVector<W>) -> WideVector<W> {
         WideVector([
@@ -224,9 +232,10 @@ impl Tube<1> {
         Chord::new(ends_m, axes, self.length_m, bend_rad)
     }
 
-    /// The least of direction · point along the arc (m), for up to half a circle; NaN for more, and for a NaN in the bends. Along the arc its
-    /// slope changes sign once at most there: where from falling to rising, the whole circle is no lower, R (x - √(x² + z²)) beyond the start
-    /// for a direction with the components x across and z along.
+    /// Least value of direction · point along the arc (m), for up to half a circle; NaN for more, and for a NaN in the
+    /// bends. Along the arc, the slope changes sign at most once. If it changes from falling to rising, the minimum is
+    /// that of the whole circle: R (x - √(x² + z²)) from the start, for components x across and z along of the
+    /// direction.
     pub(super) fn least_along_m(&self, direction: &Vector3<f64>) -> f64 {
         let (Wide([bend_rad]), Wide([curvature_1_m])) = (self.bend_rad, self.curvature_1_m);
         if bend_rad > PI || bend_rad.is_nan() {
@@ -252,7 +261,7 @@ impl Tube<1> {
         start_m.min(end_m)
     }
 
-    /// Normal to the plane of the arc, a unit vector in the base frame; of a straight section, some normal.
+    /// Unit normal to the plane of the arc in the base frame; for a straight section, any normal.
     pub(super) fn normal(&self) -> Vector3<f64> {
         self.normal.narrow()
     }
@@ -278,10 +287,12 @@ impl Tube<1> {
             local.z / self.length_m
         };
         if !(0.0..=1.0).contains(&s) {
-            // By rounding: just beyond an end, or so near the centre that its side of a plane does not tell the angle.
+            // Rounding: just beyond an end, or so near the centre that the side of a plane does not determine the
+            // angle.
             return self.nearer_end(&point);
         }
-        // x = (1 - cos a)/κ, written so that nothing cancels near straight; unlike (q + x)/H it holds near the centre too.
+        // x = (1 - cos a)/κ, in a form that does not cancel near straight; unlike (q + x)/H it also holds near the
+        // centre.
         let z_m = local.z / h;
         let x_m = if cos > 0.0 {
             z_m * sin / (1.0 + cos)
@@ -296,7 +307,7 @@ impl Tube<1> {
         }
     }
 
-    /// From a point to the nearest one of the arc (m): what [`Self::foot`] tells of it, without the angle.
+    /// Vector from a point to the nearest point of the arc (m): that of [`Self::foot`], without the angle.
     pub(super) fn way_from_m(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
         let point = WideVector::splat(point_m);
         let local = self.local(&(point - self.start_m));
@@ -318,7 +329,7 @@ impl Tube<1> {
             - self.normal.narrow() * local.y
     }
 
-    /// The end of the arc that is nearer to a point; of two equally near, the start.
+    /// The end of the arc nearer to a point; the start if both are equally near.
     fn nearer_end(&self, point_m: &WideVector<1>) -> Foot {
         let [start, end] = [self.start_m, self.end_m].map(|end| (*point_m - end).norm_squared());
         let [start_nearer] = start.less_or_equal(end);
@@ -344,21 +355,21 @@ fn in_plane<const W: usize>(kappa: Wide<W>, local: &WideVector<W>) -> (Wide<W>, 
     (kappa * (x * x + z * z) - (x + x), h)
 }
 
-/// Where a segment is nearest to a point (m), and that squared distance (m²).
+/// Nearest point of the axis to a point, as a share t, and the squared distance (m²).
 #[inline(always)]
 fn to_point<const W: usize>(axis: &Axis, point_m: &WideVector<W>) -> (Wide<W>, Wide<W>) {
     let t = axis.share(point_m);
     (t, (axis.point(t) - *point_m).norm_squared())
 }
 
-/// Whether the nearest point of the circle of an arc belongs to the arc: its angle is in [0, θ]. `z_m` is a point's height over the
-/// start, `end_z_m` that over the end.
+/// True if the circle's nearest point belongs to the arc: its angle is in [0, θ]. `z_m` is the point's height over the
+/// plane across the start, `end_z_m` over that across the end.
 #[inline(always)]
 fn faces<const W: usize>(bend_rad: Wide<W>, z_m: Wide<W>, end_z_m: Wide<W>) -> [bool; W] {
     let zero = Wide::splat(0.0);
     let after_start = zero.less_or_equal(z_m);
     let before_end = end_z_m.less_or_equal(zero);
-    // Up to half a circle both have to hold, after that one of the two; both imply one.
+    // Up to half a circle both conditions must hold, beyond it one of them; for a full circle none.
     let more_than_half = not(bend_rad.less_or_equal(Wide::splat(PI)));
     let full = Wide::splat(TAU).less_or_equal(bend_rad);
     let one_holds = either(either(after_start, before_end), full);
@@ -374,14 +385,15 @@ struct Line<const W: usize> {
     curvature_1_m: Wide<W>,
     start: WideVector<W>,
     span: WideVector<W>,
-    /// Height of the start over the end of the section, and of the span.
+    /// Height of the segment's start over the section's end, and the height difference along the span.
     end_rise_m: [Wide<W>; 2],
     length_m: f64,
 }
 
 impl<const W: usize> Line<W> {
-    /// The ends of the segment, and where it is nearest to the circle from either, each with the squared distance (m²) where the arc is as near as
-    /// its circle, else infinity. Of a single section both ends side by side, which has the same bits and no search waits for the other.
+    /// The ends of the segment and the minimum of the circle's distance found from each. Each has the squared distance
+    /// (m²) if the circle's nearest point is on the arc, else infinity. For W = 1 both searches run side by side in two
+    /// lanes, with the same bits.
     #[inline(always)]
     fn nearest_to_circle(&self) -> [(Wide<W>, Wide<W>); 4] {
         let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
@@ -408,7 +420,7 @@ impl<const W: usize> Line<W> {
         ]
     }
 
-    /// The first lane in both.
+    /// The first lane, in both of two lanes.
     #[inline(always)]
     fn twice(&self) -> Line<2> {
         let wide = |x: Wide<W>| Wide::<2>::splat(x.0[0]);
@@ -423,7 +435,7 @@ impl<const W: usize> Line<W> {
         }
     }
 
-    /// Squared distance from the circle at t (m²), infinite where its nearest point is not on the arc.
+    /// Squared distance from the circle at t (m²); infinite if its nearest point is not on the arc.
     #[inline(always)]
     fn circle_m2(&self, t: Wide<W>) -> Wide<W> {
         let local = self.start + self.span * t;
@@ -435,13 +447,13 @@ impl<const W: usize> Line<W> {
         (q * q + y * y).select(Wide::splat(f64::INFINITY), faces)
     }
 
-    /// d², G' and G'' at t (m²). G'' as q'² + q q'' + y'², which does not cancel where the section is straight.
+    /// d², G' and G'' at t (m²). G'' is computed as q'² + q q'' + y'², which does not cancel for a straight section.
     #[inline(always)]
     fn derivatives(&self, t: Wide<W>) -> [Wide<W>; 3] {
         let (kappa, local) = (self.curvature_1_m, self.start + self.span * t);
         let ([x, y, z], [x_slope, y_slope, z_slope]) = (local.0, self.span.0);
         let (q_h, h) = in_plane(kappa, &local);
-        // On the circle's axis G has a kink, a local maximum within the plane: any finite slope will do there.
+        // On the circle's axis G has a kink, a local maximum within the plane, where any finite slope is valid.
         let h = h.max(Wide::splat(f64::EPSILON));
         // One division for both 1/H and 1/(H + 1).
         let per_both = Wide::splat(1.0) / (h * (h + 1.0));
@@ -457,7 +469,7 @@ impl<const W: usize> Line<W> {
         ]
     }
 
-    /// The t in [0, 1] nearest to the circle's axis, where G'' is least; any where G'' is constant.
+    /// The t in [0, 1] nearest to the circle's axis, where G'' is least; 1 if G'' is constant.
     #[inline(always)]
     fn nearest_to_axis(&self) -> Wide<W> {
         let (zero, one, kappa) = (Wide::splat(0.0), Wide::splat(1.0), self.curvature_1_m);
@@ -470,9 +482,9 @@ impl<const W: usize> Line<W> {
         one.select(t.clamp(0.0, 1.0), constant)
     }
 
-    /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis, if there is one;
-    /// else some t between. G'' falls on the way, so Newton's steps stay short of the minimum: it lies where G is convex, and
-    /// where G is not, there is none to be found.
+    /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis. If
+    /// there is none, some t between. G'' falls along the search, so Newton's steps stay short of the minimum. A
+    /// minimum lies where G is convex; where G is concave, there is none.
     #[inline(always)]
     fn descend(&self, from: Wide<W>, middle: Wide<W>) -> Wide<W> {
         let (mut t, mut searching) = (from, [true; W]);

@@ -1,4 +1,4 @@
-//! Tip positions of W configurations side by side: the kernel of the swarm.
+//! Tip positions of W configurations side by side: the kernel of the swarm's rollouts.
 
 use super::section::{ShortSeries, series_coefficients, series_wide};
 use super::{COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
@@ -11,8 +11,8 @@ impl Robot {
     /// Position of the tip in the base frame \[m\] for W configurations, `bend_rad(i)` being the i-th
     /// bend-vector component of each \[rad\].
     ///
-    /// Neither branches nor trigonometry: the series of the section's coefficients, good to 5e-16 for
-    /// θ ≤ π, to 1e-12 for θ ≤ 2π. Lane by lane the bits are those of W = 1.
+    /// No branches and no trigonometry: the coefficients come from the power series, accurate to 5e-16 for θ ≤ π and to
+    /// 1e-12 for θ ≤ 2π. Each lane has the same bits as W = 1.
     #[inline(always)]
     pub(crate) fn tip_position_wide<const W: usize>(
         &self,
@@ -22,7 +22,7 @@ impl Robot {
         tip
     }
 
-    /// The same, and its derivatives by each component of the bend vectors \[m/rad\].
+    /// Tip position and its derivatives by each component of the bend vectors \[m/rad\].
     #[inline(always)]
     pub(crate) fn tip_slopes_wide<const W: usize>(
         &self,
@@ -37,7 +37,8 @@ impl Robot {
             let (f, g) = (Wide::splat(1.0) - w * h, Wide::splat(0.5) - w * k);
             let (f_slope, g_slope) = ((h - g) * 0.5, k - h * 0.5);
             let upright = Wide::splat(1.0) - w * g;
-            // A vector beyond this section as seen from its start, as in `tip_wide`, and what is the same for both components.
+            // Transforms a vector from the end of this section to its start, as in `tip_wide`. Also returns the terms
+            // that both components share.
             let turned = |[x, y, z]: [Wide<W>; 3], length_m: f64| {
                 let t = Wide::splat(length_m) - (u * x + v * y);
                 let across = f * z + g * t;
@@ -60,7 +61,7 @@ impl Robot {
         (tip, slopes)
     }
 
-    /// The same near one configuration, in less time.
+    /// Tip position by short series, faster, for configurations close to that of `near`.
     #[inline(always)]
     pub(crate) fn tip_position_near<const W: usize>(
         &self,
@@ -71,7 +72,8 @@ impl Robot {
         tip
     }
 
-    /// What [`Self::tip_position_near`] needs where no section's bend vector changes by more than `change_rad`; None: that is too far.
+    /// Coefficients for [`Self::tip_position_near`] if no section's bend vector changes by more than `change_rad`;
+    /// `None` if that range is too large.
     pub(crate) fn near(
         &self,
         at: &Configuration,
@@ -85,7 +87,7 @@ impl Robot {
         Some(near)
     }
 
-    /// Position of the tip, and the first `AXES` (up to 2) of its z and x axis in the base frame.
+    /// Position of the tip, and the first `AXES` (up to 2) of its z and x axis, in the base frame.
     #[inline(always)]
     pub(crate) fn tip_frame_wide<const W: usize, const AXES: usize>(
         &self,
@@ -94,14 +96,14 @@ impl Robot {
         self.tip_wide(bend_rad, |_, w| series_coefficients(w))
     }
 
-    /// The same with the coefficients (f, g) of each section at its w.
+    /// As [`Self::tip_frame_wide`], with the coefficients (f, g) of section j at w from `coefficients`.
     #[inline(always)]
     fn tip_wide<const W: usize, const AXES: usize>(
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
         coefficients: impl Fn(usize, f64) -> (f64, f64),
     ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {
-        // The tip as seen from the section's end, then from its start: (x, y, z), and the axes.
+        // Tip position (x, y, z) and axes, transformed from each section's end to its start.
         let [mut x, mut y, mut z] = [[0.0; W]; 3];
         let mut axes = [[Wide::splat(0.0); 3]; AXES];
         for (axis, component) in [2, 0].into_iter().enumerate().take(AXES) {
@@ -110,7 +112,7 @@ impl Robot {
         for (j, section) in self.sections().iter().enumerate().rev() {
             let (u, v) = (bend_rad(2 * j).0, bend_rad(2 * j + 1).0);
             let length_m = section.length_m;
-            // One loop over the lanes with all that a section does: the compiler makes vectors of it.
+            // One loop over the lanes with all of a section's arithmetic, so that the compiler vectorises it.
             for i in 0..W {
                 let w = u[i] * u[i] + v[i] * v[i];
                 let (f, g) = coefficients(j, w);
@@ -122,7 +124,7 @@ impl Robot {
                 y[i] += v[i] * across;
                 z[i] = upright * z[i] + f * t;
                 for [x, y, z] in &mut axes {
-                    // A direction has no pⱼ: the same without ℓ.
+                    // A direction is not translated by pⱼ, hence no ℓ.
                     let t = 0.0 - (u[i] * x.0[i] + v[i] * y.0[i]);
                     let across = f * z.0[i] + g * t;
                     x.0[i] += u[i] * across;
@@ -152,7 +154,7 @@ mod tests {
                 let narrow = robot.tip_position_wide(|i| Wide([bends[i]]));
                 let at = Configuration::from_slice(&bends).unwrap();
                 let scalar = robot.tip_position(&at);
-                // Some of these bends are beyond what a robot's sections reach.
+                // Some of these bends exceed the range of the short series.
                 let near = robot.near(&at, &[1e-3; SECTIONS_MAX]);
                 assert!(near.is_some() || sections > 3);
                 let beside = near.map(|near| robot.tip_position_near(&near, |i| Wide([bends[i]])));

@@ -1,4 +1,4 @@
-//! Bodies side by side, to the bit those of one lane.
+//! Bodies side by side are bit-identical to single ones.
 
 use core::f64::consts::TAU;
 
@@ -9,11 +9,11 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 use scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
 
-// What the tests of the public clearances draw.
+// Strategies shared with the tests of the public clearances.
 #[path = "../../../tests/suite/clearance/scene.rs"]
 mod scene;
 
-/// Bends of lane `lane` as a share of the shape that was drawn: among them the shape itself, straight and nearly straight.
+/// Bends of each lane as a share of the drawn shape; includes the shape itself, straight and nearly straight.
 const SHARES: [f64; LANES] = [1.0, 0.5, 0.0, -1.0, 1e-9, 0.9, 0.999, 1e-16];
 
 fn lane_shape(shape: &Configuration, lane: usize) -> Configuration {
@@ -46,7 +46,7 @@ fn clearances_below<const W: usize>(
     clearances_m
 }
 
-/// The same as work that is compiled for a processor's instructions; lane 0 is the shape that was drawn.
+/// The same clearances as work compiled for each SIMD instruction set; lane 0 is the drawn shape.
 struct Question<'a> {
     robot: &'a Robot,
     bends: [Wide<LANES>; COORDINATES_MAX],
@@ -68,7 +68,7 @@ impl<'a> Question<'a> {
         }
     }
 
-    /// Compiled once.
+    /// Not inlined, so that it is compiled once.
     #[inline(never)]
     fn answer(self) -> [Wide<LANES>; SECTIONS_MAX] {
         pulp::NullaryFnOnce::call(self)
@@ -84,7 +84,7 @@ impl pulp::NullaryFnOnce for Question<'_> {
     }
 }
 
-/// One lane alone.
+/// The clearances of one lane alone.
 #[inline(never)]
 fn alone_below(
     robot: &Robot,
@@ -107,8 +107,8 @@ proptest! {
         (robot, shape) in robots_and_shapes(), place in places(), enough_m in -0.05..0.3_f64,
     ) {
         prop_assume!(bend_max_rad(&shape) <= TAU);
-        // What the series may be off (rad), over the robot's reach; and a metre's rounding. Beyond π, which no robot bends, a
-        // nearly closed circle multiplies it.
+        // Error of the series (rad) times the robot's reach, plus rounding of a metre. Beyond π, outside the range of a
+        // robot, a nearly closed circle multiplies the error.
         let series_rad = if bend_max_rad(&shape) <= PI { 2e-15 } else { 1e-8 };
         let tolerance_m = 1e-14 + series_rad * robot.reach_m();
         let [start_m, end_m] = segment(&robot, &shape, place);

@@ -1,4 +1,4 @@
-//! Which parameters make a robot, which are refused and how, and the fingerprint.
+//! Valid and invalid parameters, their errors, and the fingerprint.
 
 use super::*;
 
