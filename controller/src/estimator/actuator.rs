@@ -1,37 +1,39 @@
 use super::slack::{Slack, Window};
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 
-/// How the motors follow a command, after a pure delay and as a first-order system, and the cables the motors. The same for motors that obey positions,
-/// `q̇ = (q_c(t − delay) − q) / time_constant`, and for those that obey speeds, whose speed does so (docs/model.md §6).
+/// Dynamics of the motors: a pure delay and a first-order lag, with play between motors and cables. Valid for
+/// position-controlled motors, `q̇ = (q_c(t − delay) − q) / time_constant`, and for speed-controlled ones, whose speed
+/// follows the same equation (docs/model.md §6).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Actuator {
-    /// From the release of a command until the motors begin to follow it \[s\], 0 to 0.3.
+    /// Time from the release of a command until the motors begin to follow it \[s\], 0 to 0.3.
     pub delay_s: f64,
     /// Time constant \[s\], 0 to 0.3.
     pub time_constant_s: f64,
-    /// Play between each motor and its cable \[m\], 0 to 0.01: so far a motor that turns round goes before its cable comes along.
+    /// Play between each motor and its cable \[m\], 0 to 0.01: the travel of a reversing motor before its cable
+    /// follows.
     pub play_m: f64,
 }
 
 impl Actuator {
-    /// Motors that do at once what they are told.
+    /// Motors that follow every command at once.
     pub const IDEAL: Self = Self {
         delay_s: 0.0,
         time_constant_s: 0.0,
         play_m: 0.0,
     };
 
-    /// By how much a robot that moves evenly is behind its commands \[s\].
+    /// Lag behind the commands of a robot that moves at constant rates \[s\].
     pub fn lead_s(&self) -> f64 {
         self.delay_s + self.time_constant_s
     }
 }
 
-/// How far the motors are behind their commands, now and a while ago.
+/// Lag of the motors behind their commands, now and in the recent past.
 #[derive(Debug)]
 pub(super) struct ActuatorModel {
     actuator: Actuator,
-    /// The last moves, newest at `newest`.
+    /// The last moves; the newest is at `newest`.
     moves: Box<[Move]>,
     newest: usize,
     play: Option<PlayModel>,
@@ -47,7 +49,7 @@ impl Clone for ActuatorModel {
         }
     }
 
-    /// Takes no memory.
+    /// Does not allocate.
     fn clone_from(&mut self, source: &Self) {
         self.actuator = source.actuator;
         self.moves.copy_from_slice(&source.moves);
@@ -56,35 +58,35 @@ impl Clone for ActuatorModel {
     }
 }
 
-/// Cables that have play.
+/// Play of the cables.
 #[derive(Debug, Clone)]
 struct PlayModel {
     robot: Robot,
-    /// Of motors without delay.
+    /// State of the play for motors without delay.
     motors: Slack,
-    /// Of motors that have come to where the commands lead them.
+    /// State of the play when the motors have reached the commanded configuration.
     led: Slack,
-    /// What measurements of the motors moved the cables by, but was not believed: they stand within a band.
+    /// Motion of the motors by measurements that is withheld from the cables: the cables rest within a band.
     held: Slack,
-    /// What of the play the motors run through.
+    /// The part of the play that the motors cross.
     window: Window,
 }
 
-/// The band as a share of the play. A motor that turns round for noise of the cables runs through all of its play, and as not all cables are taken
-/// along at once, the tip swings farther than the noise.
+/// Width of the band as a share of the play. Motors that reverse because of noise cross the whole play. As they do not
+/// take all cables along at once, the tip would move more than the noise.
 const HELD: f64 = 0.1;
-/// The part of the play that motors run through at rest where the tip is measured. More play than there is would move the robot beyond its point each time
-/// that they turn round, for ever; less is made up for by the sensor.
+/// Share of the play that the motors cross at rest while the tip is measured. A share above the real play would move
+/// the robot past its target at every reversal, without end. The tip sensor corrects a share that is too low.
 const AT_REST: f64 = 0.75;
 
-/// Rates that were commanded for a time.
+/// Rates commanded for a duration.
 #[derive(Debug, Clone, Copy)]
 struct Move {
     rates: BendRates,
     duration_s: f64,
-    /// How far motors without delay are behind at its end \[rad\].
+    /// Lag of motors without delay at the end of this move \[rad\].
     behind_rad: [f64; COORDINATES_MAX],
-    /// How far the bends of the cables are beside those of motors without delay, at its end \[rad\].
+    /// Bends of the cables minus those of motors without delay, at the end of this move \[rad\].
     slack_rad: [f64; COORDINATES_MAX],
 }
 
@@ -99,7 +101,7 @@ impl Move {
     }
 }
 
-/// Moves that are remembered: 0.64 s at 5 ms. Of an older measurement only so much is made up for.
+/// Number of moves kept: 0.64 s at 5 ms. For an older measurement, only the motion of this time is added.
 const MOVES_MAX: usize = 128;
 
 impl ActuatorModel {
@@ -113,7 +115,7 @@ impl ActuatorModel {
         }
     }
 
-    /// The same with the play of the actuator between the motors and the cables of this robot.
+    /// Adds the play of the actuator between the motors and the cables of this robot.
     pub(super) fn with_play(mut self, robot: &Robot) -> Self {
         let middle = Slack::middle(self.actuator.play_m);
         self.play = (self.actuator.play_m > 0.0).then(|| PlayModel {
@@ -126,7 +128,7 @@ impl ActuatorModel {
         self
     }
 
-    /// Where the cables are that belong to motors at `at`, where the commands lead them.
+    /// Configuration of the cables when the commands lead the motors to `at`.
     pub(super) fn cables_led(&self, at: &Configuration) -> Configuration {
         let mut cables = *at;
         if let Some(play) = &self.play {
@@ -141,7 +143,8 @@ impl ActuatorModel {
         cables
     }
 
-    /// Measurements say that the motors are led to `to`, not to `from`: the cables follow only beyond the band.
+    /// Takes a correction of the motors' configuration from `from` to `to` by measurements: the cables follow only
+    /// beyond the band.
     pub(super) fn hold(&mut self, from: &Configuration, to: &Configuration) {
         if let Some(play) = &mut self.play {
             let moved = added(to, from.as_slice(), -1.0);
@@ -149,7 +152,7 @@ impl ActuatorModel {
         }
     }
 
-    /// The cables are where the measurements say.
+    /// Resets the band and the window: the cables follow the measurements.
     pub(super) fn let_go(&mut self) {
         if let Some(play) = &mut self.play {
             play.held = Slack::middle(play.held.play_m());
@@ -157,7 +160,8 @@ impl ActuatorModel {
         }
     }
 
-    /// The robot `rests` or moves while its tip is measured. Whether that places its cables elsewhere.
+    /// Switches between a robot that `rests` and one that moves, while its tip is measured. Returns true if this
+    /// changes the estimated place of the cables.
     pub(super) fn rest(&mut self, rests: bool) -> bool {
         let Some(play) = &mut self.play else {
             return false;
@@ -183,12 +187,13 @@ impl ActuatorModel {
         !is_whole
     }
 
-    /// What of the play is taken where the commands lead; `None`: there is none.
+    /// State of the play at the commanded configuration; `None`: no play.
     pub(super) fn slack_led(&self) -> Option<&Slack> {
         self.play.as_ref().map(|play| &play.led)
     }
 
-    /// The motors are at rest at their command, and the cables where that led them: whoever begins anew moves none. Allocates nothing.
+    /// Sets the motors at rest at their command, with the cables where this leads them; a restart moves none. Does not
+    /// allocate.
     pub(super) fn begin(&mut self) {
         let section_count = self.moves[self.newest].rates.section_count();
         let mut rest = Move::rest(section_count);
@@ -200,7 +205,7 @@ impl ActuatorModel {
         self.moves.fill(rest);
     }
 
-    /// `rates` were commanded for `duration_s`.
+    /// Records `rates` commanded for `duration_s`.
     pub(super) fn command(&mut self, rates: &BendRates, duration_s: f64) {
         let before = &self.moves[self.newest];
         let behind_rad = self.behind_after(rates, before, duration_s);
@@ -212,7 +217,8 @@ impl ActuatorModel {
             add(moved.as_mut_slice(), &behind_rad, -1.0);
             let window = &play.window;
             play.motors = play.motors.moved_within(&play.robot, &moved, window);
-            // What they are behind they make up for evenly, whatever way the commands went: quick turns reach no cable.
+            // The lag is taken to be made up at constant rates, whatever the path of the commands: fast reversals do
+            // not reach the cables.
             let left = added(&rest, &behind_rad, 1.0);
             play.led = play.motors.moved_within(&play.robot, &left, window);
             add(
@@ -230,8 +236,8 @@ impl ActuatorModel {
         };
     }
 
-    /// From where the motors were `age_s` ago to where the commands up to now lead them: what was commanded since (age + delay),
-    /// and what they were behind then.
+    /// Motion of the motors from their place `age_s` ago to the commanded configuration: the commands of the last age +
+    /// delay, and the lag at that time.
     pub(super) fn way_left(&self, age_s: f64) -> WayLeft {
         let mut left_s = age_s + self.actuator.delay_s;
         let mut way_rad = [0.0; COORDINATES_MAX];
@@ -240,7 +246,7 @@ impl ActuatorModel {
             let past = self.back(back);
             let part_s = past.duration_s.min(left_s);
             if back + 1 == MOVES_MAX || part_s < past.duration_s || left_s <= 0.0 {
-                // The time lies in this move.
+                // The time falls into this move.
                 let is_oldest = back + 1 == MOVES_MAX;
                 let behind_rad = if part_s > 0.0 && !is_oldest {
                     let began = self.back(back + 1);
@@ -276,7 +282,7 @@ impl ActuatorModel {
         &self.moves[(self.newest + 2 * MOVES_MAX - back) % MOVES_MAX]
     }
 
-    /// How far the motors are behind `duration_s` after the end of `before`, at `rates`: b' = u − b / time constant.
+    /// Lag of the motors `duration_s` after the end of `before`, at `rates`: b' = u − b / time constant.
     fn behind_after(
         &self,
         rates: &BendRates,
@@ -298,31 +304,31 @@ impl ActuatorModel {
     }
 }
 
-/// A way of the motors in bend vectors.
+/// A motion of the motors, in bend vectors.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WayLeft {
     way_rad: [f64; COORDINATES_MAX],
-    /// How far the bends of the cables are beside those of the motors at its beginning \[rad\].
+    /// Bends of the cables minus those of the motors at its start \[rad\].
     slack_rad: [f64; COORDINATES_MAX],
 }
 
 impl WayLeft {
-    /// Where it leads from `at`.
+    /// The configuration at its end if it starts at `at`.
     pub(super) fn from(&self, at: &Configuration) -> Configuration {
         added(at, &self.way_rad, 1.0)
     }
 
-    /// Where it began, if it leads to `at`.
+    /// The configuration at its start if it ends at `at`.
     pub(super) fn back_from(&self, at: &Configuration) -> Configuration {
         added(at, &self.way_rad, -1.0)
     }
 
-    /// Where the cables are at its beginning, if the motors are at `begin`.
+    /// Configuration of the cables at its start if the motors are at `begin`.
     pub(super) fn cables(&self, begin: &Configuration) -> Configuration {
         added(begin, &self.slack_rad, 1.0)
     }
 
-    /// Where the motors are at its beginning, if the cables are at `begin`.
+    /// Configuration of the motors at its start if the cables are at `begin`.
     pub(super) fn motors(&self, begin: &Configuration) -> Configuration {
         added(begin, &self.slack_rad, -1.0)
     }
@@ -334,7 +340,7 @@ fn added(at: &Configuration, what: &[f64], factor: f64) -> Configuration {
     moved
 }
 
-/// Adds `factor` times `what`, as far as both go.
+/// Adds `factor` times `what`, up to the shorter length.
 fn add(to: &mut [f64], what: &[f64], factor: f64) {
     for (to, what) in to.iter_mut().zip(what) {
         *to += factor * what;
@@ -357,7 +363,7 @@ mod tests {
         BendRates::from_slice(&[u, 0.0]).unwrap()
     }
 
-    /// The differential equation in steps of 10 µs beside the recursion, at ages between the moves, too.
+    /// The recursion against the differential equation in steps of 10 µs, at ages between the moves, too.
     #[test]
     fn the_way_left_is_that_of_the_differential_equation() {
         const STEP_S: f64 = 1e-5;
@@ -411,7 +417,7 @@ mod tests {
         let at = Configuration::straight(1);
         let moved = model.way_left(10.0).from(&at).as_slice()[0];
         assert!((moved - 128.0 * 0.005).abs() < 1e-12, "{moved}");
-        // Of a lag, too, what is remembered: the rates have turned since.
+        // The lag, too, is that of the moves kept: the rates have reversed since.
         let mut model = ActuatorModel::new(actuator(0.2, 0.1), 1);
         for cycle in 0..1000 {
             model.command(&rates(if cycle < 950 { 1.0 } else { -1.0 }), 0.001);

@@ -1,7 +1,7 @@
-//! The configuration at the release, from what was measured before it and commanded meanwhile.
+//! Estimate of the configuration at the release, from earlier measurements and the commands since.
 //!
-//! Invariant: nothing here commands or decides. A measurement and its age come in, a configuration
-//! goes out.
+//! Invariant: nothing here commands or decides. Inputs are measurements with their ages and the commanded rates; the
+//! output is a configuration.
 
 mod actuator;
 mod slack;
@@ -18,44 +18,44 @@ pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
 
-/// Filters that what is measured passes. The rates follow the estimate at once, so its second difference is what noise changes them by:
-/// at the same delay that of three filters is a tenth of that of two.
+/// Number of low-pass filters in series. The rates follow the estimate at once, so noise changes them by the second
+/// difference of the estimate. At the same delay, three filters give a tenth of the second difference of two.
 const STAGES: usize = 3;
 
-/// What a driver measured.
+/// A measurement by a driver or a tip sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Measurement {
     /// The bend vector of every section.
     Configuration(Configuration),
     /// The length of every cable \[m\], section by section.
     CableLengths([f64; CABLES_MAX]),
-    /// Position of the tip in the base frame \[m\]. It does not determine the configuration of two or
-    /// more sections: a filter weighs it against what was known and commanded, and expects 0.3 mm of noise unless it is told otherwise
+    /// Position of the tip in the base frame \[m\]. It does not determine the configuration of two or more sections. A
+    /// Kalman filter weighs it against the prediction; it assumes 0.3 mm of noise by default
     /// ([`Estimator::with_tip_noise`]).
     TipPosition(Vector3<f64>),
 }
 
-/// Keeps the estimate of the configuration.
+/// Estimator of the configuration.
 ///
-/// The motors follow their commands after a delay and with a lag ([`Actuator`]), and beside what they were told by a disturbance:
-/// zero and load of the encoders and motors, errors of the model. The estimate is the sum of what was commanded and of the disturbance,
-/// so it says **where the commands up to now lead the robot**, from where the next one moves it on. Where it is
-/// meanwhile says [`Self::present`].
+/// The motors follow their commands after a delay and with a lag ([`Actuator`]). A disturbance is added: zero and load
+/// of the encoders and motors, errors of the model. The estimate is the sum of commands and disturbance: the
+/// configuration **to which the commands so far lead the robot**, and from which the next command continues. The
+/// present configuration is [`Self::present`].
 #[derive(Debug)]
 pub struct Estimator {
-    /// Where the commands lead the motors, as far as the measurements have been smoothed: the last one is the estimate.
+    /// Configurations to which the commands lead the motors, after each filter; the last one is the estimate.
     stages: [Configuration; STAGES],
-    /// Where that takes the cables, and the robot with them.
+    /// Configuration of the cables, and of the robot, at that estimate.
     led: Configuration,
-    /// What the measurements alone say, moved on as commanded; where they are believed at once, it is the estimate.
+    /// Unfiltered measurement, advanced by the commanded motion since; the estimate if the time constant is 0.
     measured: Configuration,
-    /// By how much the disturbance follows later what is measured \[s\]; 0: at once.
+    /// Delay with which the disturbance follows the measurements \[s\]; 0: none.
     time_constant_s: f64,
-    /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
+    /// Time predicted since the last measurement \[s\]; `None`: the next measurement is adopted without filtering.
     uncorrected_s: Option<f64>,
-    /// What tip positions have told of the bends, where nothing else measures them.
+    /// Kalman filter of the bends from tip positions, if nothing else measures the bends.
     tip: TipFilter,
-    /// What they have told of the tip, where something does.
+    /// Offset of the tip, if something else measures the bends.
     tip_offset: TipOffset,
     motors: ActuatorModel,
 }
@@ -74,7 +74,7 @@ impl Clone for Estimator {
         }
     }
 
-    /// Takes no memory.
+    /// Does not allocate.
     fn clone_from(&mut self, source: &Self) {
         self.stages = source.stages;
         self.led = source.led;
@@ -88,7 +88,7 @@ impl Clone for Estimator {
 }
 
 impl Estimator {
-    /// Begins with a configuration that is known or assumed, and ideal motors. Measurements are believed at once.
+    /// Starts from a known or assumed configuration, with ideal motors and unfiltered measurements.
     pub fn new(configuration: Configuration) -> Self {
         Self {
             stages: [configuration; STAGES],
@@ -102,23 +102,24 @@ impl Estimator {
         }
     }
 
-    /// The same with motors that follow their commands like this.
+    /// Sets the dynamics of the motors.
     #[must_use]
     pub fn with_actuator(mut self, robot: &Robot, actuator: Actuator) -> Self {
         self.motors = ActuatorModel::new(actuator, self.measured.section_count()).with_play(robot);
         self
     }
 
-    /// The same with a disturbance that follows what is measured this much later \[s\], 0 or more: through three filters of first order, each
-    /// with a third of it as its time constant. One alone makes the rates change forty times as much by noise (docs/robustness.md). Where the
-    /// motors lag by more than the [`Actuator`] says, four times what is missing or more keeps the loop from oscillating.
+    /// Sets the delay with which the disturbance follows the measurements \[s\], 0 or more: three first-order filters,
+    /// each with a third of it as time constant. With one filter, noise changes the rates forty times as much
+    /// (docs/robustness.md). If the motors lag more than the [`Actuator`] states, a time constant of four times the
+    /// difference or more prevents oscillation.
     #[must_use]
     pub fn with_time_constant(mut self, time_constant_s: f64) -> Self {
         self.time_constant_s = time_constant_s;
         self
     }
 
-    /// The same with tips whose coordinates are measured with noise of this standard deviation \[m\], above 0.
+    /// Sets the standard deviation of the noise in each coordinate of a measured tip \[m\], above 0.
     #[must_use]
     pub fn with_tip_noise(mut self, noise_m: f64) -> Self {
         self.tip = TipFilter::new(noise_m);
@@ -126,14 +127,15 @@ impl Estimator {
         self
     }
 
-    /// The same where the offset of the tip does not go along with it: to see what that is for. Call it after [`Self::with_tip_noise`].
+    /// Takes the offset of the tip as constant in space, to show the effect of its slope. Call it after
+    /// [`Self::with_tip_noise`].
     #[must_use]
     pub fn without_tip_slope(mut self) -> Self {
         self.tip_offset = self.tip_offset.without_slope();
         self
     }
 
-    /// Begins anew at `configuration`, with motors at rest. How far the tip is beside its bends stays: it is the model that is off.
+    /// Restarts at `configuration`, with motors at rest. The tip offset is kept, because it is an error of the model.
     pub fn begin(&mut self, configuration: Configuration) {
         self.stages = [configuration; STAGES];
         self.measured = configuration;
@@ -144,7 +146,7 @@ impl Estimator {
         self.led = self.motors.cables_led(&configuration);
     }
 
-    /// Begins anew where the measurements alone say that the commands lead, with motors that are still on their way there.
+    /// Restarts at the unfiltered measurement, with motors still moving towards it.
     pub fn begin_moving(&mut self) {
         self.stages = [self.measured; STAGES];
         self.led = self.motors.cables_led(self.motors());
@@ -152,51 +154,53 @@ impl Estimator {
         self.tip_offset.begin();
     }
 
-    /// Where the commands up to now lead the robot.
+    /// Configuration to which the commands so far lead the robot.
     pub fn configuration(&self) -> &Configuration {
         &self.led
     }
 
-    /// Where the commands up to now lead the motors: the robot is beside that by the play of its cables.
+    /// Configuration to which the commands so far lead the motors. The robot differs from it by the play of its cables.
     pub fn motors(&self) -> &Configuration {
         &self.stages[STAGES - 1]
     }
 
-    /// What of the play of its cables is taken there; `None`: they have none.
+    /// State of the cables' play at [`Self::motors`]; `None`: no play.
     pub fn slack_led(&self) -> Option<&Slack> {
         self.motors.slack_led()
     }
 
-    /// Where the motors are: behind that by what they have left of their way.
+    /// Present configuration of the motors: [`Self::motors`] less their remaining motion.
     pub fn motors_present(&self) -> Configuration {
         self.motors.way_left(0.0).back_from(self.motors())
     }
 
-    /// Where the robot is: behind that by what its motors are behind their commands.
+    /// Present configuration of the robot: that of the motors, with the play of the cables.
     pub fn present(&self) -> Configuration {
         let way = self.motors.way_left(0.0);
         way.cables(&way.back_from(self.motors()))
     }
 
-    /// How far the tip is measured beside where the bends place it (m), as [`Self::correct_tip`] has learnt: what the model is off by there.
+    /// Measured tip position minus the one from the bends (m), as learnt by [`Self::correct_tip`]: the error of the
+    /// model at the tip.
     pub fn tip_offset_m(&self) -> Vector3<f64> {
         self.tip_offset.offset_m()
     }
 
-    /// How far the tip may be beside where the bends place it (m): the length of [`Self::tip_offset_m`], and three standard deviations of what
-    /// the measurements leave open of it. So much more distance the body keeps ([`Robot::thicker`]). 0 before a tip was measured beside bends.
+    /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`]
+    /// plus three standard deviations of its uncertainty. The safe distance grows by as much ([`Robot::thicker`]). 0
+    /// before the first tip position beside measured bends.
     pub fn tip_margin_m(&self) -> f64 {
         self.tip_offset.margin_m()
     }
 
-    /// The tip is where the bends place it, until it is measured again.
+    /// Discards the tip offset, until the tip is measured again.
     pub fn forget_tip_offset(&mut self) {
         self.tip_offset = self.tip_offset.forgotten();
         self.motors.let_go();
         self.led = self.motors.cables_led(self.motors());
     }
 
-    /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
+    /// Advances the estimate by `elapsed_s` at the commanded `rates`.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
         for stage in &mut self.stages {
             *stage = stage.advanced(rates, elapsed_s);
@@ -210,8 +214,8 @@ impl Estimator {
         &self.led
     }
 
-    /// Takes a measurement that was made `age_s` before the instant of the last prediction. What the motors did
-    /// since makes up for its age, so take each measurement **once**.
+    /// Takes a measurement made `age_s` before the time of the last prediction. The motion of the motors since then is
+    /// added, so take each measurement only **once**.
     pub fn correct(
         &mut self,
         robot: &Robot,
@@ -246,7 +250,7 @@ impl Estimator {
             before = *stage;
         }
         if self.tip_offset.is_measured() {
-            // The sensor of the tip makes up for what is not believed of them.
+            // The tip sensor corrects the part of the motors' motion that the band withholds.
             self.motors.hold(&led, &before);
         }
         self.led = self.motors.cables_led(self.motors());
@@ -256,9 +260,11 @@ impl Estimator {
         &self.led
     }
 
-    /// Takes the position of a tip (m) whose bends are measured, too: they stay, and how far the tip is beside where they place it
-    /// is learnt ([`Self::tip_offset_m`]), and how that changes along its way: between two positions it goes along. False, and nothing learnt, where it is more than 0.1 m beside, not finite, or in every bit the
-    /// last one: a sensor that stands still while the robot moves says nothing.
+    /// Takes a tip position (m) beside measured bends. The bends are kept; the tip offset ([`Self::tip_offset_m`]) and
+    /// its change along the path of the tip are learnt.
+    ///
+    /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends or not finite. The
+    /// same if it is bit-identical to the last one: the sensor may have stopped.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
         self.follow_tip(robot);
         let way = self.motors.way_left(age_s);
@@ -268,7 +274,8 @@ impl Estimator {
         self.tip_offset.correct(position_m, &placed_m, has_play)
     }
 
-    /// The offset of the tip goes along with it. Cables that begin to move are taken to be elsewhere in their play; the tip stays.
+    /// Updates the tip offset along the path of the tip. When cables begin to move, their place in the play is revised;
+    /// the tip stays.
     fn follow_tip(&mut self, robot: &Robot) {
         self.tip_offset.follow(&robot.tip_position(&self.led));
         if self.motors.rest(!self.tip_offset.is_moving()) {
@@ -278,7 +285,7 @@ impl Estimator {
     }
 }
 
-/// `from`, moved by a part `gain` of the way to `to`.
+/// `from` moved towards `to` by the share `gain`.
 fn towards(from: &Configuration, to: &Configuration, gain: f64) -> Configuration {
     let mut moved = *from;
     for (moved, to) in moved.as_mut_slice().iter_mut().zip(to.as_slice()) {
@@ -304,7 +311,7 @@ mod tests {
         for u in [1.0, 2.0, -3.0] {
             estimator.predict(&rates(u), 0.005);
         }
-        // Measured 12.5 ms ago: after half of the first move.
+        // The measurement is 12.5 ms old: after half of the first move.
         let measured = Configuration::from_slice(&[0.1, 0.0]).unwrap();
         let lengths = robot.cable_lengths(&measured);
         let expected = 0.1 + 0.0025 * 1.0 + 0.005 * 2.0 - 0.005 * 3.0;
@@ -330,18 +337,18 @@ mod tests {
             let mut estimator = Estimator::new(Configuration::from_slice(&off).unwrap());
             let rates = BendRates::from_slice(&vec![1.0; 2 * sections]).unwrap();
             estimator.predict(&rates, 0.005);
-            // Measured before that move.
+            // The tip before that move.
             let tip = robot.tip_position(&truth);
             let estimate = *estimator.correct(&robot, &Measurement::TipPosition(tip), 0.005);
             let now = truth.advanced(&rates, 0.005);
             let error = (robot.tip_position(&estimate) - robot.tip_position(&now)).norm();
-            // Nothing was known before, so that the noise which the filter expects counts for little.
+            // The prior is vague, so the assumed noise has little weight.
             assert!(error < 5e-4, "{error}");
         }
     }
 
-    /// A robot that obeys positions is pushed aside, and only its tip is measured: filter and smoothing follow each other, and
-    /// do not weaken each other's gain.
+    /// A position-controlled robot is pushed aside, and only its tip is measured. Kalman filter and smoothing are in
+    /// series and do not reduce each other's gain.
     #[test]
     fn the_offset_of_a_tip_is_learnt_within_a_second() {
         for sections in 1..=3 {
@@ -349,7 +356,7 @@ mod tests {
             let truth = Configuration::from_slice(&vec![0.31; 2 * sections]).unwrap();
             let begin = Configuration::from_slice(&vec![0.3; 2 * sections]).unwrap();
             let mut estimator = Estimator::new(begin).with_time_constant(0.1);
-            // It was known where it is.
+            // The initial configuration is known.
             let begin_tip = Measurement::TipPosition(robot.tip_position(&begin));
             estimator.correct(&robot, &begin_tip, 0.0);
             let tip = robot.tip_position(&truth);
@@ -366,7 +373,7 @@ mod tests {
         }
     }
 
-    /// Normal numbers of standard deviation 1, the same in every run.
+    /// Standard normal numbers, the same in every run.
     fn noise(state: &mut u64) -> f64 {
         let mut uniform = || {
             *state = state
@@ -383,7 +390,8 @@ mod tests {
         Measurement::TipPosition(position_m + noise_m)
     }
 
-    /// A step that believes each measurement goes 1e5 rad astray here: no bend moves the tip of a straight robot along its axis.
+    /// A filter that trusted each measurement fully would drift by 1e5 rad here: no bend moves the tip of a straight
+    /// robot along its axis.
     #[test]
     fn a_noisy_tip_of_a_straight_robot_at_rest_does_not_lead_the_estimate_astray() {
         for sections in 1..=6 {
@@ -410,7 +418,7 @@ mod tests {
         }
     }
 
-    /// Of a sensor that is known to be better, the same measurement moves the estimate farther.
+    /// A measurement moves the estimate more if the sensor is better.
     #[test]
     fn a_tip_counts_by_its_noise() {
         let robot = robot(1);
@@ -422,7 +430,7 @@ mod tests {
             let estimate = *estimator.correct(&robot, &tip, 0.0);
             (truth.as_slice()[0] - estimate.as_slice()[0]) / 0.01
         };
-        // Known to 0.01 rad before, and 0.15 m from the base a radian moves the tip by that.
+        // The prior is 0.01 rad; at 0.15 m from the base, a radian moves the tip by 0.15 m.
         assert!(
             left(1e-5) < 1e-3 && left(1e-1) > 0.99,
             "{} {}",
@@ -456,13 +464,13 @@ mod tests {
                 }
             }
             let deviation_m = (squares / 3000.0).sqrt();
-            // Of the measurements themselves: √3 · 0.3 mm.
+            // The noise of the measurements themselves is √3 · 0.3 mm.
             assert!(deviation_m < 3e-4, "{sections} sections: {deviation_m} m");
         }
     }
 
-    /// Beside the offset the body keeps what noise leaves open of it: along an axis the tip is farther beside in few moments, and for less noise
-    /// it keeps less.
+    /// The margin is the offset plus the uncertainty that noise leaves. The tip exceeds it along an axis only rarely,
+    /// and the margin is smaller for less noise.
     #[test]
     fn the_margin_is_the_offset_and_what_noise_leaves_open_of_it() {
         let robot = robot(3);

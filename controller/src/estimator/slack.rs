@@ -1,7 +1,8 @@
 use crate::robot::{CABLES_MAX, Configuration, Robot};
 
-/// How far each cable is beside its motor, where there is play between them: a motor that turns round takes its cable along when the
-/// play is over (the play operator: A. Visintin, *Differential Models of Hysteresis*, Springer 1994, §III.2).
+/// Play between motors and cables: the offset of each cable from its motor. A reversing motor takes its cable along
+/// only after it has crossed the play (play operator: A. Visintin, *Differential Models of Hysteresis*, Springer 1994,
+/// §III.2).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slack {
     /// The play (m), 0 or more.
@@ -10,23 +11,24 @@ pub struct Slack {
     slack_m: [f64; CABLES_MAX],
 }
 
-/// What of the play a motor that turns round runs through.
+/// The part of the play that a reversing motor crosses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Window {
-    /// So much of the play.
+    /// Share of the play.
     part: f64,
-    /// Cable minus motor in its middle (m).
+    /// Cable minus motor at the middle of this part (m).
     middle_m: [f64; CABLES_MAX],
 }
 
 impl Window {
-    /// All of the play.
+    /// The whole play.
     pub(super) const WHOLE: Self = Self {
         part: 1.0,
         middle_m: [0.0; CABLES_MAX],
     };
 
-    /// A `part` of the play of which `slack` has taken as much as of all of it: cables that go with their motors still do.
+    /// A window of a share `part` of the play, in which `slack` has the same relative position. Cables that move with
+    /// their motors continue to do so.
     pub(super) fn around(slack: &Slack, part: f64) -> Self {
         let middle_m = slack.slack_m.map(|slack_m| (1.0 - part) * slack_m);
         Self { part, middle_m }
@@ -39,7 +41,8 @@ impl Slack {
         Self::new(play_m, [0.0; CABLES_MAX])
     }
 
-    /// Cables that are `slack_m` (m) beside their motors, within ± half of the play `play_m` (m). A negative play and a NaN count as none.
+    /// Cables at an offset `slack_m` (m) from their motors, within ± half of the play `play_m` (m). A negative play and
+    /// a NaN count as none.
     pub fn new(play_m: f64, slack_m: [f64; CABLES_MAX]) -> Self {
         Self {
             play_m: play_m.max(0.0),
@@ -57,13 +60,13 @@ impl Slack {
         &self.slack_m
     }
 
-    /// After the motors moved evenly by `moved` (rad).
+    /// State after the motors moved by `moved` (rad) at constant rates.
     #[must_use]
     pub fn moved(&self, robot: &Robot, moved: &Configuration) -> Self {
         self.moved_within(robot, moved, &Window::WHOLE)
     }
 
-    /// The same where the motors take their cables along at the ends of `window`.
+    /// As [`Self::moved`], with motors that take their cables along at the ends of `window`.
     pub(super) fn moved_within(
         &self,
         robot: &Robot,
@@ -79,7 +82,7 @@ impl Slack {
         next
     }
 
-    /// As far in all of the play as it is in `window`.
+    /// The same relative position in the whole play as this one in `window`.
     pub(super) fn widened(&self, window: &Window) -> Self {
         let mut wide = *self;
         for (slack_m, middle_m) in wide.slack_m.iter_mut().zip(&window.middle_m) {
@@ -88,7 +91,8 @@ impl Slack {
         wide
     }
 
-    /// Whether between these two moves (rad) from here in one direction each cable either stands or goes with its motor all the time.
+    /// True if each cable either rests or moves with its motor all the time between these two moves (rad) from here in
+    /// one direction.
     pub(crate) fn is_even_between(
         &self,
         robot: &Robot,
@@ -106,7 +110,7 @@ impl Slack {
         })
     }
 
-    /// Bends of the robot minus those that its motors tell (rad).
+    /// Bends of the robot minus those of its motors (rad).
     pub fn bends(&self, robot: &Robot) -> Configuration {
         robot.bend_from_cable_strokes(&self.slack_m)
     }
@@ -134,7 +138,7 @@ mod tests {
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }
 
-    /// Encoders with noise: where the tip is measured, too, the cables stand until it is more than a tenth of the play.
+    /// Encoder noise while the tip is measured: the cables rest until the motion exceeds a tenth of the play.
     #[test]
     fn noise_of_the_motors_moves_no_cable_while_the_tip_is_measured() {
         let (robot, rest) = (robot(), BendRates::zero(3));
@@ -157,18 +161,18 @@ mod tests {
             (most(after, &before), x.hypot(y))
         };
         assert!((moved_rad(0.2003, false).0 - 3e-4).abs() < 1e-9);
-        // 10 µm at most, in a band of 50 µm.
+        // At most 10 µm, in a band of 50 µm.
         assert!(moved_rad(0.2001, true).0 < 1e-9 && moved_rad(0.2003, true).0 < 1e-9);
-        // Of the first section's 13.7 mrad what is beyond half of the band.
+        // Of the first section's 13.7 mrad, the part beyond half of the band.
         let (_, far_rad) = moved_rad(0.21, true);
         assert!((0.009..0.013).contains(&far_rad), "{far_rad}");
-        // It follows on, and stands when that turns round.
+        // The cable follows further motion, and rests after a reversal.
         assert!(moved_rad(0.22, true).1 > 0.0141);
         assert!(moved_rad(0.2199, true).0 < 1e-9);
     }
 
-    /// At rest the motors run through three quarters of the play where the tip is measured. When the robot moves on, its cables are taken to have gone
-    /// through all of it, and its tip stays where it is.
+    /// At rest with a measured tip, the motors cross three quarters of the play. When the robot moves on, its cables
+    /// are taken to have crossed the whole play, and its tip stays in place.
     #[test]
     fn at_rest_more_play_than_there_is_does_not_move_the_robot() {
         let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
@@ -190,25 +194,25 @@ mod tests {
             let moved_rad = after.as_slice()[0] - before.as_slice()[0];
             (moved_rad, (seen_m - tip_m).norm())
         };
-        // Until all cables go with their motors.
+        // Until all cables move with their motors.
         for _ in 0..4000 {
             go(5e-3);
         }
-        // The first cable's motor goes 0.3125 µm each time.
+        // The first cable's motor moves 0.3125 µm each time.
         let stands = (0..2000).take_while(|_| go(-5e-3).0.abs() < 1e-6).count();
         assert!((1195..1205).contains(&stands), "{stands} periods");
         for _ in 0..2000 {
             go(-5e-3);
         }
         let (moved_rad, jumped_m) = go(-0.5);
-        // All three cables an eighth of the play farther behind: 62.5 µm, 4/3 of that as bend.
+        // All three cables lag by another eighth of the play: 62.5 µm, as bend 4/3 of that.
         let farther_rad = 4.0 / 3.0 * 6.25e-5 / 0.0125;
         let off_rad = moved_rad - (farther_rad - 2.5e-3);
         assert!(off_rad.abs() < 2e-5, "{moved_rad}");
         assert!(jumped_m < 1e-9, "{jumped_m} m");
     }
 
-    /// Nothing is measured: where the estimate takes the robot for is where the plant is, at each release.
+    /// Without measurements, the estimate of the present configuration equals that of the plant at each release.
     #[test]
     fn the_estimate_goes_through_the_play_as_the_robot_does() {
         for (delay_s, time_constant_s) in [(0.0, 0.0), (0.015, 0.0), (0.01, 0.03)] {
@@ -239,7 +243,7 @@ mod tests {
             assert!(played_rad > 0.02, "{played_rad}");
             assert!(farthest_rad < 1e-5, "{actuator:?}: {farthest_rad}");
 
-            // Who begins anew where the motors are moves no cable.
+            // A restart at the motors' configuration moves no cable.
             for _ in 0..100 {
                 estimator.predict(&BendRates::zero(3), PERIOD_S);
             }

@@ -2,24 +2,25 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 
-/// How far a measured tip coordinate lies beside the true one, where nothing else is known: standard deviation \[m\].
+/// Default standard deviation of the noise in a tip coordinate \[m\].
 pub(super) const TIP_NOISE_M: f64 = 3e-4;
-/// How far a bend strays from what was commanded: standard deviation after a second \[rad/√s\]. With the noise above and
-/// a measurement in 5 ms the filter averages over 0.14 s with one section of the paper's, over 0.02 s with three.
+/// Standard deviation of a bend's deviation from its command after one second \[rad/√s\]. With the noise above and a
+/// measurement every 5 ms, the filter averages over 0.14 s for one section of the paper's robot and over 0.02 s for
+/// three.
 const BEND_NOISE_RAD_SQRT_S: f64 = 1e-3;
-/// What is known of a bend before anything was measured: standard deviation \[rad\]; never more than that. One that believes to
-/// know less takes noise for large bends: an S moves the tip of a straight robot as little as none.
+/// Standard deviation of a bend before any measurement, and its upper limit \[rad\]. A larger value would turn noise
+/// into large bends: an S shape of a straight robot hardly moves its tip.
 const UNKNOWN_RAD: f64 = 0.01;
-/// Steps of one correction at the most.
+/// Maximum number of steps of one correction.
 const STEPS: usize = 12;
-/// A correction has ended when no bend changes by more than this \[rad\].
+/// A correction has converged when no bend changes by more than this \[rad\].
 const STEP_MIN_RAD: f64 = 1e-9;
 
-/// An iterated extended Kalman filter over the bends that takes in tip positions (Simon, *Optimal State Estimation*, §13.3.2).
+/// Iterated extended Kalman filter of the bends from tip positions (Simon, *Optimal State Estimation*, §13.3.2).
 ///
-/// A tip position has three numbers, and a robot of two and more sections four and more bends. The covariance remembers what
-/// earlier positions told of the others, and how well: noise of the tip that no bend explains moves none. Near the
-/// straight robot no bend moves the tip along its axis, and a step that takes every measurement for exact goes astray there.
+/// A tip position has three numbers; a robot of two or more sections has four or more bends. The covariance retains the
+/// information of earlier positions about the others, so that tip noise which no bend explains moves none. Near the
+/// straight robot no bend moves the tip along its axis, and a step that trusts every measurement fully would diverge.
 #[derive(Debug, Clone)]
 pub(super) struct TipFilter {
     /// Covariance of the bends \[rad²\], symmetric.
@@ -29,7 +30,7 @@ pub(super) struct TipFilter {
 }
 
 impl TipFilter {
-    /// Nothing is known of the bends. A measured coordinate is off by `noise_m`, above 0: standard deviation.
+    /// Vague prior of the bends. `noise_m` is the standard deviation of a measured coordinate, above 0.
     pub(super) fn new(noise_m: f64) -> Self {
         let mut filter = Self {
             covariance: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
@@ -39,12 +40,12 @@ impl TipFilter {
         filter
     }
 
-    /// Nothing is known of the bends any more.
+    /// Resets the bends to the vague prior.
     pub(super) fn begin(&mut self) {
         self.know(UNKNOWN_RAD * UNKNOWN_RAD);
     }
 
-    /// Every bend was measured.
+    /// Records that every bend was measured.
     pub(super) fn know_all(&mut self) {
         self.know(0.0);
     }
@@ -54,7 +55,7 @@ impl TipFilter {
         self.covariance = core::array::from_fn(row);
     }
 
-    /// `elapsed_s` have passed.
+    /// Grows the covariance by `elapsed_s`.
     pub(super) fn predict(&mut self, elapsed_s: f64) {
         let grown = BEND_NOISE_RAD_SQRT_S * BEND_NOISE_RAD_SQRT_S * elapsed_s;
         for i in 0..COORDINATES_MAX {
@@ -63,9 +64,9 @@ impl TipFilter {
         }
     }
 
-    /// The configuration that `before` and a tip at `position_m` say together, weighed by how well each is known: the
-    /// smallest of (tip error / noise)² + yᵀy with bends = before + C y and P = C Cᵀ, by Levenberg's damped steps, none of which
-    /// makes it larger. Without a finite solution it is `before`.
+    /// The most probable configuration from `before` and a tip at `position_m`: the minimum of (tip error / noise)² +
+    /// yᵀy with bends = before + C y and P = C Cᵀ. Solved by Levenberg's damped steps; none increases the cost. Returns
+    /// `before` if no solution is finite.
     pub(super) fn correct(
         &mut self,
         robot: &Robot,
@@ -103,7 +104,7 @@ impl TipFilter {
         now.bends
     }
 
-    /// The lower triangle C with C Cᵀ = P (Cholesky); a bend that is known exactly has no column.
+    /// Lower triangle C with C Cᵀ = P (Cholesky); the column of an exactly known bend is zero.
     fn root(&self) -> Square {
         let mut root = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
         for j in 0..COORDINATES_MAX {
@@ -122,7 +123,7 @@ impl TipFilter {
         root
     }
 
-    /// What the measurement told is known from now on: P - P Jᵀ S⁻¹ J P with S = J P Jᵀ + R.
+    /// Updates the covariance by the measurement: P - P Jᵀ S⁻¹ J P with S = J P Jᵀ + R.
     fn learn(&mut self, jacobian: &Jacobian) {
         let cross = by_unit(jacobian, &self.covariance);
         let mut innovation = Matrix3::identity() * self.noise_m2;
@@ -146,12 +147,12 @@ impl TipFilter {
 
 type Square = [[f64; COORDINATES_MAX]; COORDINATES_MAX];
 
-/// A configuration between what was known and what was measured.
+/// A candidate configuration between prediction and measurement.
 struct Fit {
-    /// y: how far it is from what was known, in standard deviations.
+    /// y: deviation from the prediction, in standard deviations.
     units: [f64; COORDINATES_MAX],
     bends: Configuration,
-    /// From its tip to the measured one \[m\].
+    /// Measured tip minus the tip of these bends \[m\].
     missing_m: Vector3<f64>,
     cost: f64,
 }
@@ -180,8 +181,8 @@ impl Fit {
         }
     }
 
-    /// The next y: (AᵀA/R + (1 + damping) I) Δ = Aᵀ missing/R - y, where the tip moves by the columns of A for each unit. Solved with three
-    /// rows: (AᵀA/R + c I)⁻¹ v = (v - Aᵀ (A Aᵀ + c R I)⁻¹ A v) / c.
+    /// The next y: (AᵀA/R + (1 + damping) I) Δ = Aᵀ missing/R - y, where A holds the motion of the tip per unit of y.
+    /// Solved with a 3 × 3 matrix: (AᵀA/R + c I)⁻¹ v = (v - Aᵀ (A Aᵀ + c R I)⁻¹ A v) / c.
     fn improved(
         &self,
         by_unit: &[Vector3<f64>; COORDINATES_MAX],
@@ -209,7 +210,7 @@ impl Fit {
     }
 }
 
-/// How the tip moves by each column of a matrix over the bends.
+/// Motion of the tip by each column of a matrix over the bends.
 fn by_unit(jacobian: &Jacobian, matrix: &Square) -> [Vector3<f64>; COORDINATES_MAX] {
     let mut sums = [Vector3::zeros(); COORDINATES_MAX];
     for (tip, row) in rows(jacobian).zip(matrix) {
@@ -220,7 +221,7 @@ fn by_unit(jacobian: &Jacobian, matrix: &Square) -> [Vector3<f64>; COORDINATES_M
     sums
 }
 
-/// How the tip moves by each bend \[m/rad\].
+/// Motion of the tip by each bend \[m/rad\].
 fn rows(jacobian: &Jacobian) -> impl Iterator<Item = Vector3<f64>> + '_ {
     let columns = jacobian.columns().iter();
     columns.map(|column| Vector3::from_column_slice(&column[..3]))

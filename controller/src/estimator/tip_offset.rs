@@ -2,55 +2,58 @@ use nalgebra::Vector3;
 
 use super::tip_slope::{STILL_M_S, TipSlope};
 
-/// How slowly the offset follows what is measured (s): of 0.3 mm of noise in each coordinate, measured at 100 Hz, 0.1 mm is left.
+/// Time constant with which the offset follows the measurements (s). From 0.3 mm of noise in each coordinate, measured
+/// at 100 Hz, 0.1 mm remains.
 const TIME_CONSTANT_S: f64 = 0.1;
-/// The same at rest, where the play of the cables is known: a motor that turns round for noise runs through all of the play.
+/// Time constant at rest if the play of the cables is known: a motor that reverses because of noise crosses the whole
+/// play.
 const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
-/// A tip that is measured farther beside (m) is not believed: either the model or the sensor is wrong, and following it no help.
+/// A larger measured offset (m) is rejected: either the model or the sensor is wrong, and following the sensor would
+/// not help.
 const OFFSET_MAX_M: f64 = 0.1;
 
-/// Positions that come this much later than the interval between the last two are a sensor that says nothing.
+/// A sensor counts as silent after this multiple of the interval between its last two positions.
 const SILENT: f64 = 1.5;
 
-/// Part of the noise of a measured coordinate that the offset may be beside what was learnt. Without it, noise leads the tip about for ever,
-/// and a robot whose cables have more play than is known swings: by 4 mm at 0.5 mm of play (docs/robustness.md).
+/// Dead zone of the offset, as a share of the noise of a measured coordinate. Without it, noise moves the tip without
+/// end, and a robot with more play than configured oscillates: by 4 mm at 0.5 mm of play (docs/robustness.md).
 const STILL: f64 = 0.25;
-/// The same at rest, where the play of the cables is known: it swallows nothing of the noise then.
+/// Dead zone at rest if the play of the cables is known: the play then absorbs no noise.
 const STILL_WITH_PLAY: f64 = 0.6;
 
-/// So many standard deviations of what is known of the offset the body keeps beside it: in 1 of 740 measurements the tip is farther beside along
-/// the way to an obstacle.
+/// Number of standard deviations of the offset's uncertainty in the margin. In 1 of 740 measurements, the tip is
+/// farther aside in the direction of an obstacle.
 const MARGIN_DEVIATIONS: f64 = 3.0;
 
-/// What the measured tip is beside the one that the measured bends give: errors of lengths and radii, sag, a load. It changes as
-/// the robot bends, which is learnt, too ([`TipSlope`]), so that it is not late along a way.
+/// Offset of the measured tip from the tip of the measured bends: errors of lengths and radii, sag, a load. It changes
+/// as the robot bends; this slope is learnt, too ([`TipSlope`]), so that the offset does not lag during motion.
 #[derive(Debug, Clone)]
 pub(super) struct TipOffset {
     offset_m: Vector3<f64>,
-    /// The same as it was learnt: the offset follows it at the end of a line of this length (m).
+    /// Filtered offset (m). `offset_m` follows it with a dead zone.
     learnt_m: Vector3<f64>,
     slope: TipSlope,
-    /// Where the bends place the tip now (m); none: control began anew.
+    /// Present tip position from the bends (m); `None`: control has restarted.
     placed_m: Option<Vector3<f64>>,
-    /// Whether it is on its way there.
+    /// True if that position is changing.
     is_moving: bool,
-    /// Since that (s).
+    /// Time since that position was set (s).
     unplaced_s: f64,
-    /// The last position that was measured (m).
+    /// The last measured position (m).
     measured_m: Vector3<f64>,
-    /// Since the last tip position (s).
+    /// Time since the last tip position (s), at most the time constant.
     unmeasured_s: f64,
-    /// The same when it was measured (s).
+    /// Interval between the last two tip positions (s).
     interval_s: f64,
 }
 
 impl TipOffset {
-    /// Nothing was learnt. A measured coordinate is off by `noise_m`: standard deviation.
+    /// An offset without measurements. `noise_m` is the standard deviation of a measured coordinate.
     pub(super) fn new(noise_m: f64) -> Self {
         Self::with_slope(TipSlope::new(noise_m))
     }
 
-    /// The same with one that does not go along with the tip.
+    /// The same without a slope.
     pub(super) fn without_slope(&self) -> Self {
         Self::with_slope(TipSlope::none(self.slope.noise_m()))
     }
@@ -69,7 +72,7 @@ impl TipOffset {
         }
     }
 
-    /// Control begins anew: the next position is news. What was learnt stays, since it is the model that is off.
+    /// Restarts control: the next position counts as new. The offset is kept, because it is an error of the model.
     pub(super) fn begin(&mut self) {
         *self = Self {
             offset_m: self.offset_m,
@@ -79,7 +82,7 @@ impl TipOffset {
         };
     }
 
-    /// The same where nothing was learnt.
+    /// The same without measurements.
     pub(super) fn forgotten(&self) -> Self {
         Self::with_slope(self.slope.forgotten())
     }
@@ -88,7 +91,7 @@ impl TipOffset {
         self.offset_m
     }
 
-    /// How far the tip may be beside where the bends place it (m): by the offset, and by what is not known of that.
+    /// Upper bound on the tip's distance from the position given by the bends (m): the offset plus its uncertainty.
     pub(super) fn margin_m(&self) -> f64 {
         self.offset_m.norm() + MARGIN_DEVIATIONS * self.slope.deviation_m()
     }
@@ -98,12 +101,12 @@ impl TipOffset {
         self.unplaced_s += elapsed_s;
     }
 
-    /// Whether a tip was measured since control began.
+    /// True if a tip was measured since control restarted.
     pub(super) fn is_measured(&self) -> bool {
         self.placed_m.is_some()
     }
 
-    /// The bends place the tip at `placed_m` (m) now. The offset goes along, unless the sensor is silent.
+    /// Sets the present tip position from the bends (m). The offset follows its slope, unless the sensor is silent.
     pub(super) fn follow(&mut self, placed_m: &Vector3<f64>) {
         let elapsed_s = core::mem::take(&mut self.unplaced_s);
         let Some(before_m) = self.placed_m.replace(*placed_m) else {
@@ -119,12 +122,13 @@ impl TipOffset {
         }
     }
 
-    /// Whether the bends place the tip elsewhere all the time.
+    /// True if the tip position from the bends is changing.
     pub(super) fn is_moving(&self) -> bool {
         self.is_moving
     }
 
-    /// The tip stays where it is, but the bends are taken to place it at `placed_m` (m): what it is beside them is less by that.
+    /// Revises the tip position from the bends to `placed_m` (m) while the tip stays: the offset changes by the
+    /// difference.
     pub(super) fn place(&mut self, placed_m: &Vector3<f64>) {
         if let Some(before_m) = self.placed_m.replace(*placed_m) {
             let by_m = placed_m - before_m;
@@ -134,10 +138,11 @@ impl TipOffset {
         }
     }
 
-    /// The tip was measured at `measured_m`, and the bends placed it at `placed_m` then. Whether that was believed: not what is farther
-    /// beside than the largest offset, nor what is the last position in every bit. A sensor that stands still while the robot
-    /// moves would lead it away from its reference, and away from where the sensor says it is.
-    /// `has_play`: cables with a play that is known.
+    /// Takes a tip measured at `measured_m` while the bends placed it at `placed_m`. Returns false if it is rejected:
+    /// farther aside than the largest offset, or bit-identical to the last position. Following a sensor that has
+    /// stopped would move the robot away from its reference.
+    ///
+    /// `has_play`: the cables have a known play.
     pub(super) fn correct(
         &mut self,
         measured_m: &Vector3<f64>,
@@ -150,11 +155,12 @@ impl TipOffset {
         if !is_news || !is_near {
             return false;
         }
-        // A pause of the sensor does not make its next position count for more than the one before: the offset must not jump.
+        // After a pause of the sensor, its next position has no more weight than the previous one, so that the offset
+        // does not jump.
         let since_s = self.unmeasured_s.min(self.interval_s);
         self.interval_s = self.unmeasured_s;
         self.slope.learn(&beside_m, placed_m, since_s);
-        // How far it is beside where it is placed now.
+        // Offset from the present tip position.
         let since_m = self.placed_m.map(|now_m| now_m - placed_m);
         let beside_m = beside_m + self.slope.change_m(&since_m.unwrap_or_default());
         let (time_constant_s, still) = if has_play && !self.is_moving {

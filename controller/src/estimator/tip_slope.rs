@@ -1,47 +1,51 @@
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
-/// How much of a way of the tip the model may be off by: standard deviation. Lengths and angles of a robot are known to about that.
+/// Standard deviation of the model's error of a tip motion, as a share of that motion: about the accuracy of a robot's
+/// lengths and angles.
 const SLOPE: f64 = 0.05;
-/// No more is believed (Frobenius norm).
+/// Limit of the slope (Frobenius norm).
 const SLOPE_MAX: f64 = 0.2;
-/// What was learnt is forgotten with this time constant (s): the slope of a robot that bends is not the same everywhere.
+/// Time constant with which the slope is forgotten (s), because it varies with the bends.
 const FORGOTTEN_S: f64 = 10.0;
-/// What the offset changes by beside the slope (m/√s).
+/// Random walk of the offset beside the slope (m/√s).
 const WANDER_M: f64 = 3e-4;
-/// Standard deviation of the offset before anything was measured (m).
+/// Standard deviation of the offset before any measurement (m).
 const UNKNOWN_M: f64 = 0.05;
-/// What is farther off than so many standard deviations comes from elsewhere: a load that was put on, or cables in their play.
+/// An innovation beyond this many standard deviations is attributed to another cause: an added load, or cables in their
+/// play.
 const SURPRISE: f64 = 3.0;
-/// Below about this speed of the tip (m/s) the slope changes nothing: a way that is commanded within the play of cables is none.
+/// Below about this speed of the tip (m/s) the slope is not applied: a motion commanded within the play of the cables
+/// does not move the tip.
 pub(super) const STILL_M_S: f64 = 5e-3;
 
-/// How the offset of the tip changes along its way: sections 5 % longer than configured place it 5 % farther. A Kalman filter of
-/// the offset and its derivative with respect to the place, which has one covariance, as each coordinate is measured with the same noise.
+/// Change of the tip offset along the path of the tip: sections 5 % longer than configured place the tip 5 % farther
+/// away. A Kalman filter of the offset and of its derivative by position. All coordinates share one covariance, because
+/// they have the same noise.
 #[derive(Debug, Clone)]
 pub(super) struct TipSlope {
     offset_m: Vector3<f64>,
     slope: Matrix3<f64>,
-    /// Of one coordinate of the offset, and of its derivatives.
+    /// Of one coordinate of the offset and of its derivatives.
     covariance: Matrix4<f64>,
-    /// Where the bends placed the tip when it was measured last (m).
+    /// Tip position from the bends at the last measurement (m).
     placed_m: Option<Vector3<f64>>,
     noise_m: f64,
-    /// Standard deviation of a derivative of which nothing is known; 0: the offset is taken to be the same everywhere.
+    /// Prior standard deviation of a derivative; 0: the offset is the same everywhere.
     deviation: f64,
 }
 
 impl TipSlope {
-    /// Nothing was learnt. A measured coordinate is off by `noise_m`: standard deviation.
+    /// A filter without measurements. `noise_m` is the standard deviation of a measured coordinate.
     pub(super) fn new(noise_m: f64) -> Self {
         Self::with_deviation(noise_m, SLOPE)
     }
 
-    /// The same with an offset that is taken to be the same everywhere.
+    /// A filter that takes the offset as the same everywhere.
     pub(super) fn none(noise_m: f64) -> Self {
         Self::with_deviation(noise_m, 0.0)
     }
 
-    /// The same where nothing was learnt.
+    /// The same filter without measurements.
     pub(super) fn forgotten(&self) -> Self {
         Self::with_deviation(self.noise_m, self.deviation)
     }
@@ -71,12 +75,12 @@ impl TipSlope {
         }
     }
 
-    /// What the offset changes by while the tip goes by `by_m` (m).
+    /// Change of the offset while the tip moves by `by_m` (m).
     pub(super) fn change_m(&self, by_m: &Vector3<f64>) -> Vector3<f64> {
         self.slope * by_m
     }
 
-    /// The same in a time of `elapsed_s` (s): nothing at rest.
+    /// As [`Self::change_m`], for a motion within `elapsed_s` (s); zero at rest.
     pub(super) fn change_in_m(&self, by_m: &Vector3<f64>, elapsed_s: f64) -> Vector3<f64> {
         let (way_m, still_m) = (by_m.norm(), STILL_M_S * elapsed_s);
         if way_m > still_m {
@@ -86,7 +90,8 @@ impl TipSlope {
         }
     }
 
-    /// The tip was measured `beside_m` beside where the bends placed it, `placed_m`, `since_s` (s) after the measurement before.
+    /// Takes a measurement: the offset `beside_m` of the tip from its position `placed_m` by the bends, `since_s` (s)
+    /// after the previous one.
     pub(super) fn learn(&mut self, beside_m: &Vector3<f64>, placed_m: &Vector3<f64>, since_s: f64) {
         self.predict(placed_m, since_s);
         let noise_m2 = self.noise_m * self.noise_m;
@@ -101,7 +106,7 @@ impl TipSlope {
         self.offset_m += gain[0] * missing_m;
         self.slope += missing_m * gain.fixed_rows::<3>(1).transpose();
         self.slope *= (SLOPE_MAX / self.slope.norm()).min(1.0);
-        // Joseph's form, which holds for any gain.
+        // Joseph's form, valid for any gain.
         let mut left = Matrix4::identity();
         let first = left.column(0) - gain;
         left.set_column(0, &first);
@@ -109,13 +114,13 @@ impl TipSlope {
             left * self.covariance * left.transpose() + noise_m2 * gain * gain.transpose();
     }
 
-    /// The bends are taken to place the tip elsewhere, by `by_m` (m), and it stays.
+    /// Revises the tip position from the bends by `by_m` (m) while the tip stays.
     pub(super) fn place(&mut self, by_m: &Vector3<f64>) {
         self.offset_m -= by_m;
         self.placed_m = self.placed_m.map(|placed_m| placed_m + by_m);
     }
 
-    /// To where the tip is placed now, `since_s` (s) later.
+    /// Predicts the offset for a tip at `placed_m`, `since_s` (s) later.
     fn predict(&mut self, placed_m: &Vector3<f64>, since_s: f64) {
         let before_m = self.placed_m.replace(*placed_m);
         let by_m = before_m.map_or_else(Vector3::zeros, |before_m| placed_m - before_m);
