@@ -3,57 +3,58 @@ use nalgebra::{Rotation3, Unit, UnitQuaternion, Vector3};
 use super::{Orientation, ReferenceSample};
 use crate::robot::Pose;
 
-/// Largest speed of the quintic from rest to rest, over distance / duration: at its middle, 15/8.
+/// Peak speed of the quintic from rest to rest, relative to distance / duration: 15/8, at its middle.
 pub const QUINTIC_SPEED_PEAK: f64 = 1.875;
-/// Largest acceleration of the same, over distance / duration²: 10/√3.
+/// Peak acceleration of the same quintic, relative to distance / duration²: 10/√3.
 pub const QUINTIC_ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
-/// Largest acceleration of the quintic that ends a speed, over speed / duration: at s = (16 - √76) / 30.
+/// Peak acceleration of the quintic that ends a speed, relative to speed / duration: at s = (16 - √76) / 30.
 const JOINING_PEAK: f64 = 3.941;
-/// How far the same goes, over speed · duration.
+/// Peak distance of the same quintic, relative to speed · duration.
 const JOINING_WAY: f64 = 0.1976;
 
-/// How fast a reference is approached.
+/// Limits of an approach.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ApproachLimits {
-    /// Largest speed with which the distance to the reference decays \[m/s\].
+    /// Peak speed with which the distance to the reference decays \[m/s\].
     pub speed_m_s: f64,
-    /// Largest acceleration that the approach adds to that of the reference \[m/s²\]: half of it for the distance, half of it to join
-    /// the motion of the reference.
+    /// Peak acceleration added to that of the reference \[m/s²\]: half of it for the distance, half of it for joining
+    /// the motion.
     pub acceleration_m_s2: f64,
-    /// How far the tip may leave the way to the reference, to join its motion gently \[m\]. A motion that would take it farther is
-    /// joined faster.
+    /// Largest distance that the tip may leave the path to the reference in order to join its motion gently \[m\]. A
+    /// motion that would exceed it is joined faster.
     pub excursion_m: f64,
-    /// How fast the tip turns at most towards an orientation that the reference asks for \[rad/s\].
+    /// Peak turn rate of the tip towards a specified orientation \[rad/s\].
     pub turn_rad_s: f64,
 }
 
-/// The smooth way to a reference that begins elsewhere than the tip is, or in motion.
+/// Smooth transition to a reference that begins away from the tip or in motion.
 ///
-/// The reference goes on in its own time, and the difference of the followed point from it at the beginning decays to zero: that of the
-/// positions along a quintic from rest to rest, that of the velocities along a quintic of its own; neither has an acceleration at its ends.
-/// A quintic with given ends: L. Biagiotti, C. Melchiorri, *Trajectory Planning for Automatic Machines and Robots*, Springer 2008, §2.1.4.
-/// To join a motion the tip is for a moment up to 1.52 times as fast as it.
+/// The reference keeps its own timing; the initial difference between the followed point and the reference decays to
+/// zero. The position difference follows a quintic from rest to rest, the velocity difference a quintic of its own;
+/// both have zero acceleration at their ends. Quintic with given ends: L. Biagiotti, C. Melchiorri, *Trajectory
+/// Planning for Automatic Machines and Robots*, Springer 2008, §2.1.4. While joining a motion, the tip is briefly up to
+/// 1.52 times as fast as the reference.
 ///
-/// Invariant: it holds all that it does in its fields, so that a cycle can be computed again from them.
+/// Invariant: the fields determine the approach completely, so that a cycle can be recomputed from them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Approach {
-    /// When it began, on the clock of the releases \[ns\].
+    /// Start time, on the clock of the releases \[ns\].
     pub begin_ns: u64,
-    /// How long the distance takes \[ns\].
+    /// Duration of the decay of the distance \[ns\].
     pub duration_ns: u64,
-    /// How long joining the motion takes \[ns\].
+    /// Duration of joining the motion \[ns\].
     pub joining_ns: u64,
-    /// Tip minus reference at the beginning \[m\].
+    /// Tip minus reference at the start \[m\].
     pub offset_m: Vector3<f64>,
-    /// Velocity of what was followed before, minus that of the reference, at the beginning \[m/s\].
+    /// Velocity followed before minus that of the reference, at the start \[m/s\].
     pub velocity_m_s: Vector3<f64>,
-    /// Rotation from the reference's orientation to the tip's at the beginning, as axis times angle \[rad\].
+    /// Rotation from the reference's orientation to the tip's at the start, as axis times angle \[rad\].
     pub turn_rad: Vector3<f64>,
 }
 
 impl Approach {
-    /// From a tip at `tip`, led with `velocity_m_s`, to a reference that is at `reference` at `begin_ns` and moves
-    /// with `reference_m_s`. What would be over within `period_ns`, or is not finite, is left out.
+    /// Plans an approach from a tip at `tip`, led with `velocity_m_s`, to a reference at `reference` at `begin_ns` that
+    /// moves with `reference_m_s`. A part that would end within `period_ns`, or that is not finite, is omitted.
     pub fn plan(
         limits: &ApproachLimits,
         begin_ns: u64,
@@ -89,7 +90,7 @@ impl Approach {
         }
     }
 
-    /// The shortest time in which the distance decays within the limits \[s\].
+    /// Shortest duration of the distance's decay within the limits \[s\].
     fn distance_s(&self, limits: &ApproachLimits) -> f64 {
         let distance_m = self.offset_m.norm();
         let most_m_s2 = 0.5 * limits.acceleration_m_s2;
@@ -99,25 +100,26 @@ impl Approach {
         by_acceleration_s.max(by_speed_s).max(by_turn_s)
     }
 
-    /// The shortest time in which the motion is joined within the limits; the excursion is the stronger one \[s\].
+    /// Shortest duration of joining the motion \[s\]; the limit of the excursion takes precedence over that of the
+    /// acceleration.
     fn joining_s(&self, limits: &ApproachLimits) -> f64 {
         let speed_m_s = self.velocity_m_s.norm();
         let by_acceleration_s = JOINING_PEAK * speed_m_s / (0.5 * limits.acceleration_m_s2);
         by_acceleration_s.min(limits.excursion_m / (JOINING_WAY * speed_m_s))
     }
 
-    /// Whether anything but the reference itself is followed at some time.
+    /// True if the followed point differs from the reference at any time.
     pub fn runs(&self) -> bool {
         self.duration_ns.max(self.joining_ns) > 0
     }
 
-    /// Whether the reference itself is followed at `time_ns`.
+    /// True if the reference itself is followed at `time_ns`.
     pub fn is_over(&self, time_ns: u64) -> bool {
         let lasts_ns = self.duration_ns.max(self.joining_ns);
         time_ns >= self.begin_ns.saturating_add(lasts_ns)
     }
 
-    /// What is followed at `time_ns` instead of the reference's `sample` of that time.
+    /// The sample to follow at `time_ns`, given the reference's `sample` at that time.
     #[must_use]
     pub fn led(&self, sample: &ReferenceSample, time_ns: u64) -> ReferenceSample {
         if self.is_over(time_ns) {
@@ -143,18 +145,18 @@ impl Approach {
     }
 }
 
-/// The quintic from 1 at rest to 0 at rest, without acceleration at its ends.
+/// The quintic from 1 at rest to 0 at rest, with zero acceleration at its ends.
 fn offset_left(s: f64) -> f64 {
     1.0 - s * s * s * (10.0 - s * (15.0 - 6.0 * s))
 }
 
-/// The quintic from 0 with slope 1 to 0 at rest, likewise.
+/// The quintic from 0 with slope 1 to 0 at rest, with zero acceleration at its ends.
 fn speed_left(s: f64) -> f64 {
     s - s * s * s * (6.0 - s * (8.0 - 3.0 * s))
 }
 
-/// Rotation from what the reference asks for to what the tip has, as axis times angle \[rad\]. Exactly opposite axes
-/// have no shortest way between them: then none, and the solver finds one.
+/// Rotation from the reference's orientation to the tip's, as axis times angle \[rad\]. Zero for exactly opposite axes,
+/// which have no shortest rotation; the solver then finds one.
 fn turn_rad(tip: &Pose, wanted: &Orientation) -> Vector3<f64> {
     let turn = match *wanted {
         Orientation::Free => None,
@@ -207,7 +209,7 @@ mod tests {
     };
 
     proptest! {
-        /// Beside a reference that goes on evenly, so that all acceleration is that of the approach.
+        /// The reference moves at constant velocity, so that all acceleration is that of the approach.
         #[test]
         fn it_begins_with_the_tip_ends_with_the_reference_and_keeps_its_limits(
             offset_m in vector(0.5),
@@ -241,7 +243,7 @@ mod tests {
                 }
                 let moved = (after - before).norm() / (2.0 * step_s);
                 prop_assert!(moved <= 1.001 * speed_m_s + 1.52 * speed, "{} at {}", moved, k);
-                // Beside the way from tip to reference no farther than it may be.
+                // The deviation from the straight path to the reference stays within its limit.
                 let time_s = f64::from(k) * step_s;
                 let beside = here - reference_m_s * time_s;
                 let along = beside.dot(&offset_m) / offset_m.norm_squared().max(1e-12);
@@ -291,7 +293,7 @@ mod tests {
                 Approach::plan(&limits, 0, (&tip, &zero), (&reference, &zero), PERIOD_NS);
             assert_eq!(approach.duration_ns > 0, is_needed, "{offset_m}");
         }
-        // What is no number is left to those who watch for it.
+        // A NaN is left to the checks of the caller.
         let tip = pose(Vector3::new(f64::NAN, 0.0, 0.0), zero);
         let reference = sample(zero, Orientation::Free);
         let approach = Approach::plan(&limits, 0, (&tip, &zero), (&reference, &zero), PERIOD_NS);

@@ -16,21 +16,20 @@ pub struct GridPoint {
     pub period_ns: u64,
 }
 
-/// What the tip is led along: the reference of the clients, and an approach where that begins elsewhere than the tip is, or
-/// in motion, or is replaced by another one.
+/// The reference that the tip follows: that of the client, and an approach if it begins away from the tip, begins in
+/// motion, or is replaced.
 ///
-/// Invariant: allocates nothing. Corners and jumps between the points of one trajectory are what its client wants; they are left
-/// as they are.
+/// Invariant: allocates nothing. Corners and jumps within one trajectory are intended by its client and are kept.
 #[derive(Debug, Clone)]
 pub struct FollowedReference {
-    /// None: the reference itself is followed, however it begins.
+    /// `None`: the reference is followed without an approach.
     limits: Option<ApproachLimits>,
     approach: Approach,
     last: Option<Last>,
     samples: [ReferenceSample; HORIZON_STEPS_MAX],
 }
 
-/// What was followed in the cycle before.
+/// State of the previous cycle.
 #[derive(Debug, Clone, Copy)]
 struct Last {
     velocity_m_s: Vector3<f64>,
@@ -39,7 +38,7 @@ struct Last {
 }
 
 impl FollowedReference {
-    /// With `limits` of the approach; `None`: without approach.
+    /// With `limits` of the approach; `None`: without an approach.
     pub fn new(limits: Option<ApproachLimits>) -> Self {
         Self {
             limits,
@@ -49,26 +48,26 @@ impl FollowedReference {
         }
     }
 
-    /// Nothing is followed any more: what comes next is approached anew.
+    /// Stops following; the next reference is approached.
     pub fn forget(&mut self) {
         self.last = None;
         self.approach = Approach::default();
     }
 
-    /// Whether the reference that is followed was replaced by another one, which is not followed yet.
+    /// True if the reference was replaced by one that is not yet followed.
     pub fn is_replaced(&self, window: &ReferenceWindow) -> bool {
         self.last
             .is_some_and(|last| last.replacements != window.replacements())
     }
 
-    /// The approach of the cycle that was looked at last; it does not run where the reference itself is followed.
+    /// The approach of the last planned cycle; it does not run while the reference itself is followed.
     pub fn approach(&self) -> &Approach {
         &self.approach
     }
 
-    /// What to follow at the `steps` releases after `now`, by a tip that the commands up to now lead to `tip`, and that is
-    /// `offset_m` beside where the model places it. Positions are those that the model has to be led to. `tip` is asked
-    /// only where an approach may begin.
+    /// Samples to follow at the `steps` releases after `now`. `tip` returns the tip pose to which the commands so far
+    /// lead; it is called only if an approach may begin. `offset_m` is the tip offset from the model. It is subtracted,
+    /// so the positions are targets of the model's tip.
     pub fn ahead<'a>(
         &'a mut self,
         window: &'a ReferenceWindow,
@@ -92,7 +91,7 @@ impl FollowedReference {
         samples
     }
 
-    /// Begins an approach where one is needed, and ends the one that is over.
+    /// Begins an approach if needed, and ends a completed one.
     fn plan(
         &mut self,
         limits: &ApproachLimits,

@@ -1,24 +1,25 @@
-//! Between two points: Hermite curves for positions, shortest arcs for orientations.
+//! Interpolation between two points: Hermite curves for positions, shortest arcs for orientations.
 
 use nalgebra::{Unit, Vector3};
 
 use super::Orientation;
 
-/// A position with its time in seconds from an origin near by, so that differences stay exact.
+/// A position with its time in seconds from a nearby origin, so that differences stay exact.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Knot {
     pub(super) time_s: f64,
     pub(super) position_m: Vector3<f64>,
 }
 
-/// Below this angle between two axes, or between one and the opposite of the other, rounding hides their plane \[rad\].
+/// Below this angle between two axes, or between one and the opposite of the other, rounding dominates the normal of
+/// their plane \[rad\].
 const PARALLEL: f64 = 1e-9;
 
-/// Points that a tangent is made from.
+/// Number of points of a tangent.
 pub(super) const STENCIL: usize = 5;
 
-/// A knot counts for a tangent if its distance from the knot before it, seen from the tangent, is at least this share
-/// of the longest way covered so far. All knots of an even spacing count, up to four steps away (a share of 1/3).
+/// A knot is used for a tangent if its distance from the previous knot on the same side is at least this share of the
+/// longest distance so far. At even spacing all knots are used, up to four steps away (a share of 1/3).
 const APART_SHARE: f64 = 0.3;
 
 /// Tangent at `knots[at]`: derivative of the polynomial through those of `knots` (2 to [`STENCIL`], by time) that are
@@ -40,8 +41,8 @@ pub(super) fn tangent(knots: &[Knot], at: usize) -> Vector3<f64> {
     sum
 }
 
-/// Which knots are far enough apart to tell a tangent at `knots[at]`. The longer of the two segments at it counts always,
-/// so noise of the points reaches the curve at most eightfold, however close to each other some of them are.
+/// Selects the knots that are far enough apart for a tangent at `knots[at]`. The longer of the two adjacent segments
+/// always counts. Noise of the points is therefore amplified at most eightfold, however close some of them are.
 fn apart(knots: &[Knot], at: usize) -> [bool; STENCIL] {
     let far_s = |k: usize| (knots[k].time_s - knots[at].time_s).abs();
     let last = knots.len() - 1;
@@ -76,7 +77,7 @@ pub(super) fn hermite(
         + (tangent_from * (rest * rest * part) - tangent_to * (part * part * rest)) * span
 }
 
-/// The orientation `part` of the way between two; where the kinds differ, the nearer one counts.
+/// Orientation at the share `part` between two; if their kinds differ, the nearer one.
 pub(super) fn orientation(from: Orientation, to: Orientation, part: f64) -> Orientation {
     match (from, to) {
         (Orientation::Full(from), Orientation::Full(to)) => {
@@ -88,8 +89,8 @@ pub(super) fn orientation(from: Orientation, to: Orientation, part: f64) -> Orie
     }
 }
 
-/// On the great circle from one axis to the other. Between opposite ones no circle is the shortest: then on one that the
-/// first axis alone determines.
+/// Interpolates on the great circle between two axes. Between opposite axes no circle is the shortest; the circle then
+/// depends only on the first axis.
 fn axis(from: Unit<Vector3<f64>>, to: Unit<Vector3<f64>>, part: f64) -> Unit<Vector3<f64>> {
     let (normal, cos) = (from.cross(&to), from.dot(&to));
     let sin = normal.norm();

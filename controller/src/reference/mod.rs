@@ -1,11 +1,11 @@
 //! The reference: time-stamped tip poses, buffered ahead of time and interpolated.
 //!
-//! [`Trajectory`] is what clients feed; [`ReferenceWindow`] is what one solve looks at: the reference
-//! at the release and at each step of the horizon. [`FollowedReference`] is what the tip is led along: the same, but for
-//! the [`Approach`] at its beginning.
+//! [`Trajectory`] holds the points of a client. [`ReferenceWindow`] holds the samples for one solve: at the release and
+//! at each step of the horizon. [`FollowedReference`] is the reference that the tip follows: the samples of the window,
+//! with an [`Approach`] at the beginning.
 //!
-//! Invariant: nothing here knows where points come from. Times are nanoseconds of one clock that the
-//! caller chooses; nothing allocates after construction.
+//! Invariant: nothing here knows the source of the points. Times are nanoseconds of one clock chosen by the caller.
+//! Nothing allocates after construction.
 
 mod approach;
 mod followed;
@@ -20,27 +20,27 @@ pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
-/// How much of the tip's orientation a reference asks for.
+/// The part of the tip's orientation that a reference specifies.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Orientation {
-    /// Nothing: position only.
+    /// Position only.
     #[default]
     Free,
-    /// The direction of the tip axis (the z axis of the tip frame) in the base frame.
+    /// Direction of the tip axis (the z axis of the tip frame) in the base frame.
     Axis(Unit<Vector3<f64>>),
-    /// The whole rotation base → tip.
+    /// The complete rotation base → tip.
     Full(UnitQuaternion<f64>),
 }
 
-/// How the position between two points is found.
+/// Interpolation of the position between two points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Interpolation {
     /// A straight line.
     Linear,
-    /// A cubic Hermite curve whose tangents are five-point differences, for smooth references. Fourth
-    /// order: a circle of 0.3 m sampled each 5 ms at 1 rad/s is met to 1e-12 m. It rounds corners, and
-    /// swings a little before and after them, but not beyond the reach. Tangents leave out points that are much closer
-    /// to each other than the rest: noise of the points reaches the curve at most eightfold, whatever their spacing.
+    /// A cubic Hermite curve for smooth references, with tangents from five-point differences. Fourth order: a circle
+    /// of 0.3 m sampled every 5 ms at 1 rad/s is met to 1e-12 m. It rounds corners and overshoots slightly before and
+    /// after them, but stays within the reach. Tangents omit points much closer to each other than the rest: the curve
+    /// amplifies noise of the points at most eightfold, whatever their spacing.
     #[default]
     Cubic,
 }
@@ -48,34 +48,34 @@ pub enum Interpolation {
 /// One point of a trajectory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReferencePoint {
-    /// When the tip shall be there \[ns\].
+    /// Time at which the tip shall be at this point \[ns\].
     pub time_ns: u64,
     /// Tip position in the base frame \[m\].
     pub position_m: Vector3<f64>,
     /// Tip orientation.
     pub orientation: Orientation,
-    /// Interpolation on the way **to** this point.
+    /// Interpolation of the segment that **ends** at this point.
     pub interpolation: Interpolation,
 }
 
-/// Where an instant lies relative to the trajectory.
+/// Position of a time relative to the trajectory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ReferenceState {
     /// There is no trajectory.
     #[default]
     None,
-    /// Before its first point, which counts until then.
+    /// Before the first point, which is held until then.
     Before,
-    /// Inside.
+    /// Within the trajectory.
     Inside,
-    /// After its last point, which counts from then on.
+    /// After the last point, which is held from then on.
     Ended,
 }
 
-/// The reference at one instant.
+/// The reference at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ReferenceSample {
-    /// Where the instant lies.
+    /// Position of the time relative to the trajectory.
     pub state: ReferenceState,
     /// Tip position in the base frame \[m\]; meaningless in state `None`.
     pub position_m: Vector3<f64>,
@@ -84,7 +84,7 @@ pub struct ReferenceSample {
 }
 
 impl ReferenceSample {
-    /// A tip position (m, base frame) that is reached in any orientation.
+    /// A tip position (m, base frame) with free orientation.
     pub fn at(position_m: Vector3<f64>) -> Self {
         Self {
             state: ReferenceState::Inside,
@@ -93,7 +93,7 @@ impl ReferenceSample {
         }
     }
 
-    /// The same elsewhere by `by_m` (m).
+    /// The sample with its position moved by `by_m` (m).
     #[must_use]
     pub fn moved(&self, by_m: &Vector3<f64>) -> Self {
         let position_m = self.position_m + by_m;

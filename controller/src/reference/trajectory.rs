@@ -6,33 +6,33 @@ use nalgebra::Vector3;
 use super::interpolation::{Knot, STENCIL, hermite, orientation, tangent};
 use super::{Interpolation, ReferencePoint, ReferenceSample, ReferenceState};
 
-/// A bounded buffer of reference points, each at least [`APART_MIN_NS`] after the one before it.
+/// A bounded buffer of reference points, each at least [`APART_MIN_NS`] after the previous one.
 ///
-/// Clients fill it ahead of time, so their jitter never reaches the loop. The value at an instant
-/// depends on the nearest points only, so forgetting what is long past changes nothing.
+/// Clients fill it ahead of time, so their jitter does not reach the control loop. The value at a time depends only on
+/// the nearest points, so removing points long past changes nothing.
 #[derive(Debug, Clone)]
 pub struct Trajectory {
     points: VecDeque<ReferencePoint>,
     capacity: usize,
     reach_m: f64,
-    /// Of no other trajectory with other points.
+    /// Unique to the points of this trajectory.
     revision: u64,
     replacements: u64,
 }
 
-/// The next revision of any trajectory.
+/// The next revision, unique among all trajectories.
 fn next_revision() -> u64 {
     static NEXT: AtomicU64 = AtomicU64::new(1);
     NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
-/// Points are at least this far apart \[ns\].
+/// Least time between two points \[ns\].
 pub const APART_MIN_NS: u64 = 1_000;
 
-/// Why points were not taken. The trajectory is then unchanged.
+/// Reason why points were rejected. The trajectory is then unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TrajectoryError {
-    /// A time is less than [`APART_MIN_NS`] after the one before it.
+    /// A time is less than [`APART_MIN_NS`] after the previous one.
     #[error(
         "point {index}: its time is less than {APART_MIN_NS} ns after that of the point before it"
     )]
@@ -40,24 +40,24 @@ pub enum TrajectoryError {
         /// Index of the point among those offered.
         index: usize,
     },
-    /// There is no room.
+    /// The points exceed the capacity.
     #[error("{offered} points do not fit: {used} of {capacity} are used")]
     Full {
         /// Points offered.
         offered: usize,
         /// Points buffered.
         used: usize,
-        /// Points that fit.
+        /// Capacity in points.
         capacity: usize,
     },
 }
 
-/// Passed points that are kept: the tangents at both ends of the present segment need them.
+/// Number of passed points that are kept. The tangents at both ends of the present segment need them.
 const KEPT_BEHIND: usize = STENCIL - 1;
 
 impl Trajectory {
-    /// An empty trajectory for up to `capacity` points. All memory is taken here. A cubic between two points stays
-    /// within `reach_m` of the base, or as far from it as they are.
+    /// An empty trajectory for up to `capacity` points. Allocates all memory. A cubic between two points stays within
+    /// `reach_m` of the base, or within the larger distance of the two.
     pub fn with_capacity(capacity: usize, reach_m: f64) -> Self {
         Self {
             points: VecDeque::with_capacity(capacity),
@@ -68,13 +68,13 @@ impl Trajectory {
         }
     }
 
-    /// Changes with each change of a sample: two trajectories of one revision have the same samples, but for what was
-    /// forgotten.
+    /// Revision of the samples, changed with each of them. Two trajectories of one revision have the same samples,
+    /// except for removed points.
     pub(super) fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// Forgets everything and begins anew.
+    /// Replaces all points.
     ///
     /// # Errors
     /// As [`Trajectory::append`].
@@ -90,15 +90,16 @@ impl Trajectory {
         Ok(())
     }
 
-    /// How often it began anew: what was sampled before may go on elsewhere.
+    /// Number of replacements. After one, the samples may continue elsewhere.
     pub(super) fn replacements(&self) -> u64 {
         self.replacements
     }
 
-    /// Continues after the last point.
+    /// Appends points after the last one.
     ///
     /// # Errors
-    /// [`TrajectoryError`], and nothing is taken, when times are too close or do not increase, or there is no room.
+    /// [`TrajectoryError`] if times are too close or do not increase, or the capacity is exceeded. No point is then
+    /// taken.
     pub fn append(
         &mut self,
         points: impl Iterator<Item = ReferencePoint> + Clone,
@@ -134,24 +135,24 @@ impl Trajectory {
         Ok(())
     }
 
-    /// Forgets everything.
+    /// Removes all points.
     pub fn clear(&mut self) {
         self.points.clear();
         self.revision = next_revision();
     }
 
-    /// Forgets points that no sample at `now_ns` or later needs.
+    /// Removes points that no sample at `now_ns` or later needs.
     pub fn forget_before(&mut self, now_ns: u64) {
         let passed = self.points.partition_point(|point| point.time_ns <= now_ns);
         self.points.drain(..passed.saturating_sub(KEPT_BEHIND));
     }
 
-    /// Points that are buffered.
+    /// Number of buffered points.
     pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Whether there is no point.
+    /// True if there is no point.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }
@@ -161,12 +162,12 @@ impl Trajectory {
         self.points.back().map(|point| point.time_ns)
     }
 
-    /// Points later than `now_ns`.
+    /// Number of points later than `now_ns`.
     pub fn points_ahead(&self, now_ns: u64) -> usize {
         self.points.len() - self.points.partition_point(|point| point.time_ns <= now_ns)
     }
 
-    /// Whether a point lies later than `now_ns`: only then may a robot begin to follow.
+    /// True if a point is later than `now_ns`: the condition for a robot to begin to follow.
     pub fn is_fresh(&self, now_ns: u64) -> bool {
         self.end_ns().is_some_and(|end| end > now_ns)
     }
@@ -200,7 +201,7 @@ impl Trajectory {
         }
     }
 
-    /// Position `part` of the way from point `from` to the next.
+    /// Position at the share `part` between point `from` and the next.
     fn position_between(&self, from: usize, part: f64) -> Vector3<f64> {
         let (start, end) = (&self.points[from], &self.points[from + 1]);
         if end.interpolation == Interpolation::Linear {
@@ -218,7 +219,7 @@ impl Trajectory {
         position_m.cap_magnitude(ends_m.max(self.reach_m))
     }
 
-    /// Tangent at a point, from the points around it: as many on both sides as there are.
+    /// Tangent at a point from the points around it, equally many on both sides where possible.
     fn tangent_at(&self, index: usize, origin_ns: u64) -> Vector3<f64> {
         let count = STENCIL.min(self.points.len());
         let first = index
@@ -317,7 +318,7 @@ mod tests {
         }
     }
 
-    /// The figures of decision 4: as shares of a step between two points of twelve.
+    /// The figures of decision 4, as shares of a step between two of twelve points.
     #[test]
     fn cubic_overshoots_a_step_by_known_shares() {
         for (step, share) in [(6, 0.093), (9, 0.126), (3, 0.126), (10, 0.382), (2, 0.382)] {
@@ -372,7 +373,7 @@ mod tests {
             trajectory.append(bad.into_iter()),
             Err(TrajectoryError::TimeNotIncreasing { index: 1 })
         );
-        // The seam of two chunks counts as any other place.
+        // The boundary of two chunks is checked like any other place.
         for time_ns in [0, 10 * US, 11 * US - 1] {
             assert_eq!(
                 trajectory.append([point(time_ns, 0.0)].into_iter()),
@@ -408,7 +409,7 @@ mod tests {
             ),
             noise_m in prop::collection::vec(-1e-5..1e-5_f64, 12),
         ) {
-            // On a straight line at a constant speed, which a cubic meets whatever the spacing.
+            // On a straight line at constant speed, which a cubic meets exactly whatever the spacing.
             let line_m = |time_ns: u64| 0.3 * time_ns as f64 * 1e-9;
             let mut time_ns = 0;
             let mut points = vec![point(0, noise_m[0])];

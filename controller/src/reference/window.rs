@@ -1,32 +1,32 @@
 use super::{ReferenceSample, ReferenceState, Trajectory};
 
-/// Steps of the longest horizon that a window serves: a quarter of a second at 5 ms.
+/// Steps of the longest horizon of a window: a quarter of a second at 5 ms.
 pub const HORIZON_STEPS_MAX: usize = 50;
 
-/// Samples of the reference on the grid of the cycle: at the release, and at each step of the longest
-/// horizon after it, plus slack for cycles that come late, and for an exchange that is held up.
+/// Samples of the reference on the grid of the cycle: at the release, and at each step of the longest horizon after it.
+/// Slack for late cycles and for a delayed exchange follows.
 ///
-/// A robot whose motors are behind their commands has to be commanded ahead of the reference. For it the samples of the horizon
-/// are those of a time `lead_ns` later.
+/// A robot whose motors lag behind their commands must be commanded ahead of the reference. For such a robot, the
+/// samples of the horizon are taken `lead_ns` later.
 ///
-/// The exchange makes it before a release; the cycle reads it by grid index, so a cycle that was
-/// skipped does not make it wrong, only shorter.
+/// The exchange fills it before a release. The cycle reads it by grid index, so a skipped cycle shortens it but does
+/// not invalidate it.
 #[derive(Debug, Clone)]
 pub struct ReferenceWindow {
     first_cycle: u64,
     count: usize,
-    /// How many periods past its last sample the window still holds.
+    /// Periods past its last sample for which the window remains valid.
     timeout_cycles: u64,
-    /// At the releases; as many as the longest window has, made once.
+    /// At the releases; sized for the longest window, allocated once.
     samples: Box<[ReferenceSample]>,
-    /// The same ahead by the lead; not filled where that is 0.
+    /// The samples `lead_ns` later; filled only if the lead is not 0.
     led: Box<[ReferenceSample]>,
     has_lead: bool,
     replacements: u64,
     made_of: MadeOf,
 }
 
-/// What the samples were made of.
+/// Inputs from which the samples were made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct MadeOf {
     revision: u64,
@@ -52,23 +52,22 @@ impl Default for ReferenceWindow {
 }
 
 impl ReferenceWindow {
-    /// How long a cycle that gets no new window goes on with an old one \[ns\]; beyond its slack with the last sample,
-    /// at which the robot waits. An exchange that makes or removes a file may wait for a starved client that has the
-    /// folder's lock; 0.3 s were seen. One that hangs for longer is the watchdog's.
+    /// Longest time for which cycles without a new window continue with an old one \[ns\]. Past its slack, the last
+    /// sample is held. The exchange may wait for a starved client that holds the lock of the folder; 0.3 s were
+    /// observed. An exchange that hangs for longer is handled by the watchdog.
     pub const TIMEOUT_NS: u64 = 1_000_000_000;
-    /// Periods of slack at least, as long as they are no longer than the timeout.
+    /// Minimum slack in periods, unless this exceeds the timeout.
     pub const SLACK_MIN: usize = 20;
-    /// Periods of slack at most.
+    /// Maximum slack in periods.
     pub const SLACK_MAX: usize = 60;
-    /// A sample costs about 0.1 µs. One of slack for so much of the period \[ns\] keeps their part of the time near a
-    /// thousandth, down to the periods where the least slack costs more.
+    /// A sample costs about 0.1 µs. One sample of slack for each of these intervals in the period \[ns\] keeps its
+    /// share of the time near a thousandth. At short periods [`Self::SLACK_MIN`] costs more.
     const PERIOD_PER_SAMPLE_NS: u64 = 80_000;
-    /// Samples of the longest window.
+    /// Number of samples of the longest window.
     pub const SAMPLES_MAX: usize = HORIZON_STEPS_MAX + 1 + Self::SLACK_MAX;
 
-    /// Periods of slack with this period: 60, 0.3 s, at 5 ms; no more than the [timeout](Self::TIMEOUT_NS) at longer
-    /// ones, fewer at shorter ones. Past them the last sample stands for those that are missing, until the
-    /// timeout.
+    /// Slack in periods: 60, 0.3 s, at 5 ms; at most the [timeout](Self::TIMEOUT_NS) at longer periods, fewer at
+    /// shorter ones. Past the slack, the last sample is held until the timeout.
     pub fn slack(period_ns: u64) -> usize {
         let affordable = period_ns / Self::PERIOD_PER_SAMPLE_NS;
         let useful = Self::TIMEOUT_NS / period_ns.max(1);
@@ -76,8 +75,8 @@ impl ReferenceWindow {
         wanted.min(useful) as usize
     }
 
-    /// Samples `trajectory` at the release of `first_cycle`, at those of the horizon, and for the
-    /// [slack](Self::slack) after it. What [`Self::ahead`] gives is by `lead_ns` later.
+    /// Samples `trajectory` at the release of `first_cycle`, at those of the horizon, and for the [slack](Self::slack)
+    /// after it. The samples of [`Self::ahead`] are taken `lead_ns` later.
     pub fn fill(
         &mut self,
         trajectory: &Trajectory,
@@ -112,8 +111,7 @@ impl ReferenceWindow {
         }
     }
 
-    /// Moves those samples to the front that are as they would be made anew: of the same points and the same grid. Returns
-    /// how many.
+    /// Moves samples that remain valid, from the same points and the same grid, to the front. Returns their number.
     fn keep(&mut self, made_of: &MadeOf) -> usize {
         let before = core::mem::replace(&mut self.made_of, *made_of);
         let same_grid = MadeOf {
@@ -135,18 +133,18 @@ impl ReferenceWindow {
         self.count - passed
     }
 
-    /// How often the trajectory began anew before it was sampled.
+    /// Number of replacements of the trajectory when it was sampled.
     pub fn replacements(&self) -> u64 {
         self.replacements
     }
 
-    /// The cycle of the first sample.
+    /// Cycle of the first sample.
     pub fn first_cycle(&self) -> u64 {
         self.first_cycle
     }
 
-    /// The sample at the release of `cycle`. Past the window its last one, until the timeout; then the
-    /// reference counts as ended, because nobody has said for so long how it goes on.
+    /// The sample at the release of `cycle`. Past the window, the last sample is held until the timeout. Then the
+    /// reference counts as ended, because the exchange has not renewed it.
     pub fn get(&self, cycle: u64) -> ReferenceSample {
         let offset = cycle.saturating_sub(self.first_cycle) as usize;
         match self.samples[..self.count].get(offset) {
@@ -155,7 +153,7 @@ impl ReferenceWindow {
         }
     }
 
-    /// What counts as the sample so many periods past the last one.
+    /// The sample `past` periods beyond the last one.
     fn beyond(&self, past: u64) -> ReferenceSample {
         let Some(last) = self.samples[..self.count].last() else {
             return ReferenceSample::default();
@@ -168,7 +166,7 @@ impl ReferenceWindow {
         ReferenceSample { state, ..*last }
     }
 
-    /// The samples at the `steps` releases after that of `cycle`, or the lead later; fewer when the window ends before.
+    /// The samples at the `steps` releases after that of `cycle`, or the lead later; fewer if the window ends before.
     pub fn ahead(&self, cycle: u64, steps: usize) -> &[ReferenceSample] {
         let samples = if self.has_lead {
             &self.led
@@ -177,7 +175,7 @@ impl ReferenceWindow {
         };
         let offset = cycle.saturating_sub(self.first_cycle) as usize + 1;
         let end = (offset + steps).min(self.count);
-        // A cycle so late that nothing is ahead sees the last sample.
+        // A cycle so late that no sample is ahead gets the last one.
         &samples[offset.min(self.count.saturating_sub(1)).min(end)..end]
     }
 }
@@ -234,7 +232,7 @@ mod tests {
         assert_eq!(window.get(500).state, ReferenceState::Ended);
         assert_eq!(x(window.ahead(500, 2)), [162.0]);
         assert_eq!(x(window.ahead(161, 2)), [162.0]);
-        // A second, and the horizon on top; the last sample stands from 0.3 s on.
+        // The timeout of a second, beyond the horizon; the last sample is held from 0.3 s on.
         assert_eq!(window.get(302).position_m.x, 162.0);
         assert_eq!(window.get(302).state, ReferenceState::Inside);
         assert_eq!(window.get(303).state, ReferenceState::Ended);
@@ -257,7 +255,7 @@ mod tests {
             .expect("legal points");
         let mut window = ReferenceWindow::default();
         window.fill(&trajectory, 0, 0, 100_000, 2, 0);
-        // 10 000 periods are a second, and the horizon comes on top.
+        // 10 000 periods are a second, beyond the horizon.
         assert_eq!(window.get(10_002).state, ReferenceState::Inside);
         assert_eq!(window.get(10_003).state, ReferenceState::Ended);
         // A reference that ends within the window ends there.
@@ -272,7 +270,7 @@ mod tests {
         assert_eq!([5000, 2000, 500, 100].map(slack), [60, 25, 20, 20]);
     }
 
-    /// Whatever happened between two windows: what is kept is what would be made.
+    /// A kept sample equals one made anew, whatever happened between two windows.
     #[test]
     fn a_window_that_is_moved_on_is_one_that_is_made_anew() {
         let points = |from: u64, count: u64, scale: f64| {
@@ -300,7 +298,7 @@ mod tests {
                     _ => {}
                 }
                 cycle += [1, 1, 1, 2, 0, 1, 130][(turn % 7) as usize * usize::from(turn % 3 == 0)];
-                // Another origin of the grid, now and then.
+                // A new origin of the grid from time to time.
                 let release_ns = cycle * PERIOD_NS + turn / 90 * 1_000;
                 let steps = if turn % 11 == 0 { 50 } else { 2 };
                 moved.fill(&trajectory, cycle, release_ns, PERIOD_NS, steps, lead_ns);
