@@ -5,65 +5,67 @@ use serde::{Deserialize, Serialize};
 use crate::estimator::Actuator;
 use crate::robot::CABLES_MAX;
 
-/// How a sensor gives what it measures. The default is at once, whenever it is asked.
+/// Timing of a sensor. By default it measures without delay, whenever it is read.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sampling {
-    /// It says what was so long ago, and does not tell (s); to a millisecond.
+    /// Age of a measurement, which the sensor does not report (s); to a millisecond.
     pub delay_s: f64,
-    /// From one measurement to the next (s); 0: it measures whenever it is asked.
+    /// Interval between measurements (s); 0: one for each read.
     pub interval_s: f64,
-    /// This part of the measurements is lost.
+    /// Share of the measurements that is lost.
     pub dropout: f64,
 }
 
-/// In what a robot differs from the one that the controller computes with. The default is none of it.
+/// Differences between a robot and the controller's model of it. By default there are none.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Flaws {
-    /// How the motors follow: position motors come to rest at their goal like this, velocity motors reach their speed. Encoders are on the
-    /// motors, before the play.
+    /// Dynamics of the motors, towards their goal (position) or their speed (velocity). Encoders are on the motors,
+    /// before the play.
     pub actuator: Actuator,
-    /// No motor runs faster (m/s).
+    /// Largest speed of each motor (m/s).
     pub motor_speed_max_m_s: f64,
-    /// A cable that is pulled is longer by this part of the pull: the bends are less than its motor says.
+    /// Share of its pull by which a pulled cable stretches: the bends are less than its motor's position implies.
     pub stretch: f64,
-    /// Every cable is so much longer than its motor says (m): cables pull and do not push, so each section springs back towards straight as far
-    /// as that lets it.
+    /// Excess length of every cable over its motor's position (m). Cables pull and do not push, so each section springs
+    /// back towards straight as far as the slack allows.
     pub slack_m: f64,
-    /// This cable broke and pulls no more: 1 is the first of the base section; 0: none (the whole part counts). No encoder tells.
+    /// Number of a broken cable, which does not pull: 1 is the first of the base section; 0: none. The fraction is
+    /// ignored. Encoders do not detect it.
     pub broken_cable: f64,
-    /// Coulomb friction: for each radian that the body is bent up to the end of its section, a cable stays so far behind its motor (m/rad), on
-    /// the side that it was moved from. Where the play is the same everywhere, this grows with the bends.
+    /// Coulomb friction: a cable lags behind its motor by this much per radian of bend up to the end of its section
+    /// (m/rad). The lag is on the side that the cable was moved from. Unlike play, it grows with the bends.
     pub friction_m_per_rad: f64,
-    /// The motor of the second cable of each section stands so far beside where it was sent, as under a load (m). A
-    /// speed has none.
+    /// Deviation of the motor of each section's second cable from its goal, as under a load (m). It has no effect on
+    /// speeds.
     pub droop_m: f64,
-    /// The encoder of the first cable of each section counts from so far beside its zero (m).
+    /// Zero offset of the encoder of each section's first cable (m).
     pub offset_m: f64,
-    /// A measured cable length is off by at most this, evenly spread (m): its standard deviation is this divided by √3.
+    /// Largest error of a measured cable length, uniformly distributed (m). Its standard deviation is this divided by
+    /// √3.
     pub noise_m: f64,
-    /// Cable length of one count of an encoder (m); 0: as fine as numbers are.
+    /// Cable length of one encoder count (m); 0: no quantisation.
     pub tick_m: f64,
-    /// How the encoders give what they measure.
+    /// Timing of the encoders.
     pub cables: Sampling,
-    /// A measured coordinate of the tip is off by this: standard deviation (m).
+    /// Standard deviation of the noise in a measured tip coordinate (m).
     pub tip_noise_m: f64,
-    /// Smallest step between two values of a measured coordinate of the tip (m); 0: as fine as numbers are.
+    /// Quantisation step of a measured tip coordinate (m); 0: none.
     pub tip_tick_m: f64,
-    /// The sensor of the tip measures it so far beside (x, y, z) (m).
+    /// Bias of the tip sensor (x, y, z) (m).
     pub tip_bias_m: [f64; 3],
-    /// How that sensor gives what it measures.
+    /// Timing of the tip sensor.
     pub tip: Sampling,
-    /// Each section is longer than its model by this part.
+    /// Relative excess length of each section over its model.
     pub length_error: f64,
-    /// The cables are farther from the backbone than in the model by this part.
+    /// Relative excess distance of the cables from the backbone over the model.
     pub cable_radius_error: f64,
-    /// The first cable of each section stands at a larger angle than in the model by this (rad).
+    /// Excess angle of each section's first cable over the model (rad).
     pub cable_angle_error_rad: f64,
-    /// A load bends each section by this much more (u, v), times 1 + its bend in radians (rad).
+    /// Additional bend of each section by a load (u, v), times 1 + its bend in radians (rad).
     pub payload_rad: [f64; 2],
-    /// Its base stands so far beside where references and obstacles take it to be (x, y, z) (m).
+    /// Offset of the base in the frame of references and obstacles (x, y, z) (m).
     pub base_m: [f64; 3],
-    /// And is turned by this: axis times angle (x, y, z) (rad).
+    /// Rotation of the base in that frame: axis times angle (x, y, z) (rad).
     pub base_turn_rad: [f64; 3],
 }
 
@@ -95,29 +97,29 @@ impl Default for Flaws {
     }
 }
 
-/// Flaws by name.
+/// Number of named flaws.
 pub const FLAWS: usize = 34;
 
-/// Why a flaw cannot be set.
+/// Reason why a flaw cannot be set.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FlawError {
-    /// None has this name.
+    /// No flaw has this name.
     #[error("no flaw is called {0:?}: there are {names}", names = Flaws::names().join(", "))]
     Unknown(String),
-    /// It is too large, too small or not a number.
+    /// The value is out of range or not a number.
     #[error("{name} = {value} is out of range: allowed is {} to {}", allowed.start(), allowed.end())]
     OutOfRange {
-        /// Which one.
+        /// Name of the flaw.
         name: String,
-        /// What it should be.
+        /// Value given.
         value: f64,
-        /// What it may be.
+        /// Allowed values.
         allowed: RangeInclusive<f64>,
     },
 }
 
 impl Flaws {
-    /// Each number by the name that people set it by, and what it may be. Lists have a name for each axis.
+    /// Each flaw with its name and its allowed range. Lists have a name for each axis.
     pub fn named(&mut self) -> [(&'static str, &mut f64, RangeInclusive<f64>); FLAWS] {
         const DELAY_S: RangeInclusive<f64> = 0.0..=0.3;
         const INTERVAL_S: RangeInclusive<f64> = 0.0..=1.0;
@@ -181,12 +183,12 @@ impl Flaws {
         ]
     }
 
-    /// The names of all of them.
+    /// Names of all flaws.
     pub fn names() -> [&'static str; FLAWS] {
         Self::default().named().map(|(name, ..)| name)
     }
 
-    /// The same, and one of them set by its name.
+    /// The flaws with one of them set by its name.
     ///
     /// # Errors
     /// [`FlawError`].
@@ -230,7 +232,7 @@ pub enum Preset {
 }
 
 impl Preset {
-    /// All of them.
+    /// All presets.
     pub const ALL: [Self; 5] = [
         Self::Ideal,
         Self::Laboratory,
@@ -239,7 +241,7 @@ impl Preset {
         Self::Blind,
     ];
 
-    /// Its name, as in a configuration.
+    /// Name of the preset in a configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ideal => "ideal",
@@ -250,7 +252,7 @@ impl Preset {
         }
     }
 
-    /// What is wrong with it.
+    /// Flaws of the preset.
     pub fn flaws(self) -> Flaws {
         let laboratory = Flaws {
             actuator: Actuator {
@@ -291,7 +293,7 @@ impl Preset {
         }
     }
 
-    /// Whether its tip is measured, and not its cables.
+    /// True if the tip is measured instead of the cables.
     pub fn measures_tip(self) -> bool {
         self == Self::Blind
     }

@@ -1,28 +1,27 @@
-//! The ideal robot: it does exactly what it is told, as far as it can bend.
+//! The ideal robot: it follows every command exactly, within its bend limits.
 
 use crate::robot::{BendRates, Configuration, Robot, SECTIONS_MAX};
 
-/// A robot without mass, slack, noise or delay: it integrates the rates it was last commanded.
+/// A robot without mass, slack, noise or delay: it integrates the last commanded rates.
 ///
-/// Like a real driver it does not run on for ever without commands: the last rates are held for at most
-/// `extrapolate_max_s` after the command, then it holds its shape until the next one.
+/// Like a real driver, it does not continue without commands: it holds the last rates for at most `extrapolate_max_s`
+/// after a command, then its shape until the next command.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KinematicPlant {
     configuration: Configuration,
     rates: BendRates,
-    /// How much longer the rates are held (s).
+    /// Remaining time for which the rates are held (s).
     remaining_s: f64,
     extrapolate_max_s: f64,
     bend_max_rad: [f64; SECTIONS_MAX],
 }
 
 impl KinematicPlant {
-    /// Default of `extrapolate_max_s` (s): ten periods of 5 ms, so that a few lost commands go unnoticed and a dead controller
-    /// does not.
+    /// Default of `extrapolate_max_s` (s): ten periods of 5 ms. A few lost commands have no effect; the loss of the
+    /// controller stops the robot.
     pub const EXTRAPOLATE_MAX_S: f64 = 0.05;
 
-    /// A robot at rest in this shape, which has the robot's section count. What it cannot bend is limited as in
-    /// [`Self::advance`].
+    /// A robot at rest in this shape, which has the robot's section count. Bends are limited as in [`Self::advance`].
     pub fn new(robot: &Robot, configuration: Configuration) -> Self {
         debug_assert_eq!(configuration.section_count(), robot.section_count());
         let mut bend_max_rad = [0.0; SECTIONS_MAX];
@@ -40,16 +39,16 @@ impl KinematicPlant {
         plant
     }
 
-    /// The same plant with another `extrapolate_max_s` (s) for the commands to come: 0 or more, infinite for never to stop.
-    /// A NaN or a negative number is taken as 0.
+    /// Sets `extrapolate_max_s` (s) for future commands: 0 or more, infinite for no limit. A NaN or a negative number
+    /// is taken as 0.
     #[must_use]
     pub fn with_extrapolate_max_s(mut self, extrapolate_max_s: f64) -> Self {
         self.extrapolate_max_s = extrapolate_max_s.max(0.0);
         self
     }
 
-    /// Takes new rates (rad/s) from now on, in place of the old ones. Like a driver it does not move on what is not a number:
-    /// rates with a NaN or an infinity stop it.
+    /// Replaces the rates (rad/s). Like a driver, it rejects numbers that are not finite: rates with a NaN or an
+    /// infinity stop it.
     pub fn command(&mut self, rates: &BendRates) {
         self.rates = if rates.is_finite() {
             *rates
@@ -59,10 +58,10 @@ impl KinematicPlant {
         self.remaining_s = self.extrapolate_max_s;
     }
 
-    /// Lets `dt_s` (s) pass; nothing happens unless it is positive. Exact for any step in which no limit is reached, since the
+    /// Advances the simulation by `dt_s` (s), if positive. Exact for any step in which no limit is reached, because the
     /// bend vector is linear in time at constant rates.
     ///
-    /// A section that would bend by more than its `bend_max_rad` bends by that much, in the same direction φ.
+    /// The bend of each section is limited to its `bend_max_rad`; the direction φ is kept.
     pub fn advance(&mut self, dt_s: f64) {
         if dt_s > 0.0 {
             let moving_s = dt_s.min(self.remaining_s);
@@ -72,12 +71,12 @@ impl KinematicPlant {
         }
     }
 
-    /// The shape now.
+    /// The present shape.
     pub fn configuration(&self) -> &Configuration {
         &self.configuration
     }
 
-    /// Shortens each bend vector to what its section can bend.
+    /// Limits each bend vector to the largest bend of its section.
     fn limit_bends(&mut self) {
         let (bends, _) = self.configuration.as_mut_slice().as_chunks_mut::<2>();
         for (bend, limit_rad) in bends.iter_mut().zip(&self.bend_max_rad) {
@@ -98,7 +97,8 @@ mod tests {
         Robot::new(&RobotParameters::paper(n)).unwrap()
     }
 
-    /// The shape of the paper's spiral (Eq. 8) at `t`: the last section bends by 2t/15 towards t, the others are straight.
+    /// The shape of the paper's spiral (Eq. 8) at `t`: the last section bends by 2t/15 towards t, the others are
+    /// straight.
     fn spiral(n: usize, t: f64) -> Configuration {
         let mut angles = vec![[0.0, 0.0]; n];
         angles[n - 1] = [2.0 * t / 15.0, t];
@@ -122,7 +122,7 @@ mod tests {
                 plant.command(&rates);
                 plant.advance(PERIOD_S);
 
-                // Eq. 8, written from the arc's geometry and not from the code under test.
+                // Eq. 8 from the arc's geometry, independent of the code under test.
                 let t = start + f64::from(k) * PERIOD_S;
                 let (theta, radius_m) = (2.0 * t / 15.0, 0.3 / (2.0 * t / 15.0));
                 let across_m = radius_m * 2.0 * (theta / 2.0).sin().powi(2);

@@ -3,10 +3,12 @@ use crate::robot::{CABLES_MAX, Configuration, Robot};
 /// Rounding of a length (m).
 const ROUNDING_M: f64 = 1e-12;
 
-/// The shape of a robot whose cables pull and do not push, paid out by these strokes (m) as [`Robot::cable_strokes`] has them; infinite: one that
-/// broke. Each section, base first, springs back towards straight as far as its cables let it: of the pulls s with s · d ≥ −stroke for its three
-/// cables the nearest to that of the sections before it (§2 of docs/model.md). Cables that are all taut bend it as
-/// [`Robot::bend_from_cable_strokes`] says.
+/// The shape of a robot whose cables pull and do not push, with these strokes (m) as in [`Robot::cable_strokes`]; an
+/// infinite stroke is a broken cable.
+///
+/// Each section, base first, springs back towards straight as far as its cables allow. Of the pulls s with s · d ≥
+/// −stroke for its three cables, it takes the one nearest to the pull of the proximal sections (§2 of docs/model.md).
+/// If all cables are taut, the shape is that of [`Robot::bend_from_cable_strokes`].
 pub(super) fn loosely_bent(robot: &Robot, strokes_m: &[f64; CABLES_MAX]) -> Configuration {
     let mut bent = Configuration::straight(robot.section_count());
     let (bends, _) = bent.as_mut_slice().as_chunks_mut::<2>();
@@ -26,7 +28,7 @@ fn along([x, y]: [f64; 2], direction: [f64; 2]) -> f64 {
     x * direction[0] + y * direction[1]
 }
 
-/// Of the pulls (m) that tighten no cable beyond its stroke the nearest to `proximal_m`; `None`: there is none.
+/// Of the pulls (m) that tighten no cable beyond its stroke, the one nearest to `proximal_m`; `None` if there is none.
 fn nearest_pull(
     directions: &[[f64; 2]; 3],
     strokes_m: &[f64; 3],
@@ -37,7 +39,7 @@ fn nearest_pull(
         cables().all(|(direction, stroke_m)| along(*pull_m, direction) + stroke_m >= -ROUNDING_M)
     };
     let distance_m = |[x, y]: &[f64; 2]| (x - proximal_m[0]).hypot(y - proximal_m[1]);
-    // Held by no cable, by one, or by two of them.
+    // Candidates: no taut cable, one, or two.
     let by_one = cables().map(|(direction, stroke_m)| {
         let missing_m = -stroke_m - along(proximal_m, direction);
         core::array::from_fn(|i| proximal_m[i] + missing_m * direction[i])
@@ -55,7 +57,7 @@ fn nearest_pull(
         .min_by(|one, other| distance_m(one).total_cmp(&distance_m(other)))
 }
 
-/// Of cables that are all pulled, the least squares (m).
+/// Least-squares pull of three taut cables (m).
 fn taut_pull(directions: &[[f64; 2]; 3], strokes_m: &[f64; 3]) -> [f64; 2] {
     let cables = || directions.iter().zip(strokes_m);
     core::array::from_fn(|axis| {
@@ -77,7 +79,7 @@ mod tests {
         Configuration::from_slice(&bend_rad).unwrap()
     }
 
-    /// The bends of a robot that is sent to `bend_rad`, with strokes that are so much longer (m).
+    /// The bends of a robot commanded to `bend_rad`, with strokes longer by `more_m` (m).
     fn found(bend_rad: [f64; 4], more_m: impl Fn(usize) -> f64) -> [f64; 4] {
         let mut strokes_m = robot().cable_strokes(&bent(bend_rad));
         for (cable, stroke_m) in strokes_m.iter_mut().enumerate().take(6) {
@@ -97,12 +99,13 @@ mod tests {
     fn taut_cables_bend_it_as_the_model_says() {
         for bend_rad in [[0.0; 4], [0.5, -0.2, 0.1, 0.7], [-1.0, 0.3, -0.2, -0.4]] {
             near(found(bend_rad, |_| 0.0), bend_rad);
-            // Pulled together, they are in one another's way: no bend.
+            // Over-tightened together, the cables block each other: no additional bend.
             near(found(bend_rad, |_| -1e-4), bend_rad);
         }
     }
 
-    /// 12.5 mm from the backbone, 1.25 mm are 0.1 rad. A section that bends along one cable is held by that one alone.
+    /// At 12.5 mm from the backbone, 1.25 mm are 0.1 rad. A section that bends along one cable is held by that cable
+    /// alone.
     #[test]
     fn slack_cables_let_each_section_spring_back_towards_straight() {
         near(
@@ -119,10 +122,10 @@ mod tests {
     fn a_broken_cable_bends_nothing_and_holds_nothing_else_up() {
         let broken =
             |which: usize| move |cable: usize| if cable == which { f64::INFINITY } else { 0.0 };
-        // Towards the broken one nothing pulls; away from it the two others do.
+        // No cable pulls towards the broken one; away from it the two others do.
         let away = [-0.5, 0.0, 0.0, 0.0];
         near(found(away, broken(0)), away);
-        // The cables of the second section, which are whole, pull what the first one lacks.
+        // The intact cables of the second section take over the pull that the first one lacks.
         let both = found([0.5, 0.0, 0.3, 0.0], broken(0));
         near(both, [0.0, 0.0, 0.8, 0.0]);
     }

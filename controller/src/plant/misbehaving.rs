@@ -1,4 +1,5 @@
-//! A robot as it is built: motors that lag, cables that have play, encoders that count from elsewhere, noise, another geometry.
+//! A robot that differs from its model: motors that lag, cables with play, encoders with offsets, noise, another
+//! geometry.
 
 use std::collections::VecDeque;
 
@@ -10,11 +11,11 @@ use super::loose::loosely_bent;
 use super::{Flaws, Sampling};
 use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
-/// The robot with other lengths (m), distances (m) and angles of the cables (rad) of its sections, three numbers for each, base first; what is
-/// not given is as in the model.
+/// The model with other section lengths (m), cable distances (m) and cable angles (rad): three numbers for each
+/// section, base first. Sections without an entry are as in the model.
 ///
 /// # Errors
-/// When they make it no robot.
+/// If these numbers make no valid robot.
 pub fn true_robot(model: &Robot, geometry: &[[f64; 3]]) -> Result<Robot, RobotError> {
     let mut truth = RobotParameters {
         sections: model.sections().to_vec(),
@@ -29,45 +30,45 @@ pub fn true_robot(model: &Robot, geometry: &[[f64; 3]]) -> Result<Robot, RobotEr
     Robot::new(&truth)
 }
 
-/// What the motors are told.
+/// Command to the motors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MotorOrder {
-    /// To stand where they are.
+    /// Stop.
     Stand,
-    /// To run at these speeds, one for each cable (m/s).
+    /// Run at these speeds, one for each cable (m/s).
     Speeds([f64; CABLES_MAX]),
-    /// To go to these lengths, one for each cable (m), counted as the model counts them.
+    /// Go to these lengths, one for each cable (m), in the model's count.
     Lengths([f64; CABLES_MAX]),
 }
 
 /// The motors, cables and sensors of a robot. The same seed and the same orders give the same bits.
 ///
-/// Orders take effect after the delay of the motors; a robot that gets none goes on with the last one, so who simulates a
-/// driver orders [`MotorOrder::Stand`] when commands run out. No method but [`Self::new`] allocates.
+/// Orders take effect after the delay of the motors, and the last one remains in effect. The simulation of a driver
+/// must therefore order [`MotorOrder::Stand`] when commands run out. No method except [`Self::new`] allocates.
 #[derive(Debug, Clone)]
 pub struct MisbehavingRobot {
-    /// What the controller takes it for.
+    /// The robot that the controller assumes.
     model: Robot,
-    /// What it is.
+    /// The true robot.
     truth: Robot,
     flaws: Flaws,
-    /// Where the motors are, as lengths of cable counted from the model's straight robot (m).
+    /// Positions of the motors, as cable lengths relative to the model's straight robot (m).
     motor_m: [f64; CABLES_MAX],
     speed_m_s: [f64; CABLES_MAX],
-    /// Where the cables are: behind their motors by the play (m).
+    /// Positions of the cables, which lag behind their motors by the play (m).
     cable_m: [f64; CABLES_MAX],
     now_s: f64,
     order: MotorOrder,
-    /// Orders that are under way to the motors, and when they arrive (s).
+    /// Orders on their way to the motors, with their arrival times (s).
     coming: VecDeque<(f64, MotorOrder)>,
-    /// Where motors and cables were, millisecond by millisecond, for sensors with a delay.
+    /// Past positions of motors and cables, one for each millisecond, for sensors with a delay.
     past: VecDeque<Moment>,
-    /// When encoders and the sensor of the tip measure again (s).
+    /// Times at which the encoders and the tip sensor measure next (s).
     due_s: [f64; 2],
     noise: Xoshiro256PlusPlus,
 }
 
-/// Where motors and cables were at a time.
+/// Positions of motors and cables at one time.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     time_s: f64,
@@ -75,20 +76,21 @@ struct Moment {
     cable_m: [f64; CABLES_MAX],
 }
 
-/// As many as the longest delay has milliseconds.
+/// Number of moments kept: the milliseconds of the longest delay, 300, with a reserve.
 const PAST_MAX: usize = 320;
 const PAST_STEP_S: f64 = 1e-3;
-/// Rounding of a sum of steps is no time (s).
+/// Tolerance for the rounding of summed steps (s).
 const ROUNDING_S: f64 = 1e-9;
 
-/// Orders that can be under way at once: the longest delay of 0.3 s with one in each 0.1 ms. Of more the newest are lost.
+/// Orders that can be under way at once: the longest delay of 0.3 s with one every 0.1 ms. Beyond that, new orders are
+/// lost.
 const COMING_MAX: usize = 3000;
 
 impl MisbehavingRobot {
-    /// A robot at rest, whose encoders the `model` reads as `at` but for their flaws.
+    /// A robot at rest. Except for their flaws, its encoders measure the shape `at` of the `model`.
     ///
     /// # Errors
-    /// When flaws of its geometry make it no robot.
+    /// If the flaws make no valid robot.
     pub fn new(
         model: &Robot,
         at: &Configuration,
@@ -124,8 +126,7 @@ impl MisbehavingRobot {
         Ok(robot)
     }
 
-    /// The same with cables and sections that are those of another robot, whatever the flaws say of its geometry. It has as many
-    /// sections as the model.
+    /// Replaces the true robot, whatever the flaws specify for its geometry. It must have the model's section count.
     #[must_use]
     pub fn with_truth(mut self, truth: Robot) -> Self {
         debug_assert_eq!(truth.section_count(), self.model.section_count());
@@ -133,12 +134,13 @@ impl MisbehavingRobot {
         self
     }
 
-    /// Other flaws of motors, cables and sensors from now on: a cable slips, a load comes. The geometry stays.
+    /// Replaces the flaws of motors, cables and sensors, for example when a cable slips or a load is added. The
+    /// geometry stays.
     pub fn set_flaws(&mut self, flaws: Flaws) {
         self.flaws = flaws;
     }
 
-    /// Tells the motors what to do from now on, or from now and the delay on.
+    /// Gives the motors an order, which takes effect after their delay.
     pub fn order(&mut self, order: MotorOrder) {
         if self.flaws.actuator.delay_s <= 0.0 {
             self.order = order;
@@ -150,7 +152,7 @@ impl MisbehavingRobot {
         }
     }
 
-    /// Lets `dt_s` (s) pass, as far as the sections bend: they have mechanical ends.
+    /// Advances the simulation by `dt_s` (s). The mechanical ends of the sections limit the motion.
     pub fn advance(&mut self, dt_s: f64) {
         let end_s = self.now_s + dt_s;
         while let Some((from_s, order)) = self.coming.front().copied() {
@@ -166,7 +168,7 @@ impl MisbehavingRobot {
         self.remember();
     }
 
-    /// Keeps where it is for the sensors that say it later.
+    /// Stores the present positions for sensors with a delay.
     fn remember(&mut self) {
         let is_old = |last: &Moment| self.now_s - last.time_s > PAST_STEP_S - ROUNDING_S;
         if self.past.back().is_none_or(is_old) {
@@ -185,13 +187,13 @@ impl MisbehavingRobot {
         }
     }
 
-    /// What a sensor that is asked now says: how it was at that time; `None`: it says nothing now.
+    /// The moment that a sensor reports when it is read now; `None`: no measurement.
     fn sampled(&mut self, sensor: usize, sampling: Sampling) -> Option<Moment> {
         if sampling.interval_s > 0.0 {
             if self.now_s < self.due_s[sensor] - ROUNDING_S {
                 return None;
             }
-            // On a grid, but for what was never asked for.
+            // On a grid, except after a pause in reading.
             self.due_s[sensor] = (self.due_s[sensor] + sampling.interval_s).max(self.now_s);
         }
         if sampling.dropout > 0.0 && self.noise.random_bool(sampling.dropout.min(1.0)) {
@@ -202,19 +204,19 @@ impl MisbehavingRobot {
         }
         let then_s = self.now_s - sampling.delay_s + ROUNDING_S;
         let mut past = self.past.iter().rev();
-        // Before the first of them it stood there.
+        // Before the first moment, the robot was at rest there.
         let then = past.find(|moment| moment.time_s <= then_s);
         then.or(self.past.front()).copied()
     }
 
-    /// The motors at their order for `dt_s`.
+    /// Runs the motors with their order for `dt_s`.
     fn run(&mut self, dt_s: f64) {
         if dt_s <= 0.0 {
             return;
         }
         self.now_s += dt_s;
         let time_constant_s = self.flaws.actuator.time_constant_s;
-        // Of the way to its goal a motor has this part left.
+        // Share of the distance to the goal that remains.
         let left = if time_constant_s > 0.0 {
             (-dt_s / time_constant_s).exp()
         } else {
@@ -238,7 +240,7 @@ impl MisbehavingRobot {
         self.pull_cables();
     }
 
-    /// Where a motor stands that was sent to a length (m).
+    /// Final position of a motor with a length as its goal (m).
     fn goal_m(&self, cable: usize, length_m: f64) -> f64 {
         let droop_m = if cable % 3 == 1 {
             self.flaws.droop_m
@@ -248,7 +250,7 @@ impl MisbehavingRobot {
         length_m - self.straight_m(cable) + droop_m
     }
 
-    /// How far a motor runs (m) on the way to another speed.
+    /// Travel of a motor (m) while it approaches another speed.
     fn speed_change(&mut self, cable: usize, goal_m_s: f64, dt_s: f64, left: f64) -> f64 {
         let behind_m_s = self.speed_m_s[cable] - goal_m_s;
         self.speed_m_s[cable] = goal_m_s + behind_m_s * left;
@@ -277,7 +279,7 @@ impl MisbehavingRobot {
         }
     }
 
-    /// A motor takes its cable along when the play is over, and what friction adds to that.
+    /// A motor takes its cable along beyond half of the play plus friction.
     fn pull_cables(&mut self) {
         let mut band_m = 0.5 * self.flaws.actuator.play_m;
         let bends = (self.flaws.friction_m_per_rad > 0.0)
@@ -295,12 +297,12 @@ impl MisbehavingRobot {
         }
     }
 
-    /// Where the motors are, as lengths of cable counted from the model's straight robot (m).
+    /// Positions of the motors, as cable lengths relative to the model's straight robot (m).
     pub fn motor_strokes_m(&self) -> &[f64; CABLES_MAX] {
         &self.motor_m
     }
 
-    /// What the encoders say (m); `None`: they say nothing now, for their own rate or a drop-out.
+    /// Cable lengths from the encoders (m); `None`: no measurement now, because of their interval or a dropout.
     pub fn measure_cables(&mut self) -> Option<[f64; CABLES_MAX]> {
         let then = self.sampled(0, self.flaws.cables)?;
         let mut lengths_m = [0.0; CABLES_MAX];
@@ -317,11 +319,11 @@ impl MisbehavingRobot {
         Some(lengths_m)
     }
 
-    /// What a sensor of the tip's position says (m); `None`: it says nothing now, as [`Self::measure_cables`].
+    /// Tip position from the tip sensor (m); `None` as in [`Self::measure_cables`].
     pub fn measure_tip(&mut self) -> Option<Vector3<f64>> {
         let then = self.sampled(1, self.flaws.tip)?;
         let tip_m = self.tip_at(&then.cable_m) + Vector3::from(self.flaws.tip_bias_m);
-        // A sum of twelve uniform numbers is as good as a normal one out to four deviations.
+        // A sum of twelve uniform numbers approximates a normal one up to four standard deviations.
         Some(tip_m.map(|coordinate_m| {
             let sum: f64 = (0..12).map(|_| self.noise.random_range(-0.5..=0.5)).sum();
             counted(
@@ -331,13 +333,13 @@ impl MisbehavingRobot {
         }))
     }
 
-    /// How it is bent in truth (rad).
+    /// True bends (rad).
     pub fn configuration(&self) -> Configuration {
         self.bent_by(&self.cable_m)
     }
 
     fn bent_by(&self, cable_m: &[f64; CABLES_MAX]) -> Configuration {
-        // Pulled is shorter.
+        // A negative stroke is a pulled cable.
         let mut bends_m = cable_m.map(|stroke_m| {
             let stretched = if stroke_m < 0.0 {
                 self.flaws.stretch
@@ -365,7 +367,7 @@ impl MisbehavingRobot {
         bends
     }
 
-    /// Where its tip is in truth (m), in the frame of the references.
+    /// True position of the tip (m), in the frame of the references.
     pub fn tip_m(&self) -> Vector3<f64> {
         self.tip_at(&self.cable_m)
     }
@@ -378,7 +380,7 @@ impl MisbehavingRobot {
         }
     }
 
-    /// Where its base stands in the frame of the references; `None`: where they take it to be.
+    /// Pose of the base in the frame of the references; `None`: identity.
     fn base(&self) -> Option<Isometry3<f64>> {
         let Flaws {
             base_m,
@@ -389,7 +391,7 @@ impl MisbehavingRobot {
         is_elsewhere.then(|| Isometry3::new(base_m.into(), base_turn_rad.into()))
     }
 
-    /// Least clearance of its whole body in truth (m) to `obstacles` in the frame of the references; infinite without.
+    /// Least true clearance of the whole body (m) from `obstacles` in the frame of the references; infinite for none.
     pub fn clearance_m(&self, obstacles: impl Iterator<Item = Obstacle>) -> f64 {
         let body = self.truth.body(&self.configuration());
         match self.base().map(|base| base.inverse()) {
@@ -398,18 +400,18 @@ impl MisbehavingRobot {
         }
     }
 
-    /// What the controller takes it for.
+    /// The robot that the controller assumes.
     pub fn model(&self) -> &Robot {
         &self.model
     }
 
-    /// The robot that it is in truth.
+    /// The true robot.
     pub fn truth(&self) -> &Robot {
         &self.truth
     }
 }
 
-/// The value that a sensor with steps of `tick_m` (m) gives, 0: as fine as numbers are.
+/// A value quantised in steps of `tick_m` (m); 0: none.
 fn counted(value_m: f64, tick_m: f64) -> f64 {
     if tick_m > 0.0 {
         (value_m / tick_m).round() * tick_m

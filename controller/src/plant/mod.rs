@@ -1,6 +1,7 @@
-//! Simulated robots, to run the controller without hardware: one that is its model, and one that is not.
+//! Simulated robots for tests without hardware: one that equals its model, and one that does not.
 //!
-//! Invariant: of the modules of this crate only `closed_loop` uses this one; the controller cannot tell a plant from a robot.
+//! Invariant: of the modules of this crate only `closed_loop` uses this one. A simulated robot has the same interface
+//! to the controller as a real one.
 
 mod flaws;
 mod kinematic;

@@ -85,7 +85,7 @@ fn motors_lag_by_their_time_constant_whatever_the_step() {
         run(&mut robot, speeds([1.0, 0.0, 0.0, 0.0]), steps, step_s);
         let behind = lag_s * (1.0 - (-0.1 / lag_s).exp());
         near(&robot, [0.6 - behind, -0.2, 0.1, 0.0], 1e-12);
-        // It runs on for a while when it is told to stand.
+        // After the order to stand, the motor runs on for a while.
         run(&mut robot, MotorOrder::Stand, 1, 10.0);
         near(&robot, [0.6, -0.2, 0.1, 0.0], 1e-12);
         run(&mut robot, lengths([0.0; 4]), 1, lag_s);
@@ -145,7 +145,7 @@ fn errors_of_the_geometry_and_a_load_bend_it_otherwise() {
         ..Flaws::default()
     });
     run(&mut longer, lengths([0.1, 0.0, 0.0, 0.0]), 1, STEP_S);
-    // Half the radius: twice the bend; its encoders cannot know.
+    // Half the radius gives twice the bend, which its encoders cannot detect.
     near(&longer, [0.2 + 0.012, 0.0, 0.01, 0.0], 1e-12);
     let measured = model().bend_from_cable_lengths(&longer.measure_cables().unwrap());
     assert!((measured.as_slice()[0] - 0.1).abs() < 1e-12);
@@ -205,7 +205,7 @@ fn a_sensor_of_the_tip_that_counts_says_whole_steps() {
     }
 }
 
-/// Encoders are on the motors: they say that nothing is wrong.
+/// Encoders are on the motors: they detect no fault.
 #[test]
 fn cables_that_are_slack_or_broken_bend_it_less_and_no_encoder_tells() {
     for (flaw, value) in [("slack_m", 2e-3), ("broken_cable", 1.0)] {
