@@ -4,68 +4,69 @@ use crate::estimator::{Actuator, Estimator, Measurement, Slack};
 use crate::plant::{Flaws, MisbehavingRobot, MotorOrder};
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Jacobian, Robot, RobotError};
 
-/// A robot that is not its model, and what the controller knows of that.
+/// A robot that differs from its model, and the controller's knowledge of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Driven {
-    /// What is wrong with it.
+    /// Flaws of the robot.
     pub flaws: Flaws,
-    /// What the controller takes its motors for.
+    /// Dynamics of the motors that the controller assumes.
     pub actuator: Actuator,
-    /// Time constant with which the estimate follows what is measured (s), 0 or more.
+    /// Time constant with which the estimate follows the measurements (s), 0 or more.
     pub time_constant_s: f64,
-    /// Whether its motors obey positions; else speeds.
+    /// True if the motors are position-controlled, false if speed-controlled.
     pub obeys_positions: bool,
-    /// What is measured.
+    /// Sensors of the robot.
     pub sensor: Sensor,
-    /// What the controller does without, to see what that is for.
+    /// Part of the controller to omit, to show its effect.
     pub without: Option<Part>,
-    /// Of the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
 /// A part of the controller that uses the tip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// The filter of the tip: without it the bends are those nearest to the estimate that bring the tip exactly where it is measured.
+    /// The Kalman filter of the tip. Without it, the bends are those nearest to the estimate that place the tip exactly
+    /// where it is measured.
     Filter,
-    /// How the offset of the tip changes along its way.
+    /// The slope of the tip offset along the path of the tip.
     Slope,
-    /// The distance that the body keeps in addition where its tip is measured beside its bends.
+    /// The additional safe distance for the tip offset.
     Margin,
 }
 
-/// What a robot measures, at releases.
+/// Measurements at releases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sensor {
     /// Every cable, at each release.
     Cables,
-    /// The position of the tip, at every `every`-th release, 1 or more.
+    /// The tip position, at every `every`-th release, 1 or more.
     Tip {
         /// Periods between two measurements.
         every: u32,
     },
-    /// Every cable at each release, and the position of the tip at every `every`-th.
+    /// Every cable at each release, and the tip position at every `every`-th.
     CablesAndTip {
         /// Periods between two measurements of the tip.
         every: u32,
     },
-    /// Nothing: open loop.
+    /// None: open loop.
     Nothing,
 }
 
-/// The robot, its driver, and the estimate of where it is.
+/// The robot, its driver, and the estimate of its configuration.
 #[derive(Debug, Clone)]
 pub(super) struct DrivenRobot {
     driven: Driven,
     model: Robot,
     plant: MisbehavingRobot,
     estimator: Estimator,
-    /// Where it is commanded to be.
+    /// Commanded configuration.
     commanded: Configuration,
     releases: u32,
 }
 
-/// Steps of the motors in a period, for each of which a driver has an order.
+/// Steps of the motors in a period. A driver orders one motion for each.
 const STEPS: u32 = 5;
 
 impl DrivenRobot {
@@ -91,17 +92,18 @@ impl DrivenRobot {
             releases: 0,
         };
         robot.measure();
-        // Control begins where the robot is measured.
+        // Control begins at the measured configuration.
         robot.commanded = *robot.estimator.motors();
         Ok(robot)
     }
 
-    /// Where the commands up to now lead it, as far as that is known.
+    /// Estimated configuration to which the commands so far lead the robot.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
     }
 
-    /// Where its motors are led, where the robot is beside that: commanded positions, or motors beside cables that have play.
+    /// Configuration to which the motors are led, if it differs from that of the robot: commanded positions, or motors
+    /// of cables with play.
     pub(super) fn commanded(&self) -> Option<&Configuration> {
         if self.driven.obeys_positions {
             return Some(&self.commanded);
@@ -110,12 +112,12 @@ impl DrivenRobot {
         Some(motors).filter(|motors| *motors != self.configuration())
     }
 
-    /// What of the play of its cables is taken there, as far as that is known.
+    /// Estimated state of the cables' play at the configuration to which the commands lead.
     pub(super) fn slack(&self) -> Option<&Slack> {
         self.estimator.slack_led()
     }
 
-    /// Of the motor that is farthest from where it is commanded (m).
+    /// Largest difference between a motor and its commanded position (m).
     pub(super) fn following_error_m(&self) -> f64 {
         let commanded_m = self.model.cable_strokes(&self.commanded);
         let pairs = commanded_m.iter().zip(self.plant.motor_strokes_m());
@@ -128,7 +130,7 @@ impl DrivenRobot {
         self.estimator.tip_offset_m()
     }
 
-    /// How much more distance its body keeps (m).
+    /// Additional safe distance of the body (m).
     pub(super) fn margin_m(&self) -> f64 {
         match self.driven.without {
             Some(Part::Margin) => 0.0,
@@ -144,7 +146,7 @@ impl DrivenRobot {
         self.driven.actuator.lead_s()
     }
 
-    /// The motors obey `rates` for a period, then it is measured.
+    /// Runs the motors at `rates` for a period, then takes the measurements.
     pub(super) fn advance(&mut self, rates: &BendRates, period_s: f64) {
         let step_s = period_s / f64::from(STEPS);
         let speeds_m_s = self.model.cable_speeds(rates);
@@ -194,12 +196,12 @@ impl DrivenRobot {
     }
 }
 
-/// Steps to a tip: each gains about three digits.
+/// Number of steps to a tip position: each gains about three digits.
 const TIP_STEPS: usize = 4;
-/// Their damping (m²): against rounding.
+/// Damping of the steps (m²), against rounding.
 const TIP_DAMPING_M2: f64 = 1e-9;
 
-/// The configuration nearest to `start` whose tip is at `position_m`, by least squares that have no noise model.
+/// The configuration nearest to `start` whose tip is at `position_m`, by least squares without a noise model.
 fn nearest_with_tip(
     robot: &Robot,
     start: Configuration,

@@ -1,5 +1,5 @@
-//! A figure eight: the task on which robots that are not their model are compared. Of three sections, or through the straight robot; and
-//! the paper's spiral.
+//! Tasks that compare robots with flaws: a figure eight of three sections, one through the straight robot, and the
+//! paper's spiral.
 
 use nalgebra::Vector3;
 
@@ -9,16 +9,16 @@ use crate::plant::Flaws;
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
-/// Largest acceleration of a robot behind a driver, by default (rad/s²).
+/// Default largest acceleration of a robot behind a driver (rad/s²).
 const ACCELERATION_RAD_S2: f64 = 40.0;
 /// Half of the length of the figure eight (m).
 const SIZE_M: f64 = 0.08;
-/// Cycles of a robot at rest that count.
+/// Evaluated cycles of a robot at rest.
 const REST_CYCLES: core::ops::Range<u32> = 1000..4000;
 /// Cycles of the paper's spiral.
 const SPIRAL_CYCLES: u32 = 994;
-/// Where the figure eight of three sections begins: of the many shapes of that tip one that the robot came to from bends of 0.4 rad. Written down, so that
-/// the task is the same whatever the solver does \[rad\].
+/// Start of the figure eight of three sections \[rad\]: one of the many shapes with that tip, reached from bends of 0.4
+/// rad. It is constant, so that the task does not depend on the solver.
 const BEGIN_RAD: [f64; 6] = [
     -0.144_084_713_683_017_76,
     -0.547_365_826_571_354_5,
@@ -28,7 +28,7 @@ const BEGIN_RAD: [f64; 6] = [
     0.649_322_938_151_114_5,
 ];
 
-/// The paper's robot with the default settings, at rest where the figure eight begins.
+/// The paper's robot with the default settings, at rest at the start of the figure eight.
 #[derive(Debug, Clone)]
 pub struct FigureEight {
     robot: Robot,
@@ -37,29 +37,29 @@ pub struct FigureEight {
     way: Way,
 }
 
-/// What the tip follows.
+/// Path of the tip.
 #[derive(Debug, Clone, Copy)]
 enum Way {
     /// The figure eight of three sections.
     Eight,
-    /// One through the tip of the straight robot, whose sections all bend so far (rad).
+    /// A figure eight through the tip of the straight robot; the value is the largest bend of each section (rad).
     ThroughStraight(f64),
-    /// The paper's spiral (Eq. 8), so much lower (m).
+    /// The paper's spiral (Eq. 8), lowered by this distance (m).
     Spiral { lower_m: f64 },
 }
 
-/// Why there is no run.
+/// Reason why a run is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FigureEightError {
-    /// The flaws of the geometry make it no robot.
+    /// The flaws make no valid robot.
     #[error(transparent)]
     Robot(#[from] RobotError),
-    /// The settings do not suit the solver.
+    /// The settings are not valid.
     #[error(transparent)]
     Settings(#[from] SettingsError),
 }
 
-/// One run, cycle by cycle.
+/// Result of one run, cycle by cycle.
 #[derive(Debug, Clone)]
 pub struct FigureEightRun {
     errors_mm: Vec<f64>,
@@ -69,24 +69,24 @@ pub struct FigureEightRun {
     limit_excess: f64,
 }
 
-/// What a robot does that was sent somewhere and shall stay there, from the fifth second to the twentieth.
+/// Result of [`FigureEight::rest`]: a robot that was sent to a point and shall rest there, from second 5 to second 20.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FigureEightRest {
-    /// Largest error of the tip in truth (mm).
+    /// Largest true error of the tip (mm).
     pub error_mm: f64,
-    /// Largest rate of a component that was commanded (rad/s).
+    /// Largest commanded rate of a component (rad/s).
     pub rate_rad_s: f64,
 }
 
 impl FigureEight {
     /// Period (s).
     pub const PERIOD_S: f64 = 0.005;
-    /// Cycles of a run: once round, and a little more.
+    /// Cycles of a run: slightly more than one round.
     pub const CYCLES: u32 = 3000;
-    /// Cycles at the beginning that do not count: the estimate settles.
+    /// Initial cycles without evaluation, in which the estimate settles.
     pub const BEGIN_CYCLES: u32 = 200;
 
-    /// 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
+    /// A figure eight of 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
     pub fn reference(time_s: f64) -> ReferenceSample {
         let [x, y] = lying_eight(time_s);
         at(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
@@ -109,10 +109,10 @@ impl FigureEight {
         at(self.robot.tip_position(&bends))
     }
 
-    /// The common figure eight.
+    /// The figure eight of three sections.
     ///
     /// # Errors
-    /// [`FigureEightError`], which the paper's robot never gives.
+    /// [`FigureEightError`], which does not occur for the paper's robot.
     pub fn new() -> Result<Self, FigureEightError> {
         let mut start = Configuration::straight(3);
         start.as_mut_slice().copy_from_slice(&BEGIN_RAD);
@@ -124,13 +124,14 @@ impl FigureEight {
         })
     }
 
-    /// About as large and as fast, through the tip of the straight robot of `sections` sections, 1 to 6, which it can reach.
+    /// A figure eight of about the same size and speed through the tip of the straight robot with `sections` sections,
+    /// 1 to 6. The robot can reach it.
     ///
     /// # Errors
     /// [`FigureEightError::Robot`] for another number of sections.
     pub fn through_straight(sections: usize) -> Result<Self, FigureEightError> {
         let robot = Robot::new(&RobotParameters::paper(sections))?;
-        // Bent by b each, n sections turn by n b in all: their tip moves aside by half of that times their length.
+        // With bends b, n sections turn by n b in total: the tip moves aside by half of that times their length.
         let bend_rad = SIZE_M / (0.5 * sections as f64 * robot.reach_m());
         Ok(Self {
             start: Configuration::straight(sections),
@@ -140,11 +141,11 @@ impl FigureEight {
         })
     }
 
-    /// The paper's spiral (Eq. 8) of three sections instead, `lower_m` (m) lower: robots with shorter sections do not reach it as it is.
-    /// It lasts 5 s.
+    /// The paper's spiral (Eq. 8) of three sections, lowered by `lower_m` (m), because robots with shorter sections do
+    /// not reach the original. It lasts 5 s.
     ///
     /// # Errors
-    /// [`FigureEightError`], which the paper's robot never gives.
+    /// [`FigureEightError`], which does not occur for the paper's robot.
     pub fn spiral(lower_m: f64) -> Result<Self, FigureEightError> {
         let robot = Robot::new(&RobotParameters::paper(3))?;
         Ok(Self {
@@ -155,7 +156,7 @@ impl FigureEight {
         })
     }
 
-    /// The same with other settings of the solver.
+    /// Sets the settings of the solver.
     #[must_use]
     pub fn with_settings(self, settings: NmpcSettings) -> Self {
         let settings = Some(settings);
@@ -169,7 +170,7 @@ impl FigureEight {
         }
     }
 
-    /// Those of a daemon without a configuration: of the ideal robot the paper's.
+    /// Settings of a daemon without a configuration; for the ideal robot those of the paper.
     fn settings(&self, flaws: &Flaws) -> NmpcSettings {
         let is_ideal = *flaws == Flaws::default();
         self.settings.unwrap_or_else(|| NmpcSettings {
@@ -178,15 +179,15 @@ impl FigureEight {
         })
     }
 
-    /// Distance of the tip from the reference where a run begins (m).
+    /// Distance of the tip from the reference at the start of a run (m).
     pub fn begin_error_m(&self) -> f64 {
         (self.robot.tip_position(&self.start) - self.sample(0.0).position_m).norm()
     }
 
-    /// Once round with a robot that is not its model, behind a driver. `obstacles` are where they are at the beginning.
+    /// One round with a robot that differs from its model, behind a driver. `obstacles` are those at the start.
     ///
     /// # Errors
-    /// [`FigureEightError::Robot`] when the flaws of the geometry make it no robot.
+    /// [`FigureEightError::Robot`] if the flaws make no valid robot.
     pub fn run(
         &self,
         driven: Driven,
@@ -222,7 +223,7 @@ impl FigureEight {
         Ok(run)
     }
 
-    /// The robot is sent 36 mm away, and shall stay there.
+    /// The robot is sent to a point 36 mm away and shall rest there.
     ///
     /// # Errors
     /// As [`run`](Self::run).
@@ -255,13 +256,13 @@ impl FigureEight {
     }
 }
 
-/// The last section alone draws the spiral: θ = 2t/15, φ = t, from t = 5°.
+/// The paper's spiral: the last section bends by θ = 2t/15 towards φ = t, from t = 5°; the others are straight.
 fn on_the_spiral(time_s: f64) -> Configuration {
     let t = 5_f64.to_radians() + time_s;
     Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]])
 }
 
-/// Twice across, once along: a figure eight within 1 and 1/2.
+/// A figure eight: once along ±1, twice across ±1/2.
 fn lying_eight(time_s: f64) -> [f64; 2] {
     let turn = 0.46 * time_s;
     [turn.sin(), 0.5 * (2.0 * turn).sin()]
@@ -275,11 +276,12 @@ fn at(position_m: Vector3<f64>) -> ReferenceSample {
     }
 }
 
-/// By how much a command is beyond a limit of the rates, the cable speeds or the acceleration, as a share of the limit; 0 inside all of them.
+/// Excess of a command over the limits of rates, cable speeds and acceleration, as a share of the limit; 0 within all
+/// of them.
 fn excess(robot: &Robot, rates: &BendRates, before: &BendRates) -> f64 {
     let pairs = rates.as_slice().iter().zip(before.as_slice()).enumerate();
     let of_rates = pairs.map(|(i, (rate, before))| {
-        // To slow down is always allowed: only growth counts, after a turn that from zero.
+        // Deceleration is always allowed: only growth counts, after a change of sign from zero.
         let from_rad_s = before.abs() * f64::from(u8::from(rate * before > 0.0));
         let acceleration_rad_s2 = (rate.abs() - from_rad_s) / FigureEight::PERIOD_S;
         let faster = rate.abs() / robot.sections()[i / 2].rate_max_rad_s;
@@ -293,48 +295,49 @@ fn excess(robot: &Robot, rates: &BendRates, before: &BendRates) -> f64 {
 }
 
 impl FigureEightRun {
-    /// Distance of the tip from the reference in truth at the end of each cycle (mm).
+    /// True distance of the tip from the reference at the end of each cycle (mm).
     pub fn errors_mm(&self) -> &[f64] {
         &self.errors_mm
     }
 
-    /// Mean error of the cycles that count (mm).
+    /// Mean error of the evaluated cycles (mm).
     pub fn mean_mm(&self) -> f64 {
         mean(self.counted())
     }
 
-    /// Mean error of the second half of the cycles that count (mm).
+    /// Mean error of the second half of the evaluated cycles (mm).
     pub fn settled_mm(&self) -> f64 {
         mean(&self.counted()[self.counted().len() / 2..])
     }
 
-    /// Root mean square of the errors that count (mm).
+    /// Root mean square error of the evaluated cycles (mm).
     pub fn rms_mm(&self) -> f64 {
         let squares: f64 = self.counted().iter().map(|error| error * error).sum();
         (squares / self.counted().len() as f64).sqrt()
     }
 
-    /// Largest error that counts (mm).
+    /// Largest error of the evaluated cycles (mm).
     pub fn max_mm(&self) -> f64 {
         self.counted().iter().copied().fold(0.0, f64::max)
     }
 
-    /// Mean square of what the rates change by from cycle to cycle, all components together (rad²/s²).
+    /// Mean squared change of the rates from cycle to cycle, summed over all components (rad²/s²).
     pub fn rate_change_square(&self) -> f64 {
         self.rate_changes / self.counted().len() as f64
     }
 
-    /// Least clearance of the true body, over all cycles (mm); infinite without obstacles.
+    /// Least true clearance of the body over all cycles (mm); infinite without obstacles.
     pub fn min_clearance_mm(&self) -> f64 {
         self.min_clearance_mm
     }
 
-    /// Largest difference of a motor from where it is commanded, in the cycles that count (mm).
+    /// Largest difference between a motor and its commanded position in the evaluated cycles (mm).
     pub fn following_mm(&self) -> f64 {
         self.following_mm
     }
 
-    /// By how much the worst command was beyond a limit of rates, cable speeds or acceleration, as a share of that limit; 0 when all were inside.
+    /// Largest excess of a command over a limit of rates, cable speeds or acceleration, as a share of that limit; 0 if
+    /// none was exceeded.
     pub fn limit_excess(&self) -> f64 {
         self.limit_excess
     }

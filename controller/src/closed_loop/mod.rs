@@ -1,7 +1,7 @@
-//! A simulation of what a daemon does: plan, safety check, move, once a period.
+//! Simulation of the control cycle of a daemon: solve, safety checks, motion, once a period.
 //!
-//! Nothing is late, and modes and faults are left out. The robot is the ideal one, exactly where its commands bring it, or one that is
-//! not its model ([`Driven`]), with a driver and an estimate.
+//! Nothing is late, and modes and faults are omitted. The robot is ideal and follows its commands exactly, or it
+//! differs from its model ([`Driven`]) and has a driver and an estimate.
 
 #![allow(
     clippy::large_types_passed_by_value,
@@ -22,34 +22,36 @@ use driven::DrivenRobot;
 pub use driven::{Driven, Part, Sensor};
 pub use figure_eight::{FigureEight, FigureEightError, FigureEightRest, FigureEightRun};
 
-/// The robot, the obstacles and the reference around it, and the safety checks of its commands.
+/// The robot, its obstacles and reference, and the safety checks of its commands.
 ///
-/// One period is [`Self::step`]; who solves otherwise takes [`Self::input`] and hands the rates to [`Self::advance`].
+/// One period is [`Self::step`]. A caller with another solver takes [`Self::input`] and passes the rates to
+/// [`Self::advance`].
 #[derive(Debug, Clone)]
 pub struct ClosedLoop<R> {
     robot: Robot,
     period_s: f64,
     settings: NmpcSettings,
     acceleration_rad_s2: f64,
-    /// How long a command moves the robot (periods), and its deceleration after that (rad/s²). None: what the robot has by default.
+    /// Time for which a command moves the robot (periods), and the deceleration after it (rad/s²). `None`: the default
+    /// of the robot.
     stopping: Option<(f64, f64)>,
-    /// The body keeps so much more distance, whatever is measured of the tip (m).
+    /// Additional safe distance for a known tip offset (m), whatever is measured.
     tip_offset_m: f64,
-    /// None: the ideal one.
+    /// `None`: the ideal robot.
     driven: Option<Box<DrivenRobot>>,
     reference_at: R,
-    /// Where they are at time 0.
+    /// Obstacles at time 0.
     obstacles_at_start: Vec<Obstacle>,
     cycle: u64,
     configuration: Configuration,
-    /// Where they are when the robot is at `configuration`: behind motors with a lag, after it.
+    /// Obstacles at the time when the robot reaches `configuration`: for motors with a lag, later than now.
     obstacles: Vec<Obstacle>,
     /// The reference at the steps of the horizon.
     reference: Vec<ReferenceSample>,
     command: SafeCommand,
 }
 
-/// What [`ClosedLoop::run`] found after each of its periods.
+/// Result of [`ClosedLoop::run`], from the ends of its periods.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClosedLoopRun {
     /// Smallest clearance of the body (m); infinite without obstacles.
@@ -58,18 +60,19 @@ pub struct ClosedLoopRun {
     pub error_max_m: f64,
 }
 
-/// How long a driver follows a command without another one (periods), and how fast it comes to rest then, as `motion.deceleration_rad_s2` is by
-/// default (rad/s²).
+/// Time for which a driver follows a command without a newer one (periods), and its deceleration after that, the
+/// default of `motion.deceleration_rad_s2` (rad/s²).
 const DRIVEN: (f64, f64) = (3.0, 40.0);
-/// The ideal robot gets every command, and stops at once.
+/// The ideal robot receives every command and stops at once.
 const IDEAL: (f64, f64) = (1.0, f64::INFINITY);
 
 impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
-    /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are where they are then, and
-    /// move on at their velocity. `reference_at` is asked for times (s) of releases.
+    /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are those at time
+    /// 0; they move at their velocity. `reference_at` returns the reference at the time (s) of a release.
     ///
     /// # Errors
-    /// As [`Nmpc::new`]: when a setting, or the period, is out of its range; and when `start` has not the sections of the robot.
+    /// As [`Nmpc::new`] if a setting or the period is out of range, and if `start` does not have the section count of
+    /// the robot.
     pub fn new(
         robot: &Robot,
         period_s: f64,
@@ -114,7 +117,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         Ok(begin)
     }
 
-    /// The same with a largest acceleration of each bend component (rad/s²), as a robot behind a driver has one.
+    /// Sets the largest acceleration of each bend component (rad/s²), as for a robot behind a driver.
     #[must_use]
     pub fn with_acceleration(self, acceleration_rad_s2: f64) -> Self {
         Self {
@@ -123,8 +126,9 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// The same with commands that keep clear, as those for a driver do, for `valid_periods` (1 or more) and the ramp that follows, on which the fastest
-    /// component loses `deceleration_rad_s2` (rad/s²). Without it a robot that is its model gets every command, and stops at once: 1 and infinite.
+    /// Makes commands safe, as for a driver, during `valid_periods` (1 or more) and the ramp to rest that follows. On
+    /// the ramp the fastest component decelerates by `deceleration_rad_s2` (rad/s²). Default of the ideal robot, which
+    /// receives every command and stops at once: 1 and infinity.
     #[must_use]
     pub fn with_stopping(self, valid_periods: f64, deceleration_rad_s2: f64) -> Self {
         Self {
@@ -133,8 +137,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// The same with a body that is known to be `tip_offset_m` (m) beside its model at the tip, and keeps as much more distance: [`Robot::thicker`].
-    /// Where the reference leads the model, `reference_at` says.
+    /// Keeps an additional safe distance for a body whose tip is `tip_offset_m` (m) beside its model:
+    /// [`Robot::thicker`]. The reference is not shifted; `reference_at` must include the offset.
     #[must_use]
     pub fn with_tip_offset(self, tip_offset_m: f64) -> Self {
         Self {
@@ -143,11 +147,11 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// The same with a robot that is not its model. Without [`Self::with_stopping`] its commands keep clear for 3 periods and a ramp of 40 rad/s², the
-    /// defaults of a daemon with a driver.
+    /// Replaces the robot by one that differs from its model. Without [`Self::with_stopping`], its commands are safe
+    /// for 3 periods and a ramp of 40 rad/s², the defaults of a daemon with a driver.
     ///
     /// # Errors
-    /// When the flaws of its geometry make it no robot.
+    /// If the flaws make no valid robot.
     pub fn with_driven(self, driven: Driven) -> Result<Self, RobotError> {
         let driven = DrivenRobot::new(&self.robot, &self.configuration, &driven)?;
         let mut begin = self;
@@ -160,12 +164,12 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// A solver for this robot, with its period and settings.
     ///
     /// # Errors
-    /// As [`Nmpc::new`], which [`Self::new`] has asked already.
+    /// As [`Nmpc::new`]; [`Self::new`] has already checked the arguments.
     pub fn solver(&self) -> Result<Nmpc, SettingsError> {
         Nmpc::new(self.robot.clone(), self.period_s, self.settings)
     }
 
-    /// One period: solves without a limit on time, makes the result safe, and moves on.
+    /// One period: solves without a time limit, makes the result safe, and moves the robot.
     pub fn step(&mut self, nmpc: &mut Nmpc) -> SolveReport {
         nmpc.limit_acceleration(self.acceleration_rad_s2);
         let (desired_rates, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
@@ -173,7 +177,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         report
     }
 
-    /// Periods until `until_s` (s), each as [`Self::step`], with a solver of its own.
+    /// Runs periods as [`Self::step`] until `until_s` (s), with a new solver.
     ///
     /// # Errors
     /// As [`Self::solver`].
@@ -191,7 +195,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         Ok(run)
     }
 
-    /// What a solve of this period starts from.
+    /// Input of a solve in this period.
     pub fn input(&self) -> SolveInput<'_> {
         SolveInput {
             configuration: &self.configuration,
@@ -204,8 +208,9 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard on the way to rest of [`Self::with_stopping`]), moves the robot by what is left of them and
-    /// the obstacles by their velocity, and goes on to the next period.
+    /// Makes `desired_rates` safe as a daemon does: acceleration, limits, clearance guard over the ramp of
+    /// [`Self::with_stopping`]. Then moves the robot at the safe rates and the obstacles at their velocity, and
+    /// advances to the next period.
     pub fn advance(&mut self, desired_rates: &BendRates) {
         let otherwise = if self.driven.is_some() { DRIVEN } else { IDEAL };
         let (valid_periods, deceleration_rad_s2) = self.stopping.unwrap_or(otherwise);
@@ -243,7 +248,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         self.cycle as f64 * self.period_s
     }
 
-    /// Periods that have passed.
+    /// Number of completed periods.
     pub fn cycle(&self) -> u64 {
         self.cycle
     }
@@ -253,30 +258,31 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         &self.robot
     }
 
-    /// How the ideal robot is bent now; of one that is not its model, where its commands lead it, as far as is known.
+    /// Present shape of the ideal robot. For a robot that differs from its model: the estimate of the shape to which
+    /// its commands lead.
     pub fn configuration(&self) -> &Configuration {
         &self.configuration
     }
 
-    /// The last command, and what limits and guard changed of it.
+    /// The last command, and its changes by limits and clearance guard.
     pub fn command(&self) -> &SafeCommand {
         &self.command
     }
 
-    /// From where the reference is now to where the tip is (m).
+    /// Distance of the tip from the present reference (m).
     pub fn error_m(&self) -> f64 {
         let goal_m = (self.reference_at)(self.time_s()).position_m;
         (self.tip_m() - goal_m).norm()
     }
 
-    /// Largest difference of a motor from where it is commanded (m); of the ideal robot 0.
+    /// Largest difference between a motor and its commanded position (m); 0 for the ideal robot.
     pub fn following_error_m(&self) -> f64 {
         self.driven
             .as_ref()
             .map_or(0.0, |driven| driven.following_error_m())
     }
 
-    /// Where the tip is in truth (m).
+    /// True position of the tip (m).
     pub fn tip_m(&self) -> Vector3<f64> {
         match &self.driven {
             None => self.robot.tip_position(&self.configuration),
@@ -284,7 +290,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// Clearance of the whole body in truth now (m); infinite without obstacles.
+    /// True clearance of the whole body now (m); infinite without obstacles.
     pub fn clearance_m(&self) -> f64 {
         let from_the_start = self.obstacles_at_start.iter();
         let now = from_the_start.map(|obstacle| obstacle.moved(self.time_s()));
@@ -294,13 +300,13 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// How far the tip is measured beside where the bends place it (m).
+    /// Measured tip position minus the one from the bends (m).
     fn tip_offset_m(&self) -> Vector3<f64> {
         let driven = self.driven.as_ref();
         driven.map_or_else(Vector3::zeros, |driven| driven.tip_offset_m())
     }
 
-    /// How much more distance the body keeps (m).
+    /// Additional safe distance (m).
     fn margin_m(&self) -> f64 {
         let driven = self.driven.as_ref();
         driven
@@ -308,7 +314,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             .max(self.tip_offset_m)
     }
 
-    /// Obstacles, and the reference over the horizon, in the time of the robot that lags.
+    /// Updates the obstacles and the reference over the horizon, ahead by the lag of the robot.
     fn look_around(&mut self) {
         let time_s = self.time_s();
         self.obstacles.clear();
