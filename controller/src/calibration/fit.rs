@@ -1,5 +1,5 @@
-//! Weighted least squares by Levenberg-Marquardt: each row is whitened by the noise of its own, because noise of the cables moves a
-//! tip the more the farther it is from where they bend.
+//! Weighted least squares by Levenberg-Marquardt. Each row is whitened by its own noise, because cable noise moves a
+//! tip more the farther it is from the bending sections.
 
 use nalgebra::{Matrix6, SMatrix, SVector};
 
@@ -11,22 +11,23 @@ use crate::robot::Robot;
 pub(super) type Square = SMatrix<f64, PARAMETERS_MAX, PARAMETERS_MAX>;
 pub(super) type Column = SVector<f64, PARAMETERS_MAX>;
 
-/// A whitened residual beyond this (standard deviations of its norm) counts linearly while outliers are not yet left out.
+/// Until outliers are excluded, a whitened residual counts linearly beyond this norm (standard deviations).
 const HUBER: f64 = 3.0;
-/// Steps of one fit at the most.
+/// Maximum number of steps of one fit.
 const STEPS_MAX: usize = 60;
-/// A step that moves every parameter by less than this part of its plausible error ends the fit.
+/// The fit has converged when every parameter changes by less than this share of its plausible error.
 const STEP_MIN: f64 = 1e-8;
 
-/// Which parameters are estimated, and how.
+/// Selection of the estimated parameters, and options of the fit.
 pub(super) struct Estimated<'a> {
-    /// Places of the parameters.
+    /// Indices of the parameters.
     pub(super) active: &'a [usize],
-    /// Plausible error of each.
+    /// Plausible error of each parameter.
     pub(super) scale: &'a [f64; PARAMETERS_MAX],
-    /// Keep them near the first geometry, as far as their plausible errors say: so that what the data cannot tell stays.
+    /// Adds a prior at the configured geometry with the plausible errors, so that undetermined parameters keep their
+    /// values.
     pub(super) prior: bool,
-    /// Whether large residuals count linearly.
+    /// True if large residuals count linearly.
     pub(super) robust: bool,
 }
 
@@ -37,7 +38,7 @@ struct Whitened<'a> {
 }
 
 impl Whitened<'_> {
-    /// Sum of what the residuals cost; infinite where the geometry is none of a robot.
+    /// Total cost of the residuals; infinite if the geometry is not a valid robot.
     fn cost(&self, geometry: &Geometry) -> f64 {
         let Ok(robot) = geometry.checked() else {
             return f64::INFINITY;
@@ -100,7 +101,7 @@ fn whitened<'a>(
     }
 }
 
-/// The geometry that fits the rows best, from `begin` on; `None` where no geometry near it is a robot.
+/// The geometry that fits the rows best, starting from `begin`; `None` if no geometry near it is a valid robot.
 pub(super) fn fit(
     configured: &Geometry,
     begin: &Geometry,
@@ -178,14 +179,14 @@ fn solved(
         }),
     );
     for &index in active {
-        // A parameter that nothing depends on stays.
+        // A parameter without effect keeps its value.
         scaled[(index, index)] += damping * scaled[(index, index)] + 1e-9;
     }
     let step = scaled.cholesky()?.solve(&right);
     Some(core::array::from_fn(|i| step[i] * scale[i]))
 }
 
-/// The same in units of the plausible errors, with ones on the diagonal where nothing is estimated.
+/// The matrix in units of the plausible errors, with ones on the diagonal for parameters that are not estimated.
 pub(super) fn scaled(square: &Square, active: &[usize], scale: &[f64; PARAMETERS_MAX]) -> Square {
     let mut scaled = Square::identity();
     for &i in active {

@@ -6,14 +6,15 @@ use crate::robot::{Robot, RobotError, RobotParameters, SECTIONS_MAX, SectionPara
 
 /// Parameters of one section: length, radius, angle and two zeros.
 const PER_SECTION: usize = 5;
-/// Parameters of the largest robot, with base and sensor: places in every array here.
+/// Number of parameters of the largest robot, with base and sensor: the length of every array here.
 pub const PARAMETERS_MAX: usize = PER_SECTION * SECTIONS_MAX + 12;
-/// Where the base pose begins among them.
+/// Index of the first parameter of the base pose.
 const BASE: usize = PER_SECTION * SECTIONS_MAX;
-/// Where the sensor pose begins.
+/// Index of the first parameter of the sensor pose.
 const SENSOR: usize = BASE + 6;
 
-/// Two patterns of zeros of a section's three cables that bend it, orthonormal. The third, the mean of the three, bends nothing.
+/// Two orthonormal patterns of the zeros of a section's three cables that change its bend. The third pattern, their
+/// mean, does not.
 pub(super) const ZERO_PATTERNS: [[f64; 3]; 2] = [
     [
         0.816_496_580_927_726,
@@ -27,7 +28,7 @@ pub(super) const ZERO_PATTERNS: [[f64; 3]; 2] = [
     ],
 ];
 
-/// One number that calibration estimates. Sections and axes count from 0.
+/// A parameter of calibration. Sections and axes count from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Parameter {
     /// Length of a section (m).
@@ -36,21 +37,22 @@ pub enum Parameter {
     CableRadius(usize),
     /// Angle of a section's first cable (rad).
     CableAngle(usize),
-    /// Zeros of a section's three cables beside their mean (m), in one of two orthonormal patterns: [`Calibration`] has them cable by cable.
+    /// Zeros of a section's three cables relative to their mean (m), in one of two orthonormal patterns.
+    /// [`Calibration`] lists them for each cable.
     ///
     /// [`Calibration`]: super::Calibration
     CableZero(usize, usize),
-    /// Position of the robot's base in the frame of the tip sensor's numbers (m).
+    /// Position of the robot's base in the frame of the tip measurements (m).
     BasePosition(usize),
     /// Rotation of the base about an axis of that frame (rad).
     BaseRotation(usize),
-    /// Position of what the sensor sees in the frame of the tip (m).
+    /// Position of the sensor's target in the frame of the tip (m).
     SensorPosition(usize),
-    /// Its rotation about an axis of the tip (rad).
+    /// Rotation of the sensor's target about an axis of the tip (rad).
     SensorRotation(usize),
 }
 
-/// What is calibrated together, and can be held together.
+/// Parameters that are calibrated together and can be held together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ParameterGroup {
     /// Pose of the base.
@@ -68,7 +70,7 @@ pub enum ParameterGroup {
 }
 
 impl ParameterGroup {
-    /// All of them.
+    /// All groups.
     pub const ALL: [Self; 6] = [
         Self::Base,
         Self::Sensor,
@@ -80,7 +82,7 @@ impl ParameterGroup {
 }
 
 impl Parameter {
-    /// Every parameter by its place in the arrays of this module.
+    /// The parameter at an index of the arrays of this module.
     pub(super) fn at(index: usize) -> Self {
         let (section, part) = (index / PER_SECTION, index % PER_SECTION);
         match index {
@@ -102,7 +104,7 @@ impl Parameter {
         }
     }
 
-    /// Its place in the arrays of this module.
+    /// Index in the arrays of this module.
     pub(super) fn index(self) -> usize {
         match self {
             Self::Length(section) => PER_SECTION * section,
@@ -116,7 +118,7 @@ impl Parameter {
         }
     }
 
-    /// The group it belongs to.
+    /// Group of the parameter.
     pub fn group(self) -> ParameterGroup {
         match self {
             Self::Length(_) => ParameterGroup::Lengths,
@@ -128,11 +130,11 @@ impl Parameter {
         }
     }
 
-    /// How far off it may plausibly be (m or rad): the scale that excitation is judged by.
+    /// Plausible error (m or rad): the scale of excitation.
     pub(super) fn plausible_error(self, robot: &RobotParameters) -> f64 {
         match self {
             Self::Length(section) => 0.1 * robot.sections[section].length_m,
-            // A zero as far as an angle of 0.1 rad moves a cable.
+            // A zero as large as the motion of a cable by an angle of 0.1 rad.
             Self::CableRadius(section) | Self::CableZero(section, _) => {
                 0.1 * robot.sections[section].cable_radius_m
             }
@@ -144,7 +146,7 @@ impl Parameter {
         }
     }
 
-    /// Whether it is an angle; else it is a length.
+    /// True for an angle, false for a length.
     pub fn is_angle(self) -> bool {
         matches!(
             self,
@@ -178,21 +180,21 @@ impl fmt::Display for Parameter {
     }
 }
 
-/// All that calibration estimates.
+/// All estimated quantities.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
     /// The robot: lengths, radii and angles of its sections are estimated, the rest is kept.
     pub robot: RobotParameters,
-    /// Zeros of the cables of each section beside their mean, by pattern (m).
+    /// Zeros of the cables of each section relative to their mean, by pattern (m).
     pub(super) zeros_m: [[f64; 2]; SECTIONS_MAX],
-    /// Base of the robot in the frame of the measured poses.
+    /// Pose of the robot's base in the frame of the measured poses.
     pub base: Isometry3<f64>,
-    /// What the sensor sees, in the frame of the tip.
+    /// Pose of the sensor's target in the frame of the tip.
     pub sensor: Isometry3<f64>,
 }
 
 impl Geometry {
-    /// As configured: cables count from their zeros, poses are those of the tip in the base frame.
+    /// The configured geometry: zeros are 0, and poses are those of the tip in the base frame.
     pub fn configured(robot: &RobotParameters) -> Self {
         Self {
             robot: robot.clone(),
@@ -202,18 +204,18 @@ impl Geometry {
         }
     }
 
-    /// The robot, checked.
+    /// The validated robot.
     pub(super) fn checked(&self) -> Result<Robot, RobotError> {
         Robot::new(&self.robot)
     }
 
-    /// Zeros of the three cables of a section beside their mean (m).
+    /// Zeros of the three cables of a section relative to their mean (m).
     pub(super) fn section_zeros_m(&self, section: usize) -> [f64; 3] {
         let [a, b] = self.zeros_m[section];
         core::array::from_fn(|cable| a * ZERO_PATTERNS[0][cable] + b * ZERO_PATTERNS[1][cable])
     }
 
-    /// The value of a parameter (m or rad); of a rotation the component of its vector.
+    /// Value of a parameter (m or rad); for a rotation, the component of its vector.
     pub fn value(&self, parameter: Parameter) -> f64 {
         let section = |j: usize| &self.robot.sections[j];
         match parameter {
@@ -228,7 +230,7 @@ impl Geometry {
         }
     }
 
-    /// The same, moved by a step in every parameter; rotations are turned about the axes of their frame.
+    /// The geometry moved by a step in every parameter; rotations turn about the axes of their frame.
     #[must_use]
     pub(super) fn moved(&self, step: &[f64; PARAMETERS_MAX]) -> Self {
         let mut moved = self.clone();

@@ -3,26 +3,26 @@ use core::fmt;
 use super::fit::{Square, scaled};
 use super::geometry::{PARAMETERS_MAX, Parameter};
 
-/// A combination of parameters is told by the data where they know it this many times better than its plausible errors.
+/// A combination of parameters is determined if the data know it this many times better than its plausible errors.
 const TOLD: f64 = 5.0;
-/// Parameters with this part of the largest share in a combination belong to it.
+/// Parameters with at least this share of the largest component belong to a combination.
 const SHARE: f64 = 0.3;
 
-/// A parameter that was not estimated, and why.
+/// A parameter that was not estimated, and the reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Held {
-    /// Which.
+    /// The parameter.
     pub parameter: Parameter,
-    /// Why.
+    /// The reason.
     pub why: Why,
 }
 
-/// Why a parameter was not estimated.
+/// Reason why a parameter was not estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Why {
-    /// It was asked for.
+    /// By request.
     Asked,
-    /// The data cannot tell it from these; none: they do not depend on it.
+    /// The data cannot distinguish it from these parameters; if empty, the data do not depend on it.
     Untold(Vec<Parameter>),
 }
 
@@ -41,8 +41,8 @@ impl fmt::Display for Why {
     }
 }
 
-/// Takes parameters out of `active` until the data tell every combination of the others. Of a combination that they do not tell, the one is
-/// held that is most likely to be right as it is: base and sensor first, lengths last.
+/// Removes parameters from `active` until the data determine every combination of the others. From an undetermined
+/// combination, the parameter most likely to be right as configured is held: base and sensor first, lengths last.
 pub(super) fn hold_what_is_weak(
     square: &Square,
     scale: &[f64; PARAMETERS_MAX],
@@ -51,7 +51,7 @@ pub(super) fn hold_what_is_weak(
 ) {
     while !active.is_empty() {
         let eigen = scaled(square, active, scale).symmetric_eigen();
-        // Vectors of what is not estimated have the eigenvalue 1 and no share in any active parameter.
+        // Eigenvectors of held parameters have the eigenvalue 1 and no component of an active one.
         let is_active = |vector: usize| {
             let shares = active
                 .iter()

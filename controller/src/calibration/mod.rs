@@ -1,11 +1,12 @@
-//! Which robot it is: lengths, radii, angles and zeros of cables, and where base and sensor are, from measured cables and tips.
+//! Calibration of the geometry from measured cables and tips: section lengths, cable radii, angles and zeros, and the
+//! poses of base and sensor.
 //!
-//! A row is what was measured at one time. The cables say how the sections are bent, given the geometry; the geometry is the one that
-//! puts the tip where it was measured (weighted non-linear least squares). Noise of the cables counts, too: at 12.5 mm from the backbone, 30 µm
-//! move the tip of a metre of robot by more than a millimetre.
+//! A row holds the measurements of one time. The cables determine the bends, given the geometry. The geometry is the
+//! one that places the tip where it was measured (weighted non-linear least squares). Cable noise is part of the
+//! weights: at 12.5 mm from the backbone, 30 µm move the tip of a robot of one metre by more than a millimetre.
 //!
-//! What the rows cannot tell is held at its old value, and named: [`Calibration::held`]. A turn of the base about z and the same
-//! turn of all cables, for instance, are one and the same to every row.
+//! Parameters that the rows do not determine keep their configured value and are listed: [`Calibration::held`]. For
+//! example, no row distinguishes a turn of the base about z from the same turn of all cables.
 //!
 //! Invariant: nothing here knows a file, a unit other than SI, or a robot's mode.
 
@@ -28,40 +29,40 @@ use prediction::{Twist, residual_of};
 
 use crate::robot::{RobotError, RobotParameters};
 
-/// Rows at least.
+/// Minimum number of rows.
 pub const ROWS_MIN: usize = 100;
-/// The rows are cut into so many stretches, of which every fifth is held out of the fit.
+/// Number of parts into which the rows are divided; every fifth is held out of the fit.
 const STRETCHES: usize = 25;
-/// Of a robot that moves, a cable of each section moves by more than this times its distance from the backbone.
+/// Minimum motion: some cable must change by at least this times its distance from the backbone.
 const MOTION_MIN_RAD: f64 = 0.05;
-/// Rounds of fit and noise at the most.
+/// Maximum number of rounds of fit and noise estimation.
 const ROUNDS_MAX: usize = 8;
-/// A normal number is within this times its standard deviation in 95 of 100 cases.
+/// Half-width of the 95 % interval of a normal distribution, in standard deviations.
 const SHARE_95: f64 = 1.96;
 
-/// Why there is no calibration.
+/// Reason why calibration failed.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum CalibrationError {
-    /// Too little was measured.
+    /// Too few rows.
     #[error(
         "{rows} rows are too few: at least {ROWS_MIN} are needed, and a minute of motion is good"
     )]
     TooFewRows {
-        /// How many there are.
+        /// Number of rows.
         rows: usize,
     },
-    /// A row holds something that is no number.
+    /// A row holds a number that is not finite.
     #[error("row {row} holds a number that is not finite")]
     NotFinite {
-        /// Which, counted from 1.
+        /// Number of the row, from 1.
         row: usize,
     },
-    /// The rotation of the tip is known of some rows only.
+    /// The rotation of the tip is measured in some rows only.
     #[error(
         "row {row} is the first that differs from row 1 in whether the tip is measured with its rotation: all rows have it, or none"
     )]
     MixedRotations {
-        /// Which, counted from 1.
+        /// Number of the row, from 1.
         row: usize,
     },
     /// The robot did not move.
@@ -70,10 +71,10 @@ pub enum CalibrationError {
          section in every direction"
     )]
     NoMotion {
-        /// The most that a section bends (rad).
+        /// Largest bend of a section (rad).
         bend_rad: f64,
     },
-    /// The configured robot is none.
+    /// The configured robot is not valid.
     #[error(transparent)]
     Robot(#[from] RobotError),
     /// No robot explains the rows.
@@ -82,74 +83,77 @@ pub enum CalibrationError {
          and tip poses in the base frame"
     )]
     NoRobot,
-    /// Everything was held, or can be told by nothing in the rows.
+    /// All parameters are held, by request or because the rows do not determine them.
     #[error("nothing is left to estimate: {held} parameters are held")]
     NothingLeft {
-        /// How many are held.
+        /// Number of held parameters.
         held: usize,
     },
 }
 
-/// What was found of one parameter.
+/// Estimate of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
-    /// Which.
+    /// The parameter.
     pub parameter: Parameter,
-    /// As configured (m or rad).
+    /// Configured value (m or rad).
     pub old: f64,
-    /// As found.
+    /// Estimated value.
     pub value: f64,
-    /// The truth is within this of `value` in 95 of 100 calibrations.
+    /// Half-width of the 95 % confidence interval around `value`.
     pub within: f64,
 }
 
-/// How far measured tips are beside where the cables place them.
+/// Difference between measured tips and those predicted from the cables.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TipError {
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
     /// Root mean square of the distance (m).
     pub rms_m: f64,
-    /// The same of each coordinate (m).
+    /// Root mean square of each coordinate (m).
     pub axis_rms_m: [f64; 3],
-    /// The largest distance (m).
+    /// Largest distance (m).
     pub max_m: f64,
-    /// Root mean square of the angle (rad); 0 where no rotation was measured.
+    /// Root mean square of the angle (rad); 0 if no rotation was measured.
     pub rms_rad: f64,
 }
 
-/// What the rows say of a robot.
+/// Result of a calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// What was found; what is held is as configured.
+    /// Estimated geometry; held parameters are as configured.
     pub geometry: Geometry,
-    /// What was estimated. Zeros of cables are in `cable_zeros`.
+    /// Estimated parameters, except the zeros of cables: those are in `cable_zeros`.
     pub estimates: Vec<Estimate>,
-    /// Zero of each cable: how much longer it is measured than it is, beside the mean of its section's three (m), with the bound of
-    /// 95 %. That mean bends nothing.
+    /// Zero of each cable, measured minus true length, relative to the mean of its section's three (m), with its 95 %
+    /// bound. That mean has no effect on the bend.
     pub cable_zeros: Vec<[(f64, f64); 3]>,
-    /// What was not estimated.
+    /// Parameters that were not estimated.
     pub held: Vec<Held>,
-    /// Standard deviations of what was measured.
+    /// Standard deviations of the measurements.
     pub noise: Noise,
-    /// Rows of the fit that no noise explains, and that were left out.
+    /// Rows of the fit that noise does not explain; they were excluded.
     pub outliers: usize,
-    /// By how much longer the bounds are than if the residuals of one row said nothing of those of the next: 1 where the model is right.
+    /// Factor by which correlation between the residuals of successive rows widens the bounds: 1 if the model is right.
     pub correlation: f64,
-    /// With the configured robot: in the fit, and held out.
+    /// Errors of the configured robot: in the fit, and held out.
     pub before: [TipError; 2],
-    /// With what was found: in the fit without outliers, and held out.
+    /// Errors of the estimated geometry: in the fit without outliers, and held out.
     pub after: [TipError; 2],
-    /// How well three cables agree on the length of the backbone: rms of their mean beside its average, for each section (m).
+    /// Agreement of three cables on the backbone length: rms deviation of their mean from its average, for each section
+    /// (m).
     pub cable_rms_m: Vec<f64>,
 }
 
-/// Finds the robot that explains the rows, which are in the order in which they were measured. `hold` are groups that are not estimated.
+/// Estimates the geometry that explains the rows, given in the order of measurement. Groups in `hold` are not
+/// estimated.
 ///
-/// A fifth of the rows, in five stretches, is held out and only checked. 12 000 rows of three sections take some seconds.
+/// A fifth of the rows, in five parts, is held out and used for validation only. 12 000 rows of three sections take
+/// some seconds.
 ///
 /// # Errors
-/// With what is wrong with the rows.
+/// [`CalibrationError`], if the rows or the configured robot are not suitable.
 pub fn calibrate(
     robot: &RobotParameters,
     rows: &[CalibrationRow],
@@ -166,10 +170,10 @@ pub fn calibrate(
     let (held_out, fitted): (Vec<_>, Vec<_>) = (without_index(held_out), without_index(fitted));
     let mut search = Search::new(&configured, rows, hold);
 
-    // What these rows cannot tell stays where it is believed to be, until it is known what that is.
+    // The prior keeps undetermined parameters at their configured values until they are identified.
     search.fit(&configured, &fitted, true, true)?;
-    // Judged with base and sensor as configured: a sensor on the tip's axis makes up for length and radius of the last section, and does so
-    // a little less where noise has moved it.
+    // Identified with base and sensor as configured. A sensor on the tip's axis compensates for length and radius of
+    // the last section, and slightly less so after noise has moved it.
     let judged = Geometry {
         base: configured.base,
         sensor: configured.sensor,
@@ -189,7 +193,7 @@ pub fn calibrate(
     search.result(&configured, &fitted, &kept, &held_out)
 }
 
-/// Refuses rows that cannot tell anything.
+/// Rejects rows from which nothing can be estimated.
 fn check(robot: &RobotParameters, rows: &[CalibrationRow]) -> Result<(), CalibrationError> {
     if rows.len() < ROWS_MIN {
         return Err(CalibrationError::TooFewRows { rows: rows.len() });
@@ -222,7 +226,7 @@ fn check(robot: &RobotParameters, rows: &[CalibrationRow]) -> Result<(), Calibra
     Ok(())
 }
 
-/// The fit as it goes on.
+/// State of the fit.
 struct Search {
     geometry: Geometry,
     noise: Noise,
@@ -261,7 +265,7 @@ impl Search {
         }
     }
 
-    /// Fits and learns the noise in turns, until neither changes.
+    /// Alternates between fit and noise estimation until neither changes.
     fn fit(
         &mut self,
         configured: &Geometry,
@@ -288,7 +292,7 @@ impl Search {
         Ok(())
     }
 
-    /// Held parameters go back to where they were.
+    /// Resets held parameters to their configured values.
     fn put_back(&mut self, configured: &Geometry) {
         let mut kept = [0.0; PARAMETERS_MAX];
         for &index in &self.active {
@@ -363,7 +367,7 @@ impl Search {
         })
     }
 
-    /// Zeros cable by cable.
+    /// Zeros of each cable.
     fn cable_zeros(&self, covariance: &Square, spread: f64) -> Vec<[(f64, f64); 3]> {
         let zeros = (0..self.geometry.robot.sections.len()).map(|j| {
             let beside_m = self.geometry.section_zeros_m(j);
@@ -386,13 +390,13 @@ impl Search {
     }
 }
 
-/// Numbers that each row has of its tip.
+/// Number of measured tip coordinates in each row.
 fn freedom(rows: &[&CalibrationRow]) -> usize {
     let is_turned = rows.first().is_some_and(|row| row.tip_rotation.is_some());
     if is_turned { 6 } else { 3 }
 }
 
-/// The mean of three cables beside its average: rms, for each section (m).
+/// Rms deviation of the mean of three cables from its average, for each section (m).
 fn cable_rms_m(sections: usize, rows: &[&CalibrationRow]) -> Vec<f64> {
     let count = rows.len() as f64;
     let rms_m = |j: usize| {
@@ -425,8 +429,8 @@ fn tip_error(geometry: &Geometry, rows: &[&CalibrationRow]) -> Option<TipError> 
     Some(error)
 }
 
-/// By how much larger the variance of a sum of these is than if one said nothing of the next: 1 + 2 Σ of their correlations, as long as they
-/// are more than chance.
+/// Factor by which correlation raises the variance of a sum of residuals: 1 + 2 Σ of their autocorrelations, up to the
+/// first that is not significant.
 fn correlation(residuals: &[Twist]) -> f64 {
     let own: f64 = residuals.iter().map(Twist::norm_squared).sum();
     if own == 0.0 {

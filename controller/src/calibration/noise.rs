@@ -3,29 +3,29 @@ use nalgebra::Matrix6;
 use super::geometry::Geometry;
 use super::prediction::{CalibrationRow, Prediction, residual_of};
 
-/// Median of the square of three normal numbers' norm.
+/// Median of a chi-squared variable with three degrees of freedom.
 const MEDIAN_CHI_SQUARE_3: f64 = 2.366;
-/// A standard deviation is this times the median absolute deviation of normal numbers.
+/// Ratio of the standard deviation to the median absolute deviation of normal numbers.
 const DEVIATION_OF_MEDIAN: f64 = 1.4826;
-/// No sensor is believed to be better (m and rad).
+/// Lower limit of the estimated noise (m and rad).
 const LEAST: f64 = 1e-9;
 
-/// Standard deviations of what was measured.
+/// Standard deviations of the measurements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
-    /// Of a cable's length (m).
+    /// Length of a cable (m).
     pub cable_m: f64,
-    /// Of each coordinate of the tip (m), errors of the model that look like noise included.
+    /// Each coordinate of the tip (m), including model errors that resemble noise.
     pub tip_m: f64,
-    /// Of its rotation about each axis (rad).
+    /// Rotation of the tip about each axis (rad).
     pub tip_rad: f64,
 }
 
 impl Noise {
-    /// That of the cables from rows in the order in which they were measured, and a guess for the tip.
+    /// Estimates the noise of the cables from rows in the order of measurement; that of the tip is an initial guess.
     ///
-    /// Three cables bend a section about two axes; their mean says what is noise. It is looked at from row to row, so that stretch and slack
-    /// that change slowly are none.
+    /// Three cables bend a section about two axes, so their mean contains only noise. Differences from row to row
+    /// exclude slow changes by stretch and slack.
     pub(super) fn of_cables(rows: &[CalibrationRow], sections: usize) -> Self {
         let mean = |row: &CalibrationRow, j: usize| {
             row.cable_length_m[3 * j..3 * j + 3].iter().sum::<f64>() / 3.0
@@ -43,7 +43,8 @@ impl Noise {
         }
     }
 
-    /// What makes the residual of a row white: its rows are of unit variance and independent. Rows of what was not measured are zero.
+    /// Matrix that whitens the residual of a row: its components get unit variance and are independent. Rows of
+    /// unmeasured quantities are zero.
     pub(super) fn whitening(&self, prediction: &Prediction, row: &CalibrationRow) -> Matrix6<f64> {
         let mut covariance = prediction.covariance(self.cable_m);
         let is_turned = row.tip_rotation.is_some();
@@ -66,7 +67,8 @@ impl Noise {
         white
     }
 
-    /// The same with the noise of the tip that explains the residuals at `geometry`. By their median, so that outliers do not count.
+    /// The noise of the tip that explains the residuals at `geometry`. Estimated by their median, so that outliers have
+    /// little influence.
     #[must_use]
     pub(super) fn learnt(&self, geometry: &Geometry, rows: &[&CalibrationRow]) -> Self {
         let Ok(robot) = geometry.checked() else {
@@ -77,7 +79,7 @@ impl Noise {
             (covariance, residual_of(&robot, geometry, row))
         });
         let parts: Vec<_> = parts.collect();
-        // Where their median would be, were the noise of this block `deviation`.
+        // Median of the squared residuals if the noise of this block were `deviation`.
         let median_at = |block: usize, deviation: f64| {
             let squares = parts.iter().map(|(covariance, residual)| {
                 let mut own = covariance.fixed_view::<3, 3>(block, block).into_owned();
@@ -91,7 +93,7 @@ impl Noise {
             median(squares.collect())
         };
         let explains = |block: usize| {
-            // Halved in the logarithm.
+            // Bisection in the logarithm.
             let (mut low, mut high) = (LEAST.ln(), 1.0_f64.ln());
             for _ in 0..24 {
                 let middle = 0.5 * (low + high);
@@ -112,7 +114,7 @@ impl Noise {
     }
 }
 
-/// The middle of some numbers; 0 of none.
+/// Median; 0 for an empty list.
 fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;

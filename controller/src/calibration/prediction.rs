@@ -3,26 +3,27 @@ use nalgebra::{Isometry3, Matrix6, Rotation3, UnitQuaternion, Vector3};
 use super::geometry::{Geometry, PARAMETERS_MAX, Parameter, ZERO_PATTERNS};
 use crate::robot::{Arc, CABLES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
 
-/// What was measured at one time.
+/// Measurements of one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CalibrationRow {
     /// Length of each cable (m), three for each section, base first; 3n are used.
     pub cable_length_m: [f64; CABLES_MAX],
     /// Position of the tip (m).
     pub tip_position_m: Vector3<f64>,
-    /// How the tip is turned; in all rows or in none.
+    /// Rotation of the tip; in all rows or in none.
     pub tip_rotation: Option<UnitQuaternion<f64>>,
 }
 
 /// A change of position (m) and rotation (rad) in the frame of the measured poses.
 pub(super) type Twist = nalgebra::Vector6<f64>;
 
-/// The pose that a geometry predicts from the cables of a row, and how it depends on everything.
+/// Pose predicted by a geometry from the cables of a row, and its derivatives.
 pub(super) struct Prediction {
     pose: Isometry3<f64>,
-    /// By each parameter.
+    /// Derivative by each parameter.
     pub(super) by_parameter: [Twist; PARAMETERS_MAX],
-    /// By the pull (2/3 Σ of stroke times direction) of each section's cables along x and y (1/m): what noise of the cables comes in by.
+    /// Derivative by the pull of each section's cables (2/3 Σ of stroke times direction) along x and y (1/m): the
+    /// effect of cable noise.
     by_pull: [[Twist; 2]; SECTIONS_MAX],
 }
 
@@ -58,7 +59,7 @@ impl Prediction {
             ];
             by_pull[j] = core::array::from_fn(|axis| {
                 let own = by_bend(j, axis) / radius_m;
-                // The same pull is taken from what the next section is bent by.
+                // The bend of the next section is reduced by the same pull.
                 match sections.get(j + 1) {
                     Some(next) => own - by_bend(j + 1, axis) / next.cable_radius_m,
                     None => own,
@@ -113,13 +114,13 @@ impl Prediction {
         }
     }
 
-    /// What was measured beside it (m and rad); rotation zero where none was measured.
+    /// Measurement minus prediction (m and rad); the rotation is zero if none was measured.
     pub(super) fn residual(&self, row: &CalibrationRow) -> Twist {
         residual(&self.pose, row)
     }
 
-    /// Covariance of the pose by noise of this standard deviation of every cable (m): of three cables at 120° two thirds of the variance
-    /// are in the pull along each axis.
+    /// Covariance of the pose from cable noise of this standard deviation (m). For three cables at 120°, the pull along
+    /// each axis has two thirds of the variance.
     pub(super) fn covariance(&self, cable_m: f64) -> Matrix6<f64> {
         let columns = self.by_pull.iter().flatten();
         let sum = columns.fold(Matrix6::zeros(), |sum, column| {
@@ -129,7 +130,7 @@ impl Prediction {
     }
 }
 
-/// What was measured beside what a geometry predicts.
+/// Measurement minus the prediction of a geometry.
 pub(super) fn residual_of(robot: &Robot, geometry: &Geometry, row: &CalibrationRow) -> Twist {
     let tip = robot.tip_pose(&bends(robot, geometry, row));
     let turn =
@@ -167,7 +168,7 @@ mod tests {
     use super::*;
     use crate::robot::RobotParameters;
 
-    /// Every derivative against central differences of the whole chain, with base, sensor and zeros away from nothing.
+    /// Compares every derivative with central differences of the whole chain, with non-zero base, sensor and zeros.
     #[test]
     fn the_derivatives_are_differences() {
         let parameters = RobotParameters::paper(3);
