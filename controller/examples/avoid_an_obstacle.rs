@@ -1,4 +1,5 @@
-//! A ball lies where the tip is to pass: the robot goes round it, keeps its distance, and goes on.
+//! A ball lies on the path of the tip: the robot passes around it, keeps the safe distance, and returns to the
+//! reference.
 //! `cargo run --release -p cdcr-controller --example avoid_an_obstacle`
 
 use cdcr_controller::closed_loop::ClosedLoop;
@@ -7,7 +8,7 @@ use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters};
 use nalgebra::{Rotation3, Vector3};
 
-/// Prints the smallest clearance, and the error at the end.
+/// Prints the smallest clearance, the largest error, and the error at the end.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robot = Robot::new(&RobotParameters::paper(2))?;
     let start = Configuration::from_bend_angles(&[[0.4, 0.0], [0.5, 0.0]]);

@@ -1,4 +1,4 @@
-//! One solve as a daemon does it in each period, again and again, and how long it takes.
+//! Repeats one solve, as in each period of a daemon, and measures its time.
 //!
 //! ```sh
 //! cargo run --release -p cdcr-controller --example one_solve
@@ -15,13 +15,13 @@ use nalgebra::Vector3;
 
 const SOLVES: usize = 2000;
 
-/// Prints the rates of the first solve, and the median time.
+/// Prints the rates of the first solve and the median time.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let robot = Robot::new(&RobotParameters::paper(3))?;
     let mut nmpc = Nmpc::new(robot.clone(), 0.005, NmpcSettings::default())?;
     let here = Configuration::from_slice(&[0.3; 6]).ok_or("six numbers are a shape")?;
     let tip_m = robot.tip_position(&here);
-    // 20 mm/s to the side.
+    // 20 mm/s sideways.
     let window = [1e-4, 2e-4].map(|aside_m| ReferenceSample {
         state: ReferenceState::Inside,
         position_m: tip_m + Vector3::new(0.0, aside_m, 0.0),

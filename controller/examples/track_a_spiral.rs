@@ -9,7 +9,7 @@ use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 /// Prints the largest error.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robot = Robot::new(&RobotParameters::paper(3))?;
-    // The spiral is where the last section's tip goes when it bends by 2t/15 towards t, and the others are straight.
+    // The spiral is the path of the tip when the last section bends by 2t/15 towards t and the others are straight.
     let bent = |t: f64| Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]]);
     let begin_s = 5_f64.to_radians();
     let spiral = |time_s| ReferenceSample::at(robot.tip_position(&bent(begin_s + time_s)));

@@ -1,4 +1,4 @@
-//! A robot that is not the paper's, with slow winches: its tip goes to a point, and stays.
+//! A robot other than the paper's, with slow winches: its tip moves to a point and rests there.
 //! `cargo run --release -p cdcr-controller --example your_own_robot`
 
 use cdcr_controller::closed_loop::ClosedLoop;
@@ -8,7 +8,8 @@ use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 
 /// Prints the error at the end.
 pub fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // A short stiff section carries a long slim one. `SectionParameters` has the rest, which is the paper's here.
+    // A short stiff section carries a long slim one. Further fields of `SectionParameters` are taken from the paper's
+    // robot.
     let mut parameters = RobotParameters::paper(2);
     parameters.sections[0].length_m = 0.12;
     parameters.sections[0].bend_max_rad = 1.0;

@@ -1,4 +1,5 @@
-//! A closed loop as CSV, every number to the bit: for plots, and for programs in other languages that shall compute the same.
+//! Writes a closed loop as CSV with all digits of every number: for plots, and for programs in other languages that
+//! must reproduce it.
 //!
 //! ```sh
 //! cargo run --release -p cdcr-controller -- laboratory > loop.csv
@@ -19,7 +20,7 @@ const PERIOD_NS: u64 = 5_000_000;
 const PERIOD_S: f64 = 0.005;
 const CYCLES: u64 = 400;
 
-/// Prints the loop of the robot that the first argument names, the ideal one without.
+/// Prints the closed loop of the robot named by the first argument; without one, of the ideal robot.
 fn main() -> Result<(), Box<dyn Error>> {
     let name = std::env::args().nth(1).unwrap_or("ideal".to_owned());
     let preset = Preset::ALL.into_iter().find(|preset| preset.name() == name);
@@ -27,10 +28,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(io::stdout().write_all(csv.as_bytes())?)
 }
 
-/// One row for each period: the reference, and of the robot bends, rates, tip and error after it.
+/// One row for each period: the reference, then bends, rates, tip and error of the robot after it.
 ///
 /// # Errors
-/// None that the paper's robot and the default settings give.
+/// None for the paper's robot and the default settings.
 pub fn csv(preset: Preset) -> Result<String, Box<dyn Error>> {
     let robot = Robot::new(&RobotParameters::paper(3))?;
     let is_ideal = preset.flaws() == Flaws::default();
@@ -40,7 +41,7 @@ pub fn csv(preset: Preset) -> Result<String, Box<dyn Error>> {
     };
     let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings)?;
     let start = Configuration::from_bend_angles(&[[0.0; 2], [0.3, 0.0], [0.4, 0.0]]);
-    // What a client feeds: points, between which the daemon interpolates.
+    // Points as from a client; the daemon interpolates between them.
     let points: Vec<_> = (0..=CYCLES + 2).map(|cycle| point(&robot, cycle)).collect();
     let mut trajectory = Trajectory::with_capacity(points.len(), f64::INFINITY);
     trajectory.replace(points.iter().copied())?;
@@ -72,7 +73,7 @@ pub fn csv(preset: Preset) -> Result<String, Box<dyn Error>> {
     Ok(csv)
 }
 
-/// A curve that the last two sections reach.
+/// A curve within reach of the last two sections.
 fn point(robot: &Robot, cycle: u64) -> ReferencePoint {
     let turn_rad = 0.5 * cycle as f64 * PERIOD_S;
     let bends = Configuration::from_bend_angles(&[[0.0; 2], [0.3, turn_rad], [0.4, -turn_rad]]);
@@ -84,7 +85,7 @@ fn point(robot: &Robot, cycle: u64) -> ReferencePoint {
     }
 }
 
-/// As a daemon has it whose configuration says nothing of the motors.
+/// As in a daemon whose configuration does not set the motors.
 fn driven(preset: Preset) -> Driven {
     Driven {
         flaws: preset.flaws(),
