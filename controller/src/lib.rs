@@ -1,31 +1,31 @@
 //! Real-time control of cable-driven continuum robots: the mathematics, and nothing else.
 //!
-//! A continuum robot of this class is a chain of 1 to 6 bending sections. Each bends into a circular
-//! arc (constant curvature) under three cables. This crate models it, and finds in each period the
-//! rates that make its tip follow a reference: nonlinear model predictive control (NMPC) solved by
-//! knowledge-based particle swarm optimisation (KPSO) and by damped Gauss-Newton steps. It follows the
-//! paper *Nonlinear Model Predictive Control for Trajectory Tracking of a Class of Continuum Robots*,
-//! whose equation numbers stand in the documentation.
+//! A continuum robot of this class is a chain of 1 to 6 bending sections. Three cables bend each section into a
+//! circular arc (constant curvature). This crate models the robot and computes in each period the rates that make its
+//! tip follow a reference. The method is nonlinear model predictive control (NMPC), solved by knowledge-based particle
+//! swarm optimisation (KPSO) and by damped Gauss-Newton steps. It follows the paper *Nonlinear Model Predictive Control
+//! for Trajectory Tracking of a Class of Continuum Robots*; its equation numbers are cited in the documentation.
 //!
 //! # Layers
 //!
-//! Each module sees only those above it.
+//! Each module uses only those above it.
 //!
-//! | module | is | must not know |
+//! | module | contents | must not know |
 //! |---|---|---|
-//! | `wide` | numbers side by side, for the swarm | processors |
+//! | [`parameters`] | declaration of settings with their defaults, ranges and texts | robots |
+//! | `wide` | SIMD lanes of numbers, for the swarm | processors |
 //! | [`robot`] | validated parameters, arc of one section, chain, Jacobian, orientation, cables | time |
-//! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton; public is what a solve is given | robots |
-//! | [`mod@reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
-//! | [`estimator`] | configuration from measurements | commands to come |
+//! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton; public are the arguments of a solve | robots |
+//! | [`mod@reference`] | time-stamped trajectory, interpolation, window of one solve | the sender |
+//! | [`estimator`] | configuration from measurements | future commands |
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
 //! | [`safety`] | mode machine, limits, clearance guard: the safety checks before the cables | optimisation |
-//! | [`calibration`] | the geometry that explains measured cables and tips | time, files |
-//! | [`plant`] | simulated robots; of the modules here only `closed_loop` uses them | the controller |
-//! | [`closed_loop`] | solver, safety checks and a robot, ideal or not, period by period: for simulations | clocks |
+//! | [`calibration`] | geometry estimated from measured cables and tips | time, files |
+//! | [`plant`] | simulated robots; used only by `closed_loop` | the controller |
+//! | [`closed_loop`] | simulation of solver, safety checks and a robot, ideal or not, period by period | clocks |
 //!
-//! Absent on purpose: clocks, threads, files, messages, logging, `unsafe`. Time comes in as numbers of
-//! periods and as the closure of a [`Budget`](optimizer::Budget).
+//! Absent by design: clocks, threads, files, messages, logging, `unsafe`. Time is passed as numbers of periods and
+//! through the closure of a [`Budget`](optimizer::Budget).
 //!
 //! # Symbols
 //!
@@ -36,39 +36,42 @@
 //! | θ, φ | bend and direction of a section | rad |
 //! | u, v | bend vector θ (cos φ, sin φ), smooth through the straight section | rad |
 //! | q | [`Configuration`](robot::Configuration): (u₁, v₁, u₂, v₂, …) (the paper's k) | rad |
-//! | q̇ | [`BendRates`](robot::BendRates): what is commanded | rad/s |
+//! | q̇ | [`BendRates`](robot::BendRates), the command | rad/s |
 //! | x | tip pose in the base frame, [`Pose`](robot::Pose); base z along the straight robot | m |
 //! | T | period | s |
-//! | N, M | steps of the horizon (up to 50), blocks in which the rates are held (up to N and to 20) | |
-//! | z | the plan: controls of all blocks, 2 n M unknowns: rates of bend vectors, or of (θ, φ) | rad/s |
+//! | N, M | steps of the horizon (up to 50), blocks of constant rates (up to N; up to 20 if changes of rates have a weight) | |
+//! | z | the plan: controls of all blocks, 2 n M unknowns (up to 240): rates of bend vectors, or of (θ, φ) | rad/s |
 //! | Φ, Θ, Ψ | angles of the tip, [`ZyxAngles`](robot::ZyxAngles) (Eq. 1) | rad |
 //! | J | [`Jacobian`](robot::Jacobian) of the tip (Eq. 2-3) | m/rad, rad/rad |
 //! | L | [cable lengths](robot::Robot::cable_lengths) | m |
-//! | d, D | [clearance](robot::Body::clearance_m) of the body, and what is kept: `safe_distance_m` | m |
+//! | d, D | [clearance](robot::Body::clearance_m) of the body, and the safe distance `safe_distance_m` | m |
 //! | ω | `terminal_weight`, factor on the error of the last step | |
 //! | λ | `damping` of the Gauss-Newton step | |
 //! | w, c₁, c₂ | inertia and coefficients of the swarm | |
 //!
-//! # What a solve promises
+//! # Guarantees of a solve
 //!
-//! Bounded work; an end when the budget says so, with the best solution so far; never worse than the
-//! warm start; no allocation; a status that says what happened, and which constraint the plan breaks
-//! if none that keeps it was found; the same bits again for the same inputs, plan, seed and work done.
+//! - Bounded work. When the budget ends, the solve returns the best solution so far.
+//! - The result is never worse than the warm start.
+//! - No allocation.
+//! - A status, and the constraint that the plan breaks if no plan was found that satisfies all.
+//! - Bit-exact replay for the same inputs, plan, seed and amount of work.
 //!
-//! The budget is asked once for each microsecond or two of work, inside a single evaluation, too: fifty steps
-//! against 64 obstacles are many quanta. Where it ends before even the warm start is evaluated, the warm start
-//! leaves unevaluated.
+//! The budget is checked after every microsecond or two of work, also within one evaluation: fifty steps against 64
+//! obstacles take many such intervals. If it ends before the warm start is evaluated, the warm start is returned
+//! unevaluated.
 //!
-//! # Where the cost comes from
+//! # Terms of the cost
 //!
-//! Position, orientation of the tip beyond a tolerance, rates and their change, an extra weight on the last
-//! step (Eq. 5); penalties on steps that come too near to an obstacle or go beyond a limit. Obstacles
-//! move on at their velocity over the horizon; the whole body counts, by exact distances. See
-//! [`NmpcSettings`](nmpc::NmpcSettings) for each weight, its unit and its range.
+//! Position, orientation of the tip beyond a tolerance, rates and their change, an extra weight on the last step (Eq. 5);
+//! penalties on steps below the safe distance or beyond a limit. Obstacles move at their velocity over the horizon.
+//! Clearances are exact and cover the whole body. See [`NmpcSettings`](nmpc::NmpcSettings) for each weight, its unit
+//! and its range.
 //!
 //! # Example: a closed loop
 //!
-//! A robot with two sections draws a circle; the error stays far below a micrometre. There are more in `examples/`.
+//! A robot with two sections draws a circle; the error stays far below a micrometre. Further examples are in
+//! `examples/`.
 //!
 //! ```
 //! use cdcr_controller::closed_loop::ClosedLoop;
@@ -113,8 +116,8 @@ pub mod robot;
 pub mod safety;
 mod wide;
 
-// The compiler puts all that is public into the program of the unit tests, called or not, and would compile the solver once more.
-// `tests/suite` tests it in the library.
+// The unit tests would compile every public item into their program and the solver once more. `tests/suite` tests these
+// modules in the library.
 #[cfg(not(test))]
 pub mod closed_loop;
 #[cfg(test)]

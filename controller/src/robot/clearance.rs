@@ -302,9 +302,9 @@ impl Robot {
     /// This robot with a thicker body, for a robot whose tip is measured `tip_offset_m` (m) beside the tip of the
     /// model. A section of the thicker body that keeps a distance ensures that the true section keeps it, too.
     ///
-    /// The radius of section j grows by `|offset| · min(1, s_j / |p|)`: s_j is the body length up to its end, p the tip
-    /// from the base in the shape `at`. Derivation: §3 of docs/model.md. The fingerprint stays; a body radius may leave
-    /// its range. An offset of 0 or less changes nothing; a NaN makes every radius NaN.
+    /// The radius of section j grows by `|offset| · min(1, s_j / |p|)`: `s_j` is the body length up to its end,
+    /// p the tip from the base in the shape `at`. Derivation: §3 of docs/model.md. The fingerprint stays; a body radius
+    /// may leave its range. An offset of 0 or less changes nothing; a NaN makes every radius NaN.
     #[must_use]
     pub fn thicker(&self, at: &Configuration, tip_offset_m: f64) -> Cow<'_, Self> {
         if tip_offset_m <= 0.0 {
@@ -402,8 +402,8 @@ impl Robot {
     /// Upper bound on the distance of any point of each section (m) between two shapes; 0 after the last section. Each
     /// shape comes with its [`Self::section_frames`].
     ///
-    /// A point of a section is o + R a, in the other shape o' + R' a'. Their distance is at most |o' - o| + ‖R' - R‖ ℓ
-    /// + Δ ℓ/2. Here ‖R' - R‖ is the largest singular value of a difference of rotations, which is its Frobenius norm
+    /// A point of a section is o + R a, in the other shape o' + R' a'. Their distance is at most
+    /// |o' - o| + ‖R' - R‖ ℓ + Δ ℓ/2. Here ‖R' - R‖ is the largest singular value of a difference of rotations, which is its Frobenius norm
     /// over √2. A second bound is the larger displacement of the section's two ends, plus the difference of the arcs'
     /// deviations from their chords: (‖R' - R‖ θ + Δ (1 + θ)) ℓ/8.
     pub fn displacement_m(
