@@ -1,4 +1,4 @@
-//! Who may use a root folder.
+//! Access to a root folder.
 
 use std::os::unix::fs::MetadataExt;
 
@@ -8,12 +8,12 @@ use rustix::process::geteuid;
 use crate::Location;
 
 impl Location {
-    /// Whether this process may take part here: the root folder belongs to its user and is closed to others, or the daemon
-    /// opened it to a group and this process is in that. Root is in no group: it could be led to change files elsewhere by what the others
-    /// put into the folder.
+    /// True if this process may communicate here. Either the root folder belongs to its user and others cannot write to
+    /// it, or the daemon opened it to a group that this process is in. Root counts as in no group: files that others
+    /// put into the folder could lead it to change files elsewhere.
     ///
     /// # Errors
-    /// When there is no root folder, or this process may not look for it.
+    /// If there is no root folder, or this process may not access it.
     pub fn is_open_to_us(&self) -> std::io::Result<bool> {
         let root = std::fs::metadata(self.root())?;
         let user = geteuid();
@@ -29,13 +29,13 @@ impl Location {
         Ok(is_for_group && self.is_sheltered())
     }
 
-    /// Whether this process sees the root folder on a file system that it may only read: a container or a unit mounts it so.
+    /// True if this process sees the root folder on a read-only file system: a container or a unit mounts it so.
     pub fn is_read_only(&self) -> bool {
         rustix::fs::statvfs(self.root())
             .is_ok_and(|found| found.f_flag.contains(rustix::fs::StatVfsMountFlags::RDONLY))
     }
 
-    /// Whether nobody but root can have put the root folder in its place: others trust a folder that is not theirs.
+    /// True if only root can have created the root folder at its path. Other users trust a folder only then.
     pub fn is_sheltered(&self) -> bool {
         let is_folder = self
             .root()

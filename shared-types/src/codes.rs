@@ -1,14 +1,14 @@
-//! The enumerations of the wire: `u32` values that another process writes, and what they mean.
+//! The enumerations of the wire protocol: `u32` values that another process writes, and their meanings.
 //!
-//! `TryFrom<u32>` is the only way in, so bits that mean nothing are refused. Values are never reused;
-//! new ones are added at the end.
+//! `TryFrom<u32>` is the only conversion, so unknown codes are rejected. Values are never reused; new ones are added at
+//! the end.
 
 mod bits;
 
 pub use bits::{guard, realtime, timing};
 
-/// Declares a wire enumeration with its values, its checked conversion and a sentence for people, which its documentation
-/// begins with.
+/// Declares a wire enumeration with its values, its checked conversion and a text for users, which begins its
+/// documentation.
 macro_rules! wire_enum {
     ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])* $variant:ident = $value:literal: $text:literal,)+ }) => {
         $(#[$meta])*
@@ -19,28 +19,28 @@ macro_rules! wire_enum {
         impl $name {
             /// Every value, in the order of the codes.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)+];
-            /// How many codes there are; codes run from 0 to this, less one.
+            /// Number of codes; codes run from 0 to `COUNT` - 1.
             pub const COUNT: usize = Self::ALL.len();
 
             /// The value on the wire.
             pub const fn code(self) -> u32 { self as u32 }
 
-            /// What it means, in words.
+            /// Meaning in words.
             pub const fn text(self) -> &'static str {
                 match self { $(Self::$variant => $text,)+ }
             }
 
-            /// Values, names and texts, for those who walk a message.
+            /// Values, names and texts, for code that walks a message.
             pub const CODES: &'static Codes = &Codes {
                 name: stringify!($name),
                 values: &[$(($value, stringify!($variant), $text),)+],
             };
 
-            /// The name in words for a code that came from the wire, known or not.
+            /// The text of a code from the wire, known or not.
             pub fn text_of(code: u32) -> &'static str { Self::CODES.text(code) }
         }
 
-        /// The first value: that of a message whose bytes are zero, if it has the code 0.
+        /// The first value: that of a message of zero bytes, if it has the code 0.
         impl Default for $name {
             fn default() -> Self { Self::ALL[0] }
         }
@@ -68,17 +68,17 @@ pub struct Codes {
 }
 
 impl Codes {
-    /// What a code that came from the wire means, in words.
+    /// Meaning of a code from the wire, in words.
     pub fn text(&self, code: u32) -> &'static str {
         let known = self.values.iter().find(|(value, ..)| *value == code);
         known.map_or("unknown code", |(_, _, text)| text)
     }
 }
 
-/// A `u32` that is no value of the enumeration.
+/// A `u32` that is not a value of the enumeration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UnknownCode {
-    /// What was found.
+    /// The value found.
     pub code: u32,
 }
 
@@ -91,7 +91,7 @@ impl core::fmt::Display for UnknownCode {
 impl core::error::Error for UnknownCode {}
 
 wire_enum! {
-    /// How much of a reference point's orientation counts.
+    /// The part of a reference point's orientation that is followed.
     OrientationKind {
         /// Position only.
         None = 0: "none",
@@ -103,9 +103,9 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What a reference chunk does to the trajectory.
+    /// Effect of a reference chunk on the trajectory.
     ChunkMode {
-        /// Begin a new trajectory; what was buffered is forgotten.
+        /// Begin a new trajectory; buffered points are discarded.
         Replace = 0: "replace",
         /// Continue the trajectory after its last point.
         Append = 1: "append",
@@ -113,7 +113,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// How positions are interpolated between points.
+    /// Interpolation of positions between points.
     Interpolation {
         /// Straight lines.
         Linear = 0: "linear",
@@ -133,7 +133,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What an obstacle message does.
+    /// Effect of an obstacle message.
     ObstacleAction {
         /// Insert, or replace by id.
         Upsert = 0: "upsert",
@@ -145,7 +145,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What a measurement measures.
+    /// Quantity of a measurement.
     MeasurementKind {
         None = 0: "none",
         /// The bend vector of every section.
@@ -158,7 +158,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// Where measurements come from and commands go to.
+    /// Source of measurements and destination of commands.
     RobotLink {
         /// The simulated robot inside the daemon.
         Simulated = 0: "simulated",
@@ -168,13 +168,13 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What of a command a driver obeys.
+    /// The part of a command that a driver follows.
     Interface {
-        /// Not said.
+        /// Not specified.
         None = 0: "none",
-        /// The speeds: motors with a speed control of their own.
+        /// The speeds: motors with their own speed control.
         Velocity = 1: "velocity",
-        /// The positions: motors with a position control of their own.
+        /// The positions: motors with their own position control.
         Position = 2: "position",
     }
 }
@@ -184,7 +184,7 @@ wire_enum! {
     Mode {
         /// Before the first good cycle.
         Starting = 0: "starting",
-        /// Rates ramp to zero, the position is kept.
+        /// Rates ramp to zero; the position is kept.
         Holding = 1: "holding",
         /// The controller follows the reference.
         Tracking = 2: "tracking",
@@ -198,14 +198,14 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// Why the daemon is in its mode.
+    /// Reason for the mode of the daemon.
     Reason {
-        /// Nothing happened yet.
+        /// Initial value.
         Start = 0: "started",
-        /// A client asked for it.
+        /// A client requested it.
         Request = 1: "requested",
         ReferenceEnded = 2: "the reference ended",
-        /// The holder of the lease fell silent.
+        /// The holder of the lease has been silent.
         LeaseExpired = 3: "the reference lease expired",
         HomeReached = 4: "home is reached",
         DeadlineMisses = 5: "too many deadline misses (cycle.miss_limit)",
@@ -215,7 +215,7 @@ wire_enum! {
         NonFinite = 7: "a value was not finite",
         /// The measured bend is beyond the limits.
         LimitBroken = 8: "a limit is broken",
-        /// The body came too near to an obstacle.
+        /// The body came too close to an obstacle.
         ClearanceBroken = 9: "the clearance is broken",
         Shutdown = 10: "the daemon ends",
         LeaseReleased = 11: "the reference lease was released",
@@ -232,13 +232,13 @@ wire_enum! {
         ReferenceTooFar = 18: "the reference was replaced by one farther from the tip than motion.approach_distance_m",
         /// The mean length of a section's three cables changed by more than any bend does.
         CommonMode = 19: "the cables of a section went slack, or one broke (safety.cable_common_m)",
-        /// The daemon was started again since, and nobody has reset it.
+        /// The daemon was restarted since, without a reset.
         StoppedBefore = 20: "it was stopped or faulted before the daemon was started; cdcrctl reset leaves that",
     }
 }
 
 wire_enum! {
-    /// What a client asks for.
+    /// Kind of a client's request.
     RequestKind {
         /// Follow the reference.
         Track = 1: "track",
@@ -259,7 +259,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What became of an input message or a request.
+    /// Outcome of an input message or a request.
     Outcome {
         /// It took effect.
         Accepted = 0: "accepted",
@@ -267,10 +267,10 @@ wire_enum! {
         InThePast = 2: "a time lies in the past",
         /// A position is farther from the base than the robot is long.
         OutOfReach = 3: "a position is outside the reachable ball",
-        /// Times do not increase strictly.
+        /// A time is less than a microsecond after the previous one.
         TimeNotIncreasing = 4: "times do not increase",
         NoLease = 5: "the sender has no right to feed a reference (it holds no lease)",
-        /// A chunk before this one was lost or refused.
+        /// A chunk before this one was lost or rejected.
         SequenceGap = 6: "an earlier chunk is missing",
         BufferFull = 7: "the buffer is full",
         CountOutOfRange = 8: "a count is out of range",
@@ -285,101 +285,101 @@ wire_enum! {
         OutOfRange = 16: "a value is out of range",
         /// Too many requests at once; try again.
         Busy = 17: "too many requests at once",
-        /// The message is older than one that was seen, or is repeated.
+        /// The message is repeated or older than one already received.
         Stale = 18: "the message is older than one already seen",
-        /// A sections count is not the robot's.
+        /// The section count is not that of the robot.
         WrongRobot = 19: "the message belongs to another robot",
-        /// A stop or a fault came after it was asked, or in the same cycle.
+        /// A stop or a fault came after the request, or in the same cycle.
         Overruled = 20: "the robot was stopped after this was asked",
         Ending = 21: "the daemon ends",
-        /// The driver obeys positions and the daemon is configured for speeds, or the other way round.
+        /// The driver follows positions and the daemon is configured for speeds, or the reverse.
         WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",
         OtherDriver = 23: "another driver has the robot",
-        /// The robot waits, though nothing is broken; it may be asked again.
+        /// The robot waits without a fault; the request may be repeated.
         Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
         TooFar = 25: "the reference is farther from the tip than motion.approach_distance_m",
     }
 }
 
 wire_enum! {
-    /// What kind of message an event reports.
+    /// Kind of message that an event reports.
     EventKind {
         Reference = 0: "reference",
         Obstacles = 1: "obstacles",
-        /// A measurement; only refused ones are reported.
+        /// A measurement; only rejected ones are reported.
         Measurement = 2: "measurement",
         Request = 3: "request",
     }
 }
 
 wire_enum! {
-    /// Where an instant lies relative to the buffered reference.
+    /// Position of a time relative to the buffered reference.
     ReferenceState {
         None = 0: "no reference",
-        /// Before its first point: the first point counts.
+        /// Before its first point, which is held.
         Before = 1: "before the start",
         Inside = 2: "inside",
-        /// After its last point: the last point counts.
+        /// After its last point, which is held.
         Ended = 3: "ended",
     }
 }
 
 wire_enum! {
-    /// The reference lease, as a cycle saw it.
+    /// State of the reference lease in a cycle.
     LeaseState {
         /// Nobody holds it.
         Free = 0: "free",
         /// A client holds it.
         Held = 1: "held",
-        /// Its holder fell silent.
+        /// Its holder has been silent.
         Expired = 2: "expired",
     }
 }
 
 wire_enum! {
-    /// What a cycle made of the measurement.
+    /// Use of the measurement in a cycle.
     MeasurementState {
-        /// There was none yet.
+        /// No measurement yet.
         None = 0: "none",
-        /// A new one, which corrected the estimate.
+        /// A new one corrected the estimate.
         Used = 1: "used",
-        /// Nothing newer than in the cycle before: the estimate was predicted.
+        /// None since the previous cycle: the estimate was predicted.
         Repeated = 2: "repeated",
-        /// A new one that no robot can follow; it was left out.
+        /// A new one was rejected, because no robot can follow it.
         Implausible = 3: "implausible",
     }
 }
 
 wire_enum! {
-    /// What made a cycle late: the largest part of its lateness.
+    /// Cause of a late cycle: the largest part of its lateness.
     LateCause {
         None = 0: "in time",
-        /// The wake-up itself came late, with the core free (timer, firmware), or the hypervisor had the core.
+        /// The wake-up itself was late with the core free (timer, firmware), or the hypervisor used the core.
         Platform = 1: "platform",
         Load = 2: "another task had the core",
-        /// Memory was not there when it was touched.
+        /// Memory was not present when it was accessed.
         PageFault = 3: "page fault",
-        /// The processor stood still in the middle of the computation: interrupt, firmware or hypervisor.
+        /// The processor stalled during the computation: interrupt, firmware or hypervisor.
         Stall = 4: "stall of the processor",
-        /// The cycle itself computed for too long.
+        /// The computation of the cycle took too long.
         Compute = 5: "compute",
     }
 }
 
 wire_enum! {
-    /// How the optimal control problem is solved.
+    /// Method for the optimal control problem.
     SolverKind {
         /// Knowledge-based particle swarm, Eq. 6-7.
         Kpso = 0: "kpso",
         /// Damped Gauss-Newton steps, projected on the box.
         GaussNewton = 1: "gauss-newton",
-        /// Gauss-Newton refines, and the swarm chooses the basin where that leaves an error.
+        /// Gauss-Newton refines; the swarm selects the basin if an error remains.
         KpsoRefined = 2: "kpso-refined",
     }
 }
 
 wire_enum! {
-    /// Coordinates in which the controls are held over a block.
+    /// Coordinates in which the controls are constant over a block.
     Coordinates {
         /// Bend-vector rates (u̇, v̇).
         BendVector = 0: "bend-vector",
@@ -389,7 +389,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// How a particle's velocity is updated.
+    /// Update rule of a particle's velocity.
     VelocityRule {
         /// Eq. 6 with an inertia weight.
         Inertia = 0: "inertia",
@@ -412,25 +412,25 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// How a solve ended.
+    /// End of a solve.
     SolverStatus {
         /// It did not run.
         Idle = 0: "idle",
-        /// The tolerance is reached.
+        /// Converged within the tolerance.
         Converged = 1: "converged",
-        /// The time budget ended it; the best solution so far is used.
+        /// The time budget ended; the best solution so far is used.
         BudgetSpent = 2: "budget spent",
         /// All iterations were used.
         IterationsSpent = 3: "iterations spent",
         /// The best solution violates a constraint.
         ConstraintViolated = 4: "constraint violated",
-        /// The problem itself was not finite.
+        /// The problem was not finite.
         NonFinite = 5: "not finite",
     }
 }
 
 wire_enum! {
-    /// Which candidate the solution descends from.
+    /// Candidate from which the solution descends.
     Winner {
         WarmStart = 0: "warm start",
         /// The previous plan, not shifted.
@@ -439,7 +439,7 @@ wire_enum! {
         Zero = 2: "zero",
         /// The damped least-squares step.
         LeastSquares = 3: "least squares",
-        /// A particle that was scattered.
+        /// A random particle.
         Swarm = 4: "swarm",
         /// A candidate along a Hessian eigenvector.
         Eigenvector = 5: "eigenvector",

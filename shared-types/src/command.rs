@@ -3,17 +3,17 @@ use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 use crate::message::message;
 
 message! {
-    /// What the robot shall do until the next command.
+    /// The command to the robot until the next one.
     ///
-    /// A driver obeys the **positions or the speeds**, whichever `interface` says, never a mixture of both. The positions
-    /// are the integral of the speeds: constant to the bit while the speeds are zero, wherever the robot is measured.
+    /// A driver follows the **positions or the speeds**, as `interface` states, never a mixture of both. The positions
+    /// are the integral of the speeds: bit-exactly constant while the speeds are zero, wherever the robot is measured.
     ///
-    /// Cycles and sequences ascend. A cycle whose command was overtaken by a newer one, while the daemon was held up, sends
-    /// none, and neither does one whose command has run out before it could leave, unless it is rest. In a telemetry record the
-    /// sequence of such a command is 0. The last command of a daemon that ends with status 0 is rest.
+    /// Cycles and sequences ascend. A command is not sent if a newer one overtakes it while the daemon is delayed. Nor
+    /// is it sent if it expires before it can leave, unless it is rest. In a telemetry record, the sequence of such a
+    /// command is 0. The last command of a daemon that ends with status 0 is rest.
     ///
-    /// The daemon sends none before it knows the robot's configuration, that is before the first
-    /// measurement. The robot comes to rest from `valid_until_ns` on, as described there.
+    /// The daemon sends no command before it knows the robot's configuration, that is before the first measurement. The
+    /// robot comes to rest from `valid_until_ns` on, as described there.
     pub struct Command "cdcr.Command.v2" {
         /// The daemon, sequence, time of sending.
         header: Header,

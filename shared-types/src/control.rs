@@ -2,9 +2,9 @@ use crate::message::message;
 use crate::{Header, SolverSettings};
 
 message! {
-    /// A request to the daemon. It lives in the memory of one daemon: the one that follows a daemon that was killed knows nothing of it,
-    /// unless its client, still waiting for an answer, sends it again, as the client library does. A daemon refuses a request about
-    /// anything but a stop that was sent more than 1 s before ([`Outcome::Stale`](crate::codes::Outcome::Stale)).
+    /// A request to the daemon. It is lost with a killed daemon, unless its client still waits for an answer and sends
+    /// it to the next daemon, as the client library does. Except for a stop, the daemon rejects a request that was sent
+    /// more than 1 s before ([`Outcome::Stale`](crate::codes::Outcome::Stale)).
     pub struct Request "cdcr.Request.v1" {
         /// Sender, sequence, time. The sender's identity is what a lease is bound to.
         header: Header,
@@ -16,7 +16,7 @@ message! {
         settings: SolverSettings,
     }
 
-    /// The daemon's answer: accepted, or why not.
+    /// The daemon's response to a request: accepted, or the reason for its rejection.
     pub struct Response "cdcr.Response.v1" {
         /// The daemon, sequence, time.
         header: Header,

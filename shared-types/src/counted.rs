@@ -1,6 +1,6 @@
 use std::fmt::Display;
 
-/// A number with what it counts: `1 obstacle`, `2 obstacles`, `0 deadline misses`.
+/// A number with its noun in the singular or plural: `1 obstacle`, `2 obstacles`, `0 deadline misses`.
 pub fn counted<N: Copy + Display + PartialEq + From<u8>>(count: N, noun: &str) -> String {
     let ending = match noun {
         _ if count == N::from(1) => "",

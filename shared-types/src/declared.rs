@@ -1,14 +1,14 @@
-//! What the declarations say, for the pages and headers that are made from them.
+//! Contents of the declarations, for generated pages and headers.
 
 use std::collections::BTreeMap;
 
 use crate::LAYOUTS;
 use crate::message::Meaning;
 
-/// Value, name and text of each code; of a bit its name and what to do about it.
+/// Value, name and text of each code; for a bit its name and remedy.
 pub type CodeList = &'static [(u32, &'static str, &'static str)];
 
-/// Every enumeration that a field names, and the bits of each field of bits under the name of that field.
+/// Every enumeration used by a field, and the bits of each bit field under the name of that field.
 pub fn codes() -> BTreeMap<&'static str, CodeList> {
     let mut all = BTreeMap::new();
     for field in LAYOUTS.iter().flat_map(|layout| layout.fields) {
@@ -25,7 +25,7 @@ pub fn codes() -> BTreeMap<&'static str, CodeList> {
     all
 }
 
-/// Whether a name of [`codes`] is that of a field of bits.
+/// True if a name of [`codes`] is that of a bit field.
 pub fn is_bits(name: &str) -> bool {
     name.starts_with(char::is_lowercase)
 }
@@ -39,12 +39,12 @@ pub fn words(doc: &str) -> String {
     text.replace("\\[", "[").replace("\\]", "]")
 }
 
-/// Puts something else in the place of each part between two marks.
+/// Replaces each part between two marks.
 fn without(text: &str, begin: &str, end: &str, instead: impl Fn(&str) -> String) -> String {
     let mut done = String::new();
     let mut rest = text;
     while let Some((before, after)) = rest.split_once(begin) {
-        // A mark without an end is none.
+        // Ignores a mark without an end.
         let Some((part, after)) = after.split_once(end) else {
             break;
         };

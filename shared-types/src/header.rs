@@ -1,12 +1,12 @@
 use crate::message::message;
 
 message! {
-    /// The first field of every message: who, which, when.
+    /// The first field of every message: sender, sequence and time.
     ///
-    /// A receiver drops what is not newer than what it has (`sequence`), notices loss by gaps, and
-    /// judges freshness by `sent_ns`. The daemon refuses an obstacle update or a measurement that is not newer than the last of
-    /// its writer (port), and a chunk that is not newer than the last one accepted of its client. A request is carried out as it
-    /// comes.
+    /// A receiver drops messages that are not newer than the last one (`sequence`), detects loss by gaps, and judges
+    /// freshness by `sent_ns`. The daemon rejects an obstacle update or a measurement that is not newer than the last
+    /// of its writer (port). It rejects a chunk that is not newer than the last accepted one of its client. A request
+    /// is executed whatever its sequence.
     #[derive(Eq)]
     pub struct Header "cdcr.Header.v1" {
         /// Identity of the sender: drawn at random when a process connects, never 0.

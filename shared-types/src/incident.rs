@@ -2,11 +2,11 @@ use crate::message::message;
 use crate::{Header, Telemetry};
 
 message! {
-    /// A bad cycle, kept whole: it started late, missed its deadline, skipped periods, or began a fault. A cycle that
-    /// is bad only because the one before ran past its release belongs to that one's incident.
+    /// A bad cycle, kept in full: it started late, missed its deadline, skipped periods, or began a fault. A cycle that
+    /// is bad only because the previous one ran past its release belongs to the incident of that cycle.
     ///
-    /// The daemon keeps the newest [`INCIDENTS_MAX`](crate::limits::INCIDENTS_MAX) of them; whoever opens the
-    /// service gets these first, oldest first, and then each new one.
+    /// The daemon keeps the newest [`INCIDENTS_MAX`](crate::limits::INCIDENTS_MAX) of them. A client that opens the
+    /// service receives these, oldest first, and then each new one.
     pub struct Incident "cdcr.Incident.v5" {
         /// The daemon, number of the incident, time of publication.
         header: Header,

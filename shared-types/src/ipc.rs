@@ -12,22 +12,22 @@ use iceoryx2_cal::{
     resizable_shared_memory, serialize, shared_memory, static_storage, zero_copy_connection,
 };
 
-/// iceoryx2's `ipc::Service`, but all memory is in files below the root folder of the
-/// [`Location`](crate::Location), which belongs to one user, and none in `/dev/shm`, where every user may create files.
+/// iceoryx2's `ipc::Service` with all memory in files below the root folder of the [`Location`](crate::Location), which
+/// belongs to one user. None is in `/dev/shm`, where every user may create files.
 ///
-/// The files and folders in it are open to all (iceoryx2's feature `dev_permissions`). Who may use them is decided by the
-/// root folder alone, which the daemon keeps closed to all but its user and, if it is told so, a group.
+/// Its files and folders are open to all (iceoryx2's feature `dev_permissions`). Access is controlled by the root
+/// folder alone, which the daemon restricts to its user and, if configured, a group.
 ///
-/// Invariant: the root folder lies on a tmpfs, because the system writes
-/// mapped files of a disk back to it, and holds up whoever touches one meanwhile. The daemon checks that at its start.
+/// Invariant: the root folder is on a tmpfs. The kernel writes mapped files on a disk back to it and blocks threads
+/// that access them meanwhile. The daemon checks this at its start.
 #[derive(Debug, Clone)]
 pub struct Service {}
 
 impl service::Service for Service {
     type StaticStorage = static_storage::recommended::Ipc;
     type ConfigSerializer = serialize::recommended::Recommended;
-    /// Holds one number only, which makes the identities of the nodes of one process differ; process id and time are
-    /// part of them as well. In a file it would be open to all users (0666).
+    /// Holds one number that distinguishes the nodes of one process; their identities also contain process id and time.
+    /// In a file it would be open to all users (0666).
     type PersistentDynamicStorage<T: Debug + Send + Sync + ZeroCopySend + 'static> =
         dynamic_storage::process_local::Storage<T>;
     type Bag = bag::recommended::Recommended;
@@ -38,7 +38,7 @@ impl service::Service for Service {
     type ResizableSharedMemory =
         resizable_shared_memory::dynamic::DynamicMemory<PoolAllocator, Self::SharedMemory>;
     type Connection = zero_copy_connection::file::Connection;
-    /// Unused: no service of ours sends events.
+    /// Unused: no service of this project sends events.
     type Event = event::recommended::Local;
     type Monitoring = monitoring::recommended::Ipc;
     type Reactor = reactor::recommended::Ipc;
@@ -55,7 +55,7 @@ impl service::internal::ServiceInternal<Service> for Service {}
 const ALL_TAKEN: &str = "all places are taken";
 const SYSTEM_REFUSED: &str = "the system refused a file, a lock or memory";
 
-/// What a failure of iceoryx2 that users meet means to them.
+/// Meaning for users of a common iceoryx2 failure.
 fn meaning(failure: &str) -> Option<&'static str> {
     Some(match failure {
         "ConnectionBrokenSinceSenderNoLongerExists" => "the other side has ended",
@@ -77,7 +77,7 @@ fn meaning(failure: &str) -> Option<&'static str> {
     })
 }
 
-/// What a failure of iceoryx2 means, in words; a cause that has no words here by its name: `SystemCorrupted` → "system
+/// Meaning of an iceoryx2 failure in words. A cause without a text is given by its name: `SystemCorrupted` → "system
 /// corrupted".
 pub fn words(cause: &dyn Debug) -> String {
     let names = format!("{cause:?}");
@@ -130,7 +130,7 @@ mod tests {
             words(&ReceiveError::ConnectionFailure(failed)),
             "no connection: its file cannot be made or opened: the system refused a file, a lock or memory"
         );
-        // Without words of its own.
+        // A cause without a text of its own.
         assert_eq!(
             words(&NodeCreationFailure::SystemCorrupted),
             "system corrupted"

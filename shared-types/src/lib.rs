@@ -1,9 +1,7 @@
-//! The wire contract of `cdcrd`: every message, service name and limit that more than one process
-//! must agree on.
+//! The wire contract of `cdcrd`: every message, service name and limit that processes share.
 //!
-//! All communication runs over [iceoryx2](https://docs.rs/iceoryx2) shared memory. The daemon
-//! creates the services of [`Service::ALL`] under `cdcr/<robot>/`, so it alone fixes their types and
-//! queue lengths; clients and drivers open them.
+//! All communication uses [iceoryx2](https://docs.rs/iceoryx2) shared memory. The daemon creates the services of
+//! [`Service::ALL`] under `cdcr/<robot>/` and so fixes their types and queue lengths; clients and drivers open them.
 //!
 //! | service | pattern | direction | payload |
 //! |---|---|---|---|
@@ -16,23 +14,24 @@
 //! | `incidents` | publish-subscribe, history 64 | daemon → any | [`Incident`] |
 //! | `control` | request-response | client ↔ daemon | [`Request`] → [`Response`] |
 //!
-//! # Rules that every type here keeps
+//! # Rules for every type here
 //!
-//! * Each is declared once, by the macro of [`message`]: struct, zero value, and the list of its fields with kind, unit,
-//!   codes and used length ([`LAYOUTS`]), which JSON, tables and tests walk.
-//! * `#[repr(C)]`, fixed size, no padding that a reader could mistake for data: gaps are spelt out
-//!   as `reserved` fields, which are zero: the daemon refuses a message in which one is not (but a stop). Sizes and offsets are pinned by `tests/layout.rs`.
-//! * An explicit iceoryx2 type name `cdcr.<Type>.v<n>`. iceoryx2 compares name, size and alignment
-//!   only, so **a change of meaning or layout changes the version in the name** and an old peer is
-//!   refused when it opens the service, never misread.
+//! * Each is declared once, by the macro of [`message`]: struct, zero value, and the list of its fields with kind,
+//!   unit, codes and used length ([`LAYOUTS`]). JSON, tables and tests walk that list.
+//! * `#[repr(C)]`, fixed size, without padding. Gaps are explicit `reserved` fields of zeros: the daemon rejects a
+//!   message with another value, except a stop. `tests/layout.rs` pins sizes and offsets.
+//! * An explicit iceoryx2 type name `cdcr.<Type>.v<n>`. iceoryx2 compares only name, size and alignment. **A change of
+//!   meaning or layout therefore changes the version in the name**: an old peer is rejected when it opens the service,
+//!   never misread.
 //! * SI units; the unit ends the field's name. Times are nanoseconds of `CLOCK_MONOTONIC`.
-//! * Enumerations travel as `u32` because another process may write any bits; [`codes`] holds their
-//!   values and the checked conversion.
-//! * Every message starts with a [`Header`]: who sent it, its sequence number and when. iceoryx2 does
-//!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
+//! * Enumerations travel as `u32`, because another process may write any bits. [`codes`] holds their values and the
+//!   checked conversion.
+//! * Every message starts with a [`Header`]: sender, sequence number and time. iceoryx2 does not report a killed peer,
+//!   so freshness is judged from these stamps.
 //!
-//! The messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` does that at the edge. Beside
-//! them is only what daemon and client need to meet: folders, files, locks, permissions, space in memory, the one reader of `/proc/stat`, and how a number of things is said.
+//! Messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` validates at the edge.
+//! The other modules hold what daemon and client share: folders, files, locks, permissions, shared-memory space, the
+//! reader of `/proc/stat`, and the plural of counted nouns.
 
 mod access;
 pub mod codes;
@@ -76,7 +75,7 @@ pub use telemetry::{
 
 use message::Layout;
 
-/// Every message and every part of one, each before those that hold it.
+/// Every message and every part of one; parts precede the messages that hold them.
 pub const LAYOUTS: [&Layout; 22] = [
     Header::LAYOUT,
     ReferencePoint::LAYOUT,

@@ -3,17 +3,18 @@ use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 use crate::message::message;
 
 message! {
-    /// What a driver knows of the robot: one of configuration, tip pose or cable lengths.
+    /// A measurement by a driver or tip sensor: one of configuration, tip pose or cable lengths.
     ///
-    /// A driver that measures the tip beside bends or cables sends each in messages of its own, as often as it can: then the bends tell
-    /// where the robot is, and must go on; the tip tells what the model is off by there. Of a driver that sends only tips, the
-    /// tip tells where the robot is.
+    /// A driver that measures the tip beside bends or cables sends each in separate messages, as often as it can. The
+    /// bends then determine the configuration and must continue; the tip corrects the error of the model at the tip. If
+    /// a driver sends only tips, they determine the configuration.
     ///
-    /// With `link.tip_sensor = "separate"` tips come from one process, bends or cables from another one, the driver; the tip alone
-    /// never tells where the robot is then.
+    /// With `link.tip_sensor = "separate"`, tips come from one process and bends or cables from another, the driver.
+    /// The tip alone then never determines the configuration.
     ///
-    /// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost. Those
-    /// of another one are refused (of another tip sensor likewise), and so are those that are older than `link.measurement_timeout_ms` when they arrive.
+    /// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost.
+    /// Measurements of another driver are rejected (likewise of another tip sensor), and so are those older than
+    /// `link.measurement_timeout_ms` on arrival.
     pub struct Measurement "cdcr.Measurement.v2" {
         /// Sender, sequence, time of sending.
         header: Header,

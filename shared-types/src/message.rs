@@ -1,11 +1,11 @@
-//! One declaration of a message: struct, zero value and the list of its fields, which JSON, tables, tests and
+//! Declaration of a message in one place: struct, zero value and the list of its fields, which JSON, tables, tests and
 //! recordings walk.
 //!
 //! ```text
 //! message! {
-//!     /// What it is.
+//!     /// Meaning of the message.
 //!     pub struct Name "cdcr.Name.v1" {
-//!         /// Which fields there are; the unit ends the name.
+//!         /// Meaning of the field; the unit ends its name.
 //!         cable_length_m: [f64; CABLES_MAX] [used 3 sections],
 //!     }
 //! }
@@ -17,24 +17,24 @@
 //! | `[bits guard]` | bits of that module of [`codes`](crate::codes) |
 //! | `[per Outcome 1]` | one element for each code, from this one on |
 //! | `[yes]` | 1: yes, 0: no |
-//! | `[or_none]` | the largest value says that there is none |
+//! | `[or_none]` | the largest value means none |
 //! | `[text]` | UTF-8, padded with zeros |
-//! | `[length]` | says how much of an array is used |
+//! | `[length]` | the used length of an array |
 //! | `[used 3 sections]` | the first 3 · `sections` elements are used |
-//! | `[when kind = MeasurementKind::TipPose]` | of meaning only then |
-//! | `[sum "late starts"]`, `[max "longest streak"]` | a counter: how two stretches of time add up, and its heading |
-//! | `[unit "rad/s"]` | where the name does not say it |
+//! | `[when kind = MeasurementKind::TipPose]` | valid only under this condition |
+//! | `[sum "late starts"]`, `[max "longest streak"]` | a counter with its heading: over two intervals, the sum or the larger value |
+//! | `[unit "rad/s"]` | the unit, if the name does not end with it |
 //! | `[reserved]` | zero |
 
 use crate::codes::Codes;
 
-/// A message, or a part of one that has fields.
+/// A message, or a part of one with fields.
 pub trait Struct {
-    /// Its name, size and fields.
+    /// Name, size and fields.
     fn layout(&self) -> &'static Layout;
-    /// Shows each field and what it holds, in order.
+    /// Calls `see` for each field with its value, in order.
     fn visit<'a>(&'a self, see: &mut dyn FnMut(&'static Field, Value<'a>));
-    /// As [`visit`](Self::visit), to change it.
+    /// As [`visit`](Self::visit), with mutable values.
     fn visit_mut<'a>(&'a mut self, see: &mut dyn FnMut(&'static Field, ValueMut<'a>));
 }
 
@@ -47,7 +47,7 @@ pub struct Layout {
     pub type_name: &'static str,
     /// Bytes.
     pub size: usize,
-    /// In the order in which they lie in memory, without gaps.
+    /// Fields in memory order, without gaps.
     pub fields: &'static [Field],
 }
 
@@ -56,23 +56,23 @@ pub struct Layout {
 pub struct Field {
     /// Name, with the unit at its end.
     pub name: &'static str,
-    /// What it is, in words.
+    /// Description from the doc comment.
     pub doc: &'static str,
-    /// Bytes before it.
+    /// Offset \[bytes\].
     pub offset: usize,
-    /// What it is made of.
+    /// Type of the field.
     pub kind: Kind,
-    /// What its numbers mean.
+    /// Meaning of its numbers.
     pub meaning: Meaning,
     /// Unit of its numbers; empty: none.
     pub unit: &'static str,
-    /// How much of an array is used: all where this is `None`.
+    /// Used part of an array; `None`: all of it.
     pub used: Option<Used>,
-    /// Field and value without which this one means nothing.
+    /// Field and value on which the meaning of this one depends.
     pub when: Option<(&'static str, u32)>,
 }
 
-/// What a field is made of.
+/// Type of a field.
 #[derive(Debug, Clone, Copy)]
 pub enum Kind {
     /// A byte.
@@ -83,14 +83,14 @@ pub enum Kind {
     U64,
     /// A number of double precision.
     F64,
-    /// So many of one kind.
+    /// An array with its element type and length.
     Array(&'static Kind, usize),
     /// A struct with fields of its own.
     Struct(&'static Layout),
 }
 
 impl Kind {
-    /// Bytes.
+    /// Size \[bytes\].
     pub fn size(&self) -> usize {
         match self {
             Self::U8 => 1,
@@ -102,43 +102,43 @@ impl Kind {
     }
 }
 
-/// What the numbers of a field mean.
+/// Meaning of a field's numbers.
 #[derive(Debug, Clone, Copy)]
 pub enum Meaning {
     /// A quantity.
     Quantity,
     /// A code of an enumeration.
     Code(&'static Codes),
-    /// Bits with these names, and what to do about each.
+    /// Bits with their names and remedies.
     Bits(&'static [(u32, &'static str, &'static str)]),
-    /// One element for each code from the given one on; those before are zero.
+    /// One element for each code from the given one on; earlier ones are zero.
     Per(&'static Codes, usize),
     /// 1: yes, 0: no.
     Yes,
-    /// The largest value says that there is none.
+    /// The largest value means none.
     OrNone,
     /// UTF-8, padded with zeros.
     Text,
-    /// How much of an array is used.
+    /// Used length of an array.
     Length,
-    /// Counted, under this heading: the number of two stretches of time is the sum.
+    /// A counter with this heading: the value over two intervals is their sum.
     Sum(&'static str),
-    /// Kept, under this heading: the number of two stretches of time is the larger one.
+    /// A maximum with this heading: the value over two intervals is the larger one.
     Max(&'static str),
     /// Zero.
     Reserved,
 }
 
-/// How much of an array is used: `each` elements for each of the number in the field `count`.
+/// Used part of an array: `each` elements for each of the number in the field `count`.
 #[derive(Debug, Clone, Copy)]
 pub struct Used {
     /// Elements for each.
     pub each: usize,
-    /// The field, from the message that holds the array: `command.sections`.
+    /// Path of the field, from the message that holds the array: `command.sections`.
     pub count: &'static str,
 }
 
-/// What a field holds.
+/// Value of a field.
 #[derive(Clone, Copy)]
 #[allow(missing_docs, reason = "as Kind")]
 pub enum Value<'a> {
@@ -150,7 +150,7 @@ pub enum Value<'a> {
     Struct(&'a dyn Struct),
 }
 
-/// What a field holds, to be changed.
+/// Mutable value of a field.
 #[allow(missing_docs, reason = "as Kind")]
 pub enum ValueMut<'a> {
     U8(&'a mut u8),
@@ -161,25 +161,25 @@ pub enum ValueMut<'a> {
     Struct(&'a mut dyn Struct),
 }
 
-/// An array of any length and kind.
+/// An array of any length and type.
 pub trait Array {
-    /// How many elements it has.
+    /// Number of elements.
     fn count(&self) -> usize;
     /// The element `index`.
     fn element(&self, index: usize) -> Value<'_>;
-    /// The element `index`, to be changed.
+    /// The element `index`, mutable.
     fn element_mut(&mut self, index: usize) -> ValueMut<'_>;
 }
 
-/// What messages are made of.
+/// Parts of messages.
 pub trait Part: Sized {
     /// All bytes zero.
     const ZERO: Self;
-    /// What it is made of.
+    /// Type.
     const KIND: Kind;
-    /// What it holds.
+    /// Value.
     fn value(&self) -> Value<'_>;
-    /// What it holds, to be changed.
+    /// Mutable value.
     fn value_mut(&mut self) -> ValueMut<'_>;
 }
 
@@ -219,7 +219,7 @@ impl<T: Part, const N: usize> Array for [T; N] {
 }
 
 impl dyn Struct + '_ {
-    /// The number of the field at `path`, such as `command.sections`; `None`: there is no such number.
+    /// The number of the field at `path`, such as `command.sections`; `None` if there is none.
     pub fn number(&self, path: &str) -> Option<u64> {
         let (name, rest) = path.split_once('.').unwrap_or((path, ""));
         let mut found = None;
@@ -236,7 +236,7 @@ impl dyn Struct + '_ {
         found
     }
 
-    /// What it counts, in order.
+    /// The counters with their values, in order.
     pub fn counters(&self) -> Vec<(&'static Field, u64)> {
         let mut counters = Vec::new();
         self.visit(&mut |field, value| {
@@ -248,7 +248,7 @@ impl dyn Struct + '_ {
         counters
     }
 
-    /// Elements of the array `field` that are used; the field means nothing where it is `None`.
+    /// Number of used elements of the array `field`; `None` if the field has no meaning in this message.
     pub fn used(&self, field: &Field) -> Option<usize> {
         if let Some((name, code)) = field.when
             && self.number(name) != Some(u64::from(code))
@@ -267,7 +267,7 @@ impl dyn Struct + '_ {
 }
 
 impl Field {
-    /// What a table says above a counter: its heading; of another field its name.
+    /// Heading of a counter in tables; for other fields the name.
     pub fn heading(&self) -> &'static str {
         match self.meaning {
             Meaning::Sum(heading) | Meaning::Max(heading) => heading,
@@ -312,7 +312,7 @@ impl Field {
     }
 }
 
-/// The unit that a name ends with; longer endings first.
+/// The unit at the end of a name; longer endings first.
 const fn unit_of(name: &str) -> &'static str {
     const UNITS: [(&str, &str); 7] = [
         ("_rad_s2", "rad/s²"),
@@ -378,7 +378,7 @@ macro_rules! message {
         }
 
         impl $name {
-            /// Adds what `more` counts.
+            /// Adds the counters of `more`.
             pub fn accumulate(&mut self, more: &Self) {
                 let _ = more;
                 $($crate::message::added!(self.$field, more.$field; $([$($note)+])*);)+
@@ -423,7 +423,7 @@ macro_rules! message {
 }
 pub(crate) use message;
 
-/// Adds one counter to another, as its note says.
+/// Adds one counter to another, by its note.
 macro_rules! added {
     ($total:expr, $more:expr; [sum $heading:literal] $($others:tt)*) => { $total += $more };
     ($total:expr, $more:expr; [max $heading:literal] $($others:tt)*) => { $total = $total.max($more) };
@@ -434,7 +434,7 @@ macro_rules! added {
 }
 pub(crate) use added;
 
-/// Adds the notes of a field to it.
+/// Applies the notes of a field.
 macro_rules! noted {
     ($field:expr;) => { $field };
     ($field:expr; [unit $unit:literal] $($more:tt)*) => {

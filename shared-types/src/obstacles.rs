@@ -3,10 +3,10 @@ use crate::limits::OBSTACLES_MAX;
 use crate::message::message;
 
 message! {
-    /// A sphere or a capsule that the body of the robot must stay clear of.
+    /// A sphere or a capsule with which the robot's body must not collide.
     ///
-    /// Numbers are finite, components of positions (m) and velocities (m/s) within ±10⁶, the radius within
-    /// 0 to 10⁶ m. In a telemetry record it is the obstacle as the cycle used it: moved on to the release.
+    /// Numbers are finite, components of positions (m) and velocities (m/s) within ±10⁶, the radius within 0 to 10⁶ m.
+    /// A telemetry record holds the obstacle as used by the cycle, moved to the release.
     pub struct Obstacle "cdcr.Obstacle.v1" {
         /// Identity chosen by the sender, unique among all senders; an upsert with a known id replaces.
         id: u32,
@@ -30,12 +30,12 @@ message! {
         lifetime_ns: u64,
     }
 
-    /// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, taken whole or not at all.
+    /// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, accepted or rejected as a whole.
     ///
-    /// Any client may send one, and all share the ids. Within one message the last obstacle of an id counts.
-    /// Removing an id that is not known changes nothing. An upsert that would make more than
-    /// [`OBSTACLES_MAX`] obstacles known is refused. The event that reports an accepted update has in
-    /// `detail` how many obstacles are known after it. One without obstacles changes nothing, and is a sign of life.
+    /// Any client may send updates, and all clients share the ids. Within one message the last obstacle of an id takes
+    /// effect. Removing an unknown id has no effect. An upsert that would exceed [`OBSTACLES_MAX`] obstacles is
+    /// rejected. In the event of an accepted update, `detail` is the number of obstacles after it. An update without
+    /// obstacles changes nothing and serves as a sign of life.
     pub struct ObstacleUpdate "cdcr.ObstacleUpdate.v1" {
         /// Sender, sequence, time.
         header: Header,

@@ -1,8 +1,8 @@
-//! Whether the daemon of a robot runs, told without shared memory.
+//! Detection of a robot's daemon without shared memory.
 //!
-//! A daemon takes two things for as long as it lives: a lock on a file in the root folder, and a name among the abstract
-//! Unix sockets. The kernel gives both back when the process ends, however it ends. The file can be deleted while the
-//! daemon runs; the name cannot, but it is not seen from another network namespace.
+//! While it lives, a daemon holds two things: a lock on a file in the root folder, and a name in the abstract Unix
+//! socket namespace. The kernel releases both when the process ends, however it ends. The file can be deleted while the
+//! daemon runs; the name cannot, but it is not visible from another network namespace.
 
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read};
@@ -18,34 +18,34 @@ use rustix::process::{
 
 use crate::Location;
 
-/// Name of the daemon's program, as the kernel shows it.
+/// Program name of the daemon, as the kernel shows it.
 const PROGRAM: &str = "cdcrd";
 
-/// A daemon that runs.
+/// A running daemon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Presence {
-    /// Its process, as far as it could be told.
+    /// Its process id, if it could be determined.
     pub process_id: Option<u32>,
 }
 
-/// Who holds the name of a robot's daemon among the abstract Unix sockets.
+/// Holder of the abstract socket name of a robot's daemon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NameHolder {
-    /// Nobody who answers.
+    /// No process that answers.
     Nobody,
-    /// A process of the user to whom the root folder belongs.
+    /// A process of the user who owns the root folder.
     Ours {
-        /// Its id; none when it is not visible here.
+        /// Its process id; `None` if it is not visible here.
         process_id: Option<u32>,
     },
-    /// A process of another user, or one that does not say of whom.
+    /// A process of another user, or of an unknown one.
     Foreign,
 }
 
 impl Location {
-    /// The name that the daemon of `robot` takes among the abstract Unix sockets while it lives.
+    /// The abstract socket name that the daemon of `robot` holds while it lives.
     pub fn daemon_name(&self, robot: &str) -> String {
-        // FNV-1a (Fowler, Noll, Vo), 64 bits: a root path may be longer than such a name.
+        // FNV-1a (Fowler, Noll, Vo), 64 bits, because a root path may be longer than such a name.
         let bytes = [
             self.root().as_os_str().as_encoded_bytes(),
             self.prefix().as_bytes(),
@@ -59,44 +59,45 @@ impl Location {
         format!("cdcrd-{hash:016x}-{robot}")
     }
 
-    /// The user to whom the root folder belongs; without one, the user of this process.
+    /// The user who owns the root folder; if there is none, the user of this process.
     fn owner_id(&self) -> u32 {
         std::fs::metadata(self.root()).map_or_else(|_| geteuid().as_raw(), |root| root.uid())
     }
 
-    /// Who holds [`daemon_name`](Self::daemon_name). Never waits.
+    /// The holder of [`daemon_name`](Self::daemon_name). Never waits.
     pub fn name_holder(&self, robot: &str) -> NameHolder {
         match peer_of(&self.daemon_name(robot)) {
             Ok((user_id, process_id)) if user_id == self.owner_id() => {
                 NameHolder::Ours { process_id }
             }
-            // Its holder has ended.
+            // The holder has ended.
             Err(Errno::CONNREFUSED | Errno::NOENT) => NameHolder::Nobody,
             _ => NameHolder::Foreign,
         }
     }
 
-    /// The daemon of `robot`, if it runs. Neither a hung daemon nor one without shared memory is taken for dead.
+    /// The daemon of `robot`, if it runs. A hung daemon and one without shared memory are detected as running.
     pub fn presence(&self, robot: &str) -> Option<Presence> {
         let by_lock = self.lock_holder(robot);
         let by_name = match self.name_holder(robot) {
             NameHolder::Ours { process_id } => Some(Presence { process_id }),
             NameHolder::Nobody | NameHolder::Foreign => None,
         };
-        // The kernel knows who holds the name; what stands in the lock file, whoever may write to it says.
+        // The kernel reports the holder of the name; the lock file may contain what any process with write access
+        // wrote.
         let process_id = by_name
             .and_then(|presence| presence.process_id)
             .or_else(|| by_lock.and_then(|presence| presence.process_id));
         by_lock.or(by_name).map(|_| Presence { process_id })
     }
 
-    /// The robots whose daemons run here, in the order of their names, as far as this user can tell.
+    /// Names of the robots whose daemons run here, sorted, as far as this user can detect them.
     pub fn robots(&self) -> Vec<String> {
         let entries = std::fs::read_dir(self.root()).into_iter().flatten();
         let names = entries.flatten().filter_map(|entry| {
             let name = entry.file_name().into_string().ok()?;
             let robot = name.strip_prefix(self.prefix())?.strip_suffix(".lock")?;
-            // Of another prefix, which begins with this one, the daemon has another name.
+            // With a longer prefix that begins with this one, the daemon has another name.
             let is_ours = matches!(self.name_holder(robot), NameHolder::Ours { .. });
             is_ours.then(|| robot.to_owned())
         });
@@ -105,9 +106,9 @@ impl Location {
         names
     }
 
-    /// Who has locked the file in the root folder. The daemon tries for longer to lock it than this look takes.
+    /// Holder of the lock on the file in the root folder. The daemon tries to lock it for longer than this check takes.
     fn lock_holder(&self, robot: &str) -> Option<Presence> {
-        // Neither a link nor a pipe in its place leads anywhere.
+        // A link or a pipe in its place is not followed and does not block.
         let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
         let opened = open(self.lock_file(robot), flags, Mode::empty()).ok()?;
         let file = File::from(opened);
@@ -115,17 +116,17 @@ impl Location {
             return None;
         };
         let mut text = String::new();
-        // Whoever may write to it may write more than that.
+        // A process with write access may have written more.
         let read = file.take(32).read_to_string(&mut text);
         let process_id = read.ok().and_then(|_| text.trim().parse().ok());
         Some(Presence { process_id })
     }
 
-    /// Stops the robot by the signal `SIGUSR1` to its daemon, which needs no shared memory. Says to which process it was
-    /// sent. It is carried out in the next cycle, and nobody answers.
+    /// Stops the robot by sending the signal `SIGUSR1` to its daemon, which needs no shared memory. Returns the process
+    /// id. The stop is executed in the next cycle, without an answer.
     ///
     /// # Errors
-    /// When no daemon runs, or its process cannot be told for sure, or must not be signalled.
+    /// If no daemon runs, or its process is not certain or must not be signalled.
     pub fn stop_by_signal(&self, robot: &str) -> std::io::Result<u32> {
         let not_found = || std::io::Error::from(ErrorKind::NotFound);
         let process = || {
@@ -137,12 +138,12 @@ impl Location {
         let pid = raw.ok_or_else(not_found)?;
         test_kill_process(pid)?;
         let handle = pidfd_open(pid, PidfdFlags::empty())?;
-        // The number may be of another process by now, or of another container: the signal would end that one.
+        // The process id may meanwhile belong to another process, or to another container, which the signal would end.
         let program = std::fs::read_to_string(format!("/proc/{process_id}/comm"))?;
         if process() != Some(process_id) || program.trim() != PROGRAM {
             return Err(not_found());
         }
-        // One that does not know the signal would end by it, in the middle of a motion.
+        // A daemon without a handler for the signal would end during a motion.
         let status = std::fs::read_to_string(format!("/proc/{process_id}/status"))?;
         if !catches_stop_signal(&status) {
             return Err(ErrorKind::Unsupported.into());
@@ -152,21 +153,21 @@ impl Location {
     }
 }
 
-/// Whether a process with this `/proc/<pid>/status` has a handler for `SIGUSR1`, see `proc_pid_status(5)`.
+/// True if a process with this `/proc/<pid>/status` has a handler for `SIGUSR1`, see `proc_pid_status(5)`.
 fn catches_stop_signal(status: &str) -> bool {
     let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
     let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     caught.is_some_and(|mask| mask & (1 << (Signal::USR1.as_raw() - 1)) != 0)
 }
 
-/// User and process at the other end of an abstract name.
+/// User and process id at the other end of an abstract socket name.
 fn peer_of(name: &str) -> Result<(u32, Option<u32>), Errno> {
     let address = SocketAddrUnix::new_abstract_name(name.as_bytes())?;
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
     let socket = socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
     connect(&socket, &address)?;
     let peer = socket_peercred(&socket)?;
-    // 0: of another namespace.
+    // 0: in another pid namespace.
     let process_id = u32::try_from(Pid::as_raw(Some(peer.pid))).ok();
     Ok((peer.uid.as_raw(), process_id.filter(|id| *id > 0)))
 }
@@ -197,7 +198,7 @@ mod tests {
         assert_eq!(location.presence("b"), None, "another robot");
         let elsewhere = Location::new(&prefix, Path::new("/nowhere/else")).unwrap();
         assert_eq!(elsewhere.presence("a"), None, "another root");
-        // This process is not the program of the daemon, and would be ended.
+        // This process is not the daemon's program, and the signal would end it.
         assert!(location.stop_by_signal("a").is_err());
         drop(listener);
         assert_eq!(location.presence("a"), None);

@@ -1,20 +1,21 @@
-//! Time of the cores, as `/proc/stat` counts it: the one reader of daemon, client and measurements.
+//! Core times from `/proc/stat`: the one reader for daemon, client and measurements.
 
-/// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
+/// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform on which Linux runs user programs.
 pub const TICK_NS: u64 = 10_000_000;
 
 /// Time of a core since the machine started, in ticks of [`TICK_NS`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CoreTicks {
-    /// Used for something.
+    /// In use.
     pub busy: u64,
-    /// Given to somebody else by the hypervisor.
+    /// Given to other guests by the hypervisor.
     pub steal: u64,
-    /// All of it, idle or not.
+    /// Total, including idle time.
     pub total: u64,
 }
 
-/// Each core in a text of `/proc/stat`; `None` is the sum of all. Lines that are not as `proc_stat(5)` says are left out.
+/// The times of each core from the text of `/proc/stat`; `None` is the sum of all cores. Lines that do not conform to
+/// `proc_stat(5)` are skipped.
 pub fn core_ticks(stat: &str) -> impl Iterator<Item = (Option<usize>, CoreTicks)> {
     stat.lines().filter_map(|line| {
         let (name, times) = line.strip_prefix("cpu")?.split_once(' ')?;
@@ -22,7 +23,7 @@ pub fn core_ticks(stat: &str) -> impl Iterator<Item = (Option<usize>, CoreTicks)
             "" => None,
             number => Some(number.parse().ok()?),
         };
-        // user nice system idle iowait irq softirq steal. What guests use is inside `user` already.
+        // user nice system idle iowait irq softirq steal. The time of guests is included in `user`.
         let mut ticks = [0_u64; 8];
         let mut words = times.split_ascii_whitespace();
         for tick in &mut ticks {

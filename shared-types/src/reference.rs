@@ -3,7 +3,7 @@ use crate::limits::CHUNK_POINTS_MAX;
 use crate::message::message;
 
 message! {
-    /// One time-stamped pose that the tip shall have.
+    /// One time-stamped pose of the reference for the tip.
     pub struct ReferencePoint "cdcr.ReferencePoint.v1" {
         /// When the tip shall be there \[ns, `CLOCK_MONOTONIC`\].
         time_ns: u64,
@@ -18,12 +18,12 @@ message! {
         reserved: u32 [reserved],
     }
 
-    /// Part of a reference trajectory: up to [`CHUNK_POINTS_MAX`] points, each at least a microsecond after the one before it, also
-    /// where one chunk is appended to another.
+    /// Part of a reference trajectory: up to [`CHUNK_POINTS_MAX`] points. Each is at least a microsecond after the
+    /// previous one, also across appended chunks.
     ///
-    /// A chunk is accepted whole or refused whole; the outcome is an
-    /// [`InputEvent`](crate::InputEvent) in the telemetry. Appended chunks must follow each other without
-    /// a gap in `header.sequence`, so that a lost chunk ends the trajectory instead of being bridged.
+    /// A chunk is accepted or rejected as a whole; the telemetry reports the outcome as an
+    /// [`InputEvent`](crate::InputEvent). Appended chunks must follow each other without a gap in `header.sequence`, so
+    /// that a lost chunk ends the trajectory instead of being bridged.
     pub struct ReferenceChunk "cdcr.ReferenceChunk.v1" {
         /// Sender (it must hold the reference lease), sequence, time.
         header: Header,

@@ -13,7 +13,7 @@ use iceoryx2::prelude::{
 use crate::ipc;
 use crate::limits::INCIDENTS_MAX;
 
-/// Prefix of every shared-memory file of ours, unless a user chooses another.
+/// Default prefix of every shared-memory file of this project.
 pub const DEFAULT_PREFIX: &str = "cdcr_";
 
 /// The eight services of a daemon.
@@ -33,39 +33,37 @@ pub enum Service {
     Status,
     /// The last bad cycles, daemon → any.
     Incidents,
-    /// Requests and answers.
+    /// Requests and responses, client ↔ daemon.
     Control,
 }
 
-/// Quality of service of a publish-subscribe service: the daemon creates with these numbers, and
-/// they bound its memory. Safe overflow is always on: a stopped reader loses the oldest messages, and
-/// never stops a writer.
+/// Quality of service of a publish-subscribe service. The daemon creates the service with these numbers, which bound
+/// its memory. Safe overflow is always on: a reader that stops loses the oldest messages and never blocks a writer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct QueueLengths {
-    /// Writers at one time.
+    /// Maximum number of writers.
     pub publishers: usize,
-    /// Readers at one time.
+    /// Maximum number of readers.
     pub subscribers: usize,
-    /// Of them, places that are kept for those who take part: the driver, the daemon itself. Clients that only
-    /// watch leave them free.
+    /// Places reserved for the driver and the daemon itself. Monitoring clients leave them free.
     pub kept: usize,
-    /// Messages that wait for one reader.
+    /// Messages queued for one reader.
     pub queue: usize,
-    /// Messages that a late joiner still gets.
+    /// Messages delivered to a late joiner.
     pub history: usize,
 }
 
 impl QueueLengths {
-    /// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
+    /// Messages that a reader may hold, and that a writer may have loaned: the default of iceoryx2.
     pub const HELD: usize = 2;
 
-    /// Readers that only watch, at one time.
+    /// Maximum number of monitoring readers.
     pub const fn watchers(self) -> usize {
         self.subscribers - self.kept
     }
 
-    /// Shared memory of one writer's messages \[bytes\]: as many as all readers together may have, so that it never
-    /// waits.
+    /// Shared memory for one writer's messages \[bytes\]: as many as all readers together can hold, so that the writer
+    /// never waits.
     pub const fn writer_bytes(self, message_bytes: usize) -> u64 {
         let messages = self.subscribers * (self.queue + Self::HELD) + self.history + Self::HELD;
         (messages * message_bytes) as u64
@@ -85,15 +83,15 @@ impl Service {
         Self::Control,
     ];
 
-    /// Clients that may have a control connection at one time.
+    /// Maximum number of control connections.
     pub const CONTROL_CLIENTS: usize = 20;
-    /// Of them, places that are kept for a stop: clients that ask for anything else leave them free.
+    /// Control connections reserved for a stop; other requests leave them free.
     pub const CONTROL_KEPT: usize = 4;
-    /// Requests of one client that may wait at one time.
+    /// Maximum number of waiting requests of one client.
     pub const CONTROL_REQUESTS: usize = 4;
-    /// Processes that may have all services open at one time, the daemon among them.
+    /// Maximum number of processes that have all services open, including the daemon.
     pub const NODES: usize = 40;
-    /// Drivers that find a place when those are full: one, and the one that takes its place.
+    /// Places for drivers beyond [`Self::NODES`]: one, and its replacement.
     pub const DRIVERS: usize = 2;
 
     /// Last part of the service's name.
@@ -110,8 +108,8 @@ impl Service {
         }
     }
 
-    /// Processes that may have this service open at one time. A stop opens [`Service::Control`] alone, and a driver the three
-    /// services that it needs, so both find a place when all others are full.
+    /// Maximum number of processes that have this service open. A stop opens only [`Service::Control`], and a driver
+    /// only the three services that it needs. Both find a place when all others are taken.
     pub const fn nodes(self) -> usize {
         match self {
             Self::Control => Self::NODES + 8,
@@ -126,17 +124,17 @@ impl Service {
             // 32 chunks: the whole reference buffer of the daemon.
             Self::Reference => (8, 4, 1, 32, 0),
             Self::Obstacles => (8, 4, 1, 16, 0),
-            // A driver, the one that takes its place, a tip sensor. Who may connect may read, where the messages are small.
+            // A driver, its replacement, and a tip sensor. Messages are small, so every connected process may read.
             Self::Measurement => (3, Self::NODES + 1, 1, 16, 0),
             Self::Command => (1, Self::NODES + Self::DRIVERS, Self::DRIVERS, 16, 0),
             // 256 records: 1.28 s at 5 ms. A reader costs 4 MB.
             Self::Telemetry => (1, 8, 0, 256, 0),
-            // Each connection reads it, and may have one stream of it; a driver reads it once.
+            // Each connection reads it and may have one stream of it; a driver reads it once.
             Self::Status | Self::Control => {
                 let readers = 2 * Self::NODES + Self::DRIVERS;
                 (1, readers, Self::DRIVERS, 2, 1)
             }
-            // Few look at bad cycles, and each reader costs 64 of them, 1 MB.
+            // Few clients read bad cycles, and each reader costs 64 of them, 1 MB.
             Self::Incidents => (1, 4, 0, INCIDENTS_MAX, INCIDENTS_MAX),
         };
         QueueLengths {
@@ -151,7 +149,7 @@ impl Service {
     /// Full name `cdcr/<robot>/<key>`.
     ///
     /// # Errors
-    /// When `robot` is not a legal part of a service name (empty, or too long).
+    /// If `robot` is not a legal part of a service name: 1 to 40 letters, digits, `-` and `_`.
     pub fn name(self, robot: &str) -> Result<ServiceName, ServiceNameError> {
         let error = || ServiceNameError {
             robot: robot.to_owned(),
@@ -183,15 +181,16 @@ impl core::fmt::Display for ServiceNameError {
 
 impl core::error::Error for ServiceNameError {}
 
-/// Where a daemon and its clients meet: an iceoryx2 prefix and a root path of our own, never iceoryx2's defaults (which a
-/// file in the working directory could change). All shared memory is in files below the root path, which lies in memory.
+/// Meeting place of a daemon and its clients: an iceoryx2 prefix and a root path. The defaults of iceoryx2 are not
+/// used, because a file in the working directory could change them. All shared memory is in files below the root path,
+/// on a file system in memory.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Location {
     prefix: String,
     root: PathBuf,
 }
 
-/// How many folders deep an absolute path leads, links aside.
+/// Depth of an absolute path in folders, without resolving links.
 fn depth(path: &Path) -> usize {
     path.components().fold(0, |depth: usize, part| match part {
         Component::Normal(_) => depth + 1,
@@ -231,7 +230,7 @@ impl Location {
     /// A location with the given prefix and root path.
     ///
     /// # Errors
-    /// When iceoryx2 could not use them; the message says what is legal.
+    /// If iceoryx2 cannot use them; the message states what is legal.
     pub fn new(prefix: &str, root: &Path) -> Result<Self, LocationError> {
         if !Self::is_legal_name(prefix) {
             return Err(LocationError::Prefix(prefix.to_owned()));
@@ -247,7 +246,7 @@ impl Location {
         Ok(location)
     }
 
-    /// The location that the variables `CDCR_PREFIX` and `CDCR_ROOT` of the environment name, each with its default.
+    /// The location from the environment variables `CDCR_PREFIX` and `CDCR_ROOT`, each with its default.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -257,16 +256,16 @@ impl Location {
         Self::new(prefix.as_deref().unwrap_or(DEFAULT_PREFIX), &root)
     }
 
-    /// A folder that every Linux has in memory. Everybody may create files there, and nobody may rename or remove those of
-    /// another user.
+    /// A folder in memory that exists on every Linux. Every user may create files there, but not rename or remove those
+    /// of another user.
     pub const MEMORY: &str = "/dev/shm";
 
     /// Root path of the daemon that the package installs as a service.
     pub const SERVICE_ROOT: &str = "/run/cdcr";
 
-    /// Root path unless a user chooses another: one for each Unix user, because the folder is private to its owner.
+    /// Default root path: one for each Unix user, because the folder is private to its owner.
     ///
-    /// It depends on no environment variable: a `stop` has to find the daemon from any shell, service or `sudo`.
+    /// It depends on no environment variable, so that a `stop` finds the daemon from any shell, service or `sudo`.
     pub fn default_root() -> PathBuf {
         use std::os::unix::fs::MetadataExt;
         let user_id = std::fs::metadata("/proc/self").map_or(0, |process| process.uid());
@@ -278,8 +277,8 @@ impl Location {
         &self.prefix
     }
 
-    /// Start of the names of iceoryx2's files: the prefix, and a hash, so that no prefix is the beginning of another one
-    /// that uses the same root path.
+    /// Prefix of iceoryx2's file names: the prefix and its hash, so that no prefix is the beginning of another one with
+    /// the same root path.
     pub fn file_prefix(&self) -> String {
         // FNV-1a (Fowler, Noll, Vo), 32 bits.
         let hash = self.prefix.bytes().fold(0x811c_9dc5_u32, |hash, byte| {
@@ -288,13 +287,12 @@ impl Location {
         format!("{}{hash:08x}_", self.prefix)
     }
 
-    /// The files of this location that are mapped into memory.
+    /// The memory-mapped files of this location.
     pub fn memory_files(&self) -> Vec<PathBuf> {
         memory_files(&self.root, &self.file_prefix())
     }
 
-    /// Name of the file in the root folder that the daemon of `robot` locks while it runs, and removes at a clean
-    /// end.
+    /// The file in the root folder that the daemon of `robot` locks while it runs, and removes at a clean end.
     pub fn lock_file(&self, robot: &str) -> PathBuf {
         self.root.join(format!("{}{robot}.lock", self.prefix))
     }
@@ -304,7 +302,7 @@ impl Location {
         &self.root
     }
 
-    /// The iceoryx2 configuration for this location, to be passed to every node.
+    /// The iceoryx2 configuration of this location, for every node.
     ///
     /// # Errors
     /// As [`Location::new`].
@@ -315,27 +313,27 @@ impl Location {
         let root = IoxPath::new(self.root.as_os_str().as_encoded_bytes())
             .map_err(|_| LocationError::Root(self.root.clone()))?;
         config.global.set_root_path(&root);
-        // A service is made within a millisecond; one that takes longer was left unfinished.
+        // A service is created within a millisecond; one that takes longer is orphaned.
         config.global.creation_timeout = Duration::from_millis(250);
         Ok(config)
     }
 
-    /// A node builder for this location that leaves signals to the process. Makes the root folder if it is missing, closed to
-    /// others: iceoryx2 would make one that is open to all.
+    /// A node builder for this location that leaves signals to the process. Creates a missing root folder without
+    /// access for others; iceoryx2 would create an open one.
     ///
     /// # Errors
     /// As [`Location::new`].
     pub fn node_builder(&self) -> Result<NodeBuilder, LocationError> {
         let mut folder = DirBuilder::new();
-        // Where that fails, the node fails, too, and says so.
+        // If this fails, creation of the node fails and reports it.
         let _ = folder.recursive(true).mode(0o700).create(&self.root);
         Ok(NodeBuilder::new()
             .config(&self.iceoryx2_config()?)
             .signal_handling_mode(SignalHandlingMode::Disabled))
     }
 
-    /// A node builder for clients: as [`node_builder`](Self::node_builder), but nothing is done about dead processes.
-    /// To clear one away takes 5 ms, and a client that wants to stop a robot may come after a thousand of them.
+    /// A node builder for clients, as [`node_builder`](Self::node_builder), without cleanup of dead processes. Each
+    /// cleanup takes 5 ms, and a client that stops a robot may find a thousand of them.
     ///
     /// # Errors
     /// As [`Location::new`].
@@ -349,7 +347,7 @@ impl Location {
             .signal_handling_mode(SignalHandlingMode::Disabled))
     }
 
-    /// Clears away what dead processes left, `most` of them at most. Returns how many it was.
+    /// Removes the resources of dead processes, of at most `most`. Returns their number.
     pub fn clear_dead_nodes(&self, most: usize) -> usize {
         let Ok(config) = self.iceoryx2_config() else {
             return 0;
@@ -358,9 +356,9 @@ impl Location {
         if most == 0 {
             return cleared;
         }
-        // What cannot be listed or cleared now, the next one tries again.
+        // The next call retries those that cannot be listed or removed now.
         let _ = Node::<ipc::Service>::list(&config, |node| {
-            // Of one without details iceoryx2 would clear the place that its global configuration names.
+            // Without details, iceoryx2 would clean up the location of its global configuration.
             if let NodeState::Dead(dead) = node
                 && dead.details().is_some()
                 && dead.try_remove_stale_resources().is_ok()
@@ -384,7 +382,7 @@ impl Location {
     }
 }
 
-/// The files in the folder `root` that are mapped into memory: their names begin with `file_prefix`.
+/// The memory-mapped files in the folder `root`: their names begin with `file_prefix`.
 pub fn memory_files(root: &Path, file_prefix: &str) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(root).into_iter().flatten();
     let paths = entries.flatten().map(|entry| entry.path());

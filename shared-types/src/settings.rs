@@ -1,10 +1,10 @@
 use crate::message::message;
 
 message! {
-    /// Everything that tunes the optimal control problem and its solver.
+    /// Settings of the optimal control problem and its solver.
     ///
-    /// It travels in a settings request, in the status, and in every telemetry record, so that a record
-    /// is complete. Ranges are those of `configs/default.toml`; a request outside them is refused.
+    /// They travel in a settings request, in the status, and in every telemetry record, so that a record is complete.
+    /// Ranges are those of `configs/default.toml`; a request outside them is rejected.
     pub struct SolverSettings "cdcr.SolverSettings.v1" {
         /// [`codes::SolverKind`](crate::codes::SolverKind).
         solver: u32 [code SolverKind],

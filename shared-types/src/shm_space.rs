@@ -1,8 +1,8 @@
-//! Space in shared memory, asked for before it is used.
+//! Check of the space in shared memory before it is used.
 //!
-//! The system looks for memory when a page is first touched, and kills the process that touches one when there is none
-//! left (SIGBUS). A process that asks first can report what is wrong instead. The same file system may also run out of
-//! files (inodes), and the process out of file descriptors, which iceoryx2 reports as internal errors.
+//! The kernel allocates memory when a page is first accessed, and kills the process if none is left (SIGBUS). A process
+//! that checks first can report the cause instead. The same file system may also run out of files (inodes), and the
+//! process out of file descriptors; iceoryx2 reports these as internal errors.
 
 use core::fmt::{Display, Formatter};
 use std::os::unix::fs::MetadataExt;
@@ -12,29 +12,30 @@ use rustix::fs::statvfs;
 use rustix::io::Errno;
 use rustix::process::{Resource as Limited, getrlimit};
 
-/// What a port takes beside its messages \[bytes\].
+/// Shared memory of a port beside its messages \[bytes\].
 pub const PORT_BYTES: u64 = 64 * 1024;
-/// Files of a port: its mark, its memory, a connection, and one back from the daemon.
+/// Files of a port: its tag, its memory, a connection, and one back from the daemon.
 pub const PORT_FILES: u64 = 4;
-/// Files of a node without services: its folder, its description, three that show that it lives. Each service adds one.
+/// Files of a node without services: its folder, its description, and three that monitor its life. Each service adds
+/// one.
 pub const NODE_FILES: u64 = 5;
-/// Files that are open for a moment beside those that stay, while a service is opened or a first message is taken.
+/// Files that are open temporarily while a service is opened or a first message is received.
 const PASSING_FILES: u64 = 7;
 
-/// There is less space than is needed.
+/// There is less space than needed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InsufficientSpace {
-    /// Where the file system is mounted that is full.
+    /// Mount point of the file system that is full.
     pub mount: PathBuf,
-    /// Of what there is too little.
+    /// The scarce resource.
     pub resource: Resource,
-    /// What is needed.
+    /// Amount needed.
     pub needed: u64,
-    /// What is free.
+    /// Amount free.
     pub free: u64,
 }
 
-/// What a file system can be short of.
+/// Resources that may run out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Resource {
     /// Memory \[bytes\].
@@ -70,25 +71,26 @@ impl Display for InsufficientSpace {
     }
 }
 
-/// Free bytes of the file system of `folder`; none when the system does not tell, or sets no limit.
+/// Free bytes of the file system of `folder`; `None` if the system does not report them or sets no limit.
 pub fn free_bytes(folder: &Path) -> Option<u64> {
     let sizes = statvfs(folder).ok()?;
     (sizes.f_blocks > 0).then_some(sizes.f_bavail * sizes.f_frsize)
 }
 
-/// Files (inodes) that can still be made in the file system of `folder`; none when the system does not tell, or sets no limit.
+/// Files (inodes) that can still be created in the file system of `folder`; `None` if the system does not report them
+/// or sets no limit.
 pub fn free_files(folder: &Path) -> Option<u64> {
     let sizes = statvfs(folder).ok()?;
     (sizes.f_files > 0).then_some(sizes.f_favail)
 }
 
-/// Files that this process can still open; none when the system does not tell, or sets no limit.
+/// Files that this process can still open; `None` if the system does not report them or sets no limit.
 fn free_descriptors() -> Option<u64> {
     let limit = getrlimit(Limited::Nofile).current?;
     match std::fs::read_dir("/proc/self/fd") {
         Ok(open) => {
             let numbers = open.filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
-            // What was opened before the limit was lowered takes no place below it; one is the folder itself.
+            // Descriptors above a lowered limit use none below it; one is that of this folder.
             let taken = numbers.filter(|number: &u64| *number < limit).count() as u64;
             Some((limit + 1).saturating_sub(taken))
         }
@@ -97,11 +99,11 @@ fn free_descriptors() -> Option<u64> {
     }
 }
 
-/// Checks that `folder` has `needed_bytes` free and room for `needed_files`, and that this process may open these. Where the
-/// system does not tell, it has.
+/// Checks that `folder` has `needed_bytes` free and can hold `needed_files`, and that this process may open these.
+/// Resources that the system does not report count as sufficient.
 ///
 /// # Errors
-/// There is less.
+/// [`InsufficientSpace`], for the first resource of which there is less.
 pub fn ask(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), InsufficientSpace> {
     let asked = [
         (Resource::Bytes, needed_bytes, free_bytes(folder)),
@@ -125,7 +127,7 @@ pub fn ask(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), In
     Ok(())
 }
 
-/// The topmost folder of the file system in which `folder` is.
+/// The topmost folder of the file system of `folder`.
 pub fn mount_point(folder: &Path) -> PathBuf {
     let device = |folder: &Path| folder.metadata().map(|folder| folder.dev()).ok();
     let own = device(folder);

@@ -53,7 +53,7 @@ message! {
         max_ns: u64,
     }
 
-    /// Counts and latencies of the cycles in one stretch of time.
+    /// Counts and latencies of the cycles in one interval of time.
     #[derive(Eq)]
     pub struct Statistics "cdcr.Statistics.v4" {
         /// Cycles that ran.
@@ -103,7 +103,7 @@ message! {
         publish: LatencySummary,
     }
 
-    /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
+    /// The latest snapshot of the daemon for late joiners, published ten times a second.
     pub struct Status "cdcr.Status.v8" {
         /// The daemon, sequence, time.
         header: Header,

@@ -5,11 +5,11 @@ use crate::message::message;
 use crate::{Command, Header, Measurement, Obstacle, RobotDescription, SolverSettings};
 
 message! {
-    /// One message that the daemon took in, and what became of it.
+    /// A message received by the daemon, and its outcome.
     ///
-    /// The events of the records, in order, say exactly which reference chunk, obstacle update or request
-    /// took effect in which cycle. Together with a recording of those messages they rebuild the state of
-    /// the reference buffer and of the obstacle set for every cycle.
+    /// In order, the events of the records state exactly which reference chunk, obstacle update or request took effect
+    /// in which cycle. With a recording of those messages, they reproduce the state of the reference buffer and of the
+    /// obstacle set for every cycle.
     #[derive(Eq)]
     pub struct InputEvent "cdcr.InputEvent.v1" {
         /// `header.sender_id` of the message.
@@ -32,7 +32,7 @@ message! {
         gathers_ago: u32,
     }
 
-    /// The reference at one instant, after interpolation.
+    /// The reference at one time, after interpolation.
     pub struct ReferenceSample "cdcr.ReferenceSample.v1" {
         /// Position in the base frame \[m\].
         position_m: [f64; 3],
@@ -44,10 +44,12 @@ message! {
         state: u32 [code ReferenceState],
     }
 
-    /// The smooth way to a reference that begins elsewhere than the tip is, or in motion. What the plan follows at a time t is the reference plus
-    /// `offset_m` (1 - 10 s³ + 15 s⁴ - 6 s⁵) with s = (t - begin) / duration, and `velocity_m_s` joining (p - 6 p³ + 8 p⁴ - 3 p⁵) with
-    /// p = (t - begin) / joining, s and p no more than 1; its orientation is that of the reference, turned about `turn_rad` times the factor of
-    /// `offset_m`, in the base frame. All zero where the reference itself is followed.
+    /// The smooth approach to a reference that begins away from the tip or in motion.
+    ///
+    /// At a time t the plan follows the reference plus `offset_m` (1 - 10 s³ + 15 s⁴ - 6 s⁵), with s = (t - begin) /
+    /// duration, plus `velocity_m_s` joining (p - 6 p³ + 8 p⁴ - 3 p⁵), with p = (t - begin) / joining; s and p are at
+    /// most 1. Its orientation is that of the reference, turned in the base frame about `turn_rad` times the factor of
+    /// `offset_m`. All zero while the reference itself is followed.
     pub struct Approach "cdcr.Approach.v1" {
         /// Release at which it began \[ns\].
         begin_ns: u64,
@@ -63,7 +65,7 @@ message! {
         turn_rad: [f64; 3],
     }
 
-    /// What the solver did in one cycle. All zero in cycles that did not solve.
+    /// Result and effort of the solver in one cycle. All zero in cycles without a solve.
     pub struct SolverReport "cdcr.SolverReport.v1" {
         /// Cost of the solution, in the scale of the weights.
         cost: f64,
@@ -94,7 +96,8 @@ message! {
         budget_spent: u32 [yes],
     }
 
-    /// What the system did to the cycle thread between the record before and this one, read by the exchange.
+    /// Effects of the operating system on the cycle thread between the previous record and this one, read by the
+    /// exchange.
     #[derive(Eq)]
     pub struct SchedulingReport "cdcr.SchedulingReport.v1" {
         /// Time that the thread was ready to run and another had the core \[ns\].
@@ -115,15 +118,15 @@ message! {
         known: u32 [yes],
     }
 
-    /// Everything of one cycle: inputs as used, outputs, timing, mode, fault.
+    /// The complete record of one cycle: inputs as used, outputs, timing, mode, fault.
     ///
-    /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
-    /// in the order that the events of the records tell; see `docs/replay.md`.
+    /// It holds every input of the cycle except the reference. That is reproduced from the clients' chunks in the order
+    /// of the events of the records; see `docs/replay.md`.
     pub struct Telemetry "cdcr.Telemetry.v6" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
-        // ---- when
+        // ---- timing
         /// Number of the cycle on the grid: release = origin + cycle · period.
         cycle: u64,
         /// Release time r of this cycle \[ns, `CLOCK_MONOTONIC`\]: what was measured, predicted and commanded

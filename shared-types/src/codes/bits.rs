@@ -1,6 +1,6 @@
-//! The fields of bits on the wire.
+//! Bit fields of the wire protocol.
 
-/// Declares bits with their names and, where something is missing, what to do about it.
+/// Declares bits with their names and, if something is missing, its remedy.
 macro_rules! wire_bits {
     ($($(#[$meta:meta])* $module:ident {
         $($(#[doc = $doc:literal])+ $bit:ident = $shift:literal: $name:literal $(, $remedy:literal)?;)+
@@ -8,10 +8,10 @@ macro_rules! wire_bits {
         $(#[$meta])*
         pub mod $module {
             $($(#[doc = $doc])+ pub const $bit: u32 = 1 << $shift;)+
-            /// Every bit with its name and what to do about it; empty: nothing.
+            /// Every bit with its name and its remedy; empty: none.
             pub const ALL: &[(u32, &str, &str)] = &[$(($bit, $name, concat!($($remedy)?)),)+];
 
-            /// Names of the bits that are set, and what to do about each.
+            /// Names and remedies of the bits that are set.
             pub fn set(bits: u32) -> impl Iterator<Item = (&'static str, &'static str)> {
                 let set = ALL.iter().filter(move |(bit, ..)| bits & bit != 0);
                 set.map(|&(_, name, remedy)| (name, remedy))
