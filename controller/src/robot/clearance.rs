@@ -92,7 +92,7 @@ impl Body {
             direction: if distance_m > COINCIDENT_M {
                 apart / distance_m
             } else {
-                away(tube, &foot, &obstacle.axis().span_m)
+                direction_where_axes_meet(tube, &foot, &obstacle.axis().span_m)
             },
         }
     }
@@ -189,7 +189,7 @@ impl Body {
     /// The direction of [`Nearest`] alone, at a lower cost; not finite where backbone and axis meet.
     pub(crate) fn direction(&self, closest: &Closest) -> Vector3<f64> {
         let tube = &self.tubes[closest.section];
-        tube.way_from_m(&closest.axis_m).normalize()
+        tube.vector_from_m(&closest.axis_m).normalize()
     }
 
     /// Lower bound on the clearance of one section, from 0 (m), by its chord. It takes about a fifth of the time of the
@@ -276,7 +276,7 @@ fn is_beyond(clearance_m: f64, axis: &Axis, travel_m: f64) -> bool {
 
 /// Direction away from an obstacle whose axis meets the backbone at `foot`, as documented at [`Nearest::direction`].
 #[cold]
-fn away(tube: &Tube<1>, foot: &Foot, span_m: &Vector3<f64>) -> Vector3<f64> {
+fn direction_where_axes_meet(tube: &Tube<1>, foot: &Foot, span_m: &Vector3<f64>) -> Vector3<f64> {
     let both = foot.tangent.cross(span_m);
     let area = both.norm();
     // Within a microradian of parallel, the common normal is dominated by rounding.

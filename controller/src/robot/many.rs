@@ -36,8 +36,8 @@ impl NullaryFnOnce for Tips<'_> {
         let blocks = self.bend_rad.chunks(LANES * width);
         for (bends, tips) in blocks.zip(self.tip_m.chunks_mut(LANES * 3)) {
             let is_full = bends.len() == LANES * width && tips.len() == LANES * 3;
-            if !(is_full && eight(self.robot, bends, tips)) {
-                each(self.robot, bends, tips);
+            if !(is_full && eight_at_once(self.robot, bends, tips)) {
+                one_by_one(self.robot, bends, tips);
             }
         }
     }
@@ -45,7 +45,7 @@ impl NullaryFnOnce for Tips<'_> {
 
 /// Evaluates the configurations one by one.
 #[inline(never)]
-fn each(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) {
+fn one_by_one(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) {
     let mut shape = Configuration::straight(robot.section_count());
     let bends = bend_rad.chunks_exact(robot.coordinate_count());
     for (bend, place) in bends.zip(tip_m.chunks_exact_mut(3)) {
@@ -57,7 +57,7 @@ fn each(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) {
 /// The operations of `tip_position` in the same order, for eight configurations. False if the series is not valid for
 /// every section.
 #[inline(always)]
-fn eight(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) -> bool {
+fn eight_at_once(robot: &Robot, bend_rad: &[f64], tip_m: &mut [f64]) -> bool {
     let width = robot.coordinate_count();
     let [mut x, mut y, mut z] = [[0.0; LANES]; 3];
     let mut in_series = true;

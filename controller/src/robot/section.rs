@@ -137,8 +137,8 @@ impl ShortSeries {
         let reach = change_rad * (2.0 * centre.sqrt() + change_rad);
         (reach <= SHORT_REACH && centre <= SERIES_W_MAX).then(|| Self {
             centre,
-            f: moved(F_SERIES, centre),
-            g: moved(G_SERIES, centre),
+            f: expanded(F_SERIES, centre),
+            g: expanded(G_SERIES, centre),
         })
     }
 
@@ -156,7 +156,7 @@ impl ShortSeries {
 }
 
 /// The first coefficients of the polynomial expanded about `centre`, by repeated division.
-fn moved(mut of: [f64; SERIES_TERMS], centre: f64) -> [f64; SHORT_TERMS] {
+fn expanded(mut of: [f64; SERIES_TERMS], centre: f64) -> [f64; SHORT_TERMS] {
     for first in 0..SHORT_TERMS {
         for k in (first..SERIES_TERMS - 1).rev() {
             of[k] += centre * of[k + 1];

@@ -1,31 +1,27 @@
-//! Exact distance of one section from a point and from a segment (§3 of docs/model.md), for W configurations side by
-//! side.
+//! Exact distance of one section from a point and from a segment (§3 of docs/model.md), for W configurations side by side.
 //!
-//! Axes of the section: x towards its bend, y normal to the plane of its arc, z along its start. With curvature κ = θ/l
-//! the arc belongs to a circle around (1/κ, 0, 0). In units of its radius, a point is at V = (X, Z) = (1 - κx, κz) from
-//! the centre, H = |V|, and
+//! Axes of the section: x towards its bend, y normal to the plane of its arc, z along its start. With curvature κ = θ/l the arc belongs to
+//! a circle around (1/κ, 0, 0). In units of its radius, a point is at V = (X, Z) = (1 - κx, κz) from the centre, H = |V|, and
 //! ```text
 //! q = H/κ - 1/κ = (κ (x² + z²) - 2x) / (H + 1)      signed distance from the circle within the plane
 //! d = √(q² + y²)                                    distance from the circle
 //! a = atan2(Z, X)                                   angle of the circle's nearest point from the start
 //! ```
-//! None of these divides by κ or cancels as κ → 0, so the straight section is no special case. For θ ≤ π, the foot is
-//! on the arc if the point lies between the planes across its two ends. Otherwise the nearer end is the nearest point.
+//! None of these divides by κ or cancels as κ → 0, so the straight section is no special case. For θ ≤ π, the foot is on the arc if the
+//! point lies between the planes across its two ends. Otherwise the nearer end is the nearest point.
 //!
 //! **Segment.** Along a line with velocity (x', y', z') of square L² = x'² + y'² + z'², G = d²/2 has
 //! ```text
 //! G'  = q q' + y y',   q' = (Z z' - X x') / H
 //! G'' = L² - c²/H³,    c = X z' + Z x'   (constant along a line: twice the area swept about the centre, per time)
 //! ```
-//! H is the norm of a linear function, least where the line is nearest to the circle's axis; G'' falls up to that point
-//! and rises after it. So G is convex, then possibly concave, then convex, and has at most one minimum on either side.
-//! Newton's method finds each minimum from its end of the segment. As G'' falls along the search, no step passes the
-//! minimum. Where the nearest point of the arc is one of its ends, the segment's nearest point is a projection. No
-//! minimum can be missed; nothing is sampled.
+//! H is the norm of a linear function, least where the line is nearest to the circle's axis; G'' falls up to that point and rises after it.
+//! So G is convex, then possibly concave, then convex, and has at most one minimum on either side. Newton's method finds each minimum from
+//! its end of the segment. As G'' falls along the search, no step passes the minimum. Where the nearest point of the arc is one of its
+//! ends, the segment's nearest point is a projection. No minimum can be missed; nothing is sampled.
 //!
-//! **Lanes.** There are no branches between lanes: both cases are computed and one is selected. A lane whose search has
-//! ended keeps its value until the other searches end. Each lane's bits therefore depend on that lane alone, and W = 1
-//! is the scalar reference.
+//! **Lanes.** There are no branches between lanes: both cases are computed and one is selected. A lane whose search has ended keeps its
+//! value until the other searches end. Each lane's bits therefore depend on that lane alone, and W = 1 is the scalar reference.
 
 use core::f64::consts::{PI, TAU};
 
@@ -40,26 +36,24 @@ use crate::wide::{Wide, any, both, either, not};
 /// Below this bend (rad) a section is taken as straight: its end then deviates by less than 1e-15 of its length.
 const STRAIGHT_RAD: f64 = 1e-15;
 
-/// If the squared share of a segment within the plane of the arc is below this, the segment is taken as normal to that
-/// plane. Within the plane, the whole segment then moves by less than 1e-15 of its length.
+/// If the squared share of a segment within the plane of the arc is below this, the segment is taken as normal to that plane. Within the
+/// plane, the whole segment then moves by less than 1e-15 of its length.
 const NORMAL_SHARE: f64 = 1e-30;
 
-/// Below this distance from the circle's axis, in radii, a point counts as on the axis: squares of smaller numbers
-/// underflow.
+/// Below this distance from the circle's axis, in radii, a point counts as on the axis: squares of smaller numbers underflow.
 const CENTRE: f64 = 1e-100;
 
-/// Newton's method ends when a step moves the point on the segment by less than this (m), or when the remaining change
-/// of the distance is less. Convergence is at least that of a triple root, by a third per step, so the remaining error
-/// is at most two such steps.
+/// Newton's method ends when a step moves the point on the segment by less than this (m), or when the remaining change of the distance is
+/// less. Convergence is at least that of a triple root, by a third per step, so the remaining error is at most two such steps.
 const STEP_M: f64 = 1e-12;
 
-/// After a step of s (m), the distance d (m) can fall by at most this times s²/d. Along two more steps G = d²/2 falls
-/// by at most |G'| · 2s ≤ 2s², and the step itself at most halved d.
+/// After a step of s (m), the distance d (m) can fall by at most this times s²/d. Along two more steps G = d²/2 falls by at most |G'| · 2s
+/// ≤ 2s², and the step itself at most halved d.
 const STEP_LEFT: f64 = 8.0;
 
-/// Bound on the steps from each end. Over 300 000 random segments, both ends together took 3.4 steps on average to
-/// reach [`STEP_M`], and a single end at most 21. A double root gains 2⁻⁴⁰. At a triple root, where the distance
-/// depends on the fourth power of the remaining error, (2/3)⁴⁰ = 9e-8 of the segment remains.
+/// Bound on the steps from each end. Over 300 000 random segments, both ends together took 3.4 steps on average to reach [`STEP_M`], and a
+/// single end at most 21. A double root gains 2⁻⁴⁰. At a triple root, where the distance depends on the fourth power of the remaining
+/// error, (2/3)⁴⁰ = 9e-8 of the segment remains.
 const STEPS_MAX: usize = 40;
 
 /// One section of W bodies: every point within `radius_m` of its arc.
@@ -67,8 +61,7 @@ const STEPS_MAX: usize = 40;
 pub(super) struct Tube<const W: usize> {
     start_m: WideVector<W>,
     end_m: WideVector<W>,
-    /// Unit vectors in the base frame: towards the bend, normal to the plane of the arc, along the start, along the
-    /// end.
+    /// Unit vectors in the base frame: towards the bend, normal to the plane of the arc, along the start, along the end.
     across: WideVector<W>,
     normal: WideVector<W>,
     along: WideVector<W>,
@@ -90,9 +83,8 @@ pub(super) struct Foot {
     pub(super) tangent: Vector3<f64>,
 }
 
-/// A ball that contains an arc from `start_m` to `end_m` of `length_m` and squared bend `w` (rad²): centre (m) and
-/// radius (m). Up to θ = π the chord is a diameter of a ball that contains the arc. Any curve lies within half its
-/// length of the midpoint of its chord.
+/// A ball that contains an arc from `start_m` to `end_m` of `length_m` and squared bend `w` (rad²): centre (m) and radius (m). Up to θ = π
+/// the chord is a diameter of a ball that contains the arc. Any curve lies within half its length of the midpoint of its chord.
 #[inline(always)]
 pub(super) fn ball<const W: usize>(
     start_m: &WideVector<W>,
@@ -147,8 +139,8 @@ impl<const W: usize> Tube<W> {
         ball(&self.start_m, &self.end_m, self.length_m, w)
     }
 
-    /// Nearest point of an axis to the arc, as a share t ∈ [0, 1] of its span, and the distance (m). Exact up to
-    /// rounding for a point; up to 1e-12 m and rounding for a segment.
+    /// Nearest point of an axis to the arc, as a share t ∈ [0, 1] of its span, and the distance (m). Exact up to rounding for a point; up
+    /// to 1e-12 m and rounding for a segment.
     #[inline(always)]
     pub(super) fn nearest(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
         let (t, square_m2) = if axis.is_point() {
@@ -172,15 +164,14 @@ impl<const W: usize> Tube<W> {
         let (start, end) = (after_start_m.norm_squared(), after_end_m.norm_squared());
         (q * q + y * y).select(
             start.min_or_nan(end),
-            faces(self.bend_rad, z, after_end_m.dot(&self.end_along)),
+            on_arc(self.bend_rad, z, after_end_m.dot(&self.end_along)),
         )
     }
 
-    /// [`Self::nearest`] for a segment, with the squared distance (m²). Bounded work: at most [`STEPS_MAX`] Newton
-    /// steps from either end.
+    /// [`Self::nearest`] for a segment, with the squared distance (m²). Bounded work: at most [`STEPS_MAX`] Newton steps from either end.
     ///
-    /// The nearest point of the arc is one of its ends, or that of its circle. In the second case, the nearest point of
-    /// the segment is one of its ends or a minimum of the distance to the circle.
+    /// The nearest point of the arc is one of its ends, or that of its circle. In the second case, the nearest point of the segment is one
+    /// of its ends or a minimum of the distance to the circle.
     #[inline(always)]
     fn nearest_on_segment(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
         let (mut t, mut square_m2) = to_point(axis, &self.start_m);
@@ -232,10 +223,9 @@ impl Tube<1> {
         Chord::new(ends_m, axes, self.length_m, bend_rad)
     }
 
-    /// Least value of direction · point along the arc (m), for up to half a circle; NaN for more, and for a NaN in the
-    /// bends. Along the arc, the slope changes sign at most once. If it changes from falling to rising, the minimum is
-    /// that of the whole circle: R (x - √(x² + z²)) from the start, for components x across and z along of the
-    /// direction.
+    /// Least value of direction · point along the arc (m), for up to half a circle; NaN for more, and for a NaN in the bends. Along the
+    /// arc, the slope changes sign at most once. If it changes from falling to rising, the minimum is that of the whole circle: R (x - √(x²
+    /// + z²)) from the start, for components x across and z along of the direction.
     pub(super) fn least_along_m(&self, direction: &Vector3<f64>) -> f64 {
         let (Wide([bend_rad]), Wide([curvature_1_m])) = (self.bend_rad, self.curvature_1_m);
         if bend_rad > PI || bend_rad.is_nan() {
@@ -272,8 +262,8 @@ impl Tube<1> {
         let local = self.local(&(point - self.start_m));
         let (_, Wide([h])) = in_plane(self.curvature_1_m, &local);
         let end_z_m = (point - self.end_m).dot(&self.end_along);
-        let [faces] = faces(self.bend_rad, local.0[2], end_z_m);
-        if h < CENTRE || !faces {
+        let [on_arc] = on_arc(self.bend_rad, local.0[2], end_z_m);
+        if h < CENTRE || !on_arc {
             return self.nearer_end(&point);
         }
         let (Wide([curvature_1_m]), Wide([bend_rad])) = (self.curvature_1_m, self.bend_rad);
@@ -287,12 +277,10 @@ impl Tube<1> {
             local.z / self.length_m
         };
         if !(0.0..=1.0).contains(&s) {
-            // Rounding: just beyond an end, or so near the centre that the side of a plane does not determine the
-            // angle.
+            // Rounding: just beyond an end, or so near the centre that the side of a plane does not determine the angle.
             return self.nearer_end(&point);
         }
-        // x = (1 - cos a)/κ, in a form that does not cancel near straight; unlike (q + x)/H it also holds near the
-        // centre.
+        // x = (1 - cos a)/κ, in a form that does not cancel near straight; unlike (q + x)/H it also holds near the centre.
         let z_m = local.z / h;
         let x_m = if cos > 0.0 {
             z_m * sin / (1.0 + cos)
@@ -308,16 +296,16 @@ impl Tube<1> {
     }
 
     /// Vector from a point to the nearest point of the arc (m): that of [`Self::foot`], without the angle.
-    pub(super) fn way_from_m(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
+    pub(super) fn vector_from_m(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
         let point = WideVector::splat(point_m);
         let local = self.local(&(point - self.start_m));
         let (Wide([q_h]), Wide([h])) = in_plane(self.curvature_1_m, &local);
-        let [faces] = faces(
+        let [on_arc] = on_arc(
             self.bend_rad,
             local.0[2],
             (point - self.end_m).dot(&self.end_along),
         );
-        if h < CENTRE || !faces {
+        if h < CENTRE || !on_arc {
             return self.nearer_end(&point).point_m - point_m;
         }
         let (Wide([curvature_1_m]), local) = (self.curvature_1_m, local.narrow());
@@ -362,10 +350,10 @@ fn to_point<const W: usize>(axis: &Axis, point_m: &WideVector<W>) -> (Wide<W>, W
     (t, (axis.point(t) - *point_m).norm_squared())
 }
 
-/// True if the circle's nearest point belongs to the arc: its angle is in [0, θ]. `z_m` is the point's height over the
-/// plane across the start, `end_z_m` over that across the end.
+/// True if the circle's nearest point belongs to the arc: its angle is in [0, θ]. `z_m` is the point's height over the plane across the
+/// start, `end_z_m` over that across the end.
 #[inline(always)]
-fn faces<const W: usize>(bend_rad: Wide<W>, z_m: Wide<W>, end_z_m: Wide<W>) -> [bool; W] {
+fn on_arc<const W: usize>(bend_rad: Wide<W>, z_m: Wide<W>, end_z_m: Wide<W>) -> [bool; W] {
     let zero = Wide::splat(0.0);
     let after_start = zero.less_or_equal(z_m);
     let before_end = end_z_m.less_or_equal(zero);
@@ -391,15 +379,17 @@ struct Line<const W: usize> {
 }
 
 impl<const W: usize> Line<W> {
-    /// The ends of the segment and the minimum of the circle's distance found from each. Each has the squared distance
-    /// (m²) if the circle's nearest point is on the arc, else infinity. For W = 1 both searches run side by side in two
-    /// lanes, with the same bits.
+    /// The ends of the segment and the minimum of the circle's distance found from each. Each has the squared distance (m²) if the circle's
+    /// nearest point is on the arc, else infinity. For W = 1 both searches run side by side in two lanes, with the same bits.
     #[inline(always)]
     fn nearest_to_circle(&self) -> [(Wide<W>, Wide<W>); 4] {
         let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
         let middle = self.nearest_to_axis();
         if W > 1 {
-            let (from_start, from_end) = (self.descend(zero, middle), self.descend(one, middle));
+            let (from_start, from_end) = (
+                self.find_minimum(zero, middle),
+                self.find_minimum(one, middle),
+            );
             return [
                 (zero, self.circle_m2(zero)),
                 (one, self.circle_m2(one)),
@@ -407,9 +397,9 @@ impl<const W: usize> Line<W> {
                 (from_end, self.circle_m2(from_end)),
             ];
         }
-        let line = self.twice();
+        let line = self.duplicated();
         let ends = Wide([0.0, 1.0]);
-        let found = line.descend(ends, Wide::splat(middle.0[0]));
+        let found = line.find_minimum(ends, Wide::splat(middle.0[0]));
         let (Wide(at_ends), Wide(at_found)) = (line.circle_m2(ends), line.circle_m2(found));
         let Wide([from_start, from_end]) = found;
         [
@@ -422,7 +412,7 @@ impl<const W: usize> Line<W> {
 
     /// The first lane, in both of two lanes.
     #[inline(always)]
-    fn twice(&self) -> Line<2> {
+    fn duplicated(&self) -> Line<2> {
         let wide = |x: Wide<W>| Wide::<2>::splat(x.0[0]);
         let vector = |vector: &WideVector<W>| WideVector(vector.0.map(wide));
         Line {
@@ -443,8 +433,8 @@ impl<const W: usize> Line<W> {
         let (q_h, h) = in_plane(self.curvature_1_m, &local);
         let q = q_h / (h + 1.0);
         let [end_z, end_slope] = self.end_rise_m;
-        let faces = faces(self.bend_rad, z, end_z + end_slope * t);
-        (q * q + y * y).select(Wide::splat(f64::INFINITY), faces)
+        let on_arc = on_arc(self.bend_rad, z, end_z + end_slope * t);
+        (q * q + y * y).select(Wide::splat(f64::INFINITY), on_arc)
     }
 
     /// d², G' and G'' at t (m²). G'' is computed as q'² + q q'' + y'², which does not cancel for a straight section.
@@ -482,11 +472,11 @@ impl<const W: usize> Line<W> {
         one.select(t.clamp(0.0, 1.0), constant)
     }
 
-    /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis. If
-    /// there is none, some t between. G'' falls along the search, so Newton's steps stay short of the minimum. A
-    /// minimum lies where G is convex; where G is concave, there is none.
+    /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis. If there is none, some t
+    /// between. G'' falls along the search, so Newton's steps stay short of the minimum. A minimum lies where G is convex; where G is
+    /// concave, there is none.
     #[inline(always)]
-    fn descend(&self, from: Wide<W>, middle: Wide<W>) -> Wide<W> {
+    fn find_minimum(&self, from: Wide<W>, middle: Wide<W>) -> Wide<W> {
         let (mut t, mut searching) = (from, [true; W]);
         for _ in 0..STEPS_MAX {
             let [square_m2, slope, curvature] = self.derivatives(t);

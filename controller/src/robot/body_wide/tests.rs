@@ -47,14 +47,14 @@ fn clearances_below<const W: usize>(
 }
 
 /// The same clearances as work compiled for each SIMD instruction set; lane 0 is the drawn shape.
-struct Question<'a> {
+struct ClearanceKernel<'a> {
     robot: &'a Robot,
     bends: [Wide<LANES>; COORDINATES_MAX],
     obstacle: &'a Obstacle,
     enough_m: f64,
 }
 
-impl<'a> Question<'a> {
+impl<'a> ClearanceKernel<'a> {
     fn new(robot: &'a Robot, shape: &Configuration, obstacle: &'a Obstacle, enough_m: f64) -> Self {
         let mut bends = [Wide::splat(0.0); COORDINATES_MAX];
         for (i, bends) in bends[..robot.coordinate_count()].iter_mut().enumerate() {
@@ -70,12 +70,12 @@ impl<'a> Question<'a> {
 
     /// Not inlined, so that it is compiled once.
     #[inline(never)]
-    fn answer(self) -> [Wide<LANES>; SECTIONS_MAX] {
+    fn evaluate(self) -> [Wide<LANES>; SECTIONS_MAX] {
         pulp::NullaryFnOnce::call(self)
     }
 }
 
-impl pulp::NullaryFnOnce for Question<'_> {
+impl pulp::NullaryFnOnce for ClearanceKernel<'_> {
     type Output = [Wide<LANES>; SECTIONS_MAX];
 
     #[inline(always)]
@@ -113,7 +113,7 @@ proptest! {
         let tolerance_m = 1e-14 + series_rad * robot.reach_m();
         let [start_m, end_m] = segment(&robot, &shape, place);
         for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.01), capsule(start_m, start_m, 0.0)] {
-            let [all, below] = [1e3, enough_m].map(|enough_m| Question::new(&robot, &shape, &obstacle, enough_m).answer());
+            let [all, below] = [1e3, enough_m].map(|enough_m| ClearanceKernel::new(&robot, &shape, &obstacle, enough_m).evaluate());
             for lane in 0..LANES {
                 let shape = lane_shape(&shape, lane);
                 let body = robot.body(&shape);
@@ -138,11 +138,11 @@ proptest! {
         let [start_m, end_m] = segment(&robot, &shape, place);
         let far_m = Vector3::repeat(1e3);
         for obstacle in [sphere(start_m, 0.02), sphere(far_m, 0.02), capsule(start_m, end_m, 0.01), capsule(far_m, -far_m, 0.0)] {
-            let question = || Question::new(&robot, &shape, &obstacle, 0.05);
-            let good = bits(&question().answer());
-            let mut bad = question();
+            let kernel = || ClearanceKernel::new(&robot, &shape, &obstacle, 0.05);
+            let good = bits(&kernel().evaluate());
+            let mut bad = kernel();
             bad.bends[component % robot.coordinate_count()].0[bad_lane] = value;
-            let bad = bits(&bad.answer());
+            let bad = bits(&bad.evaluate());
             for lane in (0..LANES).filter(|lane| *lane != bad_lane) {
                 for j in 0..SECTIONS_MAX {
                     prop_assert_eq!(bad[j][lane], good[j][lane]);
@@ -161,14 +161,14 @@ fn every_processor_gives_the_same_bits() {
         let near_m = robot.body_point(&shape, n - 1, 0.4) + Vector3::new(0.04, -0.03, 0.05);
         let [start_m, end_m] = [-Vector3::x() * 0.2, Vector3::y() * 0.1].map(|way| near_m + way);
         for obstacle in [sphere(near_m, 0.02), capsule(start_m, end_m, 0.0)] {
-            let question = || Question::new(&robot, &shape, &obstacle, 0.1);
-            let expected = question().answer();
+            let kernel = || ClearanceKernel::new(&robot, &shape, &obstacle, 0.1);
+            let expected = kernel().evaluate();
             assert!(expected[n - 1].0[0] < 0.1);
             if let Some(avx2) = pulp::x86::V3::try_new() {
-                assert_eq!(bits(&avx2.vectorize(question())), bits(&expected));
+                assert_eq!(bits(&avx2.vectorize(kernel())), bits(&expected));
             }
             if let Some(avx512) = pulp::x86::V4::try_new() {
-                assert_eq!(bits(&avx512.vectorize(question())), bits(&expected));
+                assert_eq!(bits(&avx512.vectorize(kernel())), bits(&expected));
             }
         }
     }
