@@ -65,19 +65,19 @@ struct PlayModel {
     /// State of the play for motors without delay.
     motors: Slack,
     /// State of the play when the motors have reached the commanded configuration.
-    led: Slack,
+    commanded: Slack,
     /// Motion of the motors by measurements that is withheld from the cables: the cables rest within a band.
-    held: Slack,
+    band: Slack,
     /// The part of the play that the motors cross.
     window: Window,
 }
 
 /// Width of the band as a share of the play. Motors that reverse because of noise cross the whole play. As they do not
 /// take all cables along at once, the tip would move more than the noise.
-const HELD: f64 = 0.1;
+const BAND_SHARE: f64 = 0.1;
 /// Share of the play that the motors cross at rest while the tip is measured. A share above the real play would move
 /// the robot past its target at every reversal, without end. The tip sensor corrects a share that is too low.
-const AT_REST: f64 = 0.75;
+const PLAY_SHARE_AT_REST: f64 = 0.75;
 
 /// Rates commanded for a duration.
 #[derive(Debug, Clone, Copy)]
@@ -121,18 +121,18 @@ impl ActuatorModel {
         self.play = (self.actuator.play_m > 0.0).then(|| PlayModel {
             robot: robot.clone(),
             motors: middle,
-            led: middle,
-            held: Slack::middle(HELD * self.actuator.play_m),
+            commanded: middle,
+            band: Slack::middle(BAND_SHARE * self.actuator.play_m),
             window: Window::WHOLE,
         });
         self
     }
 
     /// Configuration of the cables when the commands lead the motors to `at`.
-    pub(super) fn cables_led(&self, at: &Configuration) -> Configuration {
+    pub(super) fn cables_commanded(&self, at: &Configuration) -> Configuration {
         let mut cables = *at;
         if let Some(play) = &self.play {
-            for slack in [&play.led, &play.held] {
+            for slack in [&play.commanded, &play.band] {
                 add(
                     cables.as_mut_slice(),
                     slack.bends(&play.robot).as_slice(),
@@ -145,31 +145,31 @@ impl ActuatorModel {
 
     /// Takes a correction of the motors' configuration from `from` to `to` by measurements: the cables follow only
     /// beyond the band.
-    pub(super) fn hold(&mut self, from: &Configuration, to: &Configuration) {
+    pub(super) fn hold_cables(&mut self, from: &Configuration, to: &Configuration) {
         if let Some(play) = &mut self.play {
             let moved = added(to, from.as_slice(), -1.0);
-            play.held = play.held.moved(&play.robot, &moved);
+            play.band = play.band.moved(&play.robot, &moved);
         }
     }
 
     /// Resets the band and the window: the cables follow the measurements.
-    pub(super) fn let_go(&mut self) {
+    pub(super) fn reset_band(&mut self) {
         if let Some(play) = &mut self.play {
-            play.held = Slack::middle(play.held.play_m());
+            play.band = Slack::middle(play.band.play_m());
             play.window = Window::WHOLE;
         }
     }
 
     /// Switches between a robot that `rests` and one that moves, while its tip is measured. Returns true if this
     /// changes the estimated place of the cables.
-    pub(super) fn rest(&mut self, rests: bool) -> bool {
+    pub(super) fn set_rest(&mut self, rests: bool) -> bool {
         let Some(play) = &mut self.play else {
             return false;
         };
         let is_whole = play.window == Window::WHOLE;
         if rests {
             if is_whole {
-                play.window = Window::around(&play.motors, AT_REST);
+                play.window = Window::around(&play.motors, PLAY_SHARE_AT_REST);
             }
             return false;
         }
@@ -177,7 +177,7 @@ impl ActuatorModel {
             let before = play.motors.bends(&play.robot);
             let window = core::mem::replace(&mut play.window, Window::WHOLE);
             play.motors = play.motors.widened(&window);
-            play.led = play.led.widened(&window);
+            play.commanded = play.commanded.widened(&window);
             let after = play.motors.bends(&play.robot);
             for past in &mut self.moves {
                 add(&mut past.slack_rad, after.as_slice(), 1.0);
@@ -189,7 +189,7 @@ impl ActuatorModel {
 
     /// State of the play at the commanded configuration; `None`: no play.
     pub(super) fn slack_led(&self) -> Option<&Slack> {
-        self.play.as_ref().map(|play| &play.led)
+        self.play.as_ref().map(|play| &play.commanded)
     }
 
     /// Sets the motors at rest at their command, with the cables where this leads them; a restart moves none. Does not
@@ -198,9 +198,9 @@ impl ActuatorModel {
         let section_count = self.moves[self.newest].rates.section_count();
         let mut rest = Move::rest(section_count);
         if let Some(play) = &mut self.play {
-            play.motors = play.led;
-            let led = play.led.bends(&play.robot);
-            add(&mut rest.slack_rad, led.as_slice(), 1.0);
+            play.motors = play.commanded;
+            let slack = play.commanded.bends(&play.robot);
+            add(&mut rest.slack_rad, slack.as_slice(), 1.0);
         }
         self.moves.fill(rest);
     }
@@ -220,7 +220,7 @@ impl ActuatorModel {
             // The lag is taken to be made up at constant rates, whatever the path of the commands: fast reversals do
             // not reach the cables.
             let left = added(&rest, &behind_rad, 1.0);
-            play.led = play.motors.moved_within(&play.robot, &left, window);
+            play.commanded = play.motors.moved_within(&play.robot, &left, window);
             add(
                 &mut slack_rad,
                 play.motors.bends(&play.robot).as_slice(),
@@ -238,9 +238,9 @@ impl ActuatorModel {
 
     /// Motion of the motors from their place `age_s` ago to the commanded configuration: the commands of the last age +
     /// delay, and the lag at that time.
-    pub(super) fn way_left(&self, age_s: f64) -> WayLeft {
+    pub(super) fn remaining_motion(&self, age_s: f64) -> RemainingMotion {
         let mut left_s = age_s + self.actuator.delay_s;
-        let mut way_rad = [0.0; COORDINATES_MAX];
+        let mut motion_rad = [0.0; COORDINATES_MAX];
         let mut slack_rad = [0.0; COORDINATES_MAX];
         for back in 0..MOVES_MAX {
             let past = self.back(back);
@@ -254,8 +254,8 @@ impl ActuatorModel {
                 } else {
                     past.behind_rad
                 };
-                add(&mut way_rad, past.rates.as_slice(), part_s);
-                add(&mut way_rad, &behind_rad, 1.0);
+                add(&mut motion_rad, past.rates.as_slice(), part_s);
+                add(&mut motion_rad, &behind_rad, 1.0);
                 if self.play.is_some() {
                     let began = self.back((back + 1).min(MOVES_MAX - 1));
                     let left = if past.duration_s > 0.0 {
@@ -268,14 +268,17 @@ impl ActuatorModel {
                 }
                 break;
             }
-            add(&mut way_rad, past.rates.as_slice(), part_s);
+            add(&mut motion_rad, past.rates.as_slice(), part_s);
             left_s -= part_s;
         }
         if let Some(play) = &self.play {
-            let held = play.held.bends(&play.robot);
-            add(&mut slack_rad, held.as_slice(), 1.0);
+            let band = play.band.bends(&play.robot);
+            add(&mut slack_rad, band.as_slice(), 1.0);
         }
-        WayLeft { way_rad, slack_rad }
+        RemainingMotion {
+            motion_rad,
+            slack_rad,
+        }
     }
 
     fn back(&self, back: usize) -> &Move {
@@ -306,30 +309,30 @@ impl ActuatorModel {
 
 /// A motion of the motors, in bend vectors.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct WayLeft {
-    way_rad: [f64; COORDINATES_MAX],
+pub(super) struct RemainingMotion {
+    motion_rad: [f64; COORDINATES_MAX],
     /// Bends of the cables minus those of the motors at its start \[rad\].
     slack_rad: [f64; COORDINATES_MAX],
 }
 
-impl WayLeft {
+impl RemainingMotion {
     /// The configuration at its end if it starts at `at`.
-    pub(super) fn from(&self, at: &Configuration) -> Configuration {
-        added(at, &self.way_rad, 1.0)
+    pub(super) fn end_from(&self, at: &Configuration) -> Configuration {
+        added(at, &self.motion_rad, 1.0)
     }
 
     /// The configuration at its start if it ends at `at`.
-    pub(super) fn back_from(&self, at: &Configuration) -> Configuration {
-        added(at, &self.way_rad, -1.0)
+    pub(super) fn start_from(&self, at: &Configuration) -> Configuration {
+        added(at, &self.motion_rad, -1.0)
     }
 
     /// Configuration of the cables at its start if the motors are at `begin`.
-    pub(super) fn cables(&self, begin: &Configuration) -> Configuration {
+    pub(super) fn cables_at_start(&self, begin: &Configuration) -> Configuration {
         added(begin, &self.slack_rad, 1.0)
     }
 
     /// Configuration of the motors at its start if the cables are at `begin`.
-    pub(super) fn motors(&self, begin: &Configuration) -> Configuration {
+    pub(super) fn motors_at_start(&self, begin: &Configuration) -> Configuration {
         added(begin, &self.slack_rad, -1.0)
     }
 }
@@ -397,12 +400,12 @@ mod tests {
                 let then = past[past.len() - 1 - age_steps];
                 let age_s = age_steps as f64 * STEP_S;
                 let at = Configuration::from_slice(&[then, 0.0]).unwrap();
-                let leads_to = model.way_left(age_s).from(&at).as_slice()[0];
+                let leads_to = model.remaining_motion(age_s).end_from(&at).as_slice()[0];
                 assert!(
                     (leads_to - commanded).abs() < 3e-5,
                     "{actuator:?} {age_s}: {leads_to} {commanded}"
                 );
-                let back = model.way_left(age_s).back_from(&at).as_slice()[0];
+                let back = model.remaining_motion(age_s).start_from(&at).as_slice()[0];
                 assert!((back + leads_to - 2.0 * then).abs() < 1e-15);
             }
         }
@@ -415,14 +418,14 @@ mod tests {
             model.command(&rates(1.0), 0.005);
         }
         let at = Configuration::straight(1);
-        let moved = model.way_left(10.0).from(&at).as_slice()[0];
+        let moved = model.remaining_motion(10.0).end_from(&at).as_slice()[0];
         assert!((moved - 128.0 * 0.005).abs() < 1e-12, "{moved}");
         // The lag, too, is that of the moves kept: the rates have reversed since.
         let mut model = ActuatorModel::new(actuator(0.2, 0.1), 1);
         for cycle in 0..1000 {
             model.command(&rates(if cycle < 950 { 1.0 } else { -1.0 }), 0.001);
         }
-        let moved = model.way_left(0.0).from(&at).as_slice()[0];
+        let moved = model.remaining_motion(0.0).end_from(&at).as_slice()[0];
         assert!((moved - (0.1 + 0.078 - 0.05)).abs() < 1e-3, "{moved}");
     }
 }

@@ -1,7 +1,7 @@
 //! Estimate of the configuration at the release, from earlier measurements and the commands since.
 //!
-//! Invariant: nothing here commands or decides. Inputs are measurements with their ages and the commanded rates; the
-//! output is a configuration.
+//! Invariant: nothing here commands or decides. Inputs are measurements with their ages and the commanded rates; the output is a
+//! configuration.
 
 mod actuator;
 mod slack;
@@ -18,8 +18,8 @@ pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
 
-/// Number of low-pass filters in series. The rates follow the estimate at once, so noise changes them by the second
-/// difference of the estimate. At the same delay, three filters give a tenth of the second difference of two.
+/// Number of low-pass filters in series. The rates follow the estimate at once, so noise changes them by the second difference of the
+/// estimate. At the same delay, three filters give a tenth of the second difference of two.
 const STAGES: usize = 3;
 
 /// A measurement by a driver or a tip sensor.
@@ -29,24 +29,22 @@ pub enum Measurement {
     Configuration(Configuration),
     /// The length of every cable \[m\], section by section.
     CableLengths([f64; CABLES_MAX]),
-    /// Position of the tip in the base frame \[m\]. It does not determine the configuration of two or more sections. A
-    /// Kalman filter weighs it against the prediction; it assumes 0.3 mm of noise by default
-    /// ([`Estimator::with_tip_noise`]).
+    /// Position of the tip in the base frame \[m\]. It does not determine the configuration of two or more sections. A Kalman filter weighs
+    /// it against the prediction; it assumes 0.3 mm of noise by default ([`Estimator::with_tip_noise`]).
     TipPosition(Vector3<f64>),
 }
 
 /// Estimator of the configuration.
 ///
-/// The motors follow their commands after a delay and with a lag ([`Actuator`]). A disturbance is added: zero and load
-/// of the encoders and motors, errors of the model. The estimate is the sum of commands and disturbance: the
-/// configuration **to which the commands so far lead the robot**, and from which the next command continues. The
-/// present configuration is [`Self::present`].
+/// The motors follow their commands after a delay and with a lag ([`Actuator`]). A disturbance is added: zero and load of the encoders and
+/// motors, errors of the model. The estimate is the sum of commands and disturbance: the configuration **to which the commands so far lead
+/// the robot**, and from which the next command continues. The present configuration is [`Self::present`].
 #[derive(Debug)]
 pub struct Estimator {
     /// Configurations to which the commands lead the motors, after each filter; the last one is the estimate.
     stages: [Configuration; STAGES],
     /// Configuration of the cables, and of the robot, at that estimate.
-    led: Configuration,
+    commanded: Configuration,
     /// Unfiltered measurement, advanced by the commanded motion since; the estimate if the time constant is 0.
     measured: Configuration,
     /// Delay with which the disturbance follows the measurements \[s\]; 0: none.
@@ -64,7 +62,7 @@ impl Clone for Estimator {
     fn clone(&self) -> Self {
         Self {
             stages: self.stages,
-            led: self.led,
+            commanded: self.commanded,
             measured: self.measured,
             time_constant_s: self.time_constant_s,
             uncorrected_s: self.uncorrected_s,
@@ -77,7 +75,7 @@ impl Clone for Estimator {
     /// Does not allocate.
     fn clone_from(&mut self, source: &Self) {
         self.stages = source.stages;
-        self.led = source.led;
+        self.commanded = source.commanded;
         self.measured = source.measured;
         self.time_constant_s = source.time_constant_s;
         self.uncorrected_s = source.uncorrected_s;
@@ -92,7 +90,7 @@ impl Estimator {
     pub fn new(configuration: Configuration) -> Self {
         Self {
             stages: [configuration; STAGES],
-            led: configuration,
+            commanded: configuration,
             measured: configuration,
             time_constant_s: 0.0,
             uncorrected_s: None,
@@ -109,10 +107,9 @@ impl Estimator {
         self
     }
 
-    /// Sets the delay with which the disturbance follows the measurements \[s\], 0 or more: three first-order filters,
-    /// each with a third of it as time constant. With one filter, noise changes the rates forty times as much
-    /// (docs/robustness.md). If the motors lag more than the [`Actuator`] states, a time constant of four times the
-    /// difference or more prevents oscillation.
+    /// Sets the delay with which the disturbance follows the measurements \[s\], 0 or more: three first-order filters, each with a third of
+    /// it as time constant. With one filter, noise changes the rates forty times as much (docs/robustness.md). If the motors lag more than
+    /// the [`Actuator`] states, a time constant of four times the difference or more prevents oscillation.
     #[must_use]
     pub fn with_time_constant(mut self, time_constant_s: f64) -> Self {
         self.time_constant_s = time_constant_s;
@@ -127,8 +124,7 @@ impl Estimator {
         self
     }
 
-    /// Takes the offset of the tip as constant in space, to show the effect of its slope. Call it after
-    /// [`Self::with_tip_noise`].
+    /// Takes the offset of the tip as constant in space, to show the effect of its slope. Call it after [`Self::with_tip_noise`].
     #[must_use]
     pub fn without_tip_slope(mut self) -> Self {
         self.tip_offset = self.tip_offset.without_slope();
@@ -143,20 +139,20 @@ impl Estimator {
         self.tip.begin();
         self.tip_offset.begin();
         self.motors.begin();
-        self.led = self.motors.cables_led(&configuration);
+        self.commanded = self.motors.cables_commanded(&configuration);
     }
 
     /// Restarts at the unfiltered measurement, with motors still moving towards it.
     pub fn begin_moving(&mut self) {
         self.stages = [self.measured; STAGES];
-        self.led = self.motors.cables_led(self.motors());
+        self.commanded = self.motors.cables_commanded(self.motors());
         self.uncorrected_s = None;
         self.tip_offset.begin();
     }
 
     /// Configuration to which the commands so far lead the robot.
     pub fn configuration(&self) -> &Configuration {
-        &self.led
+        &self.commanded
     }
 
     /// Configuration to which the commands so far lead the motors. The robot differs from it by the play of its cables.
@@ -171,24 +167,23 @@ impl Estimator {
 
     /// Present configuration of the motors: [`Self::motors`] less their remaining motion.
     pub fn motors_present(&self) -> Configuration {
-        self.motors.way_left(0.0).back_from(self.motors())
+        self.motors.remaining_motion(0.0).start_from(self.motors())
     }
 
     /// Present configuration of the robot: that of the motors, with the play of the cables.
     pub fn present(&self) -> Configuration {
-        let way = self.motors.way_left(0.0);
-        way.cables(&way.back_from(self.motors()))
+        let motion = self.motors.remaining_motion(0.0);
+        motion.cables_at_start(&motion.start_from(self.motors()))
     }
 
-    /// Measured tip position minus the one from the bends (m), as learnt by [`Self::correct_tip`]: the error of the
-    /// model at the tip.
+    /// Measured tip position minus the one from the bends (m), as learnt by [`Self::correct_tip`]: the error of the model at the tip.
     pub fn tip_offset_m(&self) -> Vector3<f64> {
         self.tip_offset.offset_m()
     }
 
-    /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`]
-    /// plus three standard deviations of its uncertainty. The safe distance grows by as much ([`Robot::thicker`]). 0
-    /// before the first tip position beside measured bends.
+    /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`] plus three standard
+    /// deviations of its uncertainty. The safe distance grows by as much ([`Robot::thicker`]). 0 before the first tip position beside
+    /// measured bends.
     pub fn tip_margin_m(&self) -> f64 {
         self.tip_offset.margin_m()
     }
@@ -196,8 +191,8 @@ impl Estimator {
     /// Discards the tip offset, until the tip is measured again.
     pub fn forget_tip_offset(&mut self) {
         self.tip_offset = self.tip_offset.forgotten();
-        self.motors.let_go();
-        self.led = self.motors.cables_led(self.motors());
+        self.motors.reset_band();
+        self.commanded = self.motors.cables_commanded(self.motors());
     }
 
     /// Advances the estimate by `elapsed_s` at the commanded `rates`.
@@ -210,31 +205,32 @@ impl Estimator {
         self.tip.predict(elapsed_s);
         self.tip_offset.predict(elapsed_s);
         self.motors.command(rates, elapsed_s);
-        self.led = self.motors.cables_led(self.motors());
-        &self.led
+        self.commanded = self.motors.cables_commanded(self.motors());
+        &self.commanded
     }
 
-    /// Takes a measurement made `age_s` before the time of the last prediction. The motion of the motors since then is
-    /// added, so take each measurement only **once**.
+    /// Takes a measurement made `age_s` before the time of the last prediction. The motion of the motors since then is added, so take each
+    /// measurement only **once**.
     pub fn correct(
         &mut self,
         robot: &Robot,
         measurement: &Measurement,
         age_s: f64,
     ) -> &Configuration {
-        let way = self.motors.way_left(age_s);
+        let motion = self.motors.remaining_motion(age_s);
         self.measured = match measurement {
             Measurement::Configuration(measured) => {
-                self.tip.know_all();
-                way.from(measured)
+                self.tip.set_known();
+                motion.end_from(measured)
             }
             Measurement::CableLengths(lengths) => {
-                self.tip.know_all();
-                way.from(&robot.bend_from_cable_lengths(lengths))
+                self.tip.set_known();
+                motion.end_from(&robot.bend_from_cable_lengths(lengths))
             }
             Measurement::TipPosition(position_m) => {
-                let then = way.cables(&way.back_from(&self.measured));
-                way.from(&way.motors(&self.tip.correct(robot, &then, position_m)))
+                let then = motion.cables_at_start(&motion.start_from(&self.measured));
+                motion
+                    .end_from(&motion.motors_at_start(&self.tip.correct(robot, &then, position_m)))
             }
         };
         let gain = match self.uncorrected_s.replace(0.0) {
@@ -244,43 +240,42 @@ impl Estimator {
             _ => 1.0,
         };
         let mut before = self.measured;
-        let led = *self.motors();
+        let motors_before = *self.motors();
         for stage in &mut self.stages {
             *stage = towards(stage, &before, gain);
             before = *stage;
         }
         if self.tip_offset.is_measured() {
             // The tip sensor corrects the part of the motors' motion that the band withholds.
-            self.motors.hold(&led, &before);
+            self.motors.hold_cables(&motors_before, &before);
         }
-        self.led = self.motors.cables_led(self.motors());
+        self.commanded = self.motors.cables_commanded(self.motors());
         if self.tip_offset.is_measured() {
             self.follow_tip(robot);
         }
-        &self.led
+        &self.commanded
     }
 
-    /// Takes a tip position (m) beside measured bends. The bends are kept; the tip offset ([`Self::tip_offset_m`]) and
-    /// its change along the path of the tip are learnt.
+    /// Takes a tip position (m) beside measured bends. The bends are kept; the tip offset ([`Self::tip_offset_m`]) and its change along the
+    /// path of the tip are learnt.
     ///
-    /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends or not finite. The
-    /// same if it is bit-identical to the last one: the sensor may have stopped.
+    /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends or not finite. The same if it is
+    /// bit-identical to the last one: the sensor may have stopped.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
         self.follow_tip(robot);
-        let way = self.motors.way_left(age_s);
-        let then = way.cables(&way.back_from(self.motors()));
+        let motion = self.motors.remaining_motion(age_s);
+        let then = motion.cables_at_start(&motion.start_from(self.motors()));
         let placed_m = robot.tip_position(&then);
         let has_play = self.motors.slack_led().is_some();
         self.tip_offset.correct(position_m, &placed_m, has_play)
     }
 
-    /// Updates the tip offset along the path of the tip. When cables begin to move, their place in the play is revised;
-    /// the tip stays.
+    /// Updates the tip offset along the path of the tip. When cables begin to move, their place in the play is revised; the tip stays.
     fn follow_tip(&mut self, robot: &Robot) {
-        self.tip_offset.follow(&robot.tip_position(&self.led));
-        if self.motors.rest(!self.tip_offset.is_moving()) {
-            self.led = self.motors.cables_led(self.motors());
-            self.tip_offset.place(&robot.tip_position(&self.led));
+        self.tip_offset.follow(&robot.tip_position(&self.commanded));
+        if self.motors.set_rest(!self.tip_offset.is_moving()) {
+            self.commanded = self.motors.cables_commanded(self.motors());
+            self.tip_offset.place(&robot.tip_position(&self.commanded));
         }
     }
 }
@@ -347,8 +342,8 @@ mod tests {
         }
     }
 
-    /// A position-controlled robot is pushed aside, and only its tip is measured. Kalman filter and smoothing are in
-    /// series and do not reduce each other's gain.
+    /// A position-controlled robot is pushed aside, and only its tip is measured. Kalman filter and smoothing are in series and do not
+    /// reduce each other's gain.
     #[test]
     fn the_offset_of_a_tip_is_learnt_within_a_second() {
         for sections in 1..=3 {
@@ -390,8 +385,7 @@ mod tests {
         Measurement::TipPosition(position_m + noise_m)
     }
 
-    /// A filter that trusted each measurement fully would drift by 1e5 rad here: no bend moves the tip of a straight
-    /// robot along its axis.
+    /// A filter that trusted each measurement fully would drift by 1e5 rad here: no bend moves the tip of a straight robot along its axis.
     #[test]
     fn a_noisy_tip_of_a_straight_robot_at_rest_does_not_lead_the_estimate_astray() {
         for sections in 1..=6 {
@@ -469,8 +463,8 @@ mod tests {
         }
     }
 
-    /// The margin is the offset plus the uncertainty that noise leaves. The tip exceeds it along an axis only rarely,
-    /// and the margin is smaller for less noise.
+    /// The margin is the offset plus the uncertainty that noise leaves. The tip exceeds it along an axis only rarely, and the margin is
+    /// smaller for less noise.
     #[test]
     fn the_margin_is_the_offset_and_what_noise_leaves_open_of_it() {
         let robot = robot(3);

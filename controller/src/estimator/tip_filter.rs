@@ -10,7 +10,7 @@ pub(super) const TIP_NOISE_M: f64 = 3e-4;
 const BEND_NOISE_RAD_SQRT_S: f64 = 1e-3;
 /// Standard deviation of a bend before any measurement, and its upper limit \[rad\]. A larger value would turn noise
 /// into large bends: an S shape of a straight robot hardly moves its tip.
-const UNKNOWN_RAD: f64 = 0.01;
+const PRIOR_RAD: f64 = 0.01;
 /// Maximum number of steps of one correction.
 const STEPS: usize = 12;
 /// A correction has converged when no bend changes by more than this \[rad\].
@@ -36,21 +36,21 @@ impl TipFilter {
             covariance: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
             noise_m2: noise_m * noise_m,
         };
-        filter.know(UNKNOWN_RAD * UNKNOWN_RAD);
+        filter.set_variance(PRIOR_RAD * PRIOR_RAD);
         filter
     }
 
     /// Resets the bends to the vague prior.
     pub(super) fn begin(&mut self) {
-        self.know(UNKNOWN_RAD * UNKNOWN_RAD);
+        self.set_variance(PRIOR_RAD * PRIOR_RAD);
     }
 
     /// Records that every bend was measured.
-    pub(super) fn know_all(&mut self) {
-        self.know(0.0);
+    pub(super) fn set_known(&mut self) {
+        self.set_variance(0.0);
     }
 
-    fn know(&mut self, variance: f64) {
+    fn set_variance(&mut self, variance: f64) {
         let row = |i| core::array::from_fn(|j| if i == j { variance } else { 0.0 });
         self.covariance = core::array::from_fn(row);
     }
@@ -60,7 +60,7 @@ impl TipFilter {
         let grown = BEND_NOISE_RAD_SQRT_S * BEND_NOISE_RAD_SQRT_S * elapsed_s;
         for i in 0..COORDINATES_MAX {
             let variance = &mut self.covariance[i][i];
-            *variance = (*variance + grown).min(UNKNOWN_RAD * UNKNOWN_RAD);
+            *variance = (*variance + grown).min(PRIOR_RAD * PRIOR_RAD);
         }
     }
 
@@ -85,7 +85,7 @@ impl TipFilter {
                 break;
             };
             let next = fit(units);
-            let is_converged = next.farthest_rad(&now) < STEP_MIN_RAD;
+            let is_converged = next.max_change_rad(&now) < STEP_MIN_RAD;
             if next.cost < now.cost {
                 damping *= 0.1;
                 now = next;
@@ -100,7 +100,7 @@ impl TipFilter {
             return *before;
         }
         robot.tip_jacobian(&now.bends, &mut jacobian);
-        self.learn(&jacobian);
+        self.update_covariance(&jacobian);
         now.bends
     }
 
@@ -124,7 +124,7 @@ impl TipFilter {
     }
 
     /// Updates the covariance by the measurement: P - P Jᵀ S⁻¹ J P with S = J P Jᵀ + R.
-    fn learn(&mut self, jacobian: &Jacobian) {
+    fn update_covariance(&mut self, jacobian: &Jacobian) {
         let cross = by_unit(jacobian, &self.covariance);
         let mut innovation = Matrix3::identity() * self.noise_m2;
         for (row, cross) in rows(jacobian).zip(&cross) {
@@ -153,7 +153,7 @@ struct Fit {
     units: [f64; COORDINATES_MAX],
     bends: Configuration,
     /// Measured tip minus the tip of these bends \[m\].
-    missing_m: Vector3<f64>,
+    residual_m: Vector3<f64>,
     cost: f64,
 }
 
@@ -170,13 +170,13 @@ impl Fit {
         for (bend, row) in bends.as_mut_slice().iter_mut().zip(root) {
             *bend += row.iter().zip(&units).map(|(a, b)| a * b).sum::<f64>();
         }
-        let missing_m = position_m - robot.tip_position(&bends);
-        let cost =
-            missing_m.norm_squared() / noise_m2 + units.iter().map(|unit| unit * unit).sum::<f64>();
+        let residual_m = position_m - robot.tip_position(&bends);
+        let cost = residual_m.norm_squared() / noise_m2
+            + units.iter().map(|unit| unit * unit).sum::<f64>();
         Self {
             units,
             bends,
-            missing_m,
+            residual_m,
             cost,
         }
     }
@@ -191,20 +191,20 @@ impl Fit {
     ) -> Option<[f64; COORDINATES_MAX]> {
         let damped = 1.0 + damping;
         let mut gram = Matrix3::identity() * (damped * noise_m2);
-        let mut seen = Vector3::zeros();
+        let mut by_tip = Vector3::zeros();
         let slope: [f64; COORDINATES_MAX] =
-            core::array::from_fn(|i| by_unit[i].dot(&self.missing_m) / noise_m2 - self.units[i]);
+            core::array::from_fn(|i| by_unit[i].dot(&self.residual_m) / noise_m2 - self.units[i]);
         for (column, slope) in by_unit.iter().zip(&slope) {
             gram += column * column.transpose();
-            seen += column * *slope;
+            by_tip += column * *slope;
         }
-        let told = gram.cholesky()?.solve(&seen);
+        let weights = gram.cholesky()?.solve(&by_tip);
         Some(core::array::from_fn(|i| {
-            self.units[i] + (slope[i] - by_unit[i].dot(&told)) / damped
+            self.units[i] + (slope[i] - by_unit[i].dot(&weights)) / damped
         }))
     }
 
-    fn farthest_rad(&self, other: &Self) -> f64 {
+    fn max_change_rad(&self, other: &Self) -> f64 {
         let pairs = self.bends.as_slice().iter().zip(other.bends.as_slice());
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }

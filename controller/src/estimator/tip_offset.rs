@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 
-use super::tip_slope::{STILL_M_S, TipSlope};
+use super::tip_slope::{REST_SPEED_M_S, TipSlope};
 
 /// Time constant with which the offset follows the measurements (s). From 0.3 mm of noise in each coordinate, measured
 /// at 100 Hz, 0.1 mm remains.
@@ -13,13 +13,13 @@ const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
 const OFFSET_MAX_M: f64 = 0.1;
 
 /// A sensor counts as silent after this multiple of the interval between its last two positions.
-const SILENT: f64 = 1.5;
+const SILENCE_RATIO: f64 = 1.5;
 
 /// Dead zone of the offset, as a share of the noise of a measured coordinate. Without it, noise moves the tip without
 /// end, and a robot with more play than configured oscillates: by 4 mm at 0.5 mm of play (docs/robustness.md).
-const STILL: f64 = 0.25;
+const DEAD_ZONE: f64 = 0.25;
 /// Dead zone at rest if the play of the cables is known: the play then absorbs no noise.
-const STILL_WITH_PLAY: f64 = 0.6;
+const DEAD_ZONE_WITH_PLAY: f64 = 0.6;
 
 /// Number of standard deviations of the offset's uncertainty in the margin. In 1 of 740 measurements, the tip is
 /// farther aside in the direction of an obstacle.
@@ -38,11 +38,11 @@ pub(super) struct TipOffset {
     /// True if that position is changing.
     is_moving: bool,
     /// Time since that position was set (s).
-    unplaced_s: f64,
+    since_placed_s: f64,
     /// The last measured position (m).
     measured_m: Vector3<f64>,
     /// Time since the last tip position (s), at most the time constant.
-    unmeasured_s: f64,
+    since_measured_s: f64,
     /// Interval between the last two tip positions (s).
     interval_s: f64,
 }
@@ -65,9 +65,9 @@ impl TipOffset {
             slope,
             placed_m: None,
             is_moving: false,
-            unplaced_s: 0.0,
+            since_placed_s: 0.0,
             measured_m: Vector3::repeat(f64::NAN),
-            unmeasured_s: 0.0,
+            since_measured_s: 0.0,
             interval_s: TIME_CONSTANT_S,
         }
     }
@@ -97,8 +97,8 @@ impl TipOffset {
     }
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
-        self.unmeasured_s = (self.unmeasured_s + elapsed_s).min(TIME_CONSTANT_S);
-        self.unplaced_s += elapsed_s;
+        self.since_measured_s = (self.since_measured_s + elapsed_s).min(TIME_CONSTANT_S);
+        self.since_placed_s += elapsed_s;
     }
 
     /// True if a tip was measured since control restarted.
@@ -108,14 +108,14 @@ impl TipOffset {
 
     /// Sets the present tip position from the bends (m). The offset follows its slope, unless the sensor is silent.
     pub(super) fn follow(&mut self, placed_m: &Vector3<f64>) {
-        let elapsed_s = core::mem::take(&mut self.unplaced_s);
+        let elapsed_s = core::mem::take(&mut self.since_placed_s);
         let Some(before_m) = self.placed_m.replace(*placed_m) else {
             return;
         };
         if elapsed_s > 0.0 {
-            self.is_moving = (placed_m - before_m).norm() > STILL_M_S * elapsed_s;
+            self.is_moving = (placed_m - before_m).norm() > REST_SPEED_M_S * elapsed_s;
         }
-        if self.unmeasured_s < SILENT * self.interval_s {
+        if self.since_measured_s < SILENCE_RATIO * self.interval_s {
             let change_m = self.slope.change_in_m(&(placed_m - before_m), elapsed_s);
             self.learnt_m += change_m;
             self.offset_m = (self.offset_m + change_m).cap_magnitude(OFFSET_MAX_M);
@@ -157,27 +157,27 @@ impl TipOffset {
         }
         // After a pause of the sensor, its next position has no more weight than the previous one, so that the offset
         // does not jump.
-        let since_s = self.unmeasured_s.min(self.interval_s);
-        self.interval_s = self.unmeasured_s;
+        let since_s = self.since_measured_s.min(self.interval_s);
+        self.interval_s = self.since_measured_s;
         self.slope.learn(&beside_m, placed_m, since_s);
         // Offset from the present tip position.
         let since_m = self.placed_m.map(|now_m| now_m - placed_m);
         let beside_m = beside_m + self.slope.change_m(&since_m.unwrap_or_default());
-        let (time_constant_s, still) = if has_play && !self.is_moving {
-            (TIME_CONSTANT_WITH_PLAY_S, STILL_WITH_PLAY)
+        let (time_constant_s, dead_zone) = if has_play && !self.is_moving {
+            (TIME_CONSTANT_WITH_PLAY_S, DEAD_ZONE_WITH_PLAY)
         } else {
-            (TIME_CONSTANT_S, STILL)
+            (TIME_CONSTANT_S, DEAD_ZONE)
         };
         let gain = since_s / (since_s + time_constant_s);
         self.learnt_m += gain * (beside_m - self.learnt_m);
-        let missing_m = self.learnt_m - self.offset_m;
-        let far_m = missing_m.norm();
-        let still_m = still * self.slope.noise_m();
-        if far_m > still_m {
-            let moved_m = self.offset_m + missing_m * (1.0 - still_m / far_m);
+        let innovation_m = self.learnt_m - self.offset_m;
+        let distance_m = innovation_m.norm();
+        let dead_zone_m = dead_zone * self.slope.noise_m();
+        if distance_m > dead_zone_m {
+            let moved_m = self.offset_m + innovation_m * (1.0 - dead_zone_m / distance_m);
             self.offset_m = moved_m.cap_magnitude(OFFSET_MAX_M);
         }
-        self.unmeasured_s = 0.0;
+        self.since_measured_s = 0.0;
         true
     }
 }

@@ -2,21 +2,21 @@ use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
 /// Standard deviation of the model's error of a tip motion, as a share of that motion: about the accuracy of a robot's
 /// lengths and angles.
-const SLOPE: f64 = 0.05;
+const SLOPE_PRIOR: f64 = 0.05;
 /// Limit of the slope (Frobenius norm).
 const SLOPE_MAX: f64 = 0.2;
 /// Time constant with which the slope is forgotten (s), because it varies with the bends.
-const FORGOTTEN_S: f64 = 10.0;
+const FORGETTING_TIME_S: f64 = 10.0;
 /// Random walk of the offset beside the slope (m/√s).
-const WANDER_M: f64 = 3e-4;
+const RANDOM_WALK_M_SQRT_S: f64 = 3e-4;
 /// Standard deviation of the offset before any measurement (m).
-const UNKNOWN_M: f64 = 0.05;
+const PRIOR_M: f64 = 0.05;
 /// An innovation beyond this many standard deviations is attributed to another cause: an added load, or cables in their
 /// play.
-const SURPRISE: f64 = 3.0;
+const OUTLIER_DEVIATIONS: f64 = 3.0;
 /// Below about this speed of the tip (m/s) the slope is not applied: a motion commanded within the play of the cables
 /// does not move the tip.
-pub(super) const STILL_M_S: f64 = 5e-3;
+pub(super) const REST_SPEED_M_S: f64 = 5e-3;
 
 /// Change of the tip offset along the path of the tip: sections 5 % longer than configured place the tip 5 % farther
 /// away. A Kalman filter of the offset and of its derivative by position. All coordinates share one covariance, because
@@ -37,7 +37,7 @@ pub(super) struct TipSlope {
 impl TipSlope {
     /// A filter without measurements. `noise_m` is the standard deviation of a measured coordinate.
     pub(super) fn new(noise_m: f64) -> Self {
-        Self::with_deviation(noise_m, SLOPE)
+        Self::with_deviation(noise_m, SLOPE_PRIOR)
     }
 
     /// A filter that takes the offset as the same everywhere.
@@ -51,7 +51,7 @@ impl TipSlope {
     }
 
     fn with_deviation(noise_m: f64, deviation: f64) -> Self {
-        let deviations = Vector4::new(UNKNOWN_M, deviation, deviation, deviation);
+        let deviations = Vector4::new(PRIOR_M, deviation, deviation, deviation);
         Self {
             offset_m: Vector3::zeros(),
             slope: Matrix3::zeros(),
@@ -82,9 +82,9 @@ impl TipSlope {
 
     /// As [`Self::change_m`], for a motion within `elapsed_s` (s); zero at rest.
     pub(super) fn change_in_m(&self, by_m: &Vector3<f64>, elapsed_s: f64) -> Vector3<f64> {
-        let (way_m, still_m) = (by_m.norm(), STILL_M_S * elapsed_s);
-        if way_m > still_m {
-            self.change_m(by_m) * (1.0 - still_m / way_m)
+        let (motion_m, rest_m) = (by_m.norm(), REST_SPEED_M_S * elapsed_s);
+        if motion_m > rest_m {
+            self.change_m(by_m) * (1.0 - rest_m / motion_m)
         } else {
             Vector3::zeros()
         }
@@ -98,13 +98,14 @@ impl TipSlope {
         let with_offset: Vector4<f64> = self.covariance.column(0).into();
         let expected_m2 = with_offset[0] + noise_m2;
         let mut gain = with_offset / expected_m2;
-        let missing_m = beside_m - self.offset_m;
-        let is_surprise = missing_m.norm_squared() > SURPRISE * SURPRISE * expected_m2;
-        if is_surprise {
+        let innovation_m = beside_m - self.offset_m;
+        let is_outlier =
+            innovation_m.norm_squared() > OUTLIER_DEVIATIONS * OUTLIER_DEVIATIONS * expected_m2;
+        if is_outlier {
             gain.fixed_rows_mut::<3>(1).fill(0.0);
         }
-        self.offset_m += gain[0] * missing_m;
-        self.slope += missing_m * gain.fixed_rows::<3>(1).transpose();
+        self.offset_m += gain[0] * innovation_m;
+        self.slope += innovation_m * gain.fixed_rows::<3>(1).transpose();
         self.slope *= (SLOPE_MAX / self.slope.norm()).min(1.0);
         // Joseph's form, valid for any gain.
         let mut left = Matrix4::identity();
@@ -127,13 +128,18 @@ impl TipSlope {
         self.offset_m += self.change_m(&by_m);
         let mut along = Matrix4::identity();
         along.fixed_view_mut::<1, 3>(0, 1).tr_copy_from(&by_m);
-        let kept = (-since_s / FORGOTTEN_S).exp();
+        let kept = (-since_s / FORGETTING_TIME_S).exp();
         self.slope *= kept;
         let forgotten = Matrix4::from_diagonal(&Vector4::new(1.0, kept, kept, kept));
         let along = forgotten * along;
-        let anew = (1.0 - kept * kept) * self.deviation * self.deviation;
-        let wandered_m2 = WANDER_M * WANDER_M * since_s;
+        let prior_growth = (1.0 - kept * kept) * self.deviation * self.deviation;
+        let random_walk_m2 = RANDOM_WALK_M_SQRT_S * RANDOM_WALK_M_SQRT_S * since_s;
         self.covariance = along * self.covariance * along.transpose()
-            + Matrix4::from_diagonal(&Vector4::new(wandered_m2, anew, anew, anew));
+            + Matrix4::from_diagonal(&Vector4::new(
+                random_walk_m2,
+                prior_growth,
+                prior_growth,
+                prior_growth,
+            ));
     }
 }
