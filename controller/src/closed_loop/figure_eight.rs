@@ -19,7 +19,7 @@ const REST_CYCLES: core::ops::Range<u32> = 1000..4000;
 const SPIRAL_CYCLES: u32 = 994;
 /// Start of the figure eight of three sections \[rad\]: one of the many shapes with that tip, reached from bends of 0.4
 /// rad. It is constant, so that the task does not depend on the solver.
-const BEGIN_RAD: [f64; 6] = [
+const START_RAD: [f64; 6] = [
     -0.144_084_713_683_017_76,
     -0.547_365_826_571_354_5,
     0.742_903_463_663_806_8,
@@ -34,12 +34,12 @@ pub struct FigureEight {
     robot: Robot,
     settings: Option<NmpcSettings>,
     start: Configuration,
-    way: Way,
+    path: TipPath,
 }
 
 /// Path of the tip.
 #[derive(Debug, Clone, Copy)]
-enum Way {
+enum TipPath {
     /// The figure eight of three sections.
     Eight,
     /// A figure eight through the tip of the straight robot; the value is the largest bend of each section (rad).
@@ -88,21 +88,21 @@ impl FigureEight {
 
     /// A figure eight of 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
     pub fn reference(time_s: f64) -> ReferenceSample {
-        let [x, y] = lying_eight(time_s);
+        let [x, y] = eight_point(time_s);
         at(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
     }
 
     fn sample(&self, time_s: f64) -> ReferenceSample {
-        let bend_rad = match self.way {
-            Way::Eight => return Self::reference(time_s),
-            Way::ThroughStraight(bend_rad) => bend_rad,
-            Way::Spiral { lower_m } => {
-                let tip_m = self.robot.tip_position(&on_the_spiral(time_s));
+        let bend_rad = match self.path {
+            TipPath::Eight => return Self::reference(time_s),
+            TipPath::ThroughStraight(bend_rad) => bend_rad,
+            TipPath::Spiral { lower_m } => {
+                let tip_m = self.robot.tip_position(&spiral_shape(time_s));
                 return at(tip_m - lower_m * Vector3::z());
             }
         };
         let mut bends = self.start;
-        let eight = lying_eight(time_s);
+        let eight = eight_point(time_s);
         for (i, bend) in bends.as_mut_slice().iter_mut().enumerate() {
             *bend = bend_rad * eight[i % 2];
         }
@@ -115,12 +115,12 @@ impl FigureEight {
     /// [`FigureEightError`], which does not occur for the paper's robot.
     pub fn new() -> Result<Self, FigureEightError> {
         let mut start = Configuration::straight(3);
-        start.as_mut_slice().copy_from_slice(&BEGIN_RAD);
+        start.as_mut_slice().copy_from_slice(&START_RAD);
         Ok(Self {
             start,
             robot: Robot::new(&RobotParameters::paper(3))?,
             settings: None,
-            way: Way::Eight,
+            path: TipPath::Eight,
         })
     }
 
@@ -137,7 +137,7 @@ impl FigureEight {
             start: Configuration::straight(sections),
             robot,
             settings: None,
-            way: Way::ThroughStraight(bend_rad),
+            path: TipPath::ThroughStraight(bend_rad),
         })
     }
 
@@ -149,10 +149,10 @@ impl FigureEight {
     pub fn spiral(lower_m: f64) -> Result<Self, FigureEightError> {
         let robot = Robot::new(&RobotParameters::paper(3))?;
         Ok(Self {
-            start: on_the_spiral(0.0),
+            start: spiral_shape(0.0),
             robot,
             settings: None,
-            way: Way::Spiral { lower_m },
+            path: TipPath::Spiral { lower_m },
         })
     }
 
@@ -164,9 +164,9 @@ impl FigureEight {
     }
 
     fn cycles(&self) -> u32 {
-        match self.way {
-            Way::Eight | Way::ThroughStraight(_) => Self::CYCLES,
-            Way::Spiral { .. } => SPIRAL_CYCLES,
+        match self.path {
+            TipPath::Eight | TipPath::ThroughStraight(_) => Self::CYCLES,
+            TipPath::Spiral { .. } => SPIRAL_CYCLES,
         }
     }
 
@@ -195,8 +195,8 @@ impl FigureEight {
     ) -> Result<FigureEightRun, FigureEightError> {
         let (robot, settings, start) = (&self.robot, self.settings(&driven.flaws), self.start);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
-        let way = |time_s| self.sample(time_s);
-        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, way)?
+        let path = |time_s| self.sample(time_s);
+        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, path)?
             .with_acceleration(ACCELERATION_RAD_S2)
             .with_driven(driven)?;
         let mut run = FigureEightRun {
@@ -257,13 +257,13 @@ impl FigureEight {
 }
 
 /// The paper's spiral: the last section bends by θ = 2t/15 towards φ = t, from t = 5°; the others are straight.
-fn on_the_spiral(time_s: f64) -> Configuration {
+fn spiral_shape(time_s: f64) -> Configuration {
     let t = 5_f64.to_radians() + time_s;
     Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]])
 }
 
 /// A figure eight: once along ±1, twice across ±1/2.
-fn lying_eight(time_s: f64) -> [f64; 2] {
+fn eight_point(time_s: f64) -> [f64; 2] {
     let turn = 0.46 * time_s;
     [turn.sin(), 0.5 * (2.0 * turn).sin()]
 }
@@ -302,28 +302,28 @@ impl FigureEightRun {
 
     /// Mean error of the evaluated cycles (mm).
     pub fn mean_mm(&self) -> f64 {
-        mean(self.counted())
+        mean(self.evaluated())
     }
 
     /// Mean error of the second half of the evaluated cycles (mm).
     pub fn settled_mm(&self) -> f64 {
-        mean(&self.counted()[self.counted().len() / 2..])
+        mean(&self.evaluated()[self.evaluated().len() / 2..])
     }
 
     /// Root mean square error of the evaluated cycles (mm).
     pub fn rms_mm(&self) -> f64 {
-        let squares: f64 = self.counted().iter().map(|error| error * error).sum();
-        (squares / self.counted().len() as f64).sqrt()
+        let squares: f64 = self.evaluated().iter().map(|error| error * error).sum();
+        (squares / self.evaluated().len() as f64).sqrt()
     }
 
     /// Largest error of the evaluated cycles (mm).
     pub fn max_mm(&self) -> f64 {
-        self.counted().iter().copied().fold(0.0, f64::max)
+        self.evaluated().iter().copied().fold(0.0, f64::max)
     }
 
     /// Mean squared change of the rates from cycle to cycle, summed over all components (rad²/s²).
     pub fn rate_change_square(&self) -> f64 {
-        self.rate_changes / self.counted().len() as f64
+        self.rate_changes / self.evaluated().len() as f64
     }
 
     /// Least true clearance of the body over all cycles (mm); infinite without obstacles.
@@ -342,7 +342,7 @@ impl FigureEightRun {
         self.limit_excess
     }
 
-    fn counted(&self) -> &[f64] {
+    fn evaluated(&self) -> &[f64] {
         &self.errors_mm[FigureEight::BEGIN_CYCLES as usize..]
     }
 }

@@ -62,9 +62,9 @@ pub struct ClosedLoopRun {
 
 /// Time for which a driver follows a command without a newer one (periods), and its deceleration after that, the
 /// default of `motion.deceleration_rad_s2` (rad/s²).
-const DRIVEN: (f64, f64) = (3.0, 40.0);
+const DRIVER_STOPPING: (f64, f64) = (3.0, 40.0);
 /// The ideal robot receives every command and stops at once.
-const IDEAL: (f64, f64) = (1.0, f64::INFINITY);
+const IDEAL_STOPPING: (f64, f64) = (1.0, f64::INFINITY);
 
 impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are those at time
@@ -113,7 +113,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
                 clearance_m: f64::INFINITY,
             },
         };
-        begin.look_around();
+        begin.update_surroundings();
         Ok(begin)
     }
 
@@ -157,7 +157,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         let mut begin = self;
         begin.configuration = *driven.configuration();
         begin.driven = Some(Box::new(driven));
-        begin.look_around();
+        begin.update_surroundings();
         Ok(begin)
     }
 
@@ -212,8 +212,12 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// [`Self::with_stopping`]. Then moves the robot at the safe rates and the obstacles at their velocity, and
     /// advances to the next period.
     pub fn advance(&mut self, desired_rates: &BendRates) {
-        let otherwise = if self.driven.is_some() { DRIVEN } else { IDEAL };
-        let (valid_periods, deceleration_rad_s2) = self.stopping.unwrap_or(otherwise);
+        let default = if self.driven.is_some() {
+            DRIVER_STOPPING
+        } else {
+            IDEAL_STOPPING
+        };
+        let (valid_periods, deceleration_rad_s2) = self.stopping.unwrap_or(default);
         let situation = Situation {
             robot: &self.robot,
             at: &self.configuration,
@@ -240,7 +244,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             }
         };
         self.cycle += 1;
-        self.look_around();
+        self.update_surroundings();
     }
 
     /// Time since the start (s).
@@ -315,7 +319,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     }
 
     /// Updates the obstacles and the reference over the horizon, ahead by the lag of the robot.
-    fn look_around(&mut self) {
+    fn update_surroundings(&mut self) {
         let time_s = self.time_s();
         self.obstacles.clear();
         let from_the_start = self.obstacles_at_start.iter();

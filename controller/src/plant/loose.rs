@@ -9,7 +9,7 @@ const ROUNDING_M: f64 = 1e-12;
 /// Each section, base first, springs back towards straight as far as its cables allow. Of the pulls s with s · d ≥
 /// −stroke for its three cables, it takes the one nearest to the pull of the proximal sections (§2 of docs/model.md).
 /// If all cables are taut, the shape is that of [`Robot::bend_from_cable_strokes`].
-pub(super) fn loosely_bent(robot: &Robot, strokes_m: &[f64; CABLES_MAX]) -> Configuration {
+pub(super) fn bent_by_slack_cables(robot: &Robot, strokes_m: &[f64; CABLES_MAX]) -> Configuration {
     let mut bent = Configuration::straight(robot.section_count());
     let (bends, _) = bent.as_mut_slice().as_chunks_mut::<2>();
     let (cables, _) = strokes_m.as_chunks::<3>();
@@ -85,7 +85,7 @@ mod tests {
         for (cable, stroke_m) in strokes_m.iter_mut().enumerate().take(6) {
             *stroke_m += more_m(cable);
         }
-        let bends = loosely_bent(&robot(), &strokes_m);
+        let bends = bent_by_slack_cables(&robot(), &strokes_m);
         core::array::from_fn(|i| bends.as_slice()[i])
     }
 

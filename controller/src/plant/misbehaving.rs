@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::loose::loosely_bent;
+use super::loose::bent_by_slack_cables;
 use super::{Flaws, Sampling};
 use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
@@ -60,9 +60,9 @@ pub struct MisbehavingRobot {
     now_s: f64,
     order: MotorOrder,
     /// Orders on their way to the motors, with their arrival times (s).
-    coming: VecDeque<(f64, MotorOrder)>,
+    pending: VecDeque<(f64, MotorOrder)>,
     /// Past positions of motors and cables, one for each millisecond, for sensors with a delay.
-    past: VecDeque<Moment>,
+    history: VecDeque<Moment>,
     /// Times at which the encoders and the tip sensor measure next (s).
     due_s: [f64; 2],
     noise: Xoshiro256PlusPlus,
@@ -77,14 +77,14 @@ struct Moment {
 }
 
 /// Number of moments kept: the milliseconds of the longest delay, 300, with a reserve.
-const PAST_MAX: usize = 320;
-const PAST_STEP_S: f64 = 1e-3;
+const HISTORY_MAX: usize = 320;
+const HISTORY_STEP_S: f64 = 1e-3;
 /// Tolerance for the rounding of summed steps (s).
 const ROUNDING_S: f64 = 1e-9;
 
 /// Orders that can be under way at once: the longest delay of 0.3 s with one every 0.1 ms. Beyond that, new orders are
 /// lost.
-const COMING_MAX: usize = 3000;
+const PENDING_MAX: usize = 3000;
 
 impl MisbehavingRobot {
     /// A robot at rest. Except for their flaws, its encoders measure the shape `at` of the `model`.
@@ -117,12 +117,12 @@ impl MisbehavingRobot {
             cable_m,
             now_s: 0.0,
             order: MotorOrder::Stand,
-            coming: VecDeque::with_capacity(COMING_MAX),
-            past: VecDeque::with_capacity(PAST_MAX),
+            pending: VecDeque::with_capacity(PENDING_MAX),
+            history: VecDeque::with_capacity(HISTORY_MAX),
             due_s: [0.0; 2],
             noise: Xoshiro256PlusPlus::seed_from_u64(seed),
         };
-        robot.remember();
+        robot.record_moment();
         Ok(robot)
     }
 
@@ -146,40 +146,40 @@ impl MisbehavingRobot {
             self.order = order;
             return;
         }
-        if self.coming.len() < COMING_MAX {
+        if self.pending.len() < PENDING_MAX {
             let from_s = self.now_s + self.flaws.actuator.delay_s;
-            self.coming.push_back((from_s, order));
+            self.pending.push_back((from_s, order));
         }
     }
 
     /// Advances the simulation by `dt_s` (s). The mechanical ends of the sections limit the motion.
     pub fn advance(&mut self, dt_s: f64) {
         let end_s = self.now_s + dt_s;
-        while let Some((from_s, order)) = self.coming.front().copied() {
+        while let Some((from_s, order)) = self.pending.front().copied() {
             if from_s > end_s - ROUNDING_S {
                 break;
             }
             self.run(from_s - self.now_s);
             self.order = order;
-            self.coming.pop_front();
+            self.pending.pop_front();
         }
         self.run(end_s - self.now_s);
         self.now_s = end_s;
-        self.remember();
+        self.record_moment();
     }
 
     /// Stores the present positions for sensors with a delay.
-    fn remember(&mut self) {
-        let is_old = |last: &Moment| self.now_s - last.time_s > PAST_STEP_S - ROUNDING_S;
-        if self.past.back().is_none_or(is_old) {
-            if self.past.len() == PAST_MAX {
-                self.past.pop_front();
+    fn record_moment(&mut self) {
+        let is_old = |last: &Moment| self.now_s - last.time_s > HISTORY_STEP_S - ROUNDING_S;
+        if self.history.back().is_none_or(is_old) {
+            if self.history.len() == HISTORY_MAX {
+                self.history.pop_front();
             }
-            self.past.push_back(self.here());
+            self.history.push_back(self.moment());
         }
     }
 
-    fn here(&self) -> Moment {
+    fn moment(&self) -> Moment {
         Moment {
             time_s: self.now_s,
             motor_m: self.motor_m,
@@ -188,7 +188,7 @@ impl MisbehavingRobot {
     }
 
     /// The moment that a sensor reports when it is read now; `None`: no measurement.
-    fn sampled(&mut self, sensor: usize, sampling: Sampling) -> Option<Moment> {
+    fn sample(&mut self, sensor: usize, sampling: Sampling) -> Option<Moment> {
         if sampling.interval_s > 0.0 {
             if self.now_s < self.due_s[sensor] - ROUNDING_S {
                 return None;
@@ -200,13 +200,13 @@ impl MisbehavingRobot {
             return None;
         }
         if sampling.delay_s <= 0.0 {
-            return Some(self.here());
+            return Some(self.moment());
         }
         let then_s = self.now_s - sampling.delay_s + ROUNDING_S;
-        let mut past = self.past.iter().rev();
+        let mut past = self.history.iter().rev();
         // Before the first moment, the robot was at rest there.
         let then = past.find(|moment| moment.time_s <= then_s);
-        then.or(self.past.front()).copied()
+        then.or(self.history.front()).copied()
     }
 
     /// Runs the motors with their order for `dt_s`.
@@ -236,7 +236,7 @@ impl MisbehavingRobot {
             };
             self.motor_m[cable] = here_m + moved_m.clamp(-most_m, most_m);
         }
-        self.keep_ends();
+        self.limit_bends();
         self.pull_cables();
     }
 
@@ -263,7 +263,7 @@ impl MisbehavingRobot {
         sections.iter().map(|section| section.length_m).sum()
     }
 
-    fn keep_ends(&mut self) {
+    fn limit_bends(&mut self) {
         let mut bends = self.model.bend_from_cable_strokes(&self.motor_m);
         let mut is_beyond = false;
         let (pairs, _) = bends.as_mut_slice().as_chunks_mut::<2>();
@@ -304,7 +304,7 @@ impl MisbehavingRobot {
 
     /// Cable lengths from the encoders (m); `None`: no measurement now, because of their interval or a dropout.
     pub fn measure_cables(&mut self) -> Option<[f64; CABLES_MAX]> {
-        let then = self.sampled(0, self.flaws.cables)?;
+        let then = self.sample(0, self.flaws.cables)?;
         let mut lengths_m = [0.0; CABLES_MAX];
         for cable in 0..self.model.cable_count() {
             let offset_m = if cable.is_multiple_of(3) {
@@ -314,19 +314,19 @@ impl MisbehavingRobot {
             };
             let noise_m = self.flaws.noise_m * self.noise.random_range(-1.0..=1.0);
             let turned_m = then.motor_m[cable] + offset_m + noise_m;
-            lengths_m[cable] = self.straight_m(cable) + counted(turned_m, self.flaws.tick_m);
+            lengths_m[cable] = self.straight_m(cable) + quantised(turned_m, self.flaws.tick_m);
         }
         Some(lengths_m)
     }
 
     /// Tip position from the tip sensor (m); `None` as in [`Self::measure_cables`].
     pub fn measure_tip(&mut self) -> Option<Vector3<f64>> {
-        let then = self.sampled(1, self.flaws.tip)?;
+        let then = self.sample(1, self.flaws.tip)?;
         let tip_m = self.tip_at(&then.cable_m) + Vector3::from(self.flaws.tip_bias_m);
         // A sum of twelve uniform numbers approximates a normal one up to four standard deviations.
         Some(tip_m.map(|coordinate_m| {
             let sum: f64 = (0..12).map(|_| self.noise.random_range(-0.5..=0.5)).sum();
-            counted(
+            quantised(
                 coordinate_m + self.flaws.tip_noise_m * sum,
                 self.flaws.tip_tick_m,
             )
@@ -353,7 +353,7 @@ impl MisbehavingRobot {
             *stroke_m = f64::INFINITY;
         }
         let mut bends = if broken.is_some() || self.flaws.slack_m > 0.0 {
-            loosely_bent(&self.truth, &bends_m)
+            bent_by_slack_cables(&self.truth, &bends_m)
         } else {
             self.truth.bend_from_cable_strokes(&bends_m)
         };
@@ -412,7 +412,7 @@ impl MisbehavingRobot {
 }
 
 /// A value quantised in steps of `tick_m` (m); 0: none.
-fn counted(value_m: f64, tick_m: f64) -> f64 {
+fn quantised(value_m: f64, tick_m: f64) -> f64 {
     if tick_m > 0.0 {
         (value_m / tick_m).round() * tick_m
     } else {

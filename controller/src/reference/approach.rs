@@ -8,9 +8,9 @@ pub const QUINTIC_SPEED_PEAK: f64 = 1.875;
 /// Peak acceleration of the same quintic, relative to distance / duration²: 10/√3.
 pub const QUINTIC_ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
 /// Peak acceleration of the quintic that ends a speed, relative to speed / duration: at s = (16 - √76) / 30.
-const JOINING_PEAK: f64 = 3.941;
+const JOINING_ACCELERATION_PEAK: f64 = 3.941;
 /// Peak distance of the same quintic, relative to speed · duration.
-const JOINING_WAY: f64 = 0.1976;
+const JOINING_DISTANCE_PEAK: f64 = 0.1976;
 
 /// Limits of an approach.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,8 +104,9 @@ impl Approach {
     /// acceleration.
     fn joining_s(&self, limits: &ApproachLimits) -> f64 {
         let speed_m_s = self.velocity_m_s.norm();
-        let by_acceleration_s = JOINING_PEAK * speed_m_s / (0.5 * limits.acceleration_m_s2);
-        by_acceleration_s.min(limits.excursion_m / (JOINING_WAY * speed_m_s))
+        let by_acceleration_s =
+            JOINING_ACCELERATION_PEAK * speed_m_s / (0.5 * limits.acceleration_m_s2);
+        by_acceleration_s.min(limits.excursion_m / (JOINING_DISTANCE_PEAK * speed_m_s))
     }
 
     /// True if the followed point differs from the reference at any time.
@@ -234,7 +235,7 @@ mod tests {
             // At rest, as the tip is.
             let soon_m = approach.led(&sample(reference_m_s * 1e-6, Orientation::Free), 1000).position_m;
             prop_assert!((soon_m - offset_m).norm() < 1e-6 * (0.001 * speed + 1e-6));
-            let is_gentle = JOINING_PEAK * speed / (0.5 * acceleration_m_s2) * JOINING_WAY * speed <= limits.excursion_m;
+            let is_gentle = JOINING_ACCELERATION_PEAK * speed / (0.5 * acceleration_m_s2) * JOINING_DISTANCE_PEAK * speed <= limits.excursion_m;
             for k in 1..1000 {
                 let [before, here, after] = [k - 1, k, k + 1].map(at);
                 let acceleration = (after - 2.0 * here + before).norm() / (step_s * step_s);

@@ -25,13 +25,13 @@ pub struct FollowedReference {
     /// `None`: the reference is followed without an approach.
     limits: Option<ApproachLimits>,
     approach: Approach,
-    last: Option<Last>,
+    last: Option<PreviousCycle>,
     samples: [ReferenceSample; HORIZON_STEPS_MAX],
 }
 
 /// State of the previous cycle.
 #[derive(Debug, Clone, Copy)]
-struct Last {
+struct PreviousCycle {
     velocity_m_s: Vector3<f64>,
     state: ReferenceState,
     replacements: u64,
@@ -120,7 +120,7 @@ impl FollowedReference {
         }
         let [here, there] = [(first, 0), (second, now.period_ns)]
             .map(|(sample, later_ns)| self.approach.led(sample, next_ns + later_ns).position_m);
-        self.last = Some(Last {
+        self.last = Some(PreviousCycle {
             velocity_m_s: (there - here) / period_s,
             state: first.state,
             replacements: window.replacements(),

@@ -53,7 +53,7 @@ pub enum TrajectoryError {
 }
 
 /// Number of passed points that are kept. The tangents at both ends of the present segment need them.
-const KEPT_BEHIND: usize = STENCIL - 1;
+const PASSED_KEPT: usize = STENCIL - 1;
 
 impl Trajectory {
     /// An empty trajectory for up to `capacity` points. Allocates all memory. A cubic between two points stays within
@@ -144,7 +144,7 @@ impl Trajectory {
     /// Removes points that no sample at `now_ns` or later needs.
     pub fn forget_before(&mut self, now_ns: u64) {
         let passed = self.points.partition_point(|point| point.time_ns <= now_ns);
-        self.points.drain(..passed.saturating_sub(KEPT_BEHIND));
+        self.points.drain(..passed.saturating_sub(PASSED_KEPT));
     }
 
     /// Number of buffered points.

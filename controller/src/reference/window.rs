@@ -20,15 +20,15 @@ pub struct ReferenceWindow {
     /// At the releases; sized for the longest window, allocated once.
     samples: Box<[ReferenceSample]>,
     /// The samples `lead_ns` later; filled only if the lead is not 0.
-    led: Box<[ReferenceSample]>,
+    lead_samples: Box<[ReferenceSample]>,
     has_lead: bool,
     replacements: u64,
-    made_of: MadeOf,
+    inputs: WindowInputs,
 }
 
 /// Inputs from which the samples were made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct MadeOf {
+struct WindowInputs {
     revision: u64,
     period_ns: u64,
     lead_ns: u64,
@@ -42,11 +42,11 @@ impl Default for ReferenceWindow {
             first_cycle: 0,
             count: 0,
             timeout_cycles: 0,
-            led: samples.clone(),
+            lead_samples: samples.clone(),
             samples,
             has_lead: false,
             replacements: 0,
-            made_of: MadeOf::default(),
+            inputs: WindowInputs::default(),
         }
     }
 }
@@ -86,13 +86,13 @@ impl ReferenceWindow {
         horizon_steps: usize,
         lead_ns: u64,
     ) {
-        let made_of = MadeOf {
+        let inputs = WindowInputs {
             revision: trajectory.revision(),
             period_ns,
             lead_ns,
             release_ns,
         };
-        let known = self.keep(&made_of);
+        let known = self.keep_valid(&inputs);
         self.replacements = trajectory.replacements();
         self.first_cycle = first_cycle;
         let slack = Self::slack(period_ns);
@@ -106,29 +106,29 @@ impl ReferenceWindow {
             let time_ns = release_ns + step as u64 * period_ns;
             self.samples[step] = trajectory.sample(time_ns);
             if self.has_lead {
-                self.led[step] = trajectory.sample(time_ns + lead_ns);
+                self.lead_samples[step] = trajectory.sample(time_ns + lead_ns);
             }
         }
     }
 
     /// Moves samples that remain valid, from the same points and the same grid, to the front. Returns their number.
-    fn keep(&mut self, made_of: &MadeOf) -> usize {
-        let before = core::mem::replace(&mut self.made_of, *made_of);
-        let same_grid = MadeOf {
+    fn keep_valid(&mut self, inputs: &WindowInputs) -> usize {
+        let before = core::mem::replace(&mut self.inputs, *inputs);
+        let same_grid = WindowInputs {
             release_ns: before.release_ns,
-            ..*made_of
+            ..*inputs
         };
-        let passed_ns = made_of.release_ns.checked_sub(before.release_ns);
+        let passed_ns = inputs.release_ns.checked_sub(before.release_ns);
         let Some(passed_ns) = passed_ns.filter(|_| before == same_grid) else {
             return 0;
         };
-        let passed = (passed_ns / made_of.period_ns.max(1)).min(self.count as u64) as usize;
-        if passed as u64 * made_of.period_ns != passed_ns {
+        let passed = (passed_ns / inputs.period_ns.max(1)).min(self.count as u64) as usize;
+        if passed as u64 * inputs.period_ns != passed_ns {
             return 0;
         }
         self.samples.copy_within(passed..self.count, 0);
         if self.has_lead {
-            self.led.copy_within(passed..self.count, 0);
+            self.lead_samples.copy_within(passed..self.count, 0);
         }
         self.count - passed
     }
@@ -149,12 +149,12 @@ impl ReferenceWindow {
         let offset = cycle.saturating_sub(self.first_cycle) as usize;
         match self.samples[..self.count].get(offset) {
             Some(sample) => *sample,
-            None => self.beyond((offset - self.count) as u64),
+            None => self.past_end((offset - self.count) as u64),
         }
     }
 
     /// The sample `past` periods beyond the last one.
-    fn beyond(&self, past: u64) -> ReferenceSample {
+    fn past_end(&self, past: u64) -> ReferenceSample {
         let Some(last) = self.samples[..self.count].last() else {
             return ReferenceSample::default();
         };
@@ -169,7 +169,7 @@ impl ReferenceWindow {
     /// The samples at the `steps` releases after that of `cycle`, or the lead later; fewer if the window ends before.
     pub fn ahead(&self, cycle: u64, steps: usize) -> &[ReferenceSample] {
         let samples = if self.has_lead {
-            &self.led
+            &self.lead_samples
         } else {
             &self.samples
         };
