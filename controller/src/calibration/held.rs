@@ -4,9 +4,9 @@ use super::fit::{Square, scaled};
 use super::geometry::{PARAMETERS_MAX, Parameter};
 
 /// A combination of parameters is determined if the data know it this many times better than its plausible errors.
-const TOLD: f64 = 5.0;
+const DETERMINED_MIN: f64 = 5.0;
 /// Parameters with at least this share of the largest component belong to a combination.
-const SHARE: f64 = 0.3;
+const COMPONENT_SHARE: f64 = 0.3;
 
 /// A parameter that was not estimated, and the reason.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,7 +43,7 @@ impl fmt::Display for Why {
 
 /// Removes parameters from `active` until the data determine every combination of the others. From an undetermined
 /// combination, the parameter most likely to be right as configured is held: base and sensor first, lengths last.
-pub(super) fn hold_what_is_weak(
+pub(super) fn hold_undetermined(
     square: &Square,
     scale: &[f64; PARAMETERS_MAX],
     active: &mut Vec<usize>,
@@ -61,13 +61,15 @@ pub(super) fn hold_what_is_weak(
         let weakest = (0..PARAMETERS_MAX)
             .filter(|&vector| is_active(vector))
             .min_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-        let Some(weakest) = weakest.filter(|&at| eigen.eigenvalues[at] < TOLD * TOLD) else {
+        let Some(weakest) =
+            weakest.filter(|&at| eigen.eigenvalues[at] < DETERMINED_MIN * DETERMINED_MIN)
+        else {
             return;
         };
         let share = |index: usize| eigen.eigenvectors[(index, weakest)].abs();
         let largest = active.iter().map(|&i| share(i)).fold(0.0, f64::max);
         let mut combined = active.clone();
-        combined.retain(|&index| share(index) >= SHARE * largest);
+        combined.retain(|&index| share(index) >= COMPONENT_SHARE * largest);
         let first = combined.iter().copied().min_by(|&a, &b| {
             let group = |index: usize| Parameter::at(index).group();
             group(a).cmp(&group(b)).then(share(b).total_cmp(&share(a)))

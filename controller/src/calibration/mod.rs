@@ -21,7 +21,7 @@ use thiserror::Error;
 
 use fit::{Estimated, Square, fit, information, residuals, scaled};
 pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
-use held::hold_what_is_weak;
+use held::hold_undetermined;
 pub use held::{Held, Why};
 pub use noise::Noise;
 pub use prediction::CalibrationRow;
@@ -32,7 +32,7 @@ use crate::robot::{RobotError, RobotParameters};
 /// Minimum number of rows.
 pub const ROWS_MIN: usize = 100;
 /// Number of parts into which the rows are divided; every fifth is held out of the fit.
-const STRETCHES: usize = 25;
+const PARTS: usize = 25;
 /// Minimum motion: some cable must change by at least this times its distance from the backbone.
 const MOTION_MIN_RAD: f64 = 0.05;
 /// Maximum number of rounds of fit and noise estimation.
@@ -165,7 +165,7 @@ pub fn calibrate(
     let (held_out, fitted): (Vec<_>, Vec<_>) = rows
         .iter()
         .enumerate()
-        .partition(|(at, _)| at * STRETCHES / rows.len() % 5 == 2);
+        .partition(|(at, _)| at * PARTS / rows.len() % 5 == 2);
     let without_index = |rows: Vec<(usize, _)>| rows.into_iter().map(|(_, row)| row).collect();
     let (held_out, fitted): (Vec<_>, Vec<_>) = (without_index(held_out), without_index(fitted));
     let mut search = Search::new(&configured, rows, hold);
@@ -174,19 +174,19 @@ pub fn calibrate(
     search.fit(&configured, &fitted, true, true)?;
     // Identified with base and sensor as configured. A sensor on the tip's axis compensates for length and radius of
     // the last section, and slightly less so after noise has moved it.
-    let judged = Geometry {
+    let at_configured_poses = Geometry {
         base: configured.base,
         sensor: configured.sensor,
         ..search.geometry.clone()
     };
-    let square = information(&judged, &fitted, &search.noise, &search.active)
+    let square = information(&at_configured_poses, &fitted, &search.noise, &search.active)
         .ok_or(CalibrationError::NoRobot)?;
-    hold_what_is_weak(&square, &search.scale, &mut search.active, &mut search.held);
+    hold_undetermined(&square, &search.scale, &mut search.active, &mut search.held);
     if search.active.is_empty() {
         let held = search.held.len();
         return Err(CalibrationError::NothingLeft { held });
     }
-    search.put_back(&configured);
+    search.reset_held(&configured);
     search.fit(&configured, &fitted, false, true)?;
     let kept = search.without_outliers(&fitted)?;
     search.fit(&configured, &kept, false, false)?;
@@ -282,8 +282,8 @@ impl Search {
             };
             self.geometry = fit(configured, &self.geometry, rows, &self.noise, &estimated)
                 .ok_or(CalibrationError::NoRobot)?;
-            let learnt = self.noise.learnt(&self.geometry, rows);
-            let before = core::mem::replace(&mut self.noise, learnt);
+            let updated = self.noise.with_tip_noise(&self.geometry, rows);
+            let before = core::mem::replace(&mut self.noise, updated);
             let change = self.noise.tip_m / before.tip_m + self.noise.tip_rad / before.tip_rad;
             if (change - 2.0).abs() < 0.01 {
                 break;
@@ -293,7 +293,7 @@ impl Search {
     }
 
     /// Resets held parameters to their configured values.
-    fn put_back(&mut self, configured: &Geometry) {
+    fn reset_held(&mut self, configured: &Geometry) {
         let mut kept = [0.0; PARAMETERS_MAX];
         for &index in &self.active {
             let parameter = Parameter::at(index);

@@ -8,7 +8,7 @@ const MEDIAN_CHI_SQUARE_3: f64 = 2.366;
 /// Ratio of the standard deviation to the median absolute deviation of normal numbers.
 const DEVIATION_OF_MEDIAN: f64 = 1.4826;
 /// Lower limit of the estimated noise (m and rad).
-const LEAST: f64 = 1e-9;
+const NOISE_MIN: f64 = 1e-9;
 
 /// Standard deviations of the measurements.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +37,7 @@ impl Noise {
         // The mean of three has a third of the variance, the difference of two twice that.
         let deviation_m = DEVIATION_OF_MEDIAN * median(steps.collect()) * (1.5_f64).sqrt();
         Self {
-            cable_m: deviation_m.max(LEAST),
+            cable_m: deviation_m.max(NOISE_MIN),
             tip_m: 1e-3,
             tip_rad: 1e-2,
         }
@@ -70,7 +70,7 @@ impl Noise {
     /// The noise of the tip that explains the residuals at `geometry`. Estimated by their median, so that outliers have
     /// little influence.
     #[must_use]
-    pub(super) fn learnt(&self, geometry: &Geometry, rows: &[&CalibrationRow]) -> Self {
+    pub(super) fn with_tip_noise(&self, geometry: &Geometry, rows: &[&CalibrationRow]) -> Self {
         let Ok(robot) = geometry.checked() else {
             return *self;
         };
@@ -92,9 +92,9 @@ impl Noise {
             });
             median(squares.collect())
         };
-        let explains = |block: usize| {
+        let tip_noise = |block: usize| {
             // Bisection in the logarithm.
-            let (mut low, mut high) = (LEAST.ln(), 1.0_f64.ln());
+            let (mut low, mut high) = (NOISE_MIN.ln(), 1.0_f64.ln());
             for _ in 0..24 {
                 let middle = 0.5 * (low + high);
                 if median_at(block, middle.exp()) > MEDIAN_CHI_SQUARE_3 {
@@ -107,8 +107,12 @@ impl Noise {
         };
         let is_turned = rows.first().is_some_and(|row| row.tip_rotation.is_some());
         Self {
-            tip_m: explains(0),
-            tip_rad: if is_turned { explains(3) } else { self.tip_rad },
+            tip_m: tip_noise(0),
+            tip_rad: if is_turned {
+                tip_noise(3)
+            } else {
+                self.tip_rad
+            },
             ..*self
         }
     }
