@@ -12,7 +12,7 @@
 //!
 //! | module | contents | must not know |
 //! |---|---|---|
-//! | [`parameters`] | declaration of settings with their defaults, ranges and texts | robots |
+//! | [`mod@parameters`] | declaration of settings with their defaults, ranges and texts | robots |
 //! | `wide` | SIMD lanes of numbers, for the swarm | processors |
 //! | [`robot`] | validated parameters, arc of one section, chain, Jacobian, orientation, cables | time |
 //! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton; public are the arguments of a solve | robots |
