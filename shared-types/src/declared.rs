@@ -34,13 +34,13 @@ pub fn is_bits(name: &str) -> bool {
 pub fn words(doc: &str) -> String {
     let words: Vec<_> = doc.split_whitespace().collect();
     let text = words.join(" ");
-    let text = without(&text, "](crate::", ")", |_| "]".to_owned());
-    let text = without(&text, "[`", "`]", |name| format!("`{name}`"));
+    let text = replace_between(&text, "](crate::", ")", |_| "]".to_owned());
+    let text = replace_between(&text, "[`", "`]", |name| format!("`{name}`"));
     text.replace("\\[", "[").replace("\\]", "]")
 }
 
 /// Replaces each part between two marks.
-fn without(text: &str, begin: &str, end: &str, instead: impl Fn(&str) -> String) -> String {
+fn replace_between(text: &str, begin: &str, end: &str, instead: impl Fn(&str) -> String) -> String {
     let mut done = String::new();
     let mut rest = text;
     while let Some((before, after)) = rest.split_once(begin) {
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn bits_and_enumerations_are_told_apart() {
+    fn bits_and_enumerations_are_distinguished() {
         let bits = codes().into_keys().filter(|name| is_bits(name));
         let bits: Vec<_> = bits.collect();
         assert_eq!(bits, ["guard_flags", "realtime_missing", "timing_flags"]);

@@ -115,7 +115,7 @@ mod tests {
     use super::{ALL_TAKEN, SYSTEM_REFUSED, words};
 
     #[test]
-    fn failures_are_told_in_words() {
+    fn failures_are_described_in_words() {
         assert_eq!(
             words(&PublishSubscribeOpenError::InternalFailure),
             SYSTEM_REFUSED

@@ -66,7 +66,7 @@ impl Location {
 
     /// The holder of [`daemon_name`](Self::daemon_name). Never waits.
     pub fn name_holder(&self, robot: &str) -> NameHolder {
-        match peer_of(&self.daemon_name(robot)) {
+        match socket_peer(&self.daemon_name(robot)) {
             Ok((user_id, process_id)) if user_id == self.owner_id() => {
                 NameHolder::Ours { process_id }
             }
@@ -161,7 +161,7 @@ fn catches_stop_signal(status: &str) -> bool {
 }
 
 /// User and process id at the other end of an abstract socket name.
-fn peer_of(name: &str) -> Result<(u32, Option<u32>), Errno> {
+fn socket_peer(name: &str) -> Result<(u32, Option<u32>), Errno> {
     let address = SocketAddrUnix::new_abstract_name(name.as_bytes())?;
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
     let socket = socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_robots_of_a_place_are_those_whose_daemons_live() {
+    fn robots_of_a_location_are_those_with_a_live_daemon() {
         let root = Scratch::temporary().unwrap();
         let location = Location::new("a_", root.path()).unwrap();
         let longer = Location::new("a_b_", root.path()).unwrap();
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn names_fit_the_longest_place() {
+    fn names_fit_the_longest_location() {
         let root = format!("/{}", "r".repeat(98));
         let location = Location::new(&"p".repeat(40), Path::new(&root)).unwrap();
         let robot = "n".repeat(40);

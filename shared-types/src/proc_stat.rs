@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_line_of_a_core_is_read_as_proc_says() {
+    fn core_lines_are_parsed_as_in_proc_stat() {
         let text = "cpu  9 9 9 9 9 9 9 997 0 0\ncpu0 1 2\ncpu1 1 2 3 40 5 6 7 507 9 10\ncpu2 x\n\
                     cpu10 1 2 3 4 5 6 7 1 9 10\nintr 5\ncpu3";
         let read: Vec<_> = core_ticks(text).collect();

@@ -20,7 +20,7 @@ pub const PORT_FILES: u64 = 4;
 /// one.
 pub const NODE_FILES: u64 = 5;
 /// Files that are open temporarily while a service is opened or a first message is received.
-const PASSING_FILES: u64 = 7;
+const TRANSIENT_FILES: u64 = 7;
 
 /// There is less space than needed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -110,7 +110,7 @@ pub fn ask(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), In
         (Resource::Files, needed_files, free_files(folder)),
         (
             Resource::Descriptors,
-            needed_files.saturating_add(PASSING_FILES),
+            needed_files.saturating_add(TRANSIENT_FILES),
             free_descriptors(),
         ),
     ];
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn more_than_there_is_is_refused_with_the_numbers() {
+    fn insufficient_space_is_reported_with_the_numbers() {
         let folder = std::env::temp_dir();
         assert_eq!(ask(&folder, 0, 0), Ok(()));
         for (bytes, files, resource, words) in [
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_without_a_limit_has_room_for_everything() {
+    fn a_file_system_without_a_limit_has_space_for_everything() {
         let folder = Path::new("/proc");
         assert_eq!(free_bytes(folder), None);
         assert_eq!(free_files(folder), None);
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn more_files_than_a_process_may_open_are_refused_with_the_command() {
+    fn too_few_descriptors_are_reported_with_the_command() {
         let lack = ask(Path::new("/proc"), 0, u64::MAX).expect_err("nobody may open so many");
         assert!(
             lack.resource == Resource::Descriptors && lack.free > 0,
