@@ -368,7 +368,7 @@ mod tests {
 
     /// The recursion against the differential equation in steps of 10 µs, at ages between the moves, too.
     #[test]
-    fn the_way_left_is_that_of_the_differential_equation() {
+    fn remaining_motion_solves_the_differential_equation() {
         const STEP_S: f64 = 1e-5;
         for (delay_s, time_constant_s) in [(0.0, 0.0), (0.012, 0.0), (0.0, 0.03), (0.0125, 0.02)] {
             let actuator = actuator(delay_s, time_constant_s);
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn of_more_than_is_remembered_only_that_is_made_up_for() {
+    fn older_measurements_get_only_the_motion_kept() {
         let mut model = ActuatorModel::new(Actuator::IDEAL, 1);
         for _ in 0..1000 {
             model.command(&rates(1.0), 0.005);

@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn age_is_made_up_by_what_was_commanded_since_not_by_the_present_rates() {
+    fn age_is_compensated_by_past_commands_not_by_the_present_rates() {
         let robot = robot(1);
         let rates = |u: f64| BendRates::from_slice(&[u, 0.0]).unwrap();
         let mut estimator = Estimator::new(Configuration::straight(1));
@@ -387,7 +387,7 @@ mod tests {
 
     /// A filter that trusted each measurement fully would drift by 1e5 rad here: no bend moves the tip of a straight robot along its axis.
     #[test]
-    fn a_noisy_tip_of_a_straight_robot_at_rest_does_not_lead_the_estimate_astray() {
+    fn a_noisy_tip_of_a_straight_robot_does_not_divert_the_estimate() {
         for sections in 1..=6 {
             let robot = robot(sections);
             let truth = Configuration::straight(sections);
@@ -414,7 +414,7 @@ mod tests {
 
     /// A measurement moves the estimate more if the sensor is better.
     #[test]
-    fn a_tip_counts_by_its_noise() {
+    fn a_tip_is_weighted_by_its_noise() {
         let robot = robot(1);
         let truth = Configuration::from_slice(&[0.31, 0.3]).unwrap();
         let begin = Configuration::from_slice(&[0.3, 0.3]).unwrap();
@@ -466,7 +466,7 @@ mod tests {
     /// The margin is the offset plus the uncertainty that noise leaves. The tip exceeds it along an axis only rarely, and the margin is
     /// smaller for less noise.
     #[test]
-    fn the_margin_is_the_offset_and_what_noise_leaves_open_of_it() {
+    fn margin_is_the_offset_plus_its_uncertainty() {
         let robot = robot(3);
         let at = Configuration::from_slice(&[0.3; 6]).unwrap();
         let truth_m = Vector3::new(0.01, -0.02, 0.005);

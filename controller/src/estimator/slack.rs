@@ -174,7 +174,7 @@ mod tests {
     /// At rest with a measured tip, the motors cross three quarters of the play. When the robot moves on, its cables
     /// are taken to have crossed the whole play, and its tip stays in place.
     #[test]
-    fn at_rest_more_play_than_there_is_does_not_move_the_robot() {
+    fn excess_play_at_rest_does_not_move_the_robot() {
         let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
         let actuator = Actuator {
             play_m: 5e-4,
@@ -214,7 +214,7 @@ mod tests {
 
     /// Without measurements, the estimate of the present configuration equals that of the plant at each release.
     #[test]
-    fn the_estimate_goes_through_the_play_as_the_robot_does() {
+    fn the_estimate_crosses_the_play_as_the_robot_does() {
         for (delay_s, time_constant_s) in [(0.0, 0.0), (0.015, 0.0), (0.01, 0.03)] {
             let actuator = Actuator {
                 delay_s,

@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_moves_nothing() {
+    fn non_finite_commands_stop_the_robot() {
         let shape = Configuration::from_bend_angles(&[[0.5, 0.4]]);
         let mut plant = KinematicPlant::new(&robot(1), shape).with_extrapolate_max_s(f64::NAN);
         plant.command(&BendRates::from_slice(&[1.0, 1.0]).unwrap());

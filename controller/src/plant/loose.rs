@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn taut_cables_bend_it_as_the_model_says() {
+    fn taut_cables_bend_the_robot_as_in_the_model() {
         for bend_rad in [[0.0; 4], [0.5, -0.2, 0.1, 0.7], [-1.0, 0.3, -0.2, -0.4]] {
             near(found(bend_rad, |_| 0.0), bend_rad);
             // Over-tightened together, the cables block each other: no additional bend.
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_cable_bends_nothing_and_holds_nothing_else_up() {
+    fn a_broken_cable_neither_pulls_nor_blocks() {
         let broken =
             |which: usize| move |cable: usize| if cable == which { f64::INFINITY } else { 0.0 };
         // No cable pulls towards the broken one; away from it the two others do.

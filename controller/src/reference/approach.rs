@@ -212,7 +212,7 @@ mod tests {
     proptest! {
         /// The reference moves at constant velocity, so that all acceleration is that of the approach.
         #[test]
-        fn it_begins_with_the_tip_ends_with_the_reference_and_keeps_its_limits(
+        fn an_approach_joins_tip_and_reference_within_its_limits(
             offset_m in vector(0.5),
             reference_m_s in vector(0.3),
             speed_m_s in 0.01..0.5_f64,

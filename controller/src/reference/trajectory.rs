@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_whole_and_says_where() {
+    fn rejects_a_chunk_as_a_whole_with_the_index() {
         let mut trajectory = filled(&[point(10 * US, 0.0)]);
         let bad = [point(20 * US, 0.0), point(20 * US, 0.0)];
         assert_eq!(
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn orientation_takes_the_short_way() {
+    fn orientation_follows_the_shortest_arc() {
         let full =
             |angle: f64| Orientation::Full(UnitQuaternion::from_euler_angles(0.0, 0.0, angle));
         let mut points = [point(0, 0.0), point(10 * US, 0.0)];
@@ -429,7 +429,7 @@ mod tests {
         }
 
         #[test]
-        fn between_any_two_axes_is_an_even_turn_between_opposite_ones_too(
+        fn axes_turn_at_a_constant_rate_even_if_opposite(
             from in prop::array::uniform3(-1.0..1.0_f64), off in prop::array::uniform3(-1.0..1.0_f64),
             size in prop_oneof![Just(0.0), Just(1e-12), Just(1e-8), Just(1e-4), Just(1.0)],
             sign in prop_oneof![Just(-1.0), Just(1.0)],

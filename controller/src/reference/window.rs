@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn past_its_end_the_window_says_that_the_reference_ended() {
+    fn past_its_end_the_window_reports_an_ended_reference() {
         let window = window(100, 0);
         assert_eq!(window.get(500).state, ReferenceState::Ended);
         assert_eq!(x(window.ahead(500, 2)), [162.0]);
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn short_periods_get_the_same_time() {
+    fn short_periods_have_the_same_timeout() {
         let points = [0, 2_000_000_000].map(|time_ns| ReferencePoint {
             time_ns,
             position_m: Vector3::zeros(),
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn the_slack_costs_little_and_is_no_longer_than_the_timeout() {
+    fn slack_is_cheap_and_at_most_the_timeout() {
         let slack = |period_us: u64| ReferenceWindow::slack(period_us * 1000);
         assert_eq!([100_000, 20_000, 10_000].map(slack), [10, 50, 60]);
         assert_eq!([5000, 2000, 500, 100].map(slack), [60, 25, 20, 20]);
@@ -272,7 +272,7 @@ mod tests {
 
     /// A kept sample equals one made anew, whatever happened between two windows.
     #[test]
-    fn a_window_that_is_moved_on_is_one_that_is_made_anew() {
+    fn a_moved_window_equals_a_new_one() {
         let points = |from: u64, count: u64, scale: f64| {
             (from..from + count).map(move |k| ReferencePoint {
                 time_ns: 1_000_000_000 + k * 17_000_000,

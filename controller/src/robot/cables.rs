@@ -183,7 +183,7 @@ mod tests {
         }
 
         #[test]
-        fn strokes_are_what_the_lengths_differ_by_from_the_straight_robots((robot, shape) in robots_and_shapes()) {
+        fn strokes_are_lengths_minus_those_of_the_straight_robot((robot, shape) in robots_and_shapes()) {
             let straight = robot.cable_lengths(&Configuration::straight(shape.section_count()));
             let bent = robot.cable_lengths(&shape);
             for (i, stroke_m) in robot.cable_strokes(&shape).iter().enumerate() {

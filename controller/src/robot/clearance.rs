@@ -439,7 +439,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_direction_alone_is_that_of_the_nearest_place(
+        fn direction_equals_that_of_the_nearest_place(
             bends in prop::array::uniform4(-3.0..3.0_f64),
             [start, end] in prop::array::uniform2(prop::array::uniform3(-0.6..0.6_f64)),
             straight: bool,

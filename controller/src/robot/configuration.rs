@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nan_is_seen_wherever_it_is() {
+    fn a_nan_is_detected_in_every_component() {
         for i in 0..6 {
             for bad in [f64::NAN, f64::INFINITY] {
                 let mut shape = Configuration::straight(3);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_of_absent_sections_leave_no_trace() {
+    fn rates_of_absent_sections_have_no_effect() {
         let rates = BendRates::from_slice(&[1.0; 6]).unwrap();
         let moved = Configuration::straight(1).advanced(&rates, 1.0);
         assert_eq!(moved, Configuration::from_slice(&[1.0, 1.0]).unwrap());

@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shape_of_another_section_count_is_that_of_this_robot() {
+    fn a_shape_of_another_section_count_is_adapted_to_the_robot() {
         let longer = Configuration::from_bend_angles(&[[0.6, -2.0], [1.1, 0.7], [0.4, 0.1]]);
         let shorter = Configuration::from_bend_angles(&[[0.6, -2.0]]);
         let same = Configuration::from_bend_angles(&[[0.6, -2.0], [1.1, 0.7]]);
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn an_s_outside_its_range_is_held_to_the_section() {
+    fn an_s_outside_its_range_is_clamped() {
         let shape = Configuration::from_bend_angles(&[[0.6, -2.0], [1.1, 0.7]]);
         let robot = robot(2);
         assert_eq!(

@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn many_have_the_bits_of_each_on_each_path() {
+    fn tip_positions_are_bit_identical_on_every_simd_path() {
         let paths: [fn(Tips<'_>); 3] =
             [|tips| Arch::new().dispatch(tips), |tips| tips.call(), avx2];
         for (sections, count) in (1..=6).flat_map(|n| [0, 1, 7, 8, 9, 61].map(|count| (n, count))) {
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_counterpart_is_left_alone() {
+    fn surplus_elements_are_ignored() {
         let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
         let mut tips = [7.0; 30];
         robot.tip_positions(&[0.1; 19], &mut tips);

@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_or_has_a_negative_radius_is_refused_by_name() {
+    fn non_finite_numbers_and_negative_radii_are_rejected_by_name() {
         let (origin, x) = (Vector3::zeros(), Vector3::x());
         let key = |shape, radius_m, velocity_m_s| {
             Obstacle::new(shape, radius_m, velocity_m_s)
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn it_moves_as_a_whole_at_its_velocity() {
+    fn an_obstacle_moves_as_a_whole_at_its_velocity() {
         let velocity_m_s = Vector3::new(0.1, -0.2, 0.0);
         let (start_m, end_m) = (Vector3::x(), Vector3::z());
         let shape = capsule(start_m, end_m);

@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn short_series_are_as_exact_as_far_as_they_reach() {
+    fn short_series_are_exact_within_their_range() {
         for (bend_rad, change_rad) in [(0.0, 0.4), (0.3, 0.2), (1.57, 0.06), (3.1, 0.03)] {
             let short = ShortSeries::near([0.6 * bend_rad, -0.8 * bend_rad], change_rad).unwrap();
             for share in [-1.0, -0.5, 0.0, 0.3, 1.0] {

@@ -56,7 +56,7 @@ fn run(robot: &mut MisbehavingRobot, order: MotorOrder, steps: u32, step_s: f64)
 }
 
 #[test]
-fn the_ideal_robot_goes_where_it_is_sent_at_once_and_measures_it() {
+fn the_ideal_robot_follows_orders_at_once_and_measures_exactly() {
     let mut robot = robot(Preset::Ideal.flaws());
     near(&robot, [0.5, -0.2, 0.1, 0.0], 1e-12);
     run(&mut robot, lengths([0.1, 0.2, 0.3, 0.4]), 1, STEP_S);
@@ -112,7 +112,7 @@ fn orders_take_effect_after_the_delay_whatever_the_step() {
 }
 
 #[test]
-fn a_cable_comes_along_when_the_play_is_over() {
+fn a_cable_follows_beyond_half_of_the_play() {
     let mut robot = robot(Flaws {
         actuator: Actuator {
             play_m: 1e-3,
@@ -137,7 +137,7 @@ fn a_cable_comes_along_when_the_play_is_over() {
 }
 
 #[test]
-fn errors_of_the_geometry_and_a_load_bend_it_otherwise() {
+fn geometry_errors_and_a_load_change_the_bends() {
     let mut longer = robot(Flaws {
         length_error: 0.05,
         cable_radius_error: -0.5,
@@ -153,7 +153,7 @@ fn errors_of_the_geometry_and_a_load_bend_it_otherwise() {
 }
 
 #[test]
-fn sensors_are_as_bad_as_is_said_and_repeat() {
+fn sensors_have_the_given_noise_and_are_reproducible() {
     let flaws = Flaws {
         droop_m: 0.0,
         tick_m: 0.0,
@@ -187,7 +187,7 @@ fn sensors_are_as_bad_as_is_said_and_repeat() {
 }
 
 #[test]
-fn a_sensor_of_the_tip_that_counts_says_whole_steps() {
+fn a_quantised_tip_sensor_reports_whole_steps() {
     let mut counted = robot(Flaws {
         tip_noise_m: 3e-4,
         tip_tick_m: 1e-3,
@@ -207,7 +207,7 @@ fn a_sensor_of_the_tip_that_counts_says_whole_steps() {
 
 /// Encoders are on the motors: they detect no fault.
 #[test]
-fn cables_that_are_slack_or_broken_bend_it_less_and_no_encoder_tells() {
+fn slack_or_broken_cables_bend_less_and_no_encoder_detects_it() {
     for (flaw, value) in [("slack_m", 2e-3), ("broken_cable", 1.0)] {
         let mut loose = robot(Flaws::default().with(flaw, value).unwrap());
         run(&mut loose, lengths([0.5, 0.0, 0.0, 0.0]), 1, STEP_S);
@@ -276,7 +276,7 @@ fn a_pulled_cable_stretches_and_friction_holds_it_back_the_more_the_body_is_bent
 }
 
 #[test]
-fn sensors_are_late_seldom_and_beside_as_is_said() {
+fn sensors_have_the_given_delay_interval_dropout_and_bias() {
     let sampling = |delay_s, interval_s, dropout| Sampling {
         delay_s,
         interval_s,
@@ -313,7 +313,7 @@ fn sensors_are_late_seldom_and_beside_as_is_said() {
 }
 
 #[test]
-fn a_base_elsewhere_takes_the_tip_and_the_whole_body_along() {
+fn a_moved_base_moves_tip_and_body() {
     let beside = Flaws {
         base_m: [0.01, 0.0, 0.0],
         base_turn_rad: [0.0, 0.0, 0.1],

@@ -103,7 +103,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
     #[test]
-    fn bodies_side_by_side_are_those_of_one_lane_to_the_bit_and_of_the_scalar_body(
+    fn wide_bodies_equal_single_lanes_bit_for_bit_and_the_scalar_body(
         (robot, shape) in robots_and_shapes(), place in places(), enough_m in -0.05..0.3_f64,
     ) {
         prop_assume!(bend_max_rad(&shape) <= TAU);
@@ -131,7 +131,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_not_finite_in_one_lane_changes_no_other(
+    fn a_non_finite_lane_changes_no_other_lane(
         (robot, shape) in robots_and_shapes(), place in places(), component in 0..COORDINATES_MAX, bad_lane in 0..LANES,
         value in prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(f64::NEG_INFINITY)],
     ) {
