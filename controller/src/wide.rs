@@ -105,6 +105,28 @@ impl<const W: usize> Wide<W> {
         self
     }
 
+    /// The first of the least among the first `count` lanes; a NaN is none of them.
+    #[inline(always)]
+    pub(crate) fn first_least(self, count: usize) -> usize {
+        let mut own = [f64::INFINITY; W];
+        lanes!(W, |i| if i < count && self.0[i] < own[i] {
+            own[i] = self.0[i];
+        });
+        let (mut least, mut width) = (own, W);
+        while width > 1 {
+            width /= 2;
+            for i in 0..width {
+                let other = least[i + width];
+                least[i] = if other < least[i] { other } else { least[i] };
+            }
+        }
+        let mut first = 0;
+        lanes!(W, |i| if own[W - 1 - i] == least[0] {
+            first = W - 1 - i;
+        });
+        first
+    }
+
     /// Square root lane by lane, as IEEE 754 rounds it.
     #[inline(always)]
     #[must_use]
@@ -126,6 +148,17 @@ impl<const W: usize> Wide<W> {
     #[must_use]
     pub(crate) fn min_or_nan(self, other: Self) -> Self {
         other.select(self, either(other.less(self), other.is_nan()))
+    }
+
+    /// The smaller of two numbers in each lane; a NaN in `self` is dropped.
+    #[inline(always)]
+    #[must_use]
+    pub(crate) fn min(mut self, other: Self) -> Self {
+        lanes!(W, |i| {
+            let (own, other) = (self.0[i], other.0[i]);
+            self.0[i] = if own < other { own } else { other };
+        });
+        self
     }
 
     /// The larger of two numbers in each lane; a NaN in `other` is dropped, one in `self` stays.
@@ -182,6 +215,14 @@ pub(crate) fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W
 pub(crate) fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
     lanes!(W, |i| a[i] = !a[i]);
     a
+}
+
+/// Whether any bit is set.
+#[inline(always)]
+pub(crate) fn any_set<const W: usize>(mask: [u64; W]) -> bool {
+    let mut set = 0;
+    lanes!(W, |i| set |= mask[i]);
+    set != 0
 }
 
 /// Whether any lane is chosen.

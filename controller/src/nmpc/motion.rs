@@ -7,7 +7,7 @@ use crate::optimizer::Bounds;
 use crate::robot::{
     BendRates, COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX, rotate_wide,
 };
-use crate::wide::Wide;
+use crate::wide::{Aligned, Wide};
 
 /// Below this bend a section has no direction of its own \[rad\].
 const STRAIGHT_RAD: f64 = 1e-9;
@@ -162,6 +162,30 @@ impl<'a> Motion<'a> {
         let first = self.horizon.block_of(step) * self.width;
         for i in 0..self.width {
             bend_rad[i] = bend_rad[i] + z(first + i) * self.period_s;
+        }
+    }
+
+    /// The bend vectors of W robots at the start, as far as there is room.
+    #[inline(always)]
+    pub(super) fn start_in<const W: usize>(&self, bend_rad: &mut [Aligned<W>]) {
+        for (bend, start) in bend_rad.iter_mut().zip(&self.start_rad[..self.width]) {
+            bend.0 = Wide::splat(*start);
+        }
+    }
+
+    /// Moves on a component of the bend vectors by one period whenever it is asked for.
+    #[inline(always)]
+    pub(super) fn moving<const W: usize>(
+        &self,
+        bend_rad: &mut [Aligned<W>],
+        z: &impl Fn(usize) -> Wide<W>,
+        step: usize,
+    ) -> impl FnMut(usize) -> Wide<W> {
+        let first = self.horizon.block_of(step) * self.width;
+        move |i| {
+            let moved = bend_rad[i].0 + z(first + i) * self.period_s;
+            bend_rad[i].0 = moved;
+            moved
         }
     }
 

@@ -58,7 +58,7 @@ pub(super) fn squared_error<const W: usize>(
 }
 
 #[inline(always)]
-fn distance_squared<const W: usize>(from: &[Wide<W>; 3], to: &Vector3<f64>) -> Wide<W> {
+pub(super) fn distance_squared<const W: usize>(from: &[Wide<W>; 3], to: &Vector3<f64>) -> Wide<W> {
     let (x, y, z) = (from[0] + -to.x, from[1] + -to.y, from[2] + -to.z);
     x * x + y * y + z * z
 }

@@ -1,6 +1,8 @@
 mod evaluation;
 mod plain;
 
+pub(super) use plain::Plain;
+
 use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
@@ -12,7 +14,7 @@ use crate::optimizer::{
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Near, Robot, SECTIONS_MAX};
-use crate::wide::Wide;
+use crate::wide::{Aligned, Wide};
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {
@@ -439,8 +441,7 @@ pub(super) struct Searched<'a, const P: usize> {
 
 impl<'a, const P: usize> Searched<'a, P> {
     pub(super) fn new(problem: &'a TrackingProblem<'a>) -> Self {
-        let (motion, robot) = (problem.motion, problem.robot);
-        let near = robot.near(&motion.start_shape(), &motion.most_rad(robot));
+        let near = problem.near();
         Self { problem, near }
     }
 }
@@ -450,6 +451,7 @@ impl<const P: usize> Cost for Searched<'_, P> {
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
+        _: &mut [Aligned<W>],
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {

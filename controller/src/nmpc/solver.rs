@@ -2,7 +2,7 @@
 
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
-use super::problem::{Searched, TrackingProblem};
+use super::problem::{Plain, Searched, TrackingProblem};
 use super::ways::WAYS;
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
@@ -267,9 +267,10 @@ impl Solver {
         }
         let problem = task.problem;
         match problem.motion.coordinates() {
-            Coordinates::BendVector => {
-                self.search_around(&Searched::<VECTORS>::new(problem), task, budget)
-            }
+            Coordinates::BendVector => match Plain::new(problem) {
+                Some(plain) => self.search_around(&plain, task, budget),
+                None => self.search_around(&Searched::<VECTORS>::new(problem), task, budget),
+            },
             Coordinates::BendAngles => {
                 self.search_around(&Searched::<ANGLES>::new(problem), task, budget)
             }

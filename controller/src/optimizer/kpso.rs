@@ -4,7 +4,7 @@ use pulp::WithSimd;
 
 use super::random::RandomLanes;
 use super::{Bounds, Budget, Candidate, Cost, Incumbent, Simd};
-use crate::wide::{Aligned, LANES, Wide, any};
+use crate::wide::{Aligned, LANES, Wide, any_set};
 
 /// How a particle's velocity follows from its last one, v ← χ (w v + c₁ρ₁(p - x) + c₂ρ₂(g - x)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -147,6 +147,9 @@ impl<C: Cost, const W: usize> WithSimd for Search<'_, '_, C, W> {
             } else {
                 stagnant + 1
             };
+            if iterations == settings.iterations {
+                break;
+            }
             if settings.regenerate_after > 0 && stagnant >= settings.regenerate_after {
                 left = left && swarm.scatter(1, task.bounds, budget, incumbent);
                 stagnant = 0;
@@ -169,7 +172,13 @@ struct Swarm<const W: usize> {
     velocities: Vec<Aligned<W>>,
     best_positions: Vec<Aligned<W>>,
     best_costs: Vec<Wide<W>>,
+    /// Of the present positions, infinite where they are not known.
+    costs: Vec<Wide<W>>,
     random: Vec<RandomLanes<W>>,
+    /// The largest velocity of each unknown.
+    limits: Vec<f64>,
+    /// For what evaluates.
+    scratch: Vec<Aligned<W>>,
 }
 
 /// Scattered particles start at distances between the whole box and this part of it, spaced
@@ -193,7 +202,10 @@ impl<const W: usize> Swarm<W> {
             velocities: vec![zero; blocks * dimension],
             best_positions: vec![zero; blocks * dimension],
             best_costs: vec![zero.0; blocks],
+            costs: vec![zero.0; blocks],
             random: vec![RandomLanes::seed(0, 0); blocks],
+            limits: Vec::with_capacity(dimension),
+            scratch: vec![zero; dimension],
         }
     }
 
@@ -208,6 +220,10 @@ impl<const W: usize> Swarm<W> {
         let knowledge = task.knowledge;
         self.dimension = task.bounds.dimension();
         self.count = task.settings.size.min(self.best_costs.len() * W);
+        let widths = task.bounds.upper().iter().zip(task.bounds.lower());
+        self.limits.clear();
+        self.limits
+            .extend(widths.map(|(high, low)| VELOCITY_LIMIT * (high - low)));
         self.known = (knowledge.len() / self.dimension).min(self.count);
         for block in 0..self.blocks() {
             if !budget.spend(SEEDING_NS * W as u32) {
@@ -215,6 +231,7 @@ impl<const W: usize> Swarm<W> {
             }
             self.random[block] = RandomLanes::seed(task.seed, block * W);
             self.best_costs[block] = Wide::splat(f64::INFINITY);
+            self.costs[block] = Wide::splat(f64::INFINITY);
         }
         for (particle, candidate) in knowledge
             .chunks_exact(self.dimension)
@@ -259,6 +276,7 @@ impl<const W: usize> Swarm<W> {
                 reach
             });
             let mut random = self.random[block];
+            let better = self.costs[block].less_mask(self.best_costs[block]);
             for i in 0..self.dimension {
                 let (low, high) = (bounds.lower()[i], bounds.upper()[i]);
                 let half_width = reach * (0.5 * (high - low));
@@ -267,12 +285,15 @@ impl<const W: usize> Swarm<W> {
                 let velocity = half_width * speed;
                 let at = block * self.dimension + i;
                 let [Aligned(x), Aligned(v)] = [&mut self.positions[at], &mut self.velocities[at]];
+                let Aligned(best) = &mut self.best_positions[at];
+                *best = x.masked(*best, better);
                 *x = position.clamp(low, high).select(*x, chosen);
                 *v = velocity.select(*v, chosen);
             }
             self.random[block] = random;
             let forgotten = Wide::splat(f64::INFINITY);
-            self.best_costs[block] = forgotten.select(self.best_costs[block], chosen);
+            let kept = self.costs[block].min(self.best_costs[block]);
+            self.best_costs[block] = forgotten.select(kept, chosen);
         }
         true
     }
@@ -288,33 +309,22 @@ impl<const W: usize> Swarm<W> {
         instructions: impl pulp::Simd,
     ) -> bool {
         for block in 0..self.blocks() {
-            let range = block * self.dimension..(block + 1) * self.dimension;
-            let position = &self.positions[range.clone()];
-            let Some(evaluation) = cost.evaluate(|i| position[i].0, budget, instructions) else {
+            let position = &self.positions[block * self.dimension..][..self.dimension];
+            let scratch = &mut self.scratch;
+            let evaluation = cost.evaluate(|i| position[i].0, scratch, budget, instructions);
+            let Some(evaluation) = evaluation else {
                 return false;
             };
-            let (now, before) = (evaluation.cost, self.best_costs[block]);
-            let better = now.less_mask(before);
-            self.best_costs[block] = now.masked(before, better);
-            if any(now.less(before)) {
-                for (best, x) in self.best_positions[range].iter_mut().zip(position) {
-                    best.0 = x.0.masked(best.0, better);
-                }
-            }
+            let now = evaluation.cost;
+            self.costs[block] = now;
             let first = block * W;
             let particles = W.min(self.count - first);
-            let best = Wide::splat(incumbent.cost());
-            if !any(now.less(best)) {
+            if !any_set(now.less_mask(Wide::splat(incumbent.cost()))) {
                 incumbent.pass_over(particles);
                 continue;
             }
             // The first of the least: what one offer after the other would leave.
-            let (mut least, mut lane) = (incumbent.cost(), 0);
-            for (other, &cost) in now.0.iter().enumerate().take(particles) {
-                if cost < least {
-                    (least, lane) = (cost, other);
-                }
-            }
+            let lane = now.first_least(particles);
             let z = |i: usize| position[i].0.0[lane];
             let origin = origins.get(first + lane).copied();
             incumbent.offer(z, &evaluation, lane, origin.unwrap_or(Candidate::Swarm));
@@ -323,7 +333,7 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Eq. 6 and 7 for every particle. False: the budget was spent.
+    /// Eq. 6 and 7 for every particle, which remembers the place that it leaves where that is its best. False: the budget was spent.
     #[inline(always)]
     fn update_particles(
         &mut self,
@@ -339,17 +349,21 @@ impl<const W: usize> Swarm<W> {
             }
             let range = block * self.dimension..(block + 1) * self.dimension;
             let mut random = self.random[block];
+            let (now, before) = (self.costs[block], self.best_costs[block]);
+            let better = now.less_mask(before);
+            self.best_costs[block] = now.min(before);
             let moving = self.positions[range.clone()]
                 .iter_mut()
                 .zip(&mut self.velocities[range.clone()])
-                .zip(&self.best_positions[range])
+                .zip(&mut self.best_positions[range])
                 .zip(incumbent.z());
             let walls = bounds.lower().iter().zip(bounds.upper());
-            for ((((position, velocity), own_best), &global_best), (&low, &high)) in
+            let walls = walls.zip(&self.limits);
+            for ((((position, velocity), own_best), &global_best), ((&low, &high), &limit)) in
                 moving.zip(walls)
             {
-                let limit = VELOCITY_LIMIT * (high - low);
                 let x = position.0;
+                own_best.0 = x.masked(own_best.0, better);
                 let [own, social] = random.units();
                 let pull = own * factors.cognitive * (own_best.0 - x)
                     + social * factors.social * (Wide::splat(global_best) - x);
@@ -401,8 +415,17 @@ impl KpsoSettings {
 
 /// The seed of one cycle's swarm: a mix of the configured seed and the number of the cycle, so that a
 /// cycle can be repeated without those before it (`SplitMix64`, Steele, Lea & Flood 2014).
+#[inline]
 pub fn cycle_seed(seed: u64, cycle: u64) -> u64 {
-    let mut z = seed ^ cycle.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    mixed(seed ^ cycle.wrapping_mul(GOLDEN))
+}
+
+/// What `SplitMix64` counts by.
+pub(super) const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// What it makes of its count.
+#[inline(always)]
+pub(super) fn mixed(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)

@@ -30,7 +30,7 @@ pub use simd::Simd;
 pub(crate) use simd::apart;
 pub(crate) use stages::{BLOCKS_MAX, Stages, WIDTH_MAX};
 
-use crate::wide::Wide;
+use crate::wide::{Aligned, Wide};
 
 /// Kinds of constraints that a problem may tell apart.
 pub(crate) const VIOLATIONS: usize = 2;
@@ -58,14 +58,15 @@ impl<const W: usize> Evaluation<W> {
 
 /// A cost over a box, for many points: what a swarm searches.
 pub(crate) trait Cost {
-    /// Evaluates W points side by side, `z(i)` being the i-th unknown of each. None when `budget` was
-    /// spent on the way.
+    /// Evaluates W points side by side, `z(i)` being the i-th unknown of each, with memory for as many numbers of each as there are
+    /// unknowns. None when `budget` was spent on the way.
     ///
     /// Implementations are `#[inline(always)]` down to the last operation, or to what they run [`apart`] with
     /// `instructions`: these are those of the caller. Each lane must give the bits of W = 1.
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
+        scratch: &mut [Aligned<W>],
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>>;

@@ -1,6 +1,4 @@
-use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256Plus;
-
+use super::kpso::{GOLDEN, cycle_seed, mixed};
 use crate::wide::Wide;
 
 /// W independent xoshiro256+ generators (Blackman & Vigna 2021), one in each lane, so that a
@@ -18,32 +16,47 @@ const FRACTION_32: u64 = 0x000F_FFFF_FFF0_0000;
 
 impl<const W: usize> RandomLanes<W> {
     /// Generators of the particles `first_particle`, `first_particle + 1`, …
+    #[inline(always)]
     pub(super) fn seed(seed: u64, first_particle: usize) -> Self {
-        let mut state = [[0; W]; 4];
+        let mut seeder = Self { state: [[0; W]; 4] };
         for lane in 0..W {
-            let particle = (first_particle + lane) as u64;
-            let mut seeder = Xoshiro256Plus::seed_from_u64(super::cycle_seed(seed, particle));
-            for word in &mut state {
-                word[lane] = seeder.random();
+            let mut own = cycle_seed(seed, (first_particle + lane) as u64);
+            for word in &mut seeder.state {
+                own = own.wrapping_add(GOLDEN);
+                word[lane] = mixed(own);
             }
+        }
+        let mut state = [[0; W]; 4];
+        for word in &mut state {
+            *word = seeder.draw();
         }
         Self { state }
     }
 
-    /// Two numbers, uniform in [0, 1), of 32 bits each: the halves of one draw, which costs more than all that is done with it.
+    /// The next number of each generator.
     #[inline(always)]
-    pub(super) fn units(&mut self) -> [Wide<W>; 2] {
-        let mut units = [[0.0; W]; 2];
+    fn draw(&mut self) -> [u64; W] {
+        let mut drawn = [0; W];
         for lane in 0..W {
             let (s0, s1) = (self.state[0][lane], self.state[1][lane]);
             let (s2, s3) = (self.state[2][lane], self.state[3][lane]);
-            let result = s0.wrapping_add(s3);
+            drawn[lane] = s0.wrapping_add(s3);
             let (s2, s3, shifted) = (s2 ^ s0, s3 ^ s1, s1 << 17);
             self.state[1][lane] = s1 ^ s2;
             self.state[0][lane] = s0 ^ s3;
             self.state[2][lane] = s2 ^ shifted;
             self.state[3][lane] = s3.rotate_left(45);
-            for (unit, fraction) in units.iter_mut().zip([result >> 12, result << 20]) {
+        }
+        drawn
+    }
+
+    /// Two numbers, uniform in [0, 1), of 32 bits each: the halves of one draw, which costs more than all that is done with it.
+    #[inline(always)]
+    pub(super) fn units(&mut self) -> [Wide<W>; 2] {
+        let (drawn, mut units) = (self.draw(), [[0.0; W]; 2]);
+        for lane in 0..W {
+            let halves = [drawn[lane] >> 12, drawn[lane] << 20];
+            for (unit, fraction) in units.iter_mut().zip(halves) {
                 unit[lane] = f64::from_bits((fraction & FRACTION_32) | ONE_TO_TWO) - 1.0;
             }
         }
@@ -53,7 +66,8 @@ impl<const W: usize> RandomLanes<W> {
 
 #[cfg(test)]
 mod tests {
-    use rand::Rng;
+    use rand::{Rng, RngExt, SeedableRng};
+    use rand_xoshiro::Xoshiro256Plus;
 
     use super::*;
 
@@ -72,6 +86,18 @@ mod tests {
                 let halves = [drawn >> 32, drawn & 0xFFFF_FFFF];
                 let expected = halves.map(|half| half as f64 / 2.0_f64.powi(32));
                 assert_eq!(copy.units().map(|unit| unit.0[lane]), expected);
+            }
+        }
+    }
+
+    #[test]
+    fn seeds_are_the_first_numbers_of_a_generator_of_the_cycle_and_the_particle() {
+        let lanes = RandomLanes::<8>::seed(7, 16);
+        for lane in 0..8 {
+            let seed = cycle_seed(7, 16 + lane as u64);
+            let mut seeder = Xoshiro256Plus::seed_from_u64(seed);
+            for word in lanes.state {
+                assert_eq!(word[lane], seeder.random::<u64>());
             }
         }
     }

@@ -61,14 +61,15 @@ impl Robot {
         (tip, slopes)
     }
 
-    /// Tip position by short series, faster, for configurations close to that of `near`.
+    /// Tip position by short series, faster, for configurations close to that of `near`. Calls `bend_rad` once
+    /// for each component.
     #[inline(always)]
     pub(crate) fn tip_position_near<const W: usize>(
         &self,
         near: &Near,
-        bend_rad: impl Fn(usize) -> Wide<W>,
+        bend_rad: impl FnMut(usize) -> Wide<W>,
     ) -> [Wide<W>; 3] {
-        let (tip, []) = self.tip_wide::<W, 0>(bend_rad, |j, w| near[j].at(w));
+        let (tip, []) = self.tip_wide::<W, 0, true>(bend_rad, |j, w| near[j].at(w));
         tip
     }
 
@@ -93,14 +94,15 @@ impl Robot {
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
     ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {
-        self.tip_wide(bend_rad, |_, w| series_coefficients(w))
+        self.tip_wide::<W, AXES, false>(bend_rad, |_, w| series_coefficients(w))
     }
 
-    /// As [`Self::tip_frame_wide`], with the coefficients (f, g) of section j at w from `coefficients`.
+    /// As [`Self::tip_frame_wide`], with the coefficients (f, g) of section j at w from `coefficients`. `SHORT`:
+    /// without axes, and with fewer operations for the last section, in more code.
     #[inline(always)]
-    fn tip_wide<const W: usize, const AXES: usize>(
+    fn tip_wide<const W: usize, const AXES: usize, const SHORT: bool>(
         &self,
-        bend_rad: impl Fn(usize) -> Wide<W>,
+        mut bend_rad: impl FnMut(usize) -> Wide<W>,
         coefficients: impl Fn(usize, f64) -> (f64, f64),
     ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {
         // Tip position (x, y, z) and axes, transformed from each section's end to its start.
@@ -112,6 +114,15 @@ impl Robot {
         for (j, section) in self.sections().iter().enumerate().rev() {
             let (u, v) = (bend_rad(2 * j).0, bend_rad(2 * j + 1).0);
             let length_m = section.length_m;
+            if SHORT && j + 1 == self.section_count() {
+                // Nothing follows the last section.
+                for i in 0..W {
+                    let (f, g) = coefficients(j, u[i] * u[i] + v[i] * v[i]);
+                    (x[i], y[i], z[i]) =
+                        (u[i] * (g * length_m), v[i] * (g * length_m), f * length_m);
+                }
+                continue;
+            }
             // One loop over the lanes with all of a section's arithmetic, so that the compiler vectorises it.
             for i in 0..W {
                 let w = u[i] * u[i] + v[i] * v[i];

@@ -107,7 +107,7 @@ impl TrackingProblem<'_> {
 
     /// Weights on the rates and on their change from block to block.
     #[inline(always)]
-    fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {
+    pub(super) fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {
         let NmpcSettings {
             rate_weight,
             rate_change_weight,

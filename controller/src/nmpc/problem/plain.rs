@@ -3,25 +3,81 @@
 use core::ops::Range;
 
 use super::TrackingProblem;
-use crate::optimizer::{Budget, Evaluation, LinearModel, Place, Problem};
+use crate::nmpc::pose_error::distance_squared;
+use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Place, Problem};
 use crate::reference::Orientation;
-use crate::robot::COORDINATES_MAX;
-use crate::wide::Wide;
+use crate::robot::{COORDINATES_MAX, Near};
+use crate::wide::{Aligned, Wide};
 
 /// The bends at the end of two steps; after an odd number of steps the second are of no use.
 type Pair = [Wide<2>; COORDINATES_MAX];
 
+/// A problem whose cost is that of the tip's position and of the rates, in bend vectors that stay near the start: what a swarm searches mostly.
+pub(in crate::nmpc) struct Plain<'a> {
+    problem: &'a TrackingProblem<'a>,
+    near: Near,
+    step_ns: u32,
+}
+
+impl<'a> Plain<'a> {
+    pub(in crate::nmpc) fn new(problem: &'a TrackingProblem<'a>) -> Option<Self> {
+        if !(problem.is_free() && problem.follows_positions()) {
+            return None;
+        }
+        Some(Self {
+            problem,
+            near: problem.near()?,
+            step_ns: problem.step_ns(),
+        })
+    }
+}
+
+impl Cost for Plain<'_> {
+    #[inline(always)]
+    fn evaluate<const W: usize>(
+        &self,
+        z: impl Fn(usize) -> Wide<W>,
+        bends: &mut [Aligned<W>],
+        budget: &mut Budget<'_>,
+        _instructions: impl pulp::Simd,
+    ) -> Option<Evaluation<W>> {
+        let Self { problem, near, .. } = self;
+        problem.motion.start_in(bends);
+        let mut cost = problem.regularisation(&z);
+        for step in 0..problem.steps() {
+            if !budget.spend(self.step_ns) {
+                return None;
+            }
+            let moving = problem.motion.moving(bends, &z, step);
+            let tip = problem.robot.tip_position_near(near, moving);
+            if let Some(target) = problem.target(step) {
+                let error = distance_squared(&tip, &target.position_m);
+                cost = cost + error * problem.weights(step).position;
+            }
+        }
+        Some(Evaluation::from_cost(cost))
+    }
+}
+
 impl TrackingProblem<'_> {
+    /// What tells of bends that stay near the start, if they do.
+    pub(super) fn near(&self) -> Option<Near> {
+        let most_rad = self.motion.most_rad(self.robot);
+        self.robot.near(&self.motion.start_shape(), &most_rad)
+    }
+
     /// Whether, where nothing is in reach, the cost is that of the tip's position and of the rates alone, and its rows are not staged.
     pub(super) fn is_of_position(&self) -> bool {
-        let is_position = |step| {
+        !self.is_staged() && self.settings.rate_change_weight == 0.0 && self.follows_positions()
+    }
+
+    /// Whether no orientation counts.
+    pub(super) fn follows_positions(&self) -> bool {
+        (0..self.steps()).all(|step| {
             let target = self.target(step).map(|target| target.orientation);
             matches!(target, None | Some(Orientation::Free))
                 || self.weights(step).orientation == 0.0
-        };
-        !self.is_staged()
-            && self.settings.rate_change_weight == 0.0
-            && (0..self.steps()).all(is_position)
+        })
     }
 
     /// Whether the cost is that of the tip's position and of the rates alone, and its rows are not staged.

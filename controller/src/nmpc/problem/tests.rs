@@ -209,12 +209,14 @@ fn evaluated<const W: usize>(
     plans: impl Fn(usize) -> Wide<W>,
 ) -> Evaluation<W> {
     let budget = &mut Budget::unlimited();
+    let bends = &mut [Aligned(Wide::splat(0.0)); COORDINATES_MAX];
     let found = match problem.motion.coordinates() {
-        Coordinates::BendVector => {
-            Searched::<VECTORS>::new(problem).evaluate(plans, budget, pulp::Scalar)
-        }
+        Coordinates::BendVector => match Plain::new(problem) {
+            Some(plain) => plain.evaluate(plans, bends, budget, pulp::Scalar),
+            None => Searched::<VECTORS>::new(problem).evaluate(plans, bends, budget, pulp::Scalar),
+        },
         Coordinates::BendAngles => {
-            Searched::<ANGLES>::new(problem).evaluate(plans, budget, pulp::Scalar)
+            Searched::<ANGLES>::new(problem).evaluate(plans, bends, budget, pulp::Scalar)
         }
     };
     found.expect("an unlimited budget")

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::optimizer::Evaluation;
+use crate::wide::Aligned;
 
 use std::cell::Cell;
 
@@ -19,6 +20,7 @@ impl Cost for Rastrigin {
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
+        _: &mut [Aligned<W>],
         budget: &mut Budget<'_>,
         _: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
@@ -61,8 +63,13 @@ fn search_with(simd: Simd, settings: &KpsoSettings, seed: u64, quanta: u32) -> I
     let start = [-4.0, 4.0];
     incumbent.restart(
         &start,
-        cost.evaluate(|i| Wide([start[i]]), &mut Budget::unlimited(), pulp::Scalar)
-            .as_ref(),
+        cost.evaluate(
+            |i| Wide([start[i]]),
+            &mut [],
+            &mut Budget::unlimited(),
+            pulp::Scalar,
+        )
+        .as_ref(),
     );
     let mut budget = Budget::of_quanta(quanta);
     let task = Task {
