@@ -413,11 +413,13 @@ pub fn run_cycles(
         }
         shared.cycle_beats.add(1);
         let inputs = ends.inputs.read();
-        let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
-        // Before anybody is told.
-        keep_latched(shared.latch, mode, record.mode);
-        mode = record.mode;
-        ends.records.send(record);
+        ends.records.send(|memory| {
+            let next_request = || ends.requests.pop().ok();
+            let record = cycle.run_into(memory, release, inputs, next_request, clock);
+            // Before anybody is told.
+            keep_latched(shared.latch, mode, record.mode);
+            mode = record.mode;
+        });
         exchange.unpark();
         cycle.rest(clock);
     }

@@ -16,7 +16,7 @@ mod state;
 mod unsent;
 mod warm_up;
 
-use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
+use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
@@ -27,7 +27,7 @@ use cdcr_controller::safety::{
 use crate::accounting::Accounting;
 use crate::config::{Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts};
-use crate::handover::{CycleInputs, CycleRecord, CycleRequest, Policy, Settings};
+use crate::handover::{CycleFacts, CycleInputs, CycleRecord, CycleRequest, Policy, Settings};
 use crate::link::RobotLink;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
@@ -177,8 +177,29 @@ impl Cycle {
         self.modes.shut_down();
     }
 
-    /// Runs the cycle of `release`. Takes requests from `next_request` until it has no more, at most
+    /// Runs the cycle of `release` and writes its record. Takes requests from `next_request` until it has no more, at most
     /// [`REQUESTS_PER_CYCLE`](crate::handover::REQUESTS_PER_CYCLE).
+    pub fn run_into<'a>(
+        &mut self,
+        memory: &'a mut Option<CycleRecord>,
+        release: Release,
+        inputs: &CycleInputs,
+        next_request: impl FnMut() -> Option<CycleRequest>,
+        clock: &impl Clock,
+    ) -> &'a CycleRecord {
+        let facts = self.step(release, inputs, next_request, clock);
+        let solved = facts.report.status != SolveStatus::Idle;
+        let plans: [&[f64]; 2] = if solved {
+            [self.nmpc.warm_plan(), self.nmpc.plan()]
+        } else {
+            [&[]; 2]
+        };
+        let record = memory.get_or_insert_with(|| CycleRecord::new(facts));
+        record.write(facts, &self.known_obstacles, plans);
+        record
+    }
+
+    /// The same, with its record as a value.
     pub fn run(
         &mut self,
         release: Release,
@@ -186,6 +207,16 @@ impl Cycle {
         next_request: impl FnMut() -> Option<CycleRequest>,
         clock: &impl Clock,
     ) -> CycleRecord {
+        *self.run_into(&mut None, release, inputs, next_request, clock)
+    }
+
+    fn step(
+        &mut self,
+        release: Release,
+        inputs: &CycleInputs,
+        next_request: impl FnMut() -> Option<CycleRequest>,
+        clock: &impl Clock,
+    ) -> CycleFacts {
         let elapsed_ns = self.elapsed_ns(&release);
         let stale_inputs = self.count_stale(inputs);
         self.take_settings(inputs);
@@ -237,7 +268,7 @@ impl Cycle {
             .accounting
             .judge(&release, handed_over_ns, stale_inputs);
 
-        let mut record = CycleRecord {
+        CycleFacts {
             release,
             rehearsed: core::mem::take(&mut self.was_rehearsed),
             solve_start_ns,
@@ -277,20 +308,14 @@ impl Cycle {
             previous_rates,
             reference,
             approach: *self.followed.approach(),
-            obstacles: self.known_obstacles,
             settings: self.settings(),
             report,
-            plan_length: 0,
-            warm_plan: [0.0; PLAN_MAX],
-            plan: [0.0; PLAN_MAX],
             rates: safe.rates,
             limits_hit: safe.limits_hit,
             clearance_hit: safe.clearance_hit,
             clearance_m: self.clearance_m,
             answers,
-        };
-        self.copy_plans(&mut record);
-        record
+        }
     }
 
     fn elapsed_ns(&mut self, release: &Release) -> u64 {
@@ -461,15 +486,6 @@ impl Cycle {
             moving_s: self.policy.moving_ns(u64::MAX, self.period_ns) as f64 * 1e-9,
             deceleration_rad_s2: self.policy.deceleration_rad_s2,
             comes_to_rest,
-        }
-    }
-
-    fn copy_plans(&self, record: &mut CycleRecord) {
-        if record.report.status != SolveStatus::Idle {
-            let plan = self.nmpc.plan();
-            record.plan_length = plan.len();
-            record.plan[..plan.len()].copy_from_slice(plan);
-            record.warm_plan[..plan.len()].copy_from_slice(self.nmpc.warm_plan());
         }
     }
 }

@@ -27,7 +27,7 @@ pub use channels::{
 };
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
 pub use policy::{ChangedSettings, Policy, Settings};
-pub use record::{CycleRecord, MeasurementUse};
+pub use record::{CycleFacts, CycleRecord, MeasurementUse};
 pub use report::{CycleReport, InputReport};
 pub use shared::Shared;
 pub use summary::Summary;

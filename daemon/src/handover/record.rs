@@ -1,3 +1,5 @@
+use core::ops::Deref;
+
 use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
 use cdcr_controller::reference::{Approach, ReferenceSample};
@@ -26,8 +28,56 @@ pub enum MeasurementUse {
 }
 
 /// Everything of one cycle: what it used, what it did, when.
+///
+/// It has 18 kB and is written where it stays, in memory that held another cycle: of obstacles and plans, as many as there are.
 #[derive(Debug, Clone, Copy)]
 pub struct CycleRecord {
+    pub facts: CycleFacts,
+    /// The obstacles, where they are at the release.
+    pub obstacles: ObstacleSet,
+    /// Scalars used of the two plans; 0: the solver did not run. The others are 0.
+    pub plan_length: usize,
+    /// Warm start of the solver.
+    pub warm_plan: [f64; PLAN_MAX],
+    pub plan: [f64; PLAN_MAX],
+}
+
+impl CycleRecord {
+    /// Without obstacles and plans.
+    pub fn new(facts: CycleFacts) -> Self {
+        Self {
+            facts,
+            obstacles: ObstacleSet::default(),
+            plan_length: 0,
+            warm_plan: [0.0; PLAN_MAX],
+            plan: [0.0; PLAN_MAX],
+        }
+    }
+
+    /// Writes another cycle over this one; `plans` are its warm start and its plan, or nothing.
+    pub fn write(&mut self, facts: CycleFacts, obstacles: &ObstacleSet, plans: [&[f64]; 2]) {
+        self.facts = facts;
+        self.obstacles.fill(obstacles.iter().copied());
+        let length = plans[0].len();
+        for (kept, plan) in [&mut self.warm_plan, &mut self.plan].into_iter().zip(plans) {
+            kept[..length].copy_from_slice(plan);
+            kept[length..self.plan_length.max(length)].fill(0.0);
+        }
+        self.plan_length = length;
+    }
+}
+
+impl Deref for CycleRecord {
+    type Target = CycleFacts;
+
+    fn deref(&self) -> &CycleFacts {
+        &self.facts
+    }
+}
+
+/// What a cycle used and did, all but its obstacles and plans.
+#[derive(Debug, Clone, Copy)]
+pub struct CycleFacts {
     pub release: Release,
     /// It was rehearsed: the thread woke up before the release.
     pub rehearsed: bool,
@@ -96,16 +146,9 @@ pub struct CycleRecord {
     pub reference: ReferenceSample,
     /// The way to it, as the plan followed it.
     pub approach: Approach,
-    /// The obstacles, where they are at the release.
-    pub obstacles: ObstacleSet,
     /// Settings in force.
     pub settings: Settings,
     pub report: SolveReport,
-    /// Scalars used of the two plans; 0: the solver did not run.
-    pub plan_length: usize,
-    /// Warm start of the solver.
-    pub warm_plan: [f64; PLAN_MAX],
-    pub plan: [f64; PLAN_MAX],
     pub rates: BendRates,
     pub limits_hit: LimitsHit,
     /// Whether the clearance guard changed it.

@@ -43,6 +43,8 @@ pub struct RecordSender<T: Send> {
     returned: [Consumer<Sent<T>>; 2],
     /// Nobody reads these.
     free: Vec<Box<Option<T>>>,
+    /// Written to when none is free, and not sent.
+    spare: Box<Option<T>>,
     sent: u64,
 }
 
@@ -61,7 +63,7 @@ pub struct RecordReceiver<T: Send> {
 pub struct Used<T: Send>(Producer<Sent<T>>);
 
 /// A ring of `capacity` elements. So many more can be `beyond` the receiver, which hands them on.
-pub fn record_ring<T: Copy + Send>(
+pub fn record_ring<T: Send>(
     capacity: usize,
     beyond: usize,
 ) -> (RecordSender<T>, RecordReceiver<T>, Used<T>) {
@@ -76,6 +78,7 @@ pub fn record_ring<T: Copy + Send>(
         spill: spill_in,
         returned: [back_from_receiver, back_from_reader],
         free: (0..elements).map(|_| Box::new(None)).collect(),
+        spare: Box::new(None),
         sent: 0,
     };
     let receiver = RecordReceiver {
@@ -88,9 +91,10 @@ pub fn record_ring<T: Copy + Send>(
     (sender, receiver, Used(read))
 }
 
-impl<T: Copy + Send> RecordSender<T> {
-    /// Sends `element`. Never fails: in a full ring it takes the place of the newest one before it that found no room.
-    pub fn send(&mut self, element: T) {
+impl<T: Send> RecordSender<T> {
+    /// Sends the element that `write` leaves in memory where another one was, or none. Never fails: in a full ring it takes the
+    /// place of the newest one before it that found no room.
+    pub fn send(&mut self, write: impl FnOnce(&mut Option<T>)) {
         self.sent += 1;
         for returned in &mut self.returned {
             while let Ok(read) = returned.pop() {
@@ -99,9 +103,9 @@ impl<T: Copy + Send> RecordSender<T> {
         }
         // There are as many as all the others can hold; what a reader does not give back is missing one day.
         let Some(mut memory) = self.free.pop() else {
-            return;
+            return write(&mut self.spare);
         };
-        *memory = Some(element);
+        write(&mut memory);
         let number = self.sent;
         if let Err(rtrb::PushError::Full(sent)) = self.ring.push(Sent { number, memory }) {
             let replaced = self.spill.input_buffer_mut().replace(sent);
@@ -163,6 +167,10 @@ impl<T: Send> Used<T> {
 mod tests {
     use super::*;
 
+    fn send(sender: &mut RecordSender<u64>, element: u64) {
+        sender.send(|memory| *memory = Some(element));
+    }
+
     fn receive(receiver: &mut RecordReceiver<u64>) -> Option<u64> {
         let sent = receiver.receive()?;
         let element = *sent;
@@ -178,12 +186,12 @@ mod tests {
     fn a_full_ring_keeps_the_oldest_and_the_newest() {
         let (mut sender, mut receiver, _) = record_ring(3, 0);
         assert!(receiver.is_empty() && receiver.receive().is_none());
-        (1..=10).for_each(|number| sender.send(number));
+        (1..=10).for_each(|number| send(&mut sender, number));
         assert!(!receiver.is_empty());
         assert_eq!(all(&mut receiver), [1, 2, 3, 10]);
         assert!(receiver.is_empty());
         assert_eq!(receiver.lost(), 6);
-        (11..=12).for_each(|number| sender.send(number));
+        (11..=12).for_each(|number| send(&mut sender, number));
         assert_eq!(all(&mut receiver), [11, 12]);
         assert_eq!(receiver.lost(), 6);
     }
@@ -191,16 +199,16 @@ mod tests {
     #[test]
     fn what_found_no_room_comes_before_what_found_room_after_it() {
         let (mut sender, mut receiver, _) = record_ring(2, 0);
-        (1..=3).for_each(|number| sender.send(number));
+        (1..=3).for_each(|number| send(&mut sender, number));
         assert_eq!(receive(&mut receiver), Some(1));
-        sender.send(4);
-        sender.send(5);
+        send(&mut sender, 4);
+        send(&mut sender, 5);
         // 3 and 5 found no room, and 5 took the place of 3.
         assert_eq!(all(&mut receiver), [2, 4, 5]);
         assert_eq!(receiver.lost(), 1);
-        (6..=8).for_each(|number| sender.send(number));
+        (6..=8).for_each(|number| send(&mut sender, number));
         assert_eq!(receive(&mut receiver), Some(6));
-        sender.send(9);
+        send(&mut sender, 9);
         assert_eq!(all(&mut receiver), [7, 8, 9]);
         assert_eq!(receiver.lost(), 1);
     }
@@ -209,7 +217,8 @@ mod tests {
     fn two_threads_lose_neither_the_order_nor_the_last() {
         const LAST: u64 = 200_000;
         let (mut sender, mut receiver, mut last) = record_ring(4, 1);
-        let sending = std::thread::spawn(move || (1..=LAST).for_each(|number| sender.send(number)));
+        let sending =
+            std::thread::spawn(move || (1..=LAST).for_each(|number| send(&mut sender, number)));
         let (mut newest, mut received) = (0, 0);
         while newest < LAST {
             if let Some(sent) = receiver.receive() {
@@ -230,7 +239,7 @@ mod tests {
         let mut addresses = std::collections::BTreeSet::new();
         let mut beyond = std::collections::VecDeque::new();
         for number in 1..=1000 {
-            sender.send(number);
+            send(&mut sender, number);
             // A receiver that is held up now and then, and a reader that lags.
             while number % 7 < 3
                 && let Some(sent) = receiver.receive()
@@ -250,11 +259,11 @@ mod tests {
         beyond.drain(..).for_each(|sent| last.give_back(sent));
         assert!(addresses.len() <= 9, "{addresses:?}");
         all(&mut receiver);
-        sender.send(1001);
+        send(&mut sender, 1001);
         assert_eq!(all(&mut receiver), [1001], "there is memory left");
         // With readers that keep up it is always the same.
         let addresses = (0..9).map(|number| {
-            sender.send(number);
+            send(&mut sender, number);
             let sent = receiver.receive().unwrap();
             let address = &raw const *sent as usize;
             last.give_back(sent);

@@ -53,10 +53,8 @@ fn a_rehearsal_changes_no_bit_of_a_record() {
         assert!(looks > 10, "a solve looks at the clock: {looks}");
         assert!(without.iter().any(|record| record.clearance_m < 0.1));
         for (without, with) in without.iter().zip(&with) {
-            let with = CycleRecord {
-                rehearsed: false,
-                ..*with
-            };
+            let mut with = *with;
+            with.facts.rehearsed = false;
             assert_eq!(format!("{without:?}"), format!("{with:?}"));
         }
     }
@@ -69,17 +67,34 @@ fn a_message_that_held_another_cycle_tells_nothing_of_it() {
     let robot = Config::parse("", Path::new("telemetry")).unwrap().robot;
     let mut used = Box::<cdcr_shared_types::Telemetry>::default();
     for record in records.iter().rev().step_by(9) {
-        let without = CycleRecord {
+        let facts = CycleFacts {
             measurement: None,
             tip_measurement: None,
             slack: None,
-            obstacles: ObstacleSet::default(),
-            ..*record
+            ..record.facts
         };
+        let mut without = *record;
+        without.write(facts, &ObstacleSet::default(), [&[]; 2]);
         for record in [record, &without] {
             convert::fill_telemetry(&mut used, record, &robot, PERIOD_NS);
             let fresh = convert::telemetry(record, &robot, PERIOD_NS);
             assert_eq!(format!("{used:?}"), format!("{fresh:?}"));
         }
+    }
+}
+
+/// The cycle writes its record where another one was.
+#[test]
+fn a_record_in_the_memory_of_another_holds_nothing_of_it() {
+    let (records, _) = records(Interface::Position, false);
+    let robot = Config::parse("", Path::new("telemetry")).unwrap().robot;
+    let mut used = records[0];
+    let lengths: std::collections::BTreeSet<_> = records.iter().map(|r| r.plan_length).collect();
+    assert!(lengths.len() > 1, "with a plan and without: {lengths:?}");
+    for record in records.iter().rev().step_by(9).chain([&records[0]]) {
+        let plans = [&record.warm_plan, &record.plan].map(|plan| &plan[..record.plan_length]);
+        used.write(record.facts, &record.obstacles, plans);
+        let [used, fresh] = [&used, record].map(|r| convert::telemetry(r, &robot, PERIOD_NS));
+        assert_eq!(format!("{used:?}"), format!("{fresh:?}"));
     }
 }
