@@ -32,18 +32,18 @@ pub(crate) use reference::{
 pub(crate) use settings::{SettingsAction, SettingsOptions};
 pub(crate) use straight::{GENTLE, GotoOptions, JogOptions, StraightArguments};
 
-/// Feeds references to cdcrd, the controller of cable-driven continuum robots, asks it for things and
-/// shows what it does.
+/// Command-line client of cdcrd, the controller of cable-driven continuum robots: feed references, send
+/// requests, watch, record.
 #[derive(Debug, Parser)]
 #[command(
     name = "cdcrctl",
     version,
     max_term_width = 100,
     after_help = "Examples:\n  \
-        cdcrctl demo                     everything at once, with a daemon of its own\n  \
+        cdcrctl demo                     run everything once, with a private daemon\n  \
         cdcrctl ref spiral --track       feed the paper's spiral to a running daemon\n  \
         cdcrctl status\n\n\
-        Exit codes: 0 good, 1 error, 2 wrong usage, 3 disk full (record), 130 interrupted."
+        Exit codes: 0 success, 1 error, 2 wrong usage, 3 disk full (record), 130 interrupted."
 )]
 pub(crate) struct Arguments {
     #[command(flatten)]
@@ -97,171 +97,171 @@ impl Target {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Task {
-    /// Run the paper's spiral with a daemon of its own and report error, timing and what limits it
+    /// Run the paper's spiral on a private daemon and report error, timing and what limits them
     #[command(
         after_help = "Example:\n  cdcrctl demo --sections 3 --out demo-pictures\n\n\
-        The demo starts its own cdcrd (found beside cdcrctl) on a private prefix, and removes all \
-        traces; --prefix, --root and --robot have no effect on it. Before the spiral, cdcrd bare runs for \
-        one second: the same loop without work shows what the machine alone does.\n\n\
-        Fields of --format json, counted over the cycles that tracked:\n  \
+        The demo starts its own cdcrd (found beside cdcrctl) on a private prefix, and removes its \
+        files at the end; it ignores --prefix, --root and --robot. Before the spiral, cdcrd bare runs for \
+        one second: the loop without work is the baseline of the machine.\n\n\
+        Fields of --format json, over the cycles in mode tracking:\n  \
         sections, duration_s, cycles, out\n  \
-        mean_error_mm, max_error_mm           tip of the ideal simulated robot to the exact curve\n  \
-        paper_mean_error_mm                   what the paper reports\n  \
+        mean_error_mm, max_error_mm           distance of the ideal simulated robot's tip from the curve\n  \
+        paper_mean_error_mm                   mean error that the paper reports\n  \
         wake_us, solve_us, response_us        p50, p99 and max of each\n  \
         deadline_misses, late_starts          counts, each also per second (..._per_s)\n  \
-        misses_by_cause                       deadline misses by what caused them\n  \
-        misses_explained_by_steal             those in which the hypervisor had the core for half of the delay\n  \
-        skipped_periods                       releases that got no command\n  \
-        lost_records                          telemetry records that did not arrive\n  \
-        steal                                 steal_s of window_s that the hypervisor took from the core; or null\n  \
-        realtime, realtime_missing            whether all was granted, and what was not\n  \
+        misses_by_cause                       deadline misses by cause\n  \
+        misses_explained_by_steal             deadline misses with at least half of the delay stolen by the hypervisor\n  \
+        skipped_periods                       releases without a command\n  \
+        lost_records                          telemetry records lost\n  \
+        steal                                 steal_s of window_s stolen from the core by the hypervisor; or null\n  \
+        realtime, realtime_missing            whether all real-time privileges were granted, and the missing ones\n  \
         baseline, baseline_error              cdcrd bare: duration_s, cycles, counts, causes, wake_us; or null\n                                        \
-        and why there is none\n  \
+        and the reason\n  \
         verdict.limited_by                    nothing, hypervisor, platform, other-task, no-real-time,\n                                        \
         page-faults, cdcr or unknown\n  \
-        verdict.text, .next, .grant           one sentence, the command to run next, the command that\n                                        \
+        verdict.text, .next, .grant           a sentence, the command to run next, the command that\n                                        \
         grants real time; or null"
     )]
     Demo(DemoOptions),
-    /// Feed a reference to the daemon, ahead of time
+    /// Feed a reference to the daemon, ahead of its time
     #[command(after_help = "Example:\n  cdcrctl ref spiral --track")]
     Ref(RefOptions),
-    /// Move the tip to a point, along a straight way from rest to rest, and hold there
+    /// Move the tip to a point along a straight line, from rest to rest, then hold
     #[command(
-        after_help = "Examples:\n  cdcrctl goto 0.1,0.05,0.8\n  cdcrctl goto 0.1,0.05,0.8 --dry-run     whether it can be reached, and what it takes"
+        after_help = "Examples:\n  cdcrctl goto 0.1,0.05,0.8\n  cdcrctl goto 0.1,0.05,0.8 --dry-run     check reachability and limits only"
     )]
     Goto(GotoOptions),
-    /// Move the tip by so much from where it is, along a straight way, and hold there
+    /// Move the tip by an offset along a straight line, then hold
     #[command(after_help = "Example:\n  cdcrctl jog 0,0,-0.01 --speed 0.01")]
     Jog(JogOptions),
-    /// Play a simulated robot behind a driver, for a daemon with link.kind = "driver"
+    /// Simulate a robot and its driver, for a daemon with link.kind = "driver"
     #[command(
         after_help = "Example:\n  cdcrd run --set link.kind=driver --set realtime.mode=prefer\n  cdcrctl plant --preset sloppy --tip 100"
     )]
     Plant(PlantOptions),
-    /// Follow the reference that a client feeds; waits at most 2 s for one
+    /// Follow the reference that a client feeds; wait at most 2 s for it to begin
     #[command(after_help = "Example:\n  cdcrctl ref spiral & cdcrctl track")]
     Track,
-    /// Stop following and keep the position
+    /// Stop tracking and hold the position
     #[command(
-        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until it rests"
+        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      wait until the robot is at rest"
     )]
     Hold(WaitOptions),
     /// Move to the straight configuration
     #[command(
-        after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        until the robot is there and rests"
+        after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        wait until the robot is there and at rest"
     )]
     Home(WaitOptions),
-    /// Stop the robot and latch; only a reset lets it move again
+    /// Stop the robot and latch: it moves again only after a reset
     #[command(after_help = "Example:\n  cdcrctl stop && cdcrctl reset")]
     Stop,
-    /// Leave the modes stopped and faulted
+    /// Leave mode stopped or faulted, and hold
     #[command(after_help = "Example:\n  cdcrctl reset --wait")]
     Reset(WaitOptions),
-    /// Show the newest snapshot: mode, counters, latencies, robot, settings
+    /// Show the newest status: mode, counters, latencies, robot, settings
     #[command(
-        after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                once a second\n  \
-        cdcrctl status --format json          everything, with all percentiles\n  \
-        cdcrctl status --reset-statistics     reset the statistics, for all clients"
+        after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                update every second\n  \
+        cdcrctl status --format json          print all fields and percentiles\n  \
+        cdcrctl status --reset-statistics     reset the statistics for all clients"
     )]
     Status(StatusOptions),
-    /// Watch the robot, its loop and what happens to both, live in this terminal
+    /// Show robot, control loop and events live in the terminal
     #[command(
         after_help = "Examples:\n  cdcrctl top\n  cdcrctl top --ascii     for a terminal without Unicode\n\n\
-        Keys: s or space stops the robot, h holds, t tracks the reference that a client feeds; each answer is in the list of \
-        what happened. p stops the picture and lets it go on, + and - zoom to the tip, q quits; the robot goes on.\n\n\
-        The picture shows the robot from the side, the front and above, all at one scale: its backbone and tip, where \
-        both tip and reference have been, and obstacles, red within the safe distance. Bars and percentiles are of the last 10 s; a bar is \
-        the largest value of its time."
+        Keys: s or space stops the robot, h holds, t tracks the reference that a client feeds; the daemon's answers appear in the \
+        list of events. p pauses and resumes the display, + and - zoom at the tip, q quits without stopping the robot.\n\n\
+        The picture shows the robot from the side, the front and above at one scale: backbone and tip, the \
+        paths of tip and reference, and obstacles, red within the safe distance. Bars and percentiles cover the last 10 s; a bar is \
+        the maximum of its interval."
     )]
     Top(TopOptions),
-    /// Show the last bad cycles: late starts, deadline misses, skipped periods, beginnings of faults
+    /// Show recent incidents: late starts, deadline misses, skipped periods, first cycles of faults
     #[command(
-        after_help = "Examples:\n  cdcrctl incidents\n  cdcrctl incidents --count 5 --format json     the newest 5, whole\n  \
-        cdcrctl incidents --follow                    and each new one, until interrupted\n\n\
-        The daemon keeps 64 of them. Cause is what made the cycle late; waited is how long its thread was \
-        ready to run while another had the core; gap is the longest time between two looks at the clock \
-        inside the solver; steal is what the hypervisor took from the machine about then."
+        after_help = "Examples:\n  cdcrctl incidents\n  cdcrctl incidents --count 5 --format json     print all fields of the newest 5\n  \
+        cdcrctl incidents --follow                    then print each new one, until interrupted\n\n\
+        The daemon keeps 64 incidents. cause: what made the cycle late; waited: time in which the cycle thread was \
+        ready to run but another thread had the core; gap: longest time between two clock reads \
+        in the solver; steal: time stolen from the machine by the hypervisor around the cycle."
     )]
     Incidents(IncidentsOptions),
-    /// Show or change the settings of the solver while the daemon runs
+    /// Show, change or save the solver settings of the running daemon
     #[command(
         after_help = "Examples:\n  cdcrctl settings\n  cdcrctl settings set solver=gauss-newton horizon_steps=5\n  \
         cdcrctl settings show --format json"
     )]
     Settings(SettingsOptions),
-    /// Print messages as they pass
+    /// Print messages as they are published
     #[command(
         after_help = "Example:\n  cdcrctl echo telemetry --rate 10\n  cdcrctl echo command --count 1 --format json\n  \
         cdcrctl echo --field cycle --field tip_position_m.2 --count 3"
     )]
     Echo(EchoOptions),
-    /// Show how often messages come, and what is between them, each second
+    /// Show rate and intervals of messages every second
     ///
-    /// Records of the telemetry are sent a few at once, within 20 ms: `hz command` shows how even the loop is.
+    /// Telemetry records are published in batches, within 20 ms: use `hz command` to see the jitter of the loop.
     #[command(after_help = "Example:\n  cdcrctl hz --count 3\n  cdcrctl hz command --count 1")]
     Hz(HzOptions),
     /// Send messages to a plotter, as JSON in UDP datagrams of less than 2 kB
     ///
-    /// Each has the time in seconds as "timestamp". What is NaN or infinite is left out.
+    /// Each datagram has its time in seconds as "timestamp". Fields that are NaN or infinite are left out.
     #[command(
         after_help = "Examples:\n  cdcrctl plot --udp localhost:9870      PlotJuggler: UDP Server, JSON, timestamp\n  \
         cdcrctl plot --udp localhost:9870 --field position_error_m --field report.cost"
     )]
     Plot(PlotOptions),
-    /// Record what passes into an MCAP file: all that its cycles can be computed again from
+    /// Record all messages into an MCAP file, complete enough to recompute every cycle
     #[command(
-        after_help = "Examples:\n  cdcrctl record                    into ROBOT-DATE-TIME.mcap, until interrupted or the daemon ends\n  \
+        after_help = "Examples:\n  cdcrctl record                    write ROBOT-DATE-TIME.mcap until interrupted or the daemon ends\n  \
         cdcrctl record -o spiral.mcap & cdcrctl ref spiral --track\n  \
-        cdcrctl record --around incident     5 s before the next bad cycle, and 5 s after\n\n\
-        Begin it before the reference is fed: what was sent before is not in the file, and cycles that follow it\n\
-        cannot be computed again. A full disk ends the recording with exit code 3; the file keeps what is whole."
+        cdcrctl record --around incident     record from 5 s before to 5 s after the next incident\n\n\
+        Start the recording before the reference is fed: cycles that follow an unrecorded reference\n\
+        cannot be recomputed. A full disk ends the recording with exit code 3; the file stays readable up to there."
     )]
     Record(RecordingOptions),
-    /// Wait until something happens, record what is around it, and draw it
+    /// Wait for a trigger, record the time around it, and plot it
     #[command(
         after_help = "Examples:\n  cdcrctl scope --trigger 'error>5mm'\n  cdcrctl scope --trigger fault --before 10s -o fault.mcap\n\n\
-        Draws error, clearance, response, the fastest bend and the mode over the time, on a terminal while it waits and records, with the level of\n\
-        the trigger and a line at the cycle that fired: the first in which it holds after one in which it does not. q ends it.\n\
-        In the end the same charts are printed. What was before is in the file, too."
+        On a terminal, plots error, clearance, response time, fastest bend rate and mode over time while it waits and records, with the trigger\n\
+        level and a line at the cycle that fired: the first that meets the condition after one that does not. q quits.\n\
+        At the end it prints the same charts. The file includes the time before the trigger."
     )]
     Scope(ScopeOptions),
-    /// Show what a recording holds: messages, gaps, modes, misses, the largest error
+    /// Summarise a recording: messages, gaps, modes, deadline misses, largest error
     #[command(
-        after_help = "Examples:\n  cdcrctl info spiral.mcap\n  cdcrctl info spiral.mcap --repair     save what a recorder that was killed left"
+        after_help = "Examples:\n  cdcrctl info spiral.mcap\n  cdcrctl info spiral.mcap --repair     recover the recording of a killed recorder"
     )]
     Info(InfoOptions),
-    /// Feed references and obstacles of a recording to the daemon again; or compute its cycles again and compare them with what was
+    /// Feed references and obstacles of a recording to the daemon, or recompute its cycles and compare them with the recording
     ///
-    /// The tip goes to the first reference on a smooth way, from wherever it is. References, obstacles and their motion keep their times, or
-    /// have --speed. In the end the daemon holds, and obstacles that were sent are removed.
+    /// The tip first moves smoothly from its position to the first reference. References and obstacles keep their recorded times,
+    /// scaled by --speed. At the end the daemon holds, and the replayed obstacles are removed.
     #[command(
-        after_help = "Examples:\n  cdcrctl replay spiral.mcap --speed 0.5     with a daemon of the same robot\n  cdcrctl replay --verify spiral.mcap\n\n\
-        --verify and --with need no daemon. The first cycle that comes out otherwise is saved with its inputs as NAME-cycle-N.mcap, which the same\n\
-        command reads, and makes the exit code 1. Cycles that follow a reference from before the recording are counted apart."
+        after_help = "Examples:\n  cdcrctl replay spiral.mcap --speed 0.5     needs a daemon of the same robot\n  cdcrctl replay --verify spiral.mcap\n\n\
+        --verify and --with need no daemon. --verify saves the first cycle that differs, with its inputs, as NAME-cycle-N.mcap, which the same\n\
+        command reads, and exits with code 1. Cycles that follow an unrecorded reference are counted separately."
     )]
     Replay(ReplayOptions),
-    /// Make a page of a recording: the robot in 3-D, its path, error, clearance, controls, cables, latencies, events
+    /// Write a recording as an HTML page: robot in 3-D, path, error, clearance, controls, cables, latencies, events
     ///
-    /// One HTML file that any browser opens, without a network. It stays below 5 MB however long the recording is: curves then
-    /// show the least and the largest value of each stretch of time.
+    /// One self-contained HTML file for any browser. It stays below 5 MB for recordings of any length: the curves then
+    /// show minimum and maximum of each interval.
     #[command(after_help = "Example:\n  cdcrctl report spiral.mcap -o spiral.html")]
     Report(ReportOptions),
-    /// Write the messages of a recording as tables
+    /// Convert the messages of a recording to CSV tables
     #[command(
         after_help = "Example:\n  cdcrctl convert spiral.mcap --csv spiral\n\n\
-        One row for each cycle, event, reference point, obstacle, snapshot and incident; a column has the name of its field, as\n\
+        One row per cycle, event, reference point, obstacle, status and incident; columns are named by field, such as\n\
         command.mode or bend_rad[2]. Plans are left out."
     )]
     Convert(ConvertOptions),
-    /// Add or remove obstacles that the body of the robot keeps away from
+    /// Add, list or remove obstacles, which the body of the robot avoids
     #[command(
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
-        cdcrctl status                   how many are known, and the smallest clearance\n  \
+        cdcrctl status                   shows their number and the smallest clearance\n  \
         cdcrctl obstacle remove 1"
     )]
     Obstacle(ObstacleOptions),
-    /// Find lengths, cables, base and sensor of the robot, and the noise of its sensors
+    /// Calibrate lengths, cables, base and tip sensor of the robot, and measure sensor noise
     #[command(
         after_help = "Example:\n  cdcrctl home --wait\n  cdcrctl calibrate noise\n  \
         cdcrctl calibrate excite -o moved.csv\n  cdcrctl calibrate geometry moved.csv"
@@ -272,17 +272,17 @@ pub(crate) enum Task {
 /// How to print.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Format {
-    /// For people
+    /// Text for people
     Text,
-    /// For programs
+    /// JSON for programs
     Json,
 }
 
 /// Options of what takes the robot some time.
 #[derive(Debug, Args)]
 pub(crate) struct WaitOptions {
-    /// Wait until it is done and the robot is measured to rest, 60s at most or TIME; fail when it takes longer, or something
-    /// else comes between. At rest: over 0.2 s no bend moves by more than 0.02 rad/s on average
+    /// Wait until the motion is done and the robot is at rest, at most 60s or TIME; fail on timeout or when another mode
+    /// takes over. At rest: no measured bend rate above 0.02 rad/s, averaged over 0.2 s
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
         value_parser = value::duration_in(value::WAIT_S))]
     pub(crate) wait: Option<Duration>,
@@ -290,13 +290,13 @@ pub(crate) struct WaitOptions {
 
 #[derive(Debug, Args)]
 pub(crate) struct DemoOptions {
-    /// Sections of the robot: 1, 2 or 3, as in the paper
+    /// Number of sections, 1 to 3, as in the paper
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=3), allow_negative_numbers = true)]
     pub(crate) sections: u32,
-    /// How long the spiral lasts, 0.1 s to 20 s; the paper's lasts 4.97 s
+    /// Duration of the spiral, 0.1 s to 20 s; 4.97 s in the paper
     #[arg(long, value_name = "TIME", default_value = "4.97s", value_parser = value::duration_in(0.1..=20.0))]
     pub(crate) duration: Duration,
-    /// How to print the report
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
     /// Write telemetry.csv, path.svg, shape.svg, error.svg and timing.svg into this folder
@@ -306,85 +306,85 @@ pub(crate) struct DemoOptions {
 
 #[derive(Debug, Args)]
 pub(crate) struct StatusOptions {
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Update it every second, until interrupted
+    /// Update every second, until interrupted
     #[arg(long)]
     pub(crate) watch: bool,
-    /// Reset the statistics and show nothing; a stopped robot stays stopped (that is cdcrctl reset)
+    /// Reset the statistics, print nothing; a stopped robot stays stopped (see cdcrctl reset)
     #[arg(long, conflicts_with_all = ["watch", "format"])]
     pub(crate) reset_statistics: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct TopOptions {
-    /// Pictures a second, 1 to 60
+    /// Frames per second, 1 to 60
     #[arg(long, value_name = "HZ", default_value_t = 20, value_parser = clap::value_parser!(u8).range(1..=60), allow_negative_numbers = true)]
     pub(crate) rate: u8,
-    /// Draw with letters, as where the locale has no Unicode
+    /// Draw with ASCII characters only; default where the locale has no Unicode
     #[arg(long)]
     pub(crate) ascii: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct IncidentsOptions {
-    /// One line (text) or one JSON object for each
+    /// Output format: one line or one JSON object per incident
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
     /// Show only the N most recent
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
-    /// Then show each new one, until interrupted
+    /// Continue with each new incident, until interrupted
     #[arg(long)]
     pub(crate) follow: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct EchoOptions {
-    /// Which messages
+    /// Topic of the messages
     #[arg(value_enum, default_value = "telemetry")]
     pub(crate) topic: Topic,
-    /// One line for each message (text), or one JSON object on each line
+    /// Output format: one line or one JSON object per message
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Print this field alone, by its name in JSON: with points between, `mode`, `tip_position_m.2`, `command.bend_rate_rad_s`.
-    /// May be given more than once
+    /// Print only this field, as its JSON path: `mode`, `tip_position_m.2`, `command.bend_rate_rad_s`.
+    /// Repeatable
     #[arg(long, value_name = "PATH")]
     pub(crate) field: Vec<String>,
-    /// End after this many messages
+    /// Exit after N messages
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
-    /// Print at most this many messages a second and leave out the rest
+    /// Print at most this many messages per second and skip the rest
     #[arg(long, value_name = "HZ", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate: Option<f64>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct HzOptions {
-    /// Which messages
+    /// Topic of the messages
     #[arg(value_enum, default_value = "telemetry")]
     pub(crate) topic: Topic,
-    /// End after this many lines
+    /// Exit after N lines
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct PlotOptions {
-    /// Which messages
+    /// Topic of the messages
     #[arg(value_enum, default_value = "telemetry")]
     pub(crate) topic: Topic,
-    /// Where the plotter listens
+    /// Address of the plotter
     #[arg(long, value_name = "HOST:PORT")]
     pub(crate) udp: String,
-    /// Send this field, as in cdcrctl echo; may be given more than once [default: those of the telemetry that are looked at most]
+    /// Send only this field, as in cdcrctl echo; repeatable [default: the most used fields of the telemetry]
     #[arg(long, value_name = "PATH")]
     pub(crate) field: Vec<String>,
-    /// Send at most this many messages a second and leave out the rest
+    /// Send at most this many messages per second and skip the rest
     #[arg(long, value_name = "HZ", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate: Option<f64>,
-    /// End after this many messages
+    /// Exit after N messages
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
 }
@@ -394,15 +394,15 @@ pub(crate) struct PlotOptions {
 pub(crate) enum Topic {
     /// One record of every cycle
     Telemetry,
-    /// The commands to the driver
+    /// Commands to the driver
     Command,
-    /// The snapshots, ten a second
+    /// Status, ten times per second
     Status,
-    /// The bad cycles: those that are kept, and each new one
+    /// Incidents: those kept by the daemon, then each new one
     Incidents,
-    /// What clients send as reference
+    /// References that clients send
     Reference,
-    /// What clients send about obstacles
+    /// Obstacles that clients send
     Obstacles,
 }
 

@@ -17,33 +17,33 @@ pub(crate) struct CalibrateOptions {
 /// What to calibrate, or to record for it.
 #[derive(Debug, Subcommand)]
 pub(crate) enum CalibrateAction {
-    /// Move the robot so that a calibration can tell all, and record it, from rest to rest where it began
+    /// Move the robot on a path that identifies all parameters, record it, and return to the start
     #[command(
         after_help = "Examples:\n  cdcrctl calibrate excite -o moved.csv --dry-run\n  \
         cdcrctl calibrate excite -o moved.csv --bend-max 1.0\n\n\
-        The tip goes to all sides, near and far, as far and as fast as the bounds allow: large bends tell most. Known obstacles are kept \
-        clear of; where they are in the way, the path is smaller, or refused. The robot has to rest (cdcrctl home --wait), with cable lengths and tip measured. Where anything goes \
-        wrong, Ctrl-C included, it holds, and the rows until then are kept."
+        The tip moves in all directions, as far and as fast as the limits allow: large bends give the best estimate. The path keeps clear of known \
+        obstacles; where they are in the way, it is made smaller or rejected. The robot must be at rest (cdcrctl home --wait), with cable lengths and tip measured. On an \
+        error or Ctrl-C the robot holds, and the rows written so far are kept."
     )]
     Excite(ExciteOptions),
     /// Record measured cables and tips while something else moves the robot
     #[command(after_help = "Example:\n  cdcrctl calibrate record -o moved.csv\n\n\
-        It moves nothing itself: feed references meanwhile that bend every section in every direction. Refused where cable lengths and \
-        tip are not both measured. A row is written for each measured tip, with the cables at that time. Ctrl-C ends it, too.")]
+        Does not move the robot: meanwhile feed references that bend every section in every direction. Needs measured cable lengths and \
+        a measured tip. Writes a row for each tip measurement, with the cables at that time. Ctrl-C ends it early.")]
     Record(RecordOptions),
-    /// Estimate lengths, cables, base and sensor from a recording, and print them as a configuration
+    /// Estimate lengths, cables, base and tip sensor from a recording, and print them as a configuration
     #[command(after_help = "Examples:\n  cdcrctl calibrate geometry moved.csv\n  \
         cdcrctl calibrate geometry moved.csv --config robot.toml --hold base\n  \
-        cdcrctl calibrate geometry moved.mcap       what cdcrctl record made meanwhile\n\n\
-        A recording (MCAP) says which robot it is of. Columns of a CSV, in any order: t_s, cable_1_m … three for each section, base first, x_m, y_m, z_m of the tip, and \
-        perhaps its unit quaternion qx, qy, qz, qw, base to tip. What these data cannot tell is held as configured, and named. A fifth of \
-        the rows is held out and only checked.")]
+        cdcrctl calibrate geometry moved.mcap       use a file of cdcrctl record\n\n\
+        A recording (MCAP) includes its robot. Columns of a CSV, in any order: t_s, cable_1_m … three per section, base first, x_m, y_m, z_m of the tip, \
+        optionally its unit quaternion qx, qy, qz, qw, base to tip. Parameters that the data do not identify keep their configured values and are listed. A fifth of \
+        the rows is held out for validation.")]
     Geometry(GeometryOptions),
-    /// Measure the noise of cables and tip while the robot rests
+    /// Measure the noise of cables and tip while the robot is at rest
     #[command(
         after_help = "Example:\n  cdcrctl hold --wait && cdcrctl calibrate noise\n\n\
-        Refused while the robot moves. Prints standard deviation, quantisation step, rate and age of what is measured, and the keys of the \
-        configuration that depend on them."
+        Rejected while the robot moves. Prints standard deviation, quantisation step, rate and age of each measurement, and the \
+        configuration keys that depend on them."
     )]
     Noise(NoiseOptions),
 }
@@ -51,10 +51,10 @@ pub(crate) enum CalibrateAction {
 /// Options of `calibrate record`.
 #[derive(Debug, Args)]
 pub(crate) struct RecordOptions {
-    /// File to write; it must not exist
+    /// Output file; it must not exist
     #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) output: PathBuf,
-    /// How long to record
+    /// Duration of the recording
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = value::duration_in(value::CURVE_S))]
     pub(crate) duration: Duration,
 }
@@ -64,13 +64,13 @@ pub(crate) struct RecordOptions {
 pub(crate) struct ExciteOptions {
     #[command(flatten)]
     pub(crate) record: RecordOptions,
-    /// Largest bend of each section, in rad [default: nine tenths of what the robot may]
+    /// Largest bend of each section, in rad [default: 90 % of the robot's limit]
     #[arg(long, value_name = "RAD", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) bend_max: Option<f64>,
-    /// Largest rate of each bend, in rad/s [default: half of what the robot may]
+    /// Largest bend rate, in rad/s [default: 50 % of the robot's limit]
     #[arg(long, value_name = "RAD/S", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate_max: Option<f64>,
-    /// Another path for each
+    /// Seed of the path
     #[arg(
         long,
         value_name = "N",
@@ -78,7 +78,7 @@ pub(crate) struct ExciteOptions {
         allow_negative_numbers = true
     )]
     pub(crate) seed: u64,
-    /// Move and write nothing: say whether all of the path can be reached, how long it is, and what it asks of the robot
+    /// Move and write nothing: report whether the path is reachable, its length, and the rates and strokes it needs
     #[arg(long)]
     pub(crate) dry_run: bool,
 }
@@ -86,16 +86,16 @@ pub(crate) struct ExciteOptions {
 /// Options of `calibrate geometry`.
 #[derive(Debug, Args)]
 pub(crate) struct GeometryOptions {
-    /// Rows as CSV, or a recording (MCAP)
+    /// CSV file, or a recording (MCAP)
     #[arg(value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) file: PathBuf,
-    /// Configuration of the robot that was recorded [default: of a recording its own robot, of a CSV the daemon's]
+    /// Configuration of the recorded robot [default: the recording's own robot; for a CSV, the daemon's]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub(crate) config: Option<PathBuf>,
-    /// What is right as it is configured, and not estimated
+    /// Parameters to keep as configured
     #[arg(long, value_name = "WHAT", value_delimiter = ',')]
     pub(crate) hold: Vec<Hold>,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
 }
@@ -103,10 +103,10 @@ pub(crate) struct GeometryOptions {
 /// Options of `calibrate noise`.
 #[derive(Debug, Args)]
 pub(crate) struct NoiseOptions {
-    /// How long to measure
+    /// Duration of the measurement
     #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::duration_in(0.5..=600.0))]
     pub(crate) duration: Duration,
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
 }

@@ -16,23 +16,23 @@ pub(crate) struct ObstacleOptions {
 /// What to do with obstacles.
 #[derive(Debug, Subcommand)]
 pub(crate) enum ObstacleAction {
-    /// Add a sphere, or with --to a capsule; a known id is replaced
+    /// Add a sphere, or a capsule with --to; replace the obstacle with the same id
     #[command(
         visible_alias = "move",
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
         cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s\n  \
         cdcrctl obstacle add --id 3 --at 0.5,0,0.6 --radius 0.05 --velocity -0.02,0,0 --lifetime 10s\n\n\
         The body keeps controller.safe_distance_m away from it in every mode: no command brings it \
-        nearer. An obstacle that moves into the standing robot is not evaded."
+        nearer. A robot at rest does not evade an obstacle that moves towards it."
     )]
     Add(ObstacleAdd),
-    /// Show the obstacles that the newest cycle knew, where they were then
+    /// Show the obstacles of the newest cycle at their positions in it
     #[command(after_help = "Example:\n  cdcrctl obstacle list --format json")]
     List(ObstacleList),
-    /// Remove obstacles by their ids; one that is not known changes nothing
+    /// Remove obstacles by id; unknown ids are ignored
     #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
     Remove {
-        /// Their ids
+        /// Ids of the obstacles
         #[arg(required = true, value_name = "ID", num_args = 1..=64,
             add = ArgValueCandidates::new(complete::obstacle_ids))]
         ids: Vec<u32>,
@@ -40,18 +40,18 @@ pub(crate) enum ObstacleAction {
     /// Remove all obstacles
     #[command(after_help = "Example:\n  cdcrctl obstacle clear")]
     Clear,
-    /// Play a scene from a file: a JSON object for each change, one on each line, or an array as obstacle list prints it
+    /// Play a scene from a file: one JSON object per line and change, or an array as printed by obstacle list
     ///
     /// `{"time_s": 1.5, "id": 1, "start_m": [0.3, 0, 0.5], "radius_m": 0.02}` adds or moves an obstacle 1.5 s after the
     /// beginning; `end_m` makes it a capsule; `velocity_m_s` and `lifetime_ns` are as obstacle list prints them, and
-    /// `{"time_s": 4, "remove": [1]}` removes some. Without `time_s`: at the beginning. Times never fall. All of it is checked
-    /// before anything is sent.
+    /// `{"time_s": 4, "remove": [1]}` removes obstacles. Without `time_s`: at the beginning. Times must not decrease. The whole
+    /// file is checked before anything is sent.
     #[command(after_help = "Example:\n  cdcrctl obstacle file configs/scene.json")]
     File(ObstacleFile),
-    /// Take obstacles from the standard input, one JSON object on each line, as they come
+    /// Read obstacles from the standard input, one JSON object per line, and send each at once
     ///
-    /// Each line is as in a file. `measured_ns` may say when it held, in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python);
-    /// without it that is when the line came. `time_s` has no effect. A bad line ends it with an error; what came before stays known.
+    /// Each line is as in a file. `measured_ns` is the time of the measurement in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python),
+    /// by default the arrival of the line. `time_s` is ignored. An invalid line ends the command with an error; obstacles sent before it stay.
     #[command(after_help = "Example:\n  camera.py | cdcrctl obstacle stdin\n  \
         echo '{\"id\": 1, \"start_m\": [0.3, 0, 0.5], \"radius_m\": 0.02}' | cdcrctl obstacle stdin")]
     Stdin(ObstacleStdin),
@@ -60,9 +60,9 @@ pub(crate) enum ObstacleAction {
 /// A scene.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleFile {
-    /// The file
+    /// Scene file
     pub(crate) path: PathBuf,
-    /// Accept obstacles that are far away or contain the base: the numbers are in m
+    /// Accept obstacles that are far away or contain the base (values are in m)
     #[arg(long)]
     pub(crate) far: bool,
 }
@@ -70,7 +70,7 @@ pub(crate) struct ObstacleFile {
 /// Obstacles from elsewhere.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleStdin {
-    /// Accept obstacles that are far away or contain the base: the numbers are in m
+    /// Accept obstacles that are far away or contain the base (values are in m)
     #[arg(long)]
     pub(crate) far: bool,
 }
@@ -78,7 +78,7 @@ pub(crate) struct ObstacleStdin {
 /// How to show the obstacles.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleList {
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
 }
@@ -86,7 +86,7 @@ pub(crate) struct ObstacleList {
 /// A new obstacle.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleAdd {
-    /// Its id, chosen by you, unique among all clients
+    /// Id, unique among all clients
     #[arg(long)]
     pub(crate) id: u32,
     /// Centre of the sphere, or first end of the capsule, in m
@@ -98,14 +98,14 @@ pub(crate) struct ObstacleAdd {
     /// Radius in m
     #[arg(long, value_name = "M", value_parser = value::not_negative, allow_negative_numbers = true)]
     pub(crate) radius: f64,
-    /// Velocity in m/s: the daemon moves it on from now
+    /// Velocity in m/s, from now on
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]
     pub(crate) velocity: Vector,
-    /// How long it stays known [default: until removed]. Refused where the daemon
+    /// Lifetime [default: until removed]. Rejected where the daemon
     /// supervises the sources of obstacles
     #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
     pub(crate) lifetime: Option<Duration>,
-    /// Accept an obstacle that is far away or contains the base: the numbers are in m
+    /// Accept an obstacle that is far away or contains the base (values are in m)
     #[arg(long)]
     pub(crate) far: bool,
 }

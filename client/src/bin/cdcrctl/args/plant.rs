@@ -7,28 +7,28 @@ use crate::value;
 
 #[derive(Debug, Args)]
 pub(crate) struct PlantOptions {
-    /// Which robot, as link.simulated: laboratory is built well, sloppy is worn, slow has motors with a lag, of blind only
-    /// the tip is measured, ideal is exactly its model
+    /// Simulated robot, as link.simulated: laboratory (well built), sloppy (worn), slow (motors with a lag), blind (only
+    /// the tip is measured), ideal (exactly its model)
     #[arg(long, value_parser = preset(), default_value = "laboratory")]
     pub(crate) preset: Preset,
-    /// What else is wrong with it, or otherwise than with the preset: its name as in `link.simulated_flaws`, and how much in SI units; may be
-    /// repeated
+    /// Set a flaw, in addition to the preset or in place of its value: a name of `link.simulated_flaws` and a value in SI units;
+    /// repeatable
     #[arg(long = "flaw", value_name = "NAME=VALUE", value_parser = flaw)]
     pub(crate) flaws: Vec<(String, f64)>,
-    /// What a section is in truth, as `link.simulated_geometry`: length and radius of the cables in m, angle of the first in rad; once for each
-    /// section, base first [default: as the daemon is configured, and what the preset makes of that]
+    /// True geometry of a section, as `link.simulated_geometry`: length and cable radius in m, angle of the first cable in rad; once per
+    /// section, base first [default: the daemon's geometry, changed by the preset]
     #[arg(long = "section", value_name = "LENGTH,RADIUS,ANGLE", value_parser = value::vector)]
     pub(crate) sections: Vec<[f64; 3]>,
-    /// What of a command it obeys [default: link.interface of the daemon]
+    /// Part of the command to follow [default: link.interface of the daemon]
     #[arg(long, value_parser = interface())]
     pub(crate) interface: Option<Interface>,
-    /// Measure the tip beside the cables, so often a second
+    /// Also measure the tip, at this rate
     #[arg(long, value_name = "HZ", value_parser = value::number_in(0.01..=1000.0), allow_negative_numbers = true)]
     pub(crate) tip: Option<f64>,
-    /// Also where the robot has or had a driver: its motors would follow what is commanded to the simulated robot
+    /// Start even if the robot has or had a driver: its motors would follow the commands to the simulated robot
     #[arg(long)]
     pub(crate) force: bool,
-    /// Seed of its noise
+    /// Seed of the measurement noise
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
 }
@@ -47,7 +47,7 @@ fn flaw(text: &str) -> Result<(String, f64), String> {
     let value = value
         .trim()
         .parse()
-        .map_err(|_| format!("{value:?} is no number"))?;
+        .map_err(|_| format!("invalid number {value:?}"))?;
     let (name, known) = (name.trim().to_owned(), Flaws::default());
     known
         .with(&name, value)

@@ -18,32 +18,32 @@ pub(crate) struct SettingsOptions {
 /// What to do with the settings.
 #[derive(Debug, Subcommand)]
 pub(crate) enum SettingsAction {
-    /// Show them with their ranges, as the newest cycle used them
+    /// Show the settings of the newest cycle with their ranges
     #[command(after_help = "Example:\n  cdcrctl settings show --format json")]
     Show(SettingsShow),
-    /// Change some of them, all at once or not at all, until the daemon ends
+    /// Change settings until the daemon ends: all in one cycle or, on an error, none
     #[command(
         after_help = "Examples:\n  cdcrctl settings set position_weight=2 rate_weight=1e-6\n  \
-        cdcrctl settings set budget_ms=2      a solve may take 2 ms; 0: all the time that is left\n\n\
-        The keys are those of the table [controller] of the configuration, where they stay as they are, and \
+        cdcrctl settings set budget_ms=2      limit a solve to 2 ms; 0: all the remaining time\n\n\
+        The keys are those of table [controller] of the configuration, which is not changed, and \
         budget_ms."
     )]
     Set {
-        /// What to change
+        /// Settings to change
         #[arg(required = true, value_name = "KEY=VALUE", value_parser = Change::parse,
             add = ArgValueCompleter::new(complete::changes))]
         changes: Vec<Change>,
     },
-    /// Write the settings that are in force into a configuration, which keeps its comments and all other keys
+    /// Write the current settings into a configuration file, which keeps its comments and all other keys
     #[command(
         after_help = "Examples:\n  cdcrctl settings save                 print them as a configuration\n  \
-        cdcrctl settings save robot.toml      change the keys in this file that differ, or make it\n\n\
-        A key that the file lacks is added where the setting is not the default. The file is replaced as a \
-        whole or not at all; links are followed, and its owner, group and mode stay. It has to be named, because \
-        a daemon does not tell which files it was started with."
+        cdcrctl settings save robot.toml      update the keys that differ in this file, or create it\n\n\
+        Missing keys are added where the setting is not the default. The file is replaced \
+        atomically; links are followed; owner, group and mode stay. It must be given, because \
+        a daemon does not publish the names of its files."
     )]
     Save {
-        /// The configuration file
+        /// Configuration file
         #[arg(value_name = "FILE", value_hint = ValueHint::FilePath)]
         file: Option<PathBuf>,
     },
@@ -52,7 +52,7 @@ pub(crate) enum SettingsAction {
 /// How to show the settings.
 #[derive(Debug, Args)]
 pub(crate) struct SettingsShow {
-    /// How to print
+    /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
 }

@@ -14,18 +14,18 @@ pub(crate) struct StraightArguments {
     /// Largest acceleration of the tip, in m/s²
     #[arg(long, value_name = "M/S2", value_parser = value::positive, default_value_t = GENTLE.1, allow_negative_numbers = true)]
     pub(crate) acceleration: f64,
-    /// Largest error at the end: fail when the tip stays farther from the point than this, as estimated or, with a sensor of the tip, as
-    /// measured; with its unit, 2mm or 0.002m
+    /// Largest error at the end, such as 2mm or 0.002m: fail when the tip stays farther from the point, as measured with a tip sensor, else as
+    /// estimated
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m, default_value = "2mm")]
     pub(crate) max_error: f64,
-    /// Move nothing: say what the motion would ask of the robot, and whether it can be reached
+    /// Move nothing: report whether the point is reachable and the rates and strokes it needs
     #[arg(long)]
     pub(crate) dry_run: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct GotoOptions {
-    /// Where the tip shall be, in m in the base frame
+    /// Target of the tip, in m in the base frame
     #[arg(value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
     pub(crate) point: Vector,
     #[command(flatten)]
@@ -34,7 +34,7 @@ pub(crate) struct GotoOptions {
 
 #[derive(Debug, Args)]
 pub(crate) struct JogOptions {
-    /// How far the tip shall move from where it is, in m in the base frame
+    /// Offset of the tip, in m in the base frame
     #[arg(value_name = "DX,DY,DZ", value_parser = value::vector, allow_hyphen_values = true)]
     pub(crate) by: Vector,
     #[command(flatten)]
