@@ -61,10 +61,10 @@ const TABLE: RoundTable = RoundTable {
 
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct BudgetOptions {
-    /// How often all budgets are measured, 1 to 100; a time is the median, the largest of all.
+    /// Rounds over all budgets, 1 to 100; a time is the median over the rounds, a maximum that of all.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// Solves of each case with each budget in a round, 1 to 1000000.
+    /// Solves per case and budget in a round, 1 to 1000000.
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub solves: u64,
 }

@@ -27,11 +27,11 @@ use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEn
 const ASIDE: &str = "partial";
 
 const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
-    Real-time threads need a privilege (docs/realtime.md); without it only the ordinary set-up is measured.";
+    Real-time threads need a privilege (docs/realtime.md); without it, only the ordinary set-up is measured.";
 const LATENCY_HELP: &str = "Example: cdcr-bench latency --rounds 5 --out latency\n\n\
-    Real-time threads need a privilege (docs/realtime.md); without it the same is measured without them.";
+    Real-time threads need a privilege (docs/realtime.md); without it, ordinary threads are measured.";
 
-/// What the controller reaches, measured.
+/// Benchmarks of cdcr: real time, control quality, solver.
 #[derive(Debug, Parser)]
 #[command(
     name = "cdcr-bench",
@@ -46,13 +46,13 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Everything, as one report with the machine's description: text, JSON, CSV, plots, raw histograms, and
-    /// a page that holds all of it.
+    /// Run all benchmarks and write one report with a description of the machine: text, JSON, CSV, plots, raw histograms,
+    /// and a self-contained HTML page.
     #[command(after_help = "Example: cdcr-bench all --out report --quick")]
     All(AllArguments),
     #[command(flatten)]
     One(One),
-    /// What changed between two runs beyond the noise of their rounds.
+    /// Compare two runs and list changes beyond the noise of their rounds.
     #[command(after_help = "Example: cdcr-bench compare before/report.json after/report.json")]
     Compare(CompareArguments),
     /// The other process of `latency`.
@@ -94,29 +94,29 @@ macro_rules! benchmarks {
 
 // In the order in which they are run: those of real time come first, while the machine is quiet.
 benchmarks! {
-    /// Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run.
+    /// Measure deadline misses and latencies of the daemon under named loads, next to a bare loop in the same run.
     Deadline = "deadline": DeadlineOptions, DEADLINE_HELP;
-    /// How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone.
+    /// Measure message latencies: reference, obstacle, measurement, request and stop, next to iceoryx2 alone.
     Latency = "latency": LatencyOptions, LATENCY_HELP;
-    /// How fast the loop can go: the shortest period that a real daemon holds with 1, 2 and 3 sections, every
-    /// solver and two horizons, and what ends it.
+    /// Measure the shortest period that a daemon holds with 1, 2 and 3 sections, every solver and two
+    /// horizons, and what limits it.
     Rate = "rate": RateOptions, "Example: cdcr-bench rate --rounds 5 --out rate";
-    /// What a daemon takes at 200 Hz: share of a core of each thread, memory, files, time to start.
+    /// Measure resource use of a daemon at 200 Hz: core share per thread, memory, files, start time.
     Footprint = "footprint": FootprintOptions,
         "Example: cdcr-bench footprint --duration 30s --format json > footprint.json";
-    /// What time buys: error, clearance and cost against the budget of a solve, the swarm and the horizon, on
-    /// the paper's and on harder scenes, and how often a solver gets stuck.
+    /// Measure error, clearance and cost over the time budget, the swarm and the horizon, on the paper's and on
+    /// harder scenes, and how often a solver gets stuck.
     Quality = "quality": QualityOptions, "Example: cdcr-bench quality --rounds 5 --out quality";
-    /// Robots that are not their model (lag, noise, play, another geometry, a load): the true error of the tip, and what each part of the
-    /// controller is for.
+    /// Measure the true tip error of robots that differ from their model (lag, noise, play, geometry, load), and the effect of each
+    /// part of the controller.
     Robustness = "robustness": RobustnessOptions, "Example: cdcr-bench robustness --seeds 20 --out robustness";
-    /// The paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
-    /// solver, beside the paper's figures.
+    /// Run the paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
+    /// solver, next to the paper's figures.
     Paper = "paper": Effort, "Example: cdcr-bench paper --seeds 3 --out paper";
-    /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
+    /// Measure solve times on every SIMD path of this processor, over sections, steps, particles,
     /// iterations and obstacles.
     Solver = "solver": SolverOptions, "Example: cdcr-bench solver --format csv > solver.csv";
-    /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
+    /// Measure by how much a solve exceeds its time budget, from 0 to 1 ms, and check that its plan is never
     /// worse than the warm start.
     Budget = "budget": BudgetOptions, "Example: cdcr-bench budget --format json > budget.json";
 }
@@ -132,20 +132,20 @@ struct Measure<B: Benchmark> {
 /// How to print a result, and where to keep it.
 #[derive(Debug, Clone, clap::Args)]
 struct Output {
-    /// How to print the result.
+    /// Output format.
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-    /// Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if
-    /// it does not exist.
+    /// Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if
+    /// missing.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// A table for people.
+    /// Text table.
     Text,
-    /// The same table for a page on the web.
+    /// Markdown table.
     Markdown,
     /// One JSON object.
     Json,
@@ -155,24 +155,24 @@ enum Format {
 
 #[derive(Debug, clap::Args)]
 struct AllArguments {
-    /// Folder for the report: report.html, report.txt, report.json, a CSV for each table, plots as SVG, raw
-    /// histograms; made if it does not exist, written into at the end only.
+    /// Output folder for report.html, report.txt, report.json, a CSV per table, SVG plots and raw
+    /// histograms; created if missing, written only at the end.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
     extent: Extent,
-    /// Only these, separated by commas.
+    /// Run only these benchmarks, comma-separated.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
     only: Vec<Name>,
-    /// Configuration of the daemon in deadline and latency; without it the default, three sections. The other
-    /// benchmarks choose their own, and with it no figure to reach is judged.
+    /// Configuration of the daemon in deadline and latency [default: three sections]. The other
+    /// benchmarks use their own. With this option no targets are evaluated.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ComparisonFormat {
-    /// What changed, for people.
+    /// Changes, as text.
     Text,
     /// One JSON object with every number.
     Json,
@@ -180,18 +180,18 @@ enum ComparisonFormat {
 
 #[derive(Debug, clap::Args)]
 struct CompareArguments {
-    /// The JSON of the run before: report.json, or that of one benchmark.
+    /// JSON of the first run: report.json or the JSON of one benchmark.
     #[arg(value_name = "A.json")]
     before: PathBuf,
-    /// The JSON of the run after.
+    /// JSON of the second run.
     #[arg(value_name = "B.json")]
     after: PathBuf,
-    /// How to print the result.
+    /// Output format.
     #[arg(long, value_enum, default_value_t = ComparisonFormat::Text)]
     format: ComparisonFormat,
-    /// Exit status 1 when more numbers changed for the worse, beyond noise, than chance explains: than half of
-    /// those that chance alone would call changed, rounded up, and two more. Numbers with one value each do not
-    /// count.
+    /// Exit with status 1 when more numbers changed for the worse than chance explains: more than half of the changes
+    /// expected by chance, rounded up, plus two. Numbers with only one value per run are
+    /// ignored.
     #[arg(long)]
     fail_on_worse: bool,
 }
@@ -268,7 +268,7 @@ impl AllArguments {
         let failed: Vec<&str> = report.failures().map(|(name, _)| name).collect();
         ensure!(
             failed.is_empty(),
-            "{} of {} benchmarks failed: {}; the report says why, and holds the others",
+            "{} of {} benchmarks failed: {}; see the report, which includes the others",
             failed.len(),
             report.parts.len(),
             failed.join(", ")
@@ -286,7 +286,7 @@ impl AllArguments {
         let aside = self.out.join(ASIDE);
         writeln!(
             std::io::stderr(),
-            "{} holds an older report, with {}, which this one lacks: it stays, and this one goes into {}",
+            "{} contains an older report with {}, which is missing here: it is kept, and this report is written to {}",
             self.out.display(),
             lost.join(", "),
             aside.display()
@@ -306,7 +306,7 @@ impl CompareArguments {
         let by_chance = comparison.worse_by_chance();
         if self.fail_on_worse && worse > by_chance {
             bail!(
-                "{worse} numbers are worse than before, beyond noise; chance explains {by_chance} at most"
+                "{worse} numbers are worse than before, beyond noise; chance explains at most {by_chance}"
             );
         }
         Ok(())
@@ -318,7 +318,7 @@ fn keep(bundle: &Bundle, folder: &Path) -> Result<()> {
     bundle.write(folder)?;
     writeln!(
         std::io::stderr(),
-        "{} files written into {}",
+        "{} files written to {}",
         bundle.0.len(),
         folder.display()
     )?;

@@ -76,7 +76,7 @@ impl Input {
         let text = fs::read_to_string(file).with_context(|| format!("cannot read {name}"))?;
         serde_json::from_str(&text).with_context(|| {
             format!(
-                "{name} is no result of cdcr-bench: expected is one JSON object with \"environment\" and \
+                "{name} is not a result of cdcr-bench: expected one JSON object with \"environment\" and \
                  \"metrics\", as --format json prints it and --out writes it"
             )
         })
@@ -192,14 +192,14 @@ fn warnings(before: &Input, after: &Input) -> Vec<String> {
         (Some(old), Some(new)) => {
             let differing = old.differing(new);
             warnings.extend(differing.iter().map(|(name, old, new)| {
-                format!("asked for with another value of {name}: {old} before, {new} after")
+                format!("another value of {name}: {old} before, {new} after")
             }));
             warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
         }
         (None, None) => {}
         (old, _) => {
             let when = if old.is_none() { "before" } else { "after" };
-            let words = "does not say what it was asked for: it may have measured something else";
+            let words = "does not contain its options: it may have measured something else";
             warnings.push(format!("the run {when} {words}"));
         }
     }

@@ -146,16 +146,16 @@ impl Bundle {
 
 pub fn make(folder: &Path) -> Result<()> {
     let made = fs::create_dir_all(folder);
-    made.with_context(|| format!("cannot make the folder {}", folder.display()))
+    made.with_context(|| format!("cannot create the folder {}", folder.display()))
 }
 
 /// How much of each benchmark is run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::Args)]
 pub struct Extent {
-    /// A look of a few minutes that proves little.
+    /// Run all benchmarks in a few minutes; not a measurement.
     #[arg(long)]
     pub quick: bool,
-    /// Rounds of each benchmark, 1 to 100, instead of the usual number of each; compare needs at least 3.
+    /// Rounds per benchmark, 1 to 100 [default: as each benchmark]; compare needs at least 3.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: Option<u32>,
 }

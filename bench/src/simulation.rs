@@ -37,7 +37,7 @@ pub struct Outcome {
 /// How often and how far the paper's simulations are run.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct Effort {
-    /// Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20
+    /// Runs per solver, each with its own seed, 1 to 1000. kpso-refined runs the circle at least 20
     /// times.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,

@@ -64,7 +64,7 @@ const COLUMNS: [Column; 11] = [
 
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct SolverOptions {
-    /// How often all sizes are measured, 1 to 100; a number is the median.
+    /// Rounds over all sizes, 1 to 100; results are medians.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
     /// Only the smallest robot, no hard problems, and a part of the moments.

@@ -36,7 +36,7 @@ const HOST: &str = "127.0.0.1";
     clippy::doc_markdown,
     reason = "a help text is printed as it is, and has no backticks"
 )]
-/// Serves what cdcrd does to Foxglove, Lichtblick and PlotJuggler, live, on the loopback interface.
+/// Serve live data of cdcrd to Foxglove, Lichtblick and PlotJuggler on the loopback interface.
 #[derive(Debug, Parser)]
 #[command(
     name = "cdcr-view",
@@ -54,7 +54,7 @@ struct Arguments {
     /// Name of the robot
     #[arg(long, env = "CDCR_ROBOT", default_value = "cdcr")]
     robot: String,
-    /// Port to listen on, on 127.0.0.1; 0: one that is free
+    /// Port to listen on, on 127.0.0.1; 0: any free port
     #[arg(long, default_value_t = 8765)]
     port: u16,
 }
@@ -97,7 +97,7 @@ fn run() -> anyhow::Result<()> {
     let port = server.port();
     writeln!(
         out,
-        "serving {} at ws://{HOST}:{port}; Ctrl-C ends it",
+        "serving {} at ws://{HOST}:{port}; Ctrl-C to end",
         arguments.robot
     )?;
     out.flush()?;
@@ -110,7 +110,7 @@ fn run() -> anyhow::Result<()> {
     let lost = live.lost();
     if lost > 0 {
         let lost = counted(lost, "message");
-        writeln!(out, "lost: {lost}, because this program was too slow")?;
+        writeln!(out, "lost {lost}: this program was too slow")?;
     }
     Ok(())
 }

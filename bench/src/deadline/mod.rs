@@ -46,23 +46,23 @@ named! {
 
 #[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct DeadlineOptions {
-    /// Measured time of each subject under each load, all rounds together.
+    /// Total measured time per subject and load, over all rounds.
     #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
     pub duration: Duration,
-    /// What else the machine does meanwhile, on the cores of the client; several with commas. Without this
-    /// option, every load but stress-ng, one after the other.
+    /// Loads on the cores of the client, comma-separated [default: all but stress-ng,
+    /// one after the other].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "LOAD")]
     pub load: Vec<Load>,
-    /// Rounds, in each of which every subject runs once under every load, 1 to 1000.
+    /// Rounds, 1 to 1000: each runs every subject once under every load.
     #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub rounds: u32,
-    /// Period of the loop, if another one than the configuration's.
+    /// Period of the loop [default: as configured].
     #[arg(long, value_parser = humantime::parse_duration)]
     pub period: Option<Duration>,
-    /// Configuration of the daemon; without it the default, three sections.
+    /// Configuration of the daemon [default: three sections].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Which set-up of the threads.
+    /// Set-up of the threads.
     #[arg(long, value_enum, default_value_t = Setups::Both)]
     pub setup: Setups,
     #[arg(skip)]
@@ -71,11 +71,11 @@ pub struct DeadlineOptions {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Setups {
-    /// Real time under every load, and without it under the loads that show the difference best.
+    /// Real time under every load, and ordinary threads under the loads that show the difference best.
     Both,
-    /// Only with real time.
+    /// Only real time.
     Realtime,
-    /// Only without.
+    /// Only ordinary threads.
     Ordinary,
 }
 
@@ -136,11 +136,11 @@ impl Benchmark for DeadlineOptions {
     fn check(&self) -> Result<()> {
         ensure!(
             self.setup != Setups::Realtime || may_be_realtime(),
-            "this user may not have real-time threads: see docs/realtime.md, or measure with --setup ordinary"
+            "this user has no permission for real-time threads: see docs/realtime.md, or use --setup ordinary"
         );
         ensure!(
             self.segment() >= Duration::from_secs(1),
-            "{:?} in {} rounds is less than a second for each: take a longer --duration or fewer --rounds",
+            "{:?} in {} rounds is less than a second per round: use a longer --duration or fewer --rounds",
             self.duration,
             self.rounds
         );

@@ -91,13 +91,13 @@ const PROGRAM_COLUMNS: [Column; 2] = [word("program", "name"), shorted("MB", "mb
 
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
-    /// Daemons that are measured one after the other, 1 to 100.
+    /// Number of daemons, measured one after the other, 1 to 100.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    /// How long each of them tracks, 100ms to 1h; without a client it is measured for two fifths of that.
+    /// Tracking time per daemon, 100ms to 1h; without a client it is measured for 2/5 of that.
     #[arg(long, default_value = "10s", value_parser = humantime::parse_duration)]
     duration: Duration,
-    /// Two daemons for two seconds: a look of ten seconds instead of a measurement.
+    /// Run two daemons for two seconds each; not a measurement.
     #[arg(long, conflicts_with_all = ["rounds", "duration"])]
     quick: bool,
 }

@@ -163,7 +163,7 @@ impl Line {
             let way = self.source.way();
             ensure!(
                 outcome == Outcome::Accepted.code(),
-                "the daemon refused what the bench sent ({}): {}",
+                "the daemon rejected a message of the benchmark ({}): {}",
                 way.name(),
                 Outcome::text_of(outcome)
             );
@@ -242,8 +242,8 @@ pub(super) fn measure(
         lines[number % count].send(watcher)?;
     }
     bail!(
-        "the daemon did not answer as it should: the machine stalls, or the configuration keeps the robot from \
-         following its reference"
+        "the daemon did not answer in time: the machine stalls, or the configuration keeps the robot from following \
+         its reference"
     )
 }
 

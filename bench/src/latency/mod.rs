@@ -51,20 +51,20 @@ const EARLY_NS: u64 = 200_000;
 
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub struct LatencyOptions {
-    /// Rounds, in each of which everything is measured once, 1 to 1000.
+    /// Rounds, 1 to 1000: each measures everything once.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub rounds: u32,
-    /// Samples of each kind in each round, 5 to 10000; two fifths of that for stops, eight times that
+    /// Samples per kind and round, 5 to 10000; 2/5 of that for stops, 8 times that
     /// for iceoryx2 alone.
     #[arg(long, default_value_t = 250, value_parser = clap::value_parser!(u16).range(5..=10_000))]
     pub samples: u16,
-    /// Period of the loop, if another one than the configuration's.
+    /// Period of the loop [default: as configured].
     #[arg(long, value_parser = humantime::parse_duration)]
     pub period: Option<Duration>,
-    /// Configuration of the daemon; without it the default, three sections.
+    /// Configuration of the daemon [default: three sections].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// A quick look: 2 rounds of 40 samples.
+    /// Run 2 rounds of 40 samples; not a measurement.
     #[arg(long, conflicts_with_all = ["rounds", "samples"])]
     pub quick: bool,
 }

@@ -65,7 +65,7 @@ pub(super) fn measure(
         }
         ensure!(
             spoilt <= most,
-            "{spoilt} of {number} stops could not be judged: records are missing, or the robot hardly moves"
+            "{spoilt} of {number} stops could not be evaluated: records are missing, or the robot hardly moves"
         );
         if recorded >= samples {
             break;

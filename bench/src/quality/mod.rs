@@ -26,10 +26,10 @@ const CONTEST_S: f64 = 0.5;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct QualityOptions {
-    /// Runs of each variant, each with another seed, 1 to 100.
+    /// Runs per variant, each with its own seed, 1 to 100.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// One round of a part of it: a look of some seconds, no measurement.
+    /// Run one round of a part, in some seconds; not a measurement.
     #[arg(long, conflicts_with = "rounds")]
     pub quick: bool,
     #[arg(skip = Course::ALL)]

@@ -34,16 +34,16 @@ const AROUND_S: f64 = 1.0;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct RateOptions {
-    /// How often the default is measured with each of its periods, 1 to 100. The search for the shortest periods
-    /// is made once.
+    /// Measurements of the default at each of its periods, 1 to 100. The search for the shortest periods
+    /// runs once.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// The default and its solvers only, in short trials: a look of half a minute instead of a measurement of
-    /// five.
+    /// Run only the default and its solvers in short trials: half a minute instead of
+    /// five minutes; not a measurement.
     #[arg(long, conflicts_with = "rounds")]
     pub quick: bool,
-    /// Let the daemon wake up so long before each release and spin to it, 0 (no rehearsal) to 1000 µs; at most a quarter
-    /// of the period. Without it, as the daemon does by default.
+    /// Let the daemon wake up this long before each release and spin, 0 (no rehearsal) to 1000 µs; at most a quarter
+    /// of the period [default: as the daemon].
     #[arg(long = "spin", value_name = "US", value_parser = spin_us)]
     pub spin_us: Option<f64>,
     /// How long a trial measures at least: seconds, and periods.

@@ -74,14 +74,14 @@ const RUN_S: f64 = 0.12;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct RobustnessOptions {
-    /// Runs of each robot with each controller, each with other noise, 1 to 1000.
+    /// Runs of each robot with each controller, each with its own noise, 1 to 1000.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
-    /// Only the ideal robot, which others are compared with, and those with TEXT in their name; with --sweep, only the
-    /// presets and the knobs with TEXT in their key ("preset" for none of these).
+    /// Run only the ideal robot, the basis of comparison, and robots with TEXT in their name; with --sweep, only the
+    /// presets and the keys that contain TEXT ("preset": only the presets).
     #[arg(long, value_name = "TEXT")]
     pub only: Option<String>,
-    /// Turn one knob after the other instead, on the robot of the laboratory: the tables and the picture of docs/tuning.md.
+    /// Vary one configuration key at a time on the laboratory robot instead: the tables and the plot of docs/tuning.md.
     #[arg(long, conflicts_with = "seeds")]
     pub sweep: bool,
 }
@@ -106,13 +106,13 @@ impl Benchmark for RobustnessOptions {
             let is_any = tuning::is_any(only);
             ensure!(
                 is_any,
-                "no knob has {words:?} in its key; their keys are in docs/tuning.md"
+                "no swept key contains {words:?}: see docs/tuning.md for the keys"
             );
         } else {
             let is_any = Scenario::all().iter().any(|scenario| self.names(scenario));
             ensure!(
                 is_any,
-                "no robot has {words:?} in its name; their names are in docs/robustness.md"
+                "no robot name contains {words:?}: see docs/robustness.md for the names"
             );
         }
         Ok(())

@@ -45,7 +45,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let found = all(&folder, "--only solver,budget --rounds 2");
     let errors = stderr(&found);
     assert!(
-        found.status.success() && errors.contains("written into"),
+        found.status.success() && errors.contains("written to"),
         "{errors}"
     );
     assert!(found.stdout.starts_with(b"The machine"));

@@ -20,10 +20,10 @@ rate --quick --rounds 2 => cannot be used with
 footprint --duration 1ms => 100ms to 1h
 footprint --rounds 0 => 1..=100
 footprint --quick --rounds 2 => cannot be used with
-all --quick --only budget --out /dev/null/inside => cannot make the folder /dev/null/inside
+all --quick --only budget --out /dev/null/inside => cannot create the folder /dev/null/inside
 all --quick --out nowhere --config nowhere.toml => no file nowhere.toml
-robustness --only nonsense => in its name; their names are in docs/robustness.md
-robustness --sweep --only nonsense => in its key; their keys are in docs/tuning.md
+robustness --only nonsense => see docs/robustness.md for the names
+robustness --sweep --only nonsense => see docs/tuning.md for the keys
 ";
 
 #[test]

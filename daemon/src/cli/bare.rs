@@ -11,22 +11,22 @@ use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
 
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
-    The cycle thread of the configuration (core, priority, locked memory, period) wakes up as early as a cycle\n\
-    does (realtime.spin_us), spins to each release, reads the clock, and does nothing else. Evaluated as in cdcrd run; whatever is late is due to\n\
-    the machine. Touches no shared memory, so it may run beside a daemon; on the same core the two\n\
-    disturb each other. SIGINT and SIGTERM end it early, with what there is.\n\n\
-    --format csv has a line for each cycle. run_delay_ns and page_faults are empty where the kernel does not\n\
-    tell them. cause: 0 none, 1 platform, 2 another task had the core, 3 page fault, 4 stall of the\n\
-    processor, 5 compute. The log goes to the standard error.";
+    The cycle thread of the configuration (core, priority, locked memory, period) wakes up before each release\n\
+    (realtime.spin_us), spins until the release and reads the clock. Lateness is evaluated as in cdcrd run, but is caused by\n\
+    the machine alone. Uses no shared memory, so it can run beside a daemon; on the same core the two\n\
+    disturb each other. SIGINT and SIGTERM end it early and print the results so far.\n\n\
+    --format csv prints one line per cycle. run_delay_ns and page_faults are empty where the kernel does not\n\
+    report them. cause: 0 none, 1 platform, 2 another task had the core, 3 page fault, 4 stall of the\n\
+    processor, 5 compute. Logs to the standard error.";
 
 #[derive(Debug, Args)]
 pub(super) struct BareOptions {
     #[command(flatten)]
     source: Source,
-    /// How long: at least one period, at most 10 million.
+    /// Duration: 1 to 10 million periods.
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
     duration: Duration,
-    /// How to print it, when it is over.
+    /// Output format.
     #[arg(long, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
     format: Format,
     /// End when the parent process, which has this id, ends, however it ends.
@@ -36,11 +36,11 @@ pub(super) struct BareOptions {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Format {
-    /// A small table.
+    /// Table.
     Text,
-    /// A line for each cycle.
+    /// One line per cycle.
     Csv,
-    /// The numbers of the table as one object, for programs.
+    /// The numbers of the table as one JSON object.
     Json,
 }
 
@@ -52,7 +52,7 @@ pub(super) fn run(options: &BareOptions) -> Result<()> {
     match write(&mut out, options.format, &outcome).and_then(|()| out.flush()) {
         // The reader has seen enough: `cdcrd bare --format csv | head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        written => written.context("the result cannot be written"),
+        written => written.context("cannot write the result"),
     }
 }
 
@@ -108,7 +108,7 @@ fn write_text(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
     let ms = |time_ns: u64| time_ns as f64 / 1e6;
     writeln!(
         out,
-        "A loop of {} ms without work, {:.2} s\n",
+        "Loop without work, period {} ms, {:.2} s\n",
         ms(summary.period_ns),
         summary.duration_s
     )?;
@@ -169,7 +169,7 @@ fn write_latencies(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
     row("wake-up", &summary.wake)?;
     match &summary.run_delay {
         Some(run_delay) => row("run-queue wait", run_delay),
-        None => writeln!(out, "{:<17}the kernel does not tell", "run-queue wait"),
+        None => writeln!(out, "{:<17}not reported by the kernel", "run-queue wait"),
     }
 }
 
@@ -259,7 +259,7 @@ mod tests {
     #[test]
     fn the_table() {
         let expected = "\
-A loop of 0.1 ms without work, 0.50 s
+Loop without work, period 0.1 ms, 0.50 s
 
 cycles                4999
 late starts              1   started over 1 ms late
@@ -270,7 +270,7 @@ page faults              2
 
 time [µs]              min      p50      p99    p99.9      max
 wake-up                1.0     14.0     30.0    100.0   1234.5
-run-queue wait   the kernel does not tell
+run-queue wait   not reported by the kernel
 
 real time        no: SCHED_FIFO, locked memory missing
 core             1

@@ -21,20 +21,20 @@ use crate::warnings::warnings;
 )]
 #[derive(Debug, Subcommand)]
 pub(super) enum ConfigCommand {
-    /// Print the default configuration, every key explained.
+    /// Print the default configuration with a description of every key.
     #[command(after_help = "Example: cdcrd config default > robot.toml")]
     Default,
-    /// Print the JSON schema of the configuration, for editors and other programs.
+    /// Print the JSON schema of the configuration, for editors and programs.
     #[command(after_help = "Example: cdcrd config schema > cdcr.schema.json\n\
-        Editors that know Taplo find it by this first line of a configuration: #:schema ./cdcr.schema.json")]
+        For editors with Taplo, begin the configuration with the line: #:schema ./cdcr.schema.json")]
     Schema,
-    /// Explain a key or a table: type, range, default, and the value in force.
+    /// Explain a key or a table: type, range, default, current value and its source.
     #[command(
         after_help = "Example: cdcrd config explain cycle.period_ms --config robot.toml\n\
         \u{20}        cdcrd config explain cycle"
     )]
     Explain {
-        /// The key, like cycle.period_ms, or a table, like cycle.
+        /// Key, such as cycle.period_ms, or table, such as cycle.
         key: String,
         #[command(flatten)]
         source: Source,
@@ -53,10 +53,10 @@ pub(super) struct Source {
     /// Configuration file (TOML) [env: CDCR_CONFIG]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Set what damps noise and chatter, as measured on a robot built well
+    /// Set the keys that trade precision against smoothness and speed, as measured on a well-built robot
     #[arg(long, value_enum, value_name = "NAME")]
     preset: Option<Preset>,
-    /// Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]
+    /// Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]
     #[arg(long, value_name = "KEY=VALUE", value_parser = assignment)]
     set: Vec<(String, String)>,
     /// Name of the robot in the service names: robot.name [env: CDCR_ROBOT]
@@ -74,7 +74,7 @@ pub(super) struct Source {
 fn assignment(text: &str) -> Result<(String, String), String> {
     let (key, value) = text
         .split_once('=')
-        .ok_or("it needs a key and a value, like cycle.period_ms=2")?;
+        .ok_or("use KEY=VALUE, for example cycle.period_ms=2")?;
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }
 
@@ -182,7 +182,7 @@ fn say(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-        written => written.context("the text cannot be written"),
+        written => written.context("cannot write the output"),
     }
 }
 
@@ -240,7 +240,7 @@ fn summary(validated: &Validated) -> Vec<String> {
             nmpc.refinement_steps
         ),
         format!(
-            "transport  prefix {} below {}",
+            "transport  prefix {} in {}",
             location.prefix(),
             location.root().display()
         ),

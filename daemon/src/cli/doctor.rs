@@ -12,25 +12,25 @@ use crate::doctor::{DoctorReport, Finding, Severity, examine};
 
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml --format json\n\
-    Takes a second, in which it samples which threads use the core of the real-time threads.\n\n\
-    Exit status: 0 all is ok; 10 a warning, or something that cannot be read; 20 a fault: the daemon\n\
-    does not start, or lacks what realtime.mode = \"require\" asks for. With realtime.mode = \"off\",\n\
-    what matters only to real time is shown and never bad.";
+    Takes one second to sample the threads that use the core of the real-time threads.\n\n\
+    Exit status: 0 ok; 10 a warning or an unknown value; 20 a fault: the daemon\n\
+    does not start, or lacks a need of realtime.mode = \"require\". With realtime.mode = \"off\",\n\
+    findings that only affect real time are shown as ok.";
 
 #[derive(Debug, Args)]
 pub(super) struct DoctorOptions {
     #[command(flatten)]
     source: Source,
-    /// How to print it.
+    /// Output format.
     #[arg(long, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
     format: Format,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Format {
-    /// A line for each thing; why and what to do under those that are not ok.
+    /// One line per finding, with reason and remedy if it is not ok.
     Text,
-    /// One object for programs.
+    /// One JSON object.
     Json,
 }
 
@@ -49,7 +49,7 @@ pub(super) fn run(options: &DoctorOptions) -> Result<u8> {
     match written.and_then(|()| out.flush()) {
         // The reader has seen enough: `cdcrd doctor | head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
-        written => written.context("the report cannot be written")?,
+        written => written.context("cannot write the report")?,
     }
     Ok(report.worst.exit_status())
 }

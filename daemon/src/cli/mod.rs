@@ -32,11 +32,11 @@ pub struct Cli {
 enum Command {
     /// Run the control loop until SIGINT or SIGTERM.
     #[command(after_help = "Example: cdcrd run --config robot.toml\n\
-        Without --config, the paper's robot with three sections is simulated.\n\
-        The log goes to the standard error; RUST_LOG=debug shows more.\n\n\
-        Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches,\n\
-        as cdcrctl stop does, without shared memory. SIGHUP reads the configuration again: what changed of [controller] and\n\
-        cycle.budget_ms comes into force, the log names other keys that changed, and a wrong configuration changes nothing.")]
+        Without --config, simulates the paper's robot with three sections.\n\
+        Logs to the standard error; RUST_LOG=debug logs more.\n\n\
+        Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches\n\
+        like cdcrctl stop, without shared memory. SIGHUP reloads the configuration: applies changes of [controller] and\n\
+        cycle.budget_ms, logs other changed keys, and changes nothing if the configuration is invalid.")]
     Run {
         #[command(flatten)]
         source: Source,
@@ -44,16 +44,16 @@ enum Command {
         #[arg(long, value_name = "PID", hide = true)]
         end_with_parent: Option<i32>,
     },
-    /// Run the real-time loop of a configuration without work: the baseline of this machine.
+    /// Run the real-time loop without work: the baseline of this machine.
     #[command(after_help = bare::AFTER_HELP)]
     Bare(bare::BareOptions),
-    /// Check a configuration and show what would run.
+    /// Check a configuration and print a summary.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
     Check(Source),
-    /// Examine this machine: what delays a real-time loop, and the remedy.
+    /// Check this machine for causes of delay in a real-time loop, and print remedies.
     #[command(after_help = doctor::AFTER_HELP)]
     Doctor(doctor::DoctorOptions),
-    /// Print configurations.
+    /// Print or explain the configuration.
     #[command(subcommand)]
     Config(ConfigCommand),
 }
@@ -83,8 +83,8 @@ fn end_with_process(parent: Option<i32>) -> Result<()> {
         return Ok(());
     };
     set_parent_process_death_signal(Some(Signal::TERM))
-        .context("the end of the parent process cannot be watched")?;
+        .context("cannot watch the parent process")?;
     let is_ours = getppid().is_some_and(|id| id.as_raw_pid() == parent);
-    ensure!(is_ours, "process {parent} is not our parent (any more)");
+    ensure!(is_ours, "process {parent} is not the parent process");
     Ok(())
 }

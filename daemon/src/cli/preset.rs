@@ -3,11 +3,11 @@ use clap::ValueEnum;
 /// Values of a few keys that belong together, chosen by measurement: docs/tuning.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum Preset {
-    /// The tip as near to its reference as the sensors allow.
+    /// Smallest tip error that the sensors allow.
     Precise,
-    /// Rates that change a fifth as much.
+    /// Rate changes reduced to a fifth.
     Smooth,
-    /// What the robot differs by from its commands is followed five times as fast.
+    /// Deviations from the commands corrected five times as fast.
     Fast,
 }
 

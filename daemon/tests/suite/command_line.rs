@@ -153,7 +153,7 @@ fn mistakes_name_their_place_and_the_nearest_key() {
     );
     let usage = cdcrd(&["check", "--set", "cycle.period_ms"]);
     assert_eq!(usage.status.code(), Some(2));
-    assert!(text_of(&usage.stderr).contains("like cycle.period_ms=2"));
+    assert!(text_of(&usage.stderr).contains("for example cycle.period_ms=2"));
 }
 
 #[test]

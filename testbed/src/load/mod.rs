@@ -40,25 +40,25 @@ const START_TIMEOUT: Duration = Duration::from_secs(20);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Load {
-    /// Nothing.
+    /// No load.
     None,
-    /// A thread that computes on each core but the real-time one.
+    /// A computing thread on each core but the real-time one.
     Cpu,
-    /// A thread on each core but the real-time one that copies memory far larger than the caches.
+    /// A thread on each core but the real-time one that copies more memory than the caches hold.
     Memory,
     /// A thread that writes a file of 64 MiB, syncs it every 4 MiB, and reads it back from the disk.
     Io,
-    /// 30 clients a second that connect to the daemon and leave; every other one opens the telemetry.
+    /// 30 clients per second that connect to the daemon and leave; every second one opens the telemetry.
     Clients,
-    /// 10 000 reference chunks a second of a client without the lease, and 10 000 obstacle updates a second, far
-    /// out of reach: sent, not taken. The daemon's queues hold 32 chunks and 16 updates, and one gather takes 8
-    /// updates; the rest overflows. What is taken of the chunks is refused, of the updates accepted.
+    /// 10 000 reference chunks per second from a client without the lease, and 10 000 updates per second of obstacles
+    /// out of reach. The daemon's queues hold 32 chunks and 16 updates, and one gather takes 8
+    /// updates; the rest overflows. Received chunks are rejected, received updates accepted.
     Flood,
-    /// cpu, memory, io, clients and flood at once.
+    /// Loads cpu, memory, io, clients and flood at once.
     All,
-    /// Threads that compute and copy memory on every core, also on the real-time one.
+    /// Threads that compute and copy memory on every core, including the real-time one.
     CpuEverywhere,
-    /// stress-ng, if it is installed: processor, memory and sync, on each core but the real-time one.
+    /// stress-ng, if installed: processor, memory and sync, on each core but the real-time one.
     StressNg,
 }
 
