@@ -45,7 +45,7 @@ static void places(void) {
         {{.prefix = "\xff"}, CDCR_ERROR_ARGUMENT, "place.prefix is not UTF-8"},
         {{.root = "/\xc3"}, CDCR_ERROR_ARGUMENT, "place.root is not UTF-8"},
         {{.prefix = "a b"}, CDCR_ERROR_ARGUMENT, "invalid prefix"},
-        {{.root = "here"}, CDCR_ERROR_ARGUMENT, "no root path"},
+        {{.root = "here"}, CDCR_ERROR_ARGUMENT, "invalid root path"},
         {{.root = "/nowhere/at/all"}, CDCR_ERROR_NO_DAEMON, "does not exist"},
     };
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {

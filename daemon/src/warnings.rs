@@ -27,57 +27,57 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let warnings = [
         (left_ms <= 0.0).then(|| {
             format!(
-                "cycle.deadline_ms leaves the solver no time: the deadline is {deadline_ms} ms, and \
-                 cycle.budget_margin_ms takes all of it"
+                "cycle.deadline_ms leaves the solver no time: cycle.budget_margin_ms uses up the deadline of \
+                 {deadline_ms} ms"
             )
         }),
         (left_ms > 0.0 && cycle.budget_ms > left_ms).then(|| {
             format!(
-                "cycle.budget_ms = {} has no effect: deadline less margin leave {left_ms} ms",
+                "cycle.budget_ms = {} has no effect: deadline minus margin is {left_ms} ms",
                 cycle.budget_ms
             )
         }),
         (ramp_s > REST_MAX_S).then(|| {
             format!(
-                "motion.deceleration_rad_s2 = {}: a ramp from the largest rate takes {ramp_s:.0} s, and a daemon \
-                 that ends waits for {REST_MAX_S} s",
+                "motion.deceleration_rad_s2 = {}: braking from the largest rate takes {ramp_s:.0} s, but an ending \
+                 daemon waits only {REST_MAX_S} s",
                 motion.deceleration_rad_s2
             )
         }),
         (ns(cycle.late_start_ms) > ns(deadline_ms)).then(|| {
             format!(
-                "cycle.late_start_ms = {} is longer than the deadline of {deadline_ms} ms: a late start is \
-                 a deadline miss before it is counted",
+                "cycle.late_start_ms = {} is longer than the deadline of {deadline_ms} ms: a late start is always a \
+                 deadline miss too",
                 cycle.late_start_ms
             )
         }),
         (link.command_valid_ms > 0.0 && link.command_valid_ms < period_ms).then(|| {
             format!(
-                "link.command_valid_ms = {} is shorter than cycle.period_ms = {period_ms}: the robot holds \
-                 before the next command comes",
+                "link.command_valid_ms = {} is shorter than cycle.period_ms = {period_ms}: the robot holds before \
+                 the next command arrives",
                 link.command_valid_ms
             )
         }),
         (link.kind == LinkKind::Simulated && link.tip_sensor == TipSensor::Separate).then(|| {
-            "link.tip_sensor = \"separate\" has no effect: the simulated robot takes no measurements".to_owned()
+            "link.tip_sensor = \"separate\" has no effect: the simulated robot accepts no measurements".to_owned()
         }),
         (link.kind == LinkKind::Driver && link.measurement_timeout_ms < period_ms).then(|| {
             format!(
-                "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver \
-                 that measures once a period is lost at once",
+                "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver that \
+                 measures once per period times out at once",
                 link.measurement_timeout_ms
             )
         }),
         (link.kind == LinkKind::Driver && safety.measurement_frozen_rad < unmeasured_rad).then(|| {
             format!(
-                "safety.measurement_frozen_rad = {}: a bend can be commanded {unmeasured_rad} rad within \
-                 link.measurement_timeout_ms = {}, and what is measured late, but not lost, counts as frozen",
+                "safety.measurement_frozen_rad = {}: a bend can be commanded by {unmeasured_rad} rad within \
+                 link.measurement_timeout_ms = {}, so that a late measurement counts as frozen",
                 safety.measurement_frozen_rad, link.measurement_timeout_ms
             )
         }),
         (!link.is_ideal() && config.robot.sections.len() > 1 && controller.rate_weight == RateWeight::Of(0.0)).then(|| {
-            "controller.rate_weight = 0: noise of the sensors adds up to motion about the tip, which nothing holds \
-             back; set \"auto\", or leave the key out"
+            "controller.rate_weight = 0: sensor noise makes the robot drift around its tip; set \"auto\", or remove \
+             the key"
                 .to_owned()
         }),
         source_timeout(config),
@@ -90,8 +90,8 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         }),
         (safety.clearance_fault_m > controller.safe_distance_m).then(|| {
             format!(
-                "safety.clearance_fault_m = {} is above controller.safe_distance_m = {}: the robot faults \
-                 where the guard still lets it go",
+                "safety.clearance_fault_m = {} is above controller.safe_distance_m = {}: the robot faults at \
+                 clearances that the clearance guard allows",
                 safety.clearance_fault_m, controller.safe_distance_m
             )
         }),
@@ -105,15 +105,15 @@ fn source_timeout(config: &Config) -> Option<String> {
     let (timeout_ms, period_ms) = (config.obstacles.source_timeout_ms, config.cycle.period_ms);
     if config.link.kind == LinkKind::Driver && timeout_ms == 0.0 {
         return Some(
-            "obstacles.source_timeout_ms = 0: when a source of obstacles dies, its obstacles expire and the robot moves \
-             through what is still there; leave the key out, or set a few times the interval at which the source sends"
+            "obstacles.source_timeout_ms = 0: when a source of obstacles fails, its obstacles expire and the robot \
+             can collide with them; remove the key, or set a few times the send interval of the source"
                 .to_owned(),
         );
     }
     (timeout_ms > 0.0 && timeout_ms < period_ms).then(|| {
         format!(
-            "obstacles.source_timeout_ms = {timeout_ms} is shorter than cycle.period_ms = {period_ms}: a source that sends \
-             once a period is silent at once"
+            "obstacles.source_timeout_ms = {timeout_ms} is shorter than cycle.period_ms = {period_ms}: a source that \
+             sends once per period times out at once"
         )
     })
 }
@@ -131,8 +131,8 @@ fn cut(config: &Config) -> Option<String> {
     let costs = Costs::default();
     (is_asked_for && asked_ns > budget.solve_ns(costs)).then(|| {
         format!(
-            "cycle.budget_ms and cycle.budget_margin_ms leave the solver {} ms, and it is cut: {}; Linux halts \
-             real-time threads that take more than 95 % of a core (realtime.spin_us takes its part)",
+            "the solver budget is cut below the {} ms of cycle.budget_ms and cycle.budget_margin_ms: {}; Linux halts \
+             real-time threads above 95 % of a core (realtime.spin_us included)",
             asked_ns as f64 / 1e6,
             budget.describe(costs)
         )

@@ -217,7 +217,7 @@ impl core::fmt::Display for LocationError {
             ),
             Self::Root(root) => write!(
                 f,
-                "{} is no root path: use an absolute path of at most 100 characters, not / itself",
+                "invalid root path {}: use an absolute path of at most 100 characters, not / itself",
                 root.display()
             ),
         }

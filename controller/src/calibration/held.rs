@@ -31,11 +31,11 @@ impl fmt::Display for Why {
         match self {
             Self::Asked => write!(f, "asked for"),
             Self::Untold(others) if others.is_empty() => {
-                write!(f, "these data do not depend on it")
+                write!(f, "the data do not depend on it")
             }
             Self::Untold(others) => {
                 let names: Vec<_> = others.iter().map(ToString::to_string).collect();
-                write!(f, "these data cannot tell it from: {}", names.join(", "))
+                write!(f, "the data do not separate it from: {}", names.join(", "))
             }
         }
     }

@@ -45,30 +45,27 @@ const SHARE_95: f64 = 1.96;
 pub enum CalibrationError {
     /// Too few rows.
     #[error(
-        "{rows} rows are too few: at least {ROWS_MIN} are needed, and a minute of motion is good"
+        "{rows} rows are too few: at least {ROWS_MIN} are needed; a minute of motion is recommended"
     )]
     TooFewRows {
         /// Number of rows.
         rows: usize,
     },
     /// A row holds a number that is not finite.
-    #[error("row {row} holds a number that is not finite")]
+    #[error("row {row} contains a number that is not finite")]
     NotFinite {
         /// Number of the row, from 1.
         row: usize,
     },
     /// The rotation of the tip is measured in some rows only.
-    #[error(
-        "row {row} is the first that differs from row 1 in whether the tip is measured with its rotation: all rows have it, or none"
-    )]
+    #[error("row {row} differs from row 1: either all rows include the tip rotation, or none")]
     MixedRotations {
         /// Number of the row, from 1.
         row: usize,
     },
     /// The robot did not move.
     #[error(
-        "no section bends by more than {bend_rad:.4} rad in these rows: there is nothing to learn without motion; move every \
-         section in every direction"
+        "no section bends by more than {bend_rad:.4} rad in these rows: move every section in every direction"
     )]
     NoMotion {
         /// Largest bend of a section (rad).
@@ -79,8 +76,8 @@ pub enum CalibrationError {
     Robot(#[from] RobotError),
     /// No robot explains the rows.
     #[error(
-        "no robot near the configured one explains these rows: see that lengths are in m, cables in the order of the configuration, \
-         and tip poses in the base frame"
+        "no robot near the configured one fits these rows: check that lengths are in m, cables in the order of the \
+         configuration, and tip poses in the base frame"
     )]
     NoRobot,
     /// All parameters are held, by request or because the rows do not determine them.

@@ -51,29 +51,29 @@ crate::parameters! {
     #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[serde(default, deny_unknown_fields)]
     pub struct NmpcSettings {
-        /// "kpso-refined": Gauss-Newton, and the swarm where that leaves an error. "kpso": the paper's swarm alone.
-        /// "gauss-newton": damped steps from the last plan, and from the best candidate where an error is left.
+        /// "kpso-refined": Gauss-Newton, then the swarm where an error remains. "kpso": only the paper's swarm.
+        /// "gauss-newton": damped steps from the last plan, and from the best candidate where an error remains.
         solver: SolverKind = SolverKind::KpsoRefined;
         /// Prediction steps N, {range}.
         horizon_steps: u32 = 2, in ranges::HORIZON_STEPS;
-        /// Rates that are optimised: "bend-vector" (smooth everywhere), or "bend-angles", the paper's theta and phi.
+        /// Optimised rates: "bend-vector" (smooth everywhere), or "bend-angles", the paper's theta and phi.
         coordinates: Coordinates = Coordinates::BendVector;
-        /// Control blocks M, {range}, and at most N; 0: one for each step. A plan has 240 numbers at most: 40 blocks of three
-        /// sections, 20 of six; and 20 blocks at most where the change of rates has a weight.
+        /// Control blocks M, {range}, and at most N; 0: one per step. A plan has at most 240 numbers: 40 blocks with three
+        /// sections, 20 with six; at most 20 blocks where rate_change_weight is not 0.
         control_blocks: u32 = 0, in ranges::CONTROL_BLOCKS, "at most controller.horizon_steps";
         /// Particles of the swarm, {range}.
         swarm_size: u32 = 6, in ranges::SWARM_SIZE;
         /// Iterations of the swarm, {range}.
         swarm_iterations: u32 = 30, in ranges::ITERATIONS;
-        /// Iterations without improvement after which the swarm is regenerated, {range}; 0: never.
+        /// Iterations without improvement before the swarm is regenerated, {range}; 0: never.
         regenerate_after: u32 = 10, in ranges::ITERATIONS;
         /// "inertia", "constriction" (Clerc & Kennedy), or "verbatim" (Eq. 6 as printed; it does not converge).
         velocity_rule: VelocityRule = VelocityRule::Inertia;
         /// Inertia weight w, {range}.
         inertia: f64 = 0.5, in ranges::INERTIA;
-        /// Coefficient c1 of Eq. 6, the pull towards a particle's own best, {range}.
+        /// Coefficient c1 of Eq. 6, the weight of a particle's own best, {range}.
         cognitive: f64 = 1.2, in ranges::COEFFICIENT;
-        /// Coefficient c2 of Eq. 6, the pull towards the swarm's best, {range}.
+        /// Coefficient c2 of Eq. 6, the weight of the swarm's best, {range}.
         social: f64 = 1.2, in ranges::COEFFICIENT;
         /// Gauss-Newton steps, {range}.
         refinement_steps: u32 = 3, in ranges::REFINEMENT_STEPS;
@@ -83,26 +83,26 @@ crate::parameters! {
         position_weight: f64 = 1.0, in ranges::POSITION_WEIGHT;
         /// Weight of the squared orientation error, per rad², {range}, where the reference asks for an orientation.
         orientation_weight: f64 = 0.1, in ranges::WEIGHT;
-        /// Orientation error that costs nothing, {range}.
+        /// Orientation error without cost, {range}.
         orientation_tolerance_rad: f64 = 0.0, in ranges::ORIENTATION_TOLERANCE_RAD;
-        /// Weight of the squared rates, per (rad/s)², {range}, or "auto": 0, the paper's cost, for the ideal simulated robot, and
-        /// 1e-10 for every other. At 0 noise of the sensors makes a robot of more than one section turn about its tip.
+        /// Weight of the squared rates, per (rad/s)², {range}, or "auto": 0, as in the paper, for the ideal simulated robot, and
+        /// 1e-10 for all others. With 0, sensor noise makes a robot of several sections drift around its tip.
         rate_weight: RateWeight = RateWeight::Auto, in ranges::WEIGHT;
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT;
-        /// Factor on the error of the last step, {range}.
+        /// Factor on the error cost of the last step, {range}.
         terminal_weight: f64 = 1.0, in ranges::WEIGHT, "above 0 where controller.horizon_steps is 1";
-        /// Distance that the body keeps from obstacles, {range}: no command brings it nearer, whatever the solver
-        /// wants. Clients may ask for more while it runs, not for less.
+        /// Safe distance between body and obstacles, {range}: the clearance guard lets no command bring it nearer.
+        /// Clients can set a larger value at run time, not a smaller one.
         safe_distance_m: f64 = 0.01, in ranges::SAFE_DISTANCE_M;
-        /// Penalty in the solver's cost for each step inside the safe distance, {range}. A step alone collides and is
-        /// refused: it needs a slope or a square beside it.
+        /// Penalty in the solver's cost for each step inside the safe distance, {range}. Rejected without a slope or
+        /// square penalty, because it does not prevent collisions alone.
         obstacle_step_penalty: f64 = 1e3, in ranges::WEIGHT, "slope and square together at least a millionth of the step at a depth of 1 mm";
         /// Penalty in the solver's cost per m of depth inside the safe distance, {range}.
         obstacle_slope_penalty: f64 = 1e4, in ranges::WEIGHT, "slope and square together at least a millionth of the step at a depth of 1 mm";
         /// Penalty in the solver's cost per m² of squared depth inside the safe distance, {range}.
         obstacle_square_penalty: f64 = 0.0, in ranges::WEIGHT;
-        /// Seed of the swarm, a whole number. The same seed gives the same bits.
+        /// Seed of the swarm, a whole number. The same seed gives bit-identical results.
         seed: u64 = 1;
     }
 }

@@ -104,7 +104,7 @@ pub const FLAWS: usize = 34;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FlawError {
     /// No flaw has this name.
-    #[error("no flaw is called {0:?}: there are {names}", names = Flaws::names().join(", "))]
+    #[error("unknown flaw {0:?}: known are {names}", names = Flaws::names().join(", "))]
     Unknown(String),
     /// The value is out of range or not a number.
     #[error("{name} = {value} is out of range: allowed is {} to {}", allowed.start(), allowed.end())]

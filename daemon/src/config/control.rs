@@ -9,12 +9,12 @@ use super::{LinkKind, ns};
 table! {
     /// How the robot's motors follow their commands, and the cables the motors.
     pub struct ActuatorConfig {
-        /// From the release of a command until the motors begin to follow it, {range}.
+        /// Delay from the release of a command until the motors begin to follow it, {range}.
         delay_ms: f64 = 0.0, in 0.0..=300.0;
-        /// Time constant of their lag, of first order, {range}.
+        /// Time constant of the motors' first-order lag, {range}.
         time_constant_ms: f64 = 0.0, in 0.0..=300.0;
-        /// Play between each motor and its cable, {range}: so far a motor that turns round goes before its cable comes along. Configure what
-        /// you measure. With a fifth more than the true play a robot with a tip sensor still rests, with more than a third it swings.
+        /// Play (backlash) between each motor and its cable, {range}: travel of a reversing motor before its cable moves. Set the measured
+        /// value. With a tip sensor, the robot still comes to rest at 20 % above the true play, and oscillates at more than 33 %.
         play_m: f64 = 0.0, in 0.0..=0.01;
     }
 }
@@ -38,41 +38,41 @@ impl ActuatorConfig {
 table! {
     /// How the configuration of the robot is estimated.
     pub struct EstimatorConfig {
-        /// By how much the estimate follows later what is measured, {range}; 0: at once. Three filters of first order, each with a third of it as
-        /// time constant: twice as long, noise of the sensors changes the rates a sixth as much. At least four times the lag of the motors
-        /// that [actuator] does not know, or the loop may oscillate. The ideal simulated robot is measured exactly, and believed at once.
+        /// Delay of the estimate behind the measurements, {range}; 0: none. Three first-order filters, each with a third of it as
+        /// time constant: twice the value cuts the rate changes from sensor noise to a sixth. Use at least four times the motor lag
+        /// that is not configured in [actuator], or the loop may oscillate. Not applied to the ideal simulated robot.
         time_constant_ms: f64 = 180.0, in 0.0..=10_000.0;
-        /// Noise of a measured coordinate of the tip, {range}: standard deviation. What the estimate makes of a tip that alone is measured
-        /// depends on it. Beside bends or cables, a quarter of it is what the tip may be beside without being corrected. cdcrctl calibrate
-        /// noise measures it.
+        /// Standard deviation of the noise of a measured tip coordinate, {range}. It weights the tip in the estimate where only the tip is
+        /// measured. Where bends or cables are measured too, tip errors below a quarter of it are not corrected. Measure it with cdcrctl
+        /// calibrate noise.
         tip_noise_m: f64 = 3e-4, in 1e-6..=0.1;
     }
 }
 
 table! {
-    /// The period and what counts as late.
+    /// Period, deadline, time budget and lateness.
     pub struct CycleConfig {
-        /// Period of the loop, {range}, and at least twice gather_lead_ms.
+        /// Period of the control loop, {range}, and at least twice gather_lead_ms.
         period_ms: f64 = 5.0, in 0.1..=100.0, "at least twice cycle.gather_lead_ms";
         /// Deadline after the release, {range}, and at most the period; 0: the period.
         deadline_ms: f64 = 0.0, in 0.0..=100.0, "at most cycle.period_ms";
-        /// A start later than this after its release counts as a late start, {range}.
+        /// A cycle that starts later than this after its release counts as a late start, {range}.
         late_start_ms: f64 = 1.0, in 0.001..=100.0;
-        /// Longest time of one solve, {range}, and at most the period; 0: all that is left until the deadline, less
-        /// the margin. It is cut where the other parts of the period would not fit (docs/realtime.md).
+        /// Longest time of one solve, {range}, and at most the period; 0: the time until the deadline, less
+        /// the margin. Reduced where the other parts of the period would not fit (docs/realtime.md).
         budget_ms: f64 = 0.0, in 0.0..=100.0, "at most cycle.period_ms";
-        /// Time that the solver leaves at least for what follows it, {range}, and at most half the period; 0: a tenth of the
-        /// period, at least 0.04 ms. What guard and exchange are measured to take beyond that is left, too.
+        /// Least time that the solver leaves for the rest of the cycle, {range}, and at most half the period; 0: a tenth of the
+        /// period, at least 0.04 ms. More is left where clearance guard and exchange are measured to take longer.
         budget_margin_ms: f64 = 0.0, in 0.0..=50.0, "at most half of cycle.period_ms";
-        /// How long before the cycle thread wakes up (realtime.spin_us before its release) the inputs are gathered, {range}, and at
+        /// Time of the gather before the cycle thread wakes up (realtime.spin_us before its release), {range}, and at
         /// most half the period.
         gather_lead_ms: f64 = 0.2, in 0.02..=50.0, "at most half of cycle.period_ms";
-        /// Leaky bucket: +1 for each deadline miss, each skipped period and each cycle on stale inputs, -1/9 for each good
-        /// cycle, so that more than one bad release in ten fills it. At this level the robot is stopped, {range}; 0: 40, which are 200 ms without control at 5 ms, and a simulated robot is not
-        /// stopped: the daemon logs a warning and goes on.
+        /// Level of the leaky bucket at which the robot is stopped, {range}. +1 for each deadline miss, skipped period and cycle on
+        /// stale inputs, -1/9 for each good cycle: more than one bad release in ten fills it. 0: 40 (200 ms without control at 5 ms), and a simulated robot is not
+        /// stopped: the daemon logs a warning and continues.
         miss_limit: u32 = 0, in 0.0..=1e6;
-        /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this long, the reporter
-        /// for five times as long, or the thread of the status for twenty times; {range}, and at least 10 periods. The robot then holds when its last command runs out (link.command_valid_ms).
+        /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this time, the reporter
+        /// for 5 times or the status desk for 20 times this time; {range}, and at least 10 periods. The robot then holds when its last command expires (link.command_valid_ms).
         watchdog_ms: f64 = 1000.0, in 50.0..=60_000.0, "at least ten times cycle.period_ms";
     }
 }
@@ -123,31 +123,31 @@ pub enum ApproachKind {
 }
 
 table! {
-    /// Motions that the daemon makes by itself.
+    /// Motions that the daemon plans itself.
     pub struct MotionConfig {
-        /// How fast the rates shrink when holding or stopping, {range}.
+        /// Deceleration of the rates when holding or stopping, {range}.
         deceleration_rad_s2: f64 = 40.0, in 0.01..=1e6;
-        /// How fast the rate of a component may grow, {range}; 0: 40, and no limit for the ideal simulated
-        /// robot. Slowing down is always allowed.
+        /// Largest acceleration of a bend component, {range}; 0: 40, or no limit for the ideal simulated
+        /// robot. Deceleration is not limited.
         acceleration_rad_s2: f64 = 0.0, in 0.0..=1e6;
-        /// Rate of the fastest component on the way home, {range}.
+        /// Rate of the fastest bend component while homing, {range}.
         home_rate_rad_s: f64 = 0.5, in 1e-3..=100.0;
-        /// Home is reached when the robot is exactly straight, or when all components of the bend stay below this for
-        /// 0.1 s, {range}. Choose more than the noise of your sensors.
+        /// Home is reached when the robot is exactly straight, or when all bend components stay below this for
+        /// 0.1 s, {range}. Must exceed the sensor noise.
         home_tolerance_rad: f64 = 0.01, in 1e-6..=1.0;
-        /// How a reference is reached that begins elsewhere than the tip is, or in motion, or replaces another one. "smooth": the distance
-        /// between tip and reference decays within the limits below, while the reference goes on. "direct": as fast as the
-        /// other limits allow, as in the paper. "refuse": as "smooth", and a request to track is refused from farther away than
-        /// approach_distance_m; a robot that tracks holds where its reference is replaced by one that far. "auto": "smooth", and "direct" for the ideal simulated robot.
+        /// How the tip joins a reference that begins away from it or in motion, or that replaces another one. "smooth": the distance
+        /// decays within the limits below while the reference continues. "direct": as fast as the
+        /// other limits allow, as in the paper. "refuse": "smooth", but a request to track a reference farther away than
+        /// approach_distance_m is rejected, and a tracking robot holds when such a reference replaces its own. "auto": "direct" for the ideal simulated robot, else "smooth".
         approach: ApproachKind = ApproachKind::Auto;
-        /// Largest speed with which the distance decays, {range}. To join a reference in motion the tip is for a moment up to
-        /// 1.5 times as fast as it.
+        /// Largest speed at which the distance decays, {range}. To join a moving reference, the tip briefly moves up to
+        /// 1.5 times as fast as the reference.
         approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0;
-        /// Largest acceleration that an approach adds to that of the reference, {range}. A motion that would take the tip
-        /// farther aside than 2 % of the robot's length is joined faster. The tip turns towards an orientation at home_rate_rad_s at most.
+        /// Largest acceleration that an approach adds to the reference's own, {range}. It is exceeded where the tip would otherwise
+        /// deviate by more than 2 % of the robot's length. The tip turns towards an orientation at most at home_rate_rad_s.
         approach_acceleration_m_s2: f64 = 0.5, in 1e-3..=1e4;
-        /// With approach = "refuse": a reference that is farther from the tip than this when it shall be tracked, or when it
-        /// replaces another one, is not followed, {range}.
+        /// With approach = "refuse": largest distance between tip and reference, {range}, at a request to track or when a
+        /// reference is replaced.
         approach_distance_m: f64 = 0.02, in 0.0..=100.0;
     }
 }
@@ -181,31 +181,31 @@ impl MotionConfig {
 }
 
 table! {
-    /// What counts as a fault of the robot, its sensors or its surroundings.
+    /// Limits beyond which robot, sensors or obstacles cause a fault.
     pub struct SafetyConfig {
-        /// A smaller clearance between body and obstacles than this is a fault, {range}; 0: contact.
+        /// A clearance below this is a fault, {range}; 0: contact.
         clearance_fault_m: f64 = 0.0, in -10.0..=10.0;
-        /// A measured component of the bend vector may be this far ahead of where its largest rate can have brought it,
-        /// {range}. Granted once, not anew for each measurement; noise of up to half of it never counts. A
-        /// coordinate of a tip position: this times the length of the robot. What is farther ahead is implausible, and
-        /// left out.
+        /// Tolerance by which a measured bend component may exceed the motion possible at its largest rate,
+        /// {range}. Granted once, not for each measurement; noise up to half of it never counts. For a
+        /// tip coordinate: this times the length of the robot. A measurement beyond it is implausible and
+        /// ignored.
         measurement_jump_rad: f64 = 0.2, in 1e-6..=1e3;
-        /// So many implausible measurements in a row are a fault, {range}.
+        /// Number of consecutive implausible measurements that is a fault, {range}.
         measurement_jump_limit: u32 = 3, in 1.0..=1e6;
-        /// A bend component or cable whose measurement does not change in any bit while it is commanded to move this far,
-        /// net, is frozen, and a fault, {range}. (A cable: this times its distance from the backbone; a tip
-        /// position: while any component is.) More than the sensor resolves, and more than the robot is commanded to move
-        /// while a measurement is under way.
+        /// A measurement is frozen, a fault, when no bit of it changes while its bend component is commanded to move this far,
+        /// net, {range}. For a cable: this times its distance from the backbone; for a tip
+        /// position: while any component moves this far. Must exceed the sensor's resolution and the commanded motion
+        /// during the age of a measurement.
         measurement_frozen_rad: f64 = 0.2, in 1e-6..=1e3;
-        /// Following error: how far a section is measured from where it was commanded to be in the last following_lag_ms. Above
-        /// this it is a warning, {range}. Not evaluated while only the tip is measured.
+        /// Following error, the distance of a measured section from its commanded positions of the last following_lag_ms, above
+        /// which the daemon warns, {range}. Not evaluated while only the tip is measured.
         following_warning_rad: f64 = 0.1, in 1e-6..=1e3, "at most safety.following_fault_rad";
-        /// Above this it is a fault, {range}, and at least following_warning_rad.
+        /// Following error that is a fault, {range}, and at least following_warning_rad.
         following_fault_rad: f64 = 0.3, in 1e-6..=1e3, "at least safety.following_warning_rad";
-        /// How far the motors may lag behind their commands without an error, {range}.
+        /// Lag of the motors that does not count as following error, {range}.
         following_lag_ms: f64 = 100.0, in 0.0..=10_000.0;
-        /// The mean length of a section's three cables may change by this since control began, {range}; 0: by any amount. Bends change it
-        /// as far as the cables' angles are off, a cable that broke and cables that went slack do more; beyond it is a fault. Only where cable lengths are measured.
+        /// Largest change of the mean length of a section's three cables since control began, {range}; more is a fault; 0: no limit. Bending changes the mean
+        /// slightly where cable angles are inexact; a broken or slack cable changes it more. Only where cable lengths are measured.
         cable_common_m: f64 = 0.010, in 0.0..=1.0;
     }
 }
@@ -215,24 +215,24 @@ table! {
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SourceSilent {
-    /// The robot holds until the source sends again, or a client clears the obstacles. They stay meanwhile.
+    /// The robot holds until the source sends again or a client clears the obstacles, which stay meanwhile.
     #[default]
     Hold,
-    /// The obstacles stay, and the robot goes on.
+    /// The obstacles stay, and the robot continues.
     Keep,
 }
 
 table! {
     /// Supervision of the sources of obstacles.
     pub struct ObstaclesConfig {
-        /// A client that has sent an obstacle with a limited lifetime is a source. A source that sends nothing for this long is
-        /// silent, {range}; -1: 500 with link.kind = "driver", 0 with "simulated"; 0: sources are not supervised, and obstacles
-        /// expire whatever became of their source. With a timeout an obstacle expires only while its source lives: when a message of
-        /// it arrives after the lifetime and has not renewed the obstacle. Supervision of a source ends when it removes its last
-        /// obstacle, and that of all sources when a client clears the obstacles; the next obstacle with a lifetime begins it again.
+        /// Time without a message after which a source is silent, {range}; -1: 500 with link.kind = "driver", 0 with "simulated"; 0: sources
+        /// are not supervised, and obstacles expire after their lifetime. A source is a client that has sent an obstacle with a
+        /// lifetime. With a timeout, an obstacle expires only when its source sends a message after the lifetime without
+        /// renewing the obstacle. Supervision of a source ends when it removes its last
+        /// obstacle, that of all sources when a client clears the obstacles; the next obstacle with a lifetime restarts it.
         source_timeout_ms: f64 = -1.0, in -1.0..=60_000.0;
-        /// What happens when a source is silent. "hold": the robot holds until the source sends again, or a client clears the
-        /// obstacles. "keep": the robot goes on. With both the obstacles stay where the source saw them last.
+        /// Reaction to a silent source. "hold": the robot holds until the source sends again or a client clears the
+        /// obstacles. "keep": the robot continues. In both cases the obstacles stay at their last positions.
         source_silent: SourceSilent = SourceSilent::Hold;
     }
 }
@@ -254,7 +254,7 @@ impl ObstaclesConfig {
 table! {
     /// The reference and its lease.
     pub struct ReferenceConfig {
-        /// A reference lease that is not renewed for this long expires, and the robot holds, {range}.
+        /// Time without renewal after which a reference lease expires and the robot holds, {range}.
         lease_ms: f64 = 500.0, in 20.0..=60_000.0;
     }
 }

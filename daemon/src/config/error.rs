@@ -71,10 +71,7 @@ fn start(file: &Path, cause: &std::io::Error) -> String {
         return String::new();
     }
     let file = file.display().to_string();
-    format!(
-        "\n`cdcrd config default > {}` writes one to start from",
-        short(&file)
-    )
+    format!("\n`cdcrd config default > {}` creates one", short(&file))
 }
 
 fn place(origin: &Origin) -> String {
@@ -87,7 +84,7 @@ fn place(origin: &Origin) -> String {
 fn remedy(nearest: Option<&str>) -> String {
     match nearest {
         Some(key) => format!("did you mean {key}?"),
-        None => "`cdcrd config default` shows every key".to_owned(),
+        None => "see `cdcrd config default` for all keys".to_owned(),
     }
 }
 

@@ -218,7 +218,7 @@ fn not_settable(key: &str, origin: &Origin) -> ConfigError {
         return ConfigError::unknown(key, origin.clone());
     }
     let message = match plain.rsplit_once('.') {
-        None => "it is a table: set its keys one by one".to_owned(),
+        None => "is a table: set its keys one by one".to_owned(),
         Some((list, _)) => format!("{list} is set as a whole: {list}=[{{ … }}, {{ … }}]"),
     };
     origin.error(key, &message)
@@ -233,5 +233,5 @@ fn value_of(text: &str, default: &Value) -> Result<Value, String> {
         return Ok(text.into());
     }
     Value::from_str(text.trim())
-        .map_err(|_| format!("{text:?} is no TOML value: expected one like {default}"))
+        .map_err(|_| format!("invalid TOML value {text:?}: expected a value like {default}"))
 }

@@ -42,42 +42,42 @@ pub enum TipSensor {
 }
 
 table! {
-    /// Where measurements come from and commands go to.
+    /// Source of measurements and receiver of commands.
     pub struct LinkConfig {
         /// "simulated": a robot inside the daemon. "driver": a process that publishes measurements and follows commands.
         kind: LinkKind = LinkKind::Simulated;
-        /// Which simulated robot. "ideal": exactly its model. "laboratory": built well, motors with a lag of 20 ms, encoders and
-        /// motors with an offset of 0.1 mm, noise evenly spread within 30 µm. "sloppy": worn, with play, delay, a load, and a geometry that is not
-        /// its model's. "slow": motors with a lag of 100 ms after 30 ms. "blind": as laboratory, but only its tip is measured,
+        /// Preset of the simulated robot. "ideal": exactly its model. "laboratory": well built, motors with a lag of 20 ms, encoders and
+        /// motors with an offset of 0.1 mm, uniform noise within 30 µm. "sloppy": worn, with play, delay, a load and a geometry that differs
+        /// from the model. "slow": motors with a delay of 30 ms and a lag of 100 ms. "blind": "laboratory", but only the tip is measured,
         /// with 0.3 mm of noise.
         simulated: Preset = Preset::Ideal;
-        /// Seed of its noise, {range}.
+        /// Seed of the simulated noise, {range}.
         simulated_seed: u32 = 1, in 0.0..=4_294_967_295.0;
-        /// Whether the position of its tip is measured beside its cables, with 0.3 mm of noise; not of the ideal robot, which is exactly its
-        /// model, and of "blind" anyway.
+        /// Whether the tip position is measured in addition to the cables, with 0.3 mm of noise. Not allowed for the ideal robot, always on
+        /// for "blind".
         simulated_tip: bool = false;
-        /// What else is wrong with it, or otherwise than with the preset: name = number. Of the motors delay_s, time_constant_s,
-        /// play_m, motor_speed_max_m_s and droop_m; of the cables stretch (of 1), slack_m, broken_cable (its number, 1 is the first) and
-        /// friction_m_per_rad; of the encoders offset_m, noise_m (evenly spread within it), tick_m, cable_delay_s, cable_interval_s and cable_dropout (of 1); of the sensor of
-        /// the tip tip_noise_m (standard deviation), tip_tick_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m, tip_delay_s, tip_interval_s and tip_dropout; of the geometry length_error, cable_radius_error (of 1) and cable_angle_error_rad; of a load
-        /// payload_u_rad and payload_v_rad; of the base base_x_m, base_y_m, base_z_m, base_turn_x_rad, base_turn_y_rad and
-        /// base_turn_z_rad. Not of the ideal robot.
+        /// Flaws in addition to the preset or in place of its values: name = number. Motors: delay_s, time_constant_s,
+        /// play_m, motor_speed_max_m_s, droop_m. Cables: stretch (fraction), slack_m, broken_cable (number, from 1),
+        /// friction_m_per_rad. Encoders: offset_m, noise_m (uniform within it), tick_m, cable_delay_s, cable_interval_s, cable_dropout (fraction). Tip
+        /// sensor: tip_noise_m (standard deviation), tip_tick_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m, tip_delay_s, tip_interval_s, tip_dropout. Geometry: length_error, cable_radius_error (fractions), cable_angle_error_rad. Load:
+        /// payload_u_rad, payload_v_rad. Base: base_x_m, base_y_m, base_z_m, base_turn_x_rad, base_turn_y_rad,
+        /// base_turn_z_rad. Not allowed for the ideal robot.
         simulated_flaws: BTreeMap<String, f64> = BTreeMap::new();
-        /// What its sections are in truth, to try a configuration that is wrong: length in m, radius of the cables in m and angle of the
-        /// first in rad, three numbers for each section; empty: those of [robot], and what the preset makes of them. Not of the ideal robot.
+        /// True geometry of the simulated sections, to test a wrong configuration: length in m, cable radius in m and angle of the
+        /// first cable in rad per section; empty: that of [robot], changed by the preset. Not allowed for the ideal robot.
         simulated_geometry: Vec<[f64; 3]> = Vec::new();
-        /// Which part of a command the robot follows: "velocity", the speeds, or "position", the
-        /// positions. A driver reports which it follows, and is refused where that differs. The simulated robot can do both.
+        /// Part of a command that the robot follows: "velocity" (speeds) or "position"
+        /// (positions). A driver that reports the other one is rejected. The simulated robot supports both.
         interface: Interface = Interface::Velocity;
-        /// Which process measures the tip. "driver": the driver, if any. "separate": a process of its own, a camera for
-        /// example, beside a driver that measures bends or cables.
+        /// Process that measures the tip. "driver": the driver, if it does. "separate": another process, for example a
+        /// camera, beside a driver that measures bends or cables.
         tip_sensor: TipSensor = TipSensor::Driver;
-        /// Bend vectors (u, v) at the start in rad, one pair for each section; empty: straight.
+        /// Initial bend vectors (u, v) in rad, one pair per section; empty: straight.
         initial_bend_rad: Vec<[f64; 2]> = Vec::new();
-        /// A driver's measurement older than this is lost, and the robot faults, {range}. A tip sensor that is silent for so long,
-        /// and for at least a second, may be replaced by another one.
+        /// Age at which the driver's measurement is lost, a fault, {range}. A tip sensor silent for this time
+        /// and at least 1 s can be replaced by another one.
         measurement_timeout_ms: f64 = 50.0, in 1.0..=10_000.0;
-        /// How long after its release a robot follows a command without a newer one before it holds, {range}; 0: three
+        /// Validity of a command after its release, {range}; then the robot holds unless a newer one has arrived; 0: three
         /// periods.
         command_valid_ms: f64 = 0.0, in 0.0..=10_000.0;
     }

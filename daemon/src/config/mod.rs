@@ -25,7 +25,7 @@ macro_rules! table {
 macro_rules! tables {
     ($($(#[doc = $doc:literal])+ $name:ident: $table:ty;)+) => {
         table! {
-            /// Everything a user can set.
+            /// All configuration keys.
             pub struct Config { $($(#[doc = $doc])+ $name: $table = <$table>::default();)+ }
         }
 
@@ -86,20 +86,20 @@ pub use transport::TransportConfig;
 pub const DEFAULT_TEXT: &str = include_str!("../../../configs/default.toml");
 
 tables! {
-    /// What the robot is.
+    /// Geometry and limits of the robot.
     robot: RobotConfig;
-    /// Where measurements come from and commands go to.
+    /// Source of measurements and receiver of commands.
     link: LinkConfig;
-    /// How the robot's motors follow their commands. What is known here is not an error of the robot: measurements are moved on along
-    /// what the motors did, and they are commanded ahead of the reference by delay and time constant together.
+    /// Dynamics of the motors. They are compensated: measurements are extrapolated along the motion of the motors, which are commanded
+    /// ahead of the reference by the sum of delay and time constant.
     actuator: ActuatorConfig;
-    /// How the configuration of the robot is estimated.
+    /// Estimator of the robot's configuration.
     estimator: EstimatorConfig;
-    /// The period and what counts as late.
+    /// Period, deadline, time budget and lateness.
     cycle: CycleConfig;
-    /// Motions that the daemon makes by itself.
+    /// Motions that the daemon plans itself.
     motion: MotionConfig;
-    /// What counts as a fault of the robot, its sensors or its surroundings.
+    /// Limits beyond which robot, sensors or obstacles cause a fault.
     safety: SafetyConfig;
     /// Supervision of the sources of obstacles.
     obstacles: ObstaclesConfig;
@@ -109,7 +109,7 @@ tables! {
     controller: NmpcSettings;
     /// Threads, priorities, memory.
     realtime: RealtimeConfig;
-    /// Where in shared memory daemon and clients meet.
+    /// Location of daemon and clients in shared memory.
     transport: TransportConfig;
 }
 

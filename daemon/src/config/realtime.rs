@@ -34,23 +34,23 @@ impl RealtimeMode {
 table! {
     /// Threads, priorities, memory.
     pub struct RealtimeConfig {
-        /// "require": refuse to start without SCHED_FIFO, a core and locked memory. "prefer": take what the system
+        /// "require": do not start without SCHED_FIFO, a pinned core and locked memory. "prefer": use what the system
         /// grants and report what is missing. "off": ordinary threads. "auto": "require" with link.kind = "driver", "prefer" with
         /// "simulated".
         mode: RealtimeMode = RealtimeMode::default();
-        /// Core of the real-time threads, {range}; -1: one that no other loop has, isolated rather than not, fast rather than an
-        /// efficiency core, without a busy hyper-thread beside it, and of those the last one.
+        /// Core of the real-time threads, {range}; -1: the last core not used by another loop, preferably an isolated one, not an
+        /// efficiency core, with an idle hyper-thread sibling.
         core: i32 = -1, in -1.0..=1023.0;
         /// SCHED_FIFO priority of the cycle thread, {range}, above that of the exchange.
         cycle_priority: i32 = 80, in 2.0..=99.0, "above realtime.exchange_priority";
         /// SCHED_FIFO priority of the exchange thread, {range}, below that of the cycle.
         exchange_priority: i32 = 70, in 1.0..=98.0, "below realtime.cycle_priority";
-        /// Wake up this long before each release, rehearse the cycle so that code and data are in the processor's caches, and
-        /// spin to the release; {range}, and at most half the period; 0: no rehearsal; -1: 1.5 % of the period, at most 75 µs.
-        /// It buys a punctual start and a response in half the time for the same share of the core.
+        /// Wake up this long before each release, rehearse the cycle to load code and data into the processor's caches, and
+        /// spin until the release; {range}, and at most half the period; 0: no rehearsal; -1: 1.5 % of the period, at most 75 µs.
+        /// Gives a punctual start and halves the response time for this share of the core.
         spin_us: f64 = -1.0, in -1.0..=1000.0, "at most half of cycle.period_ms";
-        /// Keep the processor out of deep sleep (by /dev/cpu_dma_latency, where the system grants it): it wakes up
-        /// faster, and the machine draws more power.
+        /// Keep the processor out of deep sleep states (with /dev/cpu_dma_latency, where permitted): faster wake-up, more
+        /// power.
         no_deep_sleep: bool = true;
     }
 }

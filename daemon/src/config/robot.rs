@@ -4,16 +4,16 @@ use cdcr_shared_types::Service;
 use super::{ConfigError, Origins};
 
 table! {
-    /// What the robot is.
+    /// Geometry and limits of the robot.
     pub struct RobotConfig {
         /// Name of the robot in the service names: 1 to 40 letters, digits, '-' and '_'.
         name: String = "cdcr".to_owned();
-        /// Largest speed of a cable, {range}. All rates are scaled down together to keep it.
+        /// Largest speed of a cable, {range}. All rates are scaled down together to respect it.
         cable_speed_max_m_s: f64 = RobotParameters::paper(0).cable_speed_max_m_s, in robot::ranges::CABLE_SPEED_MAX_M_S;
-        /// How far a cable can be pulled or paid out from its length at the straight robot, {range}. All
-        /// rates are scaled down together to keep it.
+        /// Largest stroke of a cable, pulled or paid out, from the straight robot, {range}. All
+        /// rates are scaled down together to respect it.
         cable_stroke_max_m: f64 = RobotParameters::paper(0).cable_stroke_max_m, in robot::ranges::CABLE_STROKE_MAX_M;
-        /// The bending sections, base first: 1 to 6 tables, each with every key.
+        /// Bending sections, base first: 1 to 6 tables, each with every key.
         sections: Vec<SectionParameters> = RobotParameters::paper(3).sections;
     }
 }

@@ -5,14 +5,14 @@ use cdcr_shared_types::{DEFAULT_PREFIX, Location, LocationError};
 use super::{ConfigError, Origins};
 
 table! {
-    /// Where in shared memory daemon and clients meet.
+    /// Location of daemon and clients in shared memory.
     pub struct TransportConfig {
         /// Prefix of the shared-memory files: 1 to 40 letters, digits, '-' and '_'.
         prefix: String = DEFAULT_PREFIX.to_owned();
         /// Root folder in memory (tmpfs), absolute, at most 100 characters; "": /dev/shm/cdcr-<user id>.
         root: String = String::new();
-        /// Group whose members have access, too: its name in /etc/group, or its number; "": none. The root folder must lie in one
-        /// that belongs to root, like /run, so that no other user can replace it.
+        /// Group whose members also have access: its name in /etc/group or its number; "": none. The root folder must be in a folder
+        /// owned by root, such as /run, so that no other user can replace it.
         group: String = String::new();
     }
 }
@@ -32,8 +32,8 @@ impl TransportConfig {
         number.map(Some).ok_or_else(|| {
             let group = &self.group;
             let message = format!(
-                "{GROUPS} has no group {group:?}: make it (groupadd), or give the number of one that is kept \
-                 elsewhere (getent group)"
+                "unknown group {group:?} in {GROUPS}: create it (groupadd), or use the number of a group from \
+                 another database (getent group)"
             );
             origins.error(&["transport.group"], &message)
         })

@@ -202,7 +202,7 @@ fn the_schema_is_json() {
     assert_eq!(period["default"], 5.0);
     assert_eq!(
         period["description"],
-        "Period of the loop, 0.1 to 100 ms, and at least twice gather_lead_ms."
+        "Period of the control loop, 0.1 to 100 ms, and at least twice gather_lead_ms."
     );
 }
 

@@ -182,7 +182,7 @@ fn what_is_no_file_or_too_large_a_one_is_refused_at_once() {
         (folder.path(), "it is not a file"),
         (&pipe, "it is not a file"),
         (&large, "it is larger than 1 MiB"),
-        (&missing, "missing` writes one to start from"),
+        (&missing, "missing` creates one"),
     ] {
         let message = Config::load(path).expect_err("refused").to_string();
         assert!(message.ends_with(words), "{message}");
