@@ -98,7 +98,7 @@ grep -q 'one runs as the service.*--root /run/cdcr' <<<"$said" || fail "no word 
 step "reload, the signal of the stop, a restart while a client feeds"
 inside sh -c 'printf "[controller]\nrefinement_steps = 2\n" >> /etc/cdcr/cdcr.toml'
 inside systemctl reload cdcrd
-until_true logged 'in force now.*controller.refinement_steps' || fail "reload"
+until_true logged 'applied keys.*controller.refinement_steps' || fail "reload"
 # Each time, systemd sets the mode of the folder back, and the daemon mends it.
 for _ in 1 2 3 4 5; do
   inside systemctl reload cdcrd

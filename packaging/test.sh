@@ -173,7 +173,7 @@ as_service cdcrctl stop
 as_service cdcrctl reset
 as_service MAINPID="$daemon" bash -c "$(unit ExecReload)" || fail "ExecReload"
 for try in $(seq 100); do
-  if grep -q 'SIGHUP: in force now' "$scratch/log"; then break; fi
+  if grep -q 'SIGHUP: applied keys' "$scratch/log"; then break; fi
   [ "$try" != 100 ] || { cat "$scratch/log"; fail "ExecReload does not have the configuration read again"; }
   sleep 0.1
 done

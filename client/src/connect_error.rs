@@ -81,7 +81,7 @@ pub enum ConnectError {
     /// A daemon runs, and shows no sign of life.
     #[error(
         "the daemon for {place} runs ({process}), but {found}\n\
-         to stop the robot nevertheless: cdcrctl stop, or the signal USR1 to that process"
+         to stop the robot anyway: cdcrctl stop, or signal USR1 to that process"
     )]
     Silent {
         /// Where it was found.
@@ -93,8 +93,8 @@ pub enum ConnectError {
     },
     /// The daemon speaks another version of the messages.
     #[error(
-        "the daemon for {place} speaks another version of the {service} service than this program ({}): {types}; \
-         install daemon and clients of one version and start the daemon again",
+        "the daemon for {place} uses another version of the {service} service than this program ({}): {types}; \
+         install daemon and clients of the same version and restart the daemon",
         env!("CARGO_PKG_VERSION")
     )]
     VersionMismatch {
@@ -122,8 +122,7 @@ pub enum ConnectError {
     },
     /// This process may only read the files.
     #[error(
-        "{root} is on a file system that is read-only for this program, and every client writes there: mount it \
-         writable (in a unit: ReadWritePaths={root})",
+        "{root} is read-only for this program, but every client writes there: mount it writable (in a unit: ReadWritePaths={root})",
         root = place.root.display()
     )]
     ReadOnly {
@@ -132,7 +131,7 @@ pub enum ConnectError {
     },
     /// As many processes as the service allows are connected already.
     #[error(
-        "the daemon for {place} has as many clients as it allows on the {service} service: close one"
+        "the daemon for {place} has reached its limit of clients on the {service} service: close one"
     )]
     Full {
         /// Where it was looked for.
@@ -192,8 +191,8 @@ pub(crate) fn no_status(location: &Location, place: &Place) -> ConnectError {
     not_reached(
         location,
         place,
-        "it has sent no status for 1 s: it is stopped, held up or short of memory",
-        "its services are there, but no process holds them: it was killed",
+        "it has sent no status for 1 s: it is stopped, delayed or short of memory",
+        "its services exist, but no process owns them: it was killed",
     )
 }
 
@@ -233,7 +232,8 @@ pub(crate) fn not_reached(
 }
 
 /// A line about the service, whose root folder is not the default one.
-const SERVICE_TEXT: &str = "one runs as the service cdcrd: name its root folder, --root /run/cdcr or CDCR_ROOT=/run/cdcr\n";
+const SERVICE_TEXT: &str =
+    "one runs as the service cdcrd: use its root folder, --root /run/cdcr or CDCR_ROOT=/run/cdcr\n";
 
 /// A line about the robots that could have been meant.
 fn running_text(running: &[String]) -> String {

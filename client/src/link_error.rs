@@ -10,7 +10,7 @@ pub enum LinkError {
     /// A publisher or subscriber could not be made.
     #[error(
         "cannot open a port on the {service} service: {cause}. \
-         At most {writers} writers and {readers} readers may use it at one time; close one of them"
+         At most {writers} writers and {readers} readers are allowed; close one of them"
     )]
     Port {
         /// Last part of the service's name.
@@ -24,7 +24,7 @@ pub enum LinkError {
     },
     /// The port for requests could not be made.
     #[error(
-        "cannot send requests to the daemon: {cause}. At most {} clients may do so at one time; close one of them",
+        "cannot send requests to the daemon: {cause}. At most {} clients are allowed; close one of them",
         Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
     )]
     Askers {
@@ -99,10 +99,10 @@ pub enum Liveness {
 impl Display for Liveness {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Unknown => f.write_str("it has ended, is stopped or is held up"),
+            Self::Unknown => f.write_str("it has ended, or is stopped or delayed"),
             Self::Runs { process_id } => {
                 let process = process_text(*process_id);
-                write!(f, "it runs ({process}), and is stopped or held up")
+                write!(f, "it runs ({process}), but is stopped or delayed")
             }
             Self::Ended => f.write_str("it has ended (start one with `cdcrd run`)"),
         }

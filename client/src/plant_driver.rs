@@ -34,7 +34,7 @@ pub enum PlantError {
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The flaws make it no robot.
-    #[error("a robot with these flaws cannot be built: {0}")]
+    #[error("invalid robot with these flaws: {0}")]
     Robot(#[from] RobotError),
     /// Another number of sections than the robot has.
     #[error("{} given, but the robot has {robot}", counted(*given, "section"))]

@@ -6,28 +6,24 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Accepted => "Nothing to do.",
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
-            "The sender fell behind: let a reference start later (--lead) or send further ahead; \
-             send a measurement within link.measurement_timeout_ms of its stamp."
+            "The sender was late: start the reference later (--lead) or send it further ahead; send a measurement \
+             within link.measurement_timeout_ms of its time stamp."
         }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length."
         }
-        Outcome::TimeNotIncreasing => {
-            "Give every point a time that is at least 1 µs after that of the point before it."
-        }
-        Outcome::NoLease => {
-            "A library's client acquires the lease before it sends; cdcrctl ref does both."
-        }
-        Outcome::SequenceGap => "Begin again with a chunk in mode replace.",
+        Outcome::TimeNotIncreasing => "Increase the time by at least 1 µs from point to point.",
+        Outcome::NoLease => "Acquire the lease before sending; cdcrctl ref does both.",
+        Outcome::SequenceGap => "Start again with a chunk in mode replace.",
         Outcome::BufferFull => {
-            "Send less far ahead, or wait until points have been played; remove obstacles."
+            "Send less far ahead, or wait until points have been played; or remove obstacles."
         }
         Outcome::CountOutOfRange | Outcome::OutOfRange => {
             "See the ranges in the documentation of the message."
         }
         Outcome::UnknownCode => "Use client and daemon of one version.",
         Outcome::NotUnit => "Normalise the axis or quaternion.",
-        Outcome::Unsupported => "Leave that feature out, or install a daemon that has it.",
+        Outcome::Unsupported => "Do not use this feature, or install a daemon that supports it.",
         Outcome::LeaseHeld => {
             "Stop the other client, or wait: cdcrctl status shows who holds the lease."
         }
@@ -39,7 +35,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Correct the cause first (cdcrctl status names it), then repeat cdcrctl reset."
         }
         Outcome::Waits => {
-            "Start the program that sends the obstacles again, or forget them all: cdcrctl obstacle clear."
+            "Restart the program that sends the obstacles, or remove them all: cdcrctl obstacle clear."
         }
         Outcome::TooFar => {
             "Bring the tip nearer first, with cdcrctl goto or home, or set motion.approach to \"smooth\"."
@@ -48,14 +44,14 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Stale => "Use one connection for each sender, with increasing sequence numbers.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",
         Outcome::WrongInterface => {
-            "Set link.interface to what the driver obeys, \"position\" or \"velocity\"."
+            "Set link.interface to the interface of the driver, \"position\" or \"velocity\"."
         }
         Outcome::OtherDriver => {
-            "End the other driver (or tip sensor) first: a robot has one at a time. A tip sensor that is a process of its own needs link.tip_sensor = \"separate\"."
+            "End the other driver (or tip sensor) first: only one is allowed per robot. A tip sensor in a separate process needs link.tip_sensor = \"separate\"."
         }
-        Outcome::Ending => "The daemon is coming to rest and ends; start it again first.",
+        Outcome::Ending => "The daemon is shutting down; restart it first.",
         Outcome::Overruled => {
-            "A stop, or a fault, came after this was asked: find out why (cdcrctl status), then cdcrctl reset, and repeat the request."
+            "A stop or a fault overruled the request: find the cause (cdcrctl status), then cdcrctl reset, and repeat the request."
         }
     }
 }
@@ -71,20 +67,18 @@ pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
 /// As [`remedy`], for a request that a daemon in `mode` refused.
 pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
     if kind == RequestKind::Track && outcome == Outcome::NoLease {
-        return "Feed one first, for example with: cdcrctl ref spiral --track.";
+        return "Feed one first, for example: cdcrctl ref spiral --track.";
     }
     if outcome != Outcome::WrongMode {
         return remedy(outcome);
     }
     match mode {
-        Mode::Starting => {
-            "No measurement of the driver was accepted yet: check that it runs and sends; cdcrctl status counts what was refused, and why."
-        }
-        Mode::Stopped | Mode::Faulted => "Leave this mode with: cdcrctl reset.",
+        Mode::Starting => "The driver has not sent a measurement: check that it runs.",
+        Mode::Stopped | Mode::Faulted => "Reset first: cdcrctl reset.",
         Mode::Holding | Mode::Tracking | Mode::Homing if kind == RequestKind::Reset => {
             "Nothing to reset: the daemon is neither stopped nor faulted."
         }
-        Mode::Holding | Mode::Tracking | Mode::Homing => "Hold first, with: cdcrctl hold.",
+        Mode::Holding | Mode::Tracking | Mode::Homing => "Hold first: cdcrctl hold.",
     }
 }
 

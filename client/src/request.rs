@@ -45,8 +45,7 @@ pub enum RequestError {
     },
     /// Another daemon answered than the one that gave the lease.
     #[error(
-        "cannot {kind} again: the daemon was started again, and the lease \
-         is gone. Acquire a new one"
+        "cannot {kind} again: the daemon was restarted and the lease is lost. Acquire a new one"
     )]
     Restarted {
         /// What was asked for.
@@ -61,7 +60,7 @@ pub enum RequestError {
         cause: String,
     },
     /// The answer holds a code that this version does not know.
-    #[error("the outcome of {kind} is unknown: the daemon's answer has {code}")]
+    #[error("the outcome of {kind} is unknown: the daemon answered with {code}")]
     Answer {
         /// What was asked for.
         kind: RequestKind,
@@ -258,7 +257,7 @@ mod tests {
         for (kind, mode, remedy) in [
             (RequestKind::Track, Mode::Homing, "cdcrctl hold"),
             (RequestKind::Home, Mode::Tracking, "cdcrctl hold"),
-            (RequestKind::Hold, Mode::Starting, "first measurement"),
+            (RequestKind::Hold, Mode::Starting, "not sent a measurement"),
             (RequestKind::Track, Mode::Stopped, "cdcrctl reset"),
             (RequestKind::Home, Mode::Faulted, "cdcrctl reset"),
             (RequestKind::Reset, Mode::Tracking, "Nothing to reset"),

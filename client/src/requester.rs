@@ -38,8 +38,8 @@ pub enum StopError {
     Request(#[from] RequestError),
     /// It went another way, which knows no answer.
     #[error(
-        "the stop is not confirmed: it was sent to the daemon (process {process_id}) as the signal SIGUSR1, which its next \
-         cycle carries out\nwatch the robot; the way by which the daemon could have answered failed: {cause}"
+        "the stop is not confirmed: it was sent to the daemon (process {process_id}) as signal SIGUSR1, which takes \
+         effect in its next cycle\nwatch the robot; the daemon cannot answer: {cause}"
     )]
     Unconfirmed {
         /// Process of the daemon.
@@ -174,7 +174,7 @@ fn find_place(
             }
             // It has just been seen to run.
             Err(ConnectError::DaemonNotRunning { found, .. }) => {
-                let missing = "files of its root folder are missing: it is just starting, or the folder was emptied";
+                let missing = "files of its root folder are missing: the daemon is just starting, or the folder was emptied";
                 return Err(not_reached(location, place, missing, found));
             }
             result => return result,

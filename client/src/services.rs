@@ -229,7 +229,7 @@ impl<'a> Opener<'a> {
         let place = self.place.clone();
         match trouble {
             OpenTrouble::Missing => {
-                ConnectError::not_running(&place, "there are no services of that name")
+                ConnectError::not_running(&place, "no services of that name exist")
             }
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
@@ -254,7 +254,7 @@ fn joined(types: impl Iterator<Item = String>) -> String {
 pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), ConnectError> {
     let missing = |cause: io::Error| {
         let found = if cause.kind() == io::ErrorKind::PermissionDenied {
-            "this user cannot look into the root path (permission denied)"
+            "this user cannot read the root path (permission denied)"
         } else {
             "the root path does not exist"
         };
@@ -271,7 +271,7 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
     let owner_id = std::fs::metadata(&place.root).map_err(missing)?.uid();
     let user_id = rustix::process::geteuid().as_raw();
     Err(if owner_id == user_id {
-        let found = "every user may write to the root path, and a daemon refuses such a folder";
+        let found = "every user can write to the root path, which the daemon does not accept";
         ConnectError::not_running(place, found)
     } else {
         ConnectError::OtherUser {

@@ -80,10 +80,7 @@ fn an_empty_root_is_no_daemon_either() {
     let output = cdcrctl(folder.path(), &["status"]);
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(
-        text.contains("there are no services of that name"),
-        "{text}"
-    );
+    assert!(text.contains("no services of that name exist"), "{text}");
     let location = Location::new("cdcr_cli_test_", folder.path()).expect("legal");
     assert_eq!(location.memory_files(), Vec::<PathBuf>::new());
 }

@@ -110,8 +110,8 @@ fn run_with(
         None => cycle,
         Some(told) => {
             tracing::warn!(
-                "the robot was {told} before this daemon was started, and nobody has reset it since: it stays stopped \
-                 until `cdcrctl reset`"
+                "the robot was {told} before this daemon started and not reset since: it stays stopped until \
+                 `cdcrctl reset`"
             );
             cycle.stopped_before()
         }
@@ -209,8 +209,8 @@ fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Res
         bail!(Ended {
             cause: ExitCause::NotAtRest,
             message: format!(
-                "the robot was still commanded to move when the time to come to rest was over ({REST_MAX_S} s at \
-                 most): motion.deceleration_rad_s2 = {} is too small for its rates",
+                "the robot did not come to rest within {REST_MAX_S} s: motion.deceleration_rad_s2 = {} is too small \
+                 for its rates; increase it",
                 validated.config.motion.deceleration_rad_s2
             ),
         });
@@ -218,8 +218,8 @@ fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Res
     if shared.last_word_moves.is_set() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
-            message: "the last command that was sent was not rest, although the robot was \
-                      brought to rest: shared memory accepted no newer one. The robot holds when that command runs out (link.command_valid_ms)"
+            message: "cannot publish the command to rest: the last published command still moves the robot, which \
+                      holds when it expires (link.command_valid_ms)"
                 .to_owned(),
         });
     }
@@ -227,8 +227,8 @@ fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Res
         bail!(Ended {
             cause: ExitCause::PlaceLost,
             message: format!(
-                "the root folder {} was emptied or replaced while the daemon ran ({} is missing, or another one), so no \
-                 client could reach it: the robot came to rest, and the process ends",
+                "the root folder {} was emptied or replaced while the daemon ran ({} is missing or replaced), so \
+                 clients cannot reach it: the robot came to rest, the process ends",
                 validated.location.root().display(),
                 lost.display()
             ),
@@ -261,7 +261,7 @@ fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
         let error = problem.value;
         tracing::info!(
             error,
-            "the share of real-time threads is taken to be 95 % of a core"
+            "cannot read the core share of real-time threads: assuming 95 %"
         );
         KERNEL_SHARE
     });

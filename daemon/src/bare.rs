@@ -99,7 +99,7 @@ pub fn run_until(
     thread.go(&start::schedule(config, &MonotonicClock));
     tracing::info!(
         period_ms = config.cycle.period_ms,
-        "the loop runs without work"
+        "running the loop without work"
     );
     while !thread.is_finished() {
         if should_end() {
@@ -137,12 +137,12 @@ fn last_cycle(config: &Config, duration: Duration) -> Result<u64> {
     let problem = match u64::try_from(periods) {
         Ok(0) => "is shorter than one period",
         Ok(periods) if periods <= CYCLES_MAX => return Ok(periods),
-        _ => "has more cycles than the 10 million that can be recorded",
+        _ => "exceeds 10 million cycles",
     };
     bail!(Ended {
         cause: ExitCause::Usage,
         message: format!(
-            "--duration {}: it {problem}, with cycle.period_ms = {period_ms}; choose {} s to {} s",
+            "invalid --duration {}: it {problem}, with cycle.period_ms = {period_ms}; use {} s to {} s",
             humantime::format_duration(duration),
             period_ms / 1e3,
             CYCLES_MAX as f64 * period_ms / 1e3
@@ -246,7 +246,7 @@ fn memory(count: usize) -> Result<Vec<BareCycle>> {
     };
     let mut cycles = Vec::new();
     cycles.try_reserve_exact(count).with_context(|| {
-        format!("no memory to record {count} cycles; choose a shorter duration")
+        format!("not enough memory to record {count} cycles: use a shorter duration")
     })?;
     cycles.resize(count, touched);
     black_box(&mut cycles).clear();

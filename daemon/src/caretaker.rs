@@ -98,7 +98,7 @@ fn look_after(
             Found::Lost { path } => {
                 tracing::error!(
                     path = %path.display(),
-                    "was deleted or replaced, so clients cannot reach this daemon any more: the robot comes to rest"
+                    "was deleted or replaced, so clients cannot reach this daemon: the robot comes to rest"
                 );
                 // It is lost once.
                 let _ = lost.set(path);

@@ -101,8 +101,8 @@ impl CoreBudget {
     pub fn describe(&self, costs: Costs) -> String {
         let ms = |ns: u64| ns as f64 / 1e6;
         format!(
-            "of each period of {} ms, real-time threads may take {:.3} ms: {:.3} ms until the solver ends, {:.3} ms \
-             after it, {:.3} ms of exchange, {:.3} ms before the release",
+            "of each period of {} ms, real-time threads can use {:.3} ms: {:.3} ms until the solver ends, {:.3} ms \
+             after it, {:.3} ms for the exchange, {:.3} ms before the release",
             ms(self.period_ns),
             ms(self.real_time_ns),
             ms(self.solve_ns(costs)),

@@ -48,8 +48,8 @@ pub struct Instance {
 pub enum InstanceError {
     /// Another one is.
     #[error(
-        "a daemon for robot \"{robot}\" runs already (process {process}) with prefix {prefix} below \
-         {root}\nend it with `kill {process}`, or choose another --robot, --prefix or --root"
+        "a daemon for robot \"{robot}\" is already running (process {process}) with prefix {prefix} in {root}\nend \
+         it with `kill {process}`, or use another --robot, --prefix or --root"
     )]
     Runs {
         robot: String,
@@ -59,7 +59,7 @@ pub enum InstanceError {
         root: String,
     },
     #[error(
-        "the root folder {root} belongs to user id {owner}, not to {user}\nchoose another with --root"
+        "the root folder {root} belongs to user id {owner}, not to {user}\nuse another one with --root"
     )]
     ForeignRoot { root: String, owner: u32, user: u32 },
     /// Another user has put a link where the root folder should be.
@@ -69,15 +69,15 @@ pub enum InstanceError {
     )]
     ForeignLink { root: String, owner: u32, user: u32 },
     #[error(
-        "other users may write to the root folder {root} (mode {mode:04o}), and could keep clients from the \
-         daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or choose another with --root"
+        "other users can write to the root folder {root} (mode {mode:04o}) and could keep clients from the \
+         daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or use another one with --root"
     )]
     OpenRoot { root: String, mode: u32 },
     /// Another daemon lives in the root folder, and other users may use it than this one wants.
     #[error(
-        "the root folder {root} is {access}, and others run in it: {daemons}\nthis daemon, with transport.group = {group}, \
-         would change its permissions for them: give all daemons of a root folder the same group, end the others first, or choose \
-         another with --root"
+        "the root folder {root} is {access}, and other daemons run in it: {daemons}\nthis daemon, with transport.group = \
+         {group}, would change the permissions for them: use the same group for all daemons of a root folder, end \
+         the others first, or use another one with --root"
     )]
     RootInUse {
         root: String,
@@ -88,35 +88,38 @@ pub enum InstanceError {
         group: String,
     },
     #[error(
-        "other users could enter the root folder {root} (mode {mode:04o}), and files that they have opened stay open to them\n\
-         empty it, or choose another with --root"
+        "other users can enter the root folder {root} (mode {mode:04o}), and files they have opened stay accessible \
+         to them\n\
+         empty it, or use another one with --root"
     )]
     EnteredRoot { root: String, mode: u32 },
     /// Somebody who is no daemon that runs has locked the root folder.
     #[error(
-        "another process has locked the root folder {root}: a daemon that is starting, or a program \
-         that deletes old files (`fuser -v {root}` names it)\nstart again in a moment, or choose another folder with --root"
+        "another process has locked the root folder {root}: a starting daemon, or a program that deletes old files \
+         (find it with `fuser -v {root}`)\ntry again in a moment, or use another folder with --root"
     )]
     RootLocked { root: String },
     #[error(
-        "the root folder {root} is on a disk, and writing shared memory to it would delay the daemon\n\
-         choose a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
+        "the root folder {root} is on a disk, which would delay the daemon\n\
+         use a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
     )]
     RootOnDisk { root: String },
     #[error(
-        "a daemon that runs as root shares {root} with no group: by links in it the members could change files that are root's\n\
-         run it as a user of its own, or leave transport.group empty"
+        "a daemon that runs as root cannot share {root} with a group: its members could change files of root through \
+         links\n\
+         run the daemon as its own user, or leave transport.group empty"
     )]
     GroupOfRoot { root: String },
     /// Another user could put a folder in the place of one that a group trusts.
     #[error(
-        "a group can share only a root folder that lies in one that belongs to root and is closed to others, like /run; \
-         {root} does not\nroot makes one: install -d -o <user of the daemon> -m 0700 /run/cdcr; or leave transport.group empty"
+        "cannot share {root} with a group: its parent folder must be owned by root and closed to others, like \
+         /run\ncreate one as root: install -d -o <user of the daemon> -m 0700 /run/cdcr; or leave transport.group \
+         empty"
     )]
     GroupRoot { root: String },
     #[error(transparent)]
     InsufficientSpace(ServiceError),
-    #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
+    #[error("cannot use {path}: {cause}\nuse a root folder with write permission (--root)")]
     File { path: String, cause: std::io::Error },
 }
 
@@ -186,7 +189,7 @@ impl Drop for Instance {
         let locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
         let latched = latch_file(&self.path);
         let is_free = self.latch.leave(&latched).unwrap_or_else(|error| {
-            tracing::error!(path = %latched.display(), %error, "the next daemon will not know that the robot was stopped");
+            tracing::error!(path = %latched.display(), %error, "cannot store the latch: the next daemon will not know that the robot was stopped");
             false
         });
         // Otherwise it is another daemon's, which came when ours had been deleted.
@@ -294,7 +297,7 @@ fn remove_if_there(path: &Path) {
     if let Err(error) = std::fs::remove_file(path)
         && error.kind() != ErrorKind::NotFound
     {
-        tracing::warn!(path = %path.display(), %error, "cannot be removed");
+        tracing::warn!(path = %path.display(), %error, "cannot remove the file");
     }
 }
 

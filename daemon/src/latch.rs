@@ -30,7 +30,9 @@ impl Latch {
         let metadata = file.metadata()?;
         let is_ours = metadata.uid() == rustix::process::geteuid().as_raw();
         if !metadata.is_file() || !is_ours || metadata.nlink() > 1 {
-            return Err(Error::other("it is no file of this user's with one name"));
+            return Err(Error::other(
+                "it is not a regular file of this user with a single link",
+            ));
         }
         // Less has one who was killed when he had just made it.
         if metadata.len() < WORD_BYTES {

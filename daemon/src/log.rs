@@ -91,7 +91,7 @@ fn start_lines(text: &Text) -> Option<TextGuard> {
             }
             Err(error) => {
                 log.with(lines(text)).init();
-                tracing::warn!(%error, "cannot send fields to the journal: its socket cannot be used");
+                tracing::warn!(%error, "cannot send fields to the journal: its socket is unusable");
             }
         }
     } else {
@@ -99,7 +99,7 @@ fn start_lines(text: &Text) -> Option<TextGuard> {
     }
     if let Some(error) = misunderstood {
         tracing::warn!(
-            "RUST_LOG is ignored: {error}; use a level (error, warn, info, debug, trace) or \
+            "ignored RUST_LOG: {error}; use a level (error, warn, info, debug, trace) or \
              target=level, separated by commas"
         );
     }

@@ -72,7 +72,7 @@ impl KnownObstacle {
 
 /// There is no room for another obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("{OBSTACLES_MAX} obstacles are known, and no more fit; remove some first")]
+#[error("the limit of {OBSTACLES_MAX} obstacles is reached; remove some first")]
 pub struct SetIsFull;
 
 /// Obstacles by their ids, at most [`OBSTACLES_MAX`].

@@ -98,13 +98,13 @@ impl Reload {
 
 fn tell(result: Result<(), String>) {
     if let Err(reason) = result {
-        tracing::error!("SIGHUP: the configuration is not taken over, nothing changes: {reason}");
+        tracing::error!("SIGHUP: rejected the configuration, nothing changed: {reason}");
     }
 }
 
 impl Reader {
     fn read_again(&mut self) -> Result<(), String> {
-        tracing::info!("SIGHUP: reading the configuration again");
+        tracing::info!("SIGHUP: reloading the configuration");
         let config = (self.read)().map_err(|error| error.to_string())?.config;
         self.check(&config)?;
         let is_solvers = |key: &String| key.starts_with("controller.") || key == "cycle.budget_ms";
@@ -117,17 +117,14 @@ impl Reader {
                 before: Settings::new(&self.last),
                 after: Settings::new(&config),
             };
-            self.settings
-                .push(changed)
-                .map_err(|_| "the exchange thread has not taken the settings before".to_owned())?;
+            self.settings.push(changed).map_err(|_| {
+                "the exchange thread has not yet applied the previous settings".to_owned()
+            })?;
         }
         self.last = config;
-        tracing::info!(
-            "SIGHUP: in force now, changed since the configuration was read last: {}",
-            listed(&changed)
-        );
+        tracing::info!("SIGHUP: applied keys: {}", listed(&changed));
         if !later.is_empty() {
-            tracing::warn!("SIGHUP: in force only after a restart: {}", listed(&later));
+            tracing::warn!("SIGHUP: keys that need a restart: {}", listed(&later));
         }
         Ok(())
     }
@@ -140,13 +137,13 @@ impl Reader {
         );
         if wanted_m < least_m {
             return Err(format!(
-                "controller.safe_distance_m = {wanted_m} is below {least_m}, with which the daemon was started: restart it"
+                "controller.safe_distance_m = {wanted_m} is below {least_m}, the value at the start of the daemon: restart it"
             ));
         }
         // The rate weight that nobody sets depends on it.
         if config.link.is_ideal() != self.started.link.is_ideal() {
             return Err(
-                "link.kind and link.simulated are of another robot than the one that runs: restart the daemon"
+                "link.kind or link.simulated selects another robot than the running one: restart the daemon"
                     .to_owned(),
             );
         }
@@ -156,7 +153,7 @@ impl Reader {
 
 fn listed(keys: &[String]) -> String {
     if keys.is_empty() {
-        "nothing".to_owned()
+        "none".to_owned()
     } else {
         keys.join(", ")
     }

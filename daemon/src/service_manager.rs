@@ -229,7 +229,7 @@ impl Listener {
             [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
             [b'/', ..] => SocketAddr::from_pathname(name)?,
             _ => {
-                let what = "it is neither an absolute path nor @ and an abstract name";
+                let what = "it must be an absolute path or @ and an abstract name";
                 return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
             }
         };

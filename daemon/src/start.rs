@@ -51,8 +51,8 @@ pub(crate) fn raise_open_files() -> Result<()> {
         bail!(Ended {
             cause: ExitCause::SharedMemory,
             message: format!(
-                "this process may open {granted} files, and a daemon needs {OPEN_FILES_MIN}, with clients up to {OPEN_FILES}: \
-                 raise the limit with ulimit -n {OPEN_FILES} (LimitNOFILE of a unit, --ulimit nofile={OPEN_FILES} of a container)"
+                "this process can open only {granted} files, but a daemon needs {OPEN_FILES_MIN}, and up to \
+                 {OPEN_FILES} with clients: raise the limit with ulimit -n {OPEN_FILES} (LimitNOFILE of a unit, --ulimit nofile={OPEN_FILES} of a container)"
             ),
         });
     }
@@ -116,8 +116,10 @@ fn not_granted(missing: u32) -> Ended {
     Ended {
         cause: ExitCause::NotRealtime,
         message: format!(
-            "realtime.mode is \"require\", but the system does not grant it:\n{}\n\
-             or set realtime.mode = \"prefer\" to run without",
+            "realtime.mode is \"require\", but the system does not grant real time:\n\
+             {}\n\
+             or set realtime.mode = \
+             \"prefer\" to run without it",
             lines.join("\n")
         ),
     }
@@ -221,7 +223,7 @@ impl<T> Started<T> {
     pub(crate) fn wait_ready(&self) -> Result<()> {
         if !self.starter.is_ready.get() {
             let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
-            answer.with_context(|| format!("the thread {} did not get ready", self.name))??;
+            answer.with_context(|| format!("the thread {} did not start", self.name))??;
             self.starter.is_ready.set(true);
         }
         Ok(())

@@ -53,7 +53,7 @@ impl StatusDesk {
             })
             .context("the thread cdcr-status")?;
         let answer = is_ready.recv_timeout(START_MAX);
-        answer.context("the thread cdcr-status did not get ready")??;
+        answer.context("the thread cdcr-status did not start")??;
         Ok(Self {
             shared: Arc::clone(shared),
             thread,
@@ -79,7 +79,7 @@ impl Drop for StatusDesk {
             std::thread::sleep(Duration::from_millis(1));
         }
         if !self.thread.is_finished() {
-            tracing::warn!("the thread cdcr-status hangs: the process ends without it");
+            tracing::warn!("thread cdcr-status does not respond: the process ends without it");
         }
     }
 }
@@ -124,12 +124,12 @@ impl Desk {
     fn publish(&mut self) {
         while let Ok(incident) = self.ends.incidents.pop() {
             if let Err(error) = self.incidents.send_copy(incident) {
-                tracing::warn!(%error, "a bad cycle could not be published");
+                tracing::warn!(%error, "cannot publish an incident");
             }
         }
         // Late joiners get what is kept.
         if let Err(error) = self.incidents.update_connections() {
-            tracing::warn!(%error, "a reader of the bad cycles could not be connected");
+            tracing::warn!(%error, "cannot connect an incident subscriber");
         }
         if self.ends.status.update() {
             let mut status = *self.ends.status.read();
@@ -137,7 +137,7 @@ impl Desk {
             self.sent += 1;
             status.header.sequence = self.sent;
             if let Err(error) = self.statuses.send_copy(status) {
-                tracing::warn!(%error, "the status could not be published");
+                tracing::warn!(%error, "cannot publish the status");
             }
         }
     }

@@ -13,7 +13,7 @@ const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum CdrError {
     /// Another encoding, or none.
-    #[error("the first bytes are {0:?}, not those of little-endian CDR, [0, 1, 0, 0]")]
+    #[error("the first bytes are {0:?}, expected little-endian CDR, [0, 1, 0, 0]")]
     Encapsulation(Vec<u8>),
     /// Cut, too long, or of another type.
     #[error("no such message: {0}")]

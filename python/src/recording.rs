@@ -41,7 +41,7 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf, every: i128) -> PyResult<Bound
     if recording.is_cut {
         let name = path.display();
         let text = format!(
-            "{name} is cut: what is whole was read; `cdcrctl info --repair {name}` saves it"
+            "{name} is truncated: only complete messages were read; recover them with `cdcrctl info --repair {name}`"
         );
         py.import("warnings")?.call_method1("warn", (text,))?;
     }

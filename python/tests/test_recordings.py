@@ -81,7 +81,7 @@ def test_no_words_of_a_path_lie_over_others(sections: int) -> None:
 def test_what_is_no_recording_is_refused_and_a_cut_one_gives_what_is_whole(recording: Path, tmp_path: Path) -> None:
     whole = recording.read_bytes()
     file = tmp_path / "some.mcap"
-    for content, words in [(b"", "empty"), (b"PK\x03\x04 something else", "no MCAP"), (whole[:-9000][:5000] + bytes(4000) + whole[9000:], "LZ4|damaged|cut")]:
+    for content, words in [(b"", "empty"), (b"PK\x03\x04 something else", "not an MCAP"), (whole[:-9000][:5000] + bytes(4000) + whole[9000:], "LZ4|damaged|cut")]:
         file.write_bytes(content)
         with pytest.raises(cdcr.RecordingError, match=words) as refused:
             cdcr.read(file)

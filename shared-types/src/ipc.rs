@@ -62,17 +62,17 @@ fn meaning(failure: &str) -> Option<&'static str> {
         "ConnectionCorrupted" => "the connection is damaged",
         "ConnectionError" | "ConnectionFailure" => "no connection",
         "ExceedsMaxActiveRequests" => "too many requests wait for their answers",
-        "ExceedsMaxBorrows" => "too many received messages are held at one time",
-        "ExceedsMaxLoans" => "too many messages are written at one time",
+        "ExceedsMaxBorrows" => "too many received messages are held at once",
+        "ExceedsMaxLoans" => "too many messages are written at once",
         "ExceedsMaxSupportedClients"
         | "ExceedsMaxSupportedPublishers"
         | "ExceedsMaxSupportedSubscribers" => ALL_TAKEN,
-        "FailedToEstablishConnection" => "its file cannot be made or opened",
-        "InsufficientPermissions" => "this user has no right to its files",
+        "FailedToEstablishConnection" => "cannot create or open its file",
+        "InsufficientPermissions" => "permission denied for its files",
         "InternalError" | "InternalFailure" => SYSTEM_REFUSED,
-        "UnableToCreateDataSegment" => "the memory for its messages cannot be made",
-        "UnableToCreatePortTag" => "the file that marks it cannot be made",
-        "UnableToMapSendersDataSegment" => "the memory of the sender cannot be mapped",
+        "UnableToCreateDataSegment" => "cannot create the memory for its messages",
+        "UnableToCreatePortTag" => "cannot create its marker file",
+        "UnableToMapSendersDataSegment" => "cannot map the memory of the sender",
         _ => return None,
     })
 }
@@ -128,7 +128,7 @@ mod tests {
         let failed = ConnectionFailure::FailedToEstablishConnection(cause);
         assert_eq!(
             words(&ReceiveError::ConnectionFailure(failed)),
-            "no connection: its file cannot be made or opened: the system refused a file, a lock or memory"
+            "no connection: cannot create or open its file: the system refused a file, a lock or memory"
         );
         // A cause without a text of its own.
         assert_eq!(

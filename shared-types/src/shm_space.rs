@@ -52,19 +52,19 @@ impl Display for InsufficientSpace {
         match self.resource {
             Resource::Bytes => write!(
                 f,
-                "the memory of {mount} is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed (ls -l {mount}), \
-                 or make it larger (sudo mount -o remount,size=256M {mount}; a container: --shm-size=256m)",
+                "the memory of {mount} is full: {:.2} MB are needed, {:.2} MB are free; remove unneeded files (ls -l \
+                 {mount}), or enlarge it (sudo mount -o remount,size=256M {mount}; a container: --shm-size=256m)",
                 needed as f64 * 1e-6,
                 free as f64 * 1e-6
             ),
             Resource::Files => write!(
                 f,
-                "{mount} has too few inodes left: {needed} files are needed, {free} can be made; remove files that are not \
-                 needed (ls -l {mount}), or allow more (sudo mount -o remount,nr_inodes=100k {mount})"
+                "{mount} has too few free inodes: {needed} needed, {free} free; remove unneeded files (ls -l \
+                 {mount}), or raise the limit (sudo mount -o remount,nr_inodes=100k {mount})"
             ),
             Resource::Descriptors => write!(
                 f,
-                "this process may open too few files: {needed} more are needed, {free} are left; allow more (ulimit -n 1024; \
+                "this process can open too few files: {needed} more needed, {free} left; raise the limit (ulimit -n 1024; \
                  a service: LimitNOFILE=1024)"
             ),
         }

@@ -5,11 +5,11 @@ use cdcr_shared_types::counted;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CommandRefusal {
     /// A number is NaN or infinite.
-    #[error("a number of the command is not finite")]
+    #[error("the command contains a number that is not finite")]
     NotFinite,
     /// The daemon controls a robot with another number of sections.
     #[error(
-        "the command is for {} and this robot has {sections}: another robot's daemon",
+        "the command is for {}, but this robot has {sections}: the daemon is of another robot",
         counted(*commanded, "section")
     )]
     Sections {
@@ -20,7 +20,7 @@ pub enum CommandRefusal {
     },
     /// The daemon means the other interface, or one that is not known.
     #[error(
-        "the daemon commands by {}, and this driver obeys the interface {driver}: set link.interface",
+        "the daemon commands by {}, but this driver follows the interface {driver}: set link.interface",
         Interface::try_from(*commanded).map_or_else(|code| format!("an {code}"), |known| format!("the interface {known}"))
     )]
     Interface {
@@ -36,7 +36,7 @@ pub enum CommandRefusal {
         before_ns: u64,
     },
     /// The command is not newer than the one in force: its sequence, its cycle or its release went back.
-    #[error("the command of cycle {cycle} is not newer than that of cycle {present} in force")]
+    #[error("the command of cycle {cycle} is not newer than the present one of cycle {present}")]
     NotNewer {
         /// Of the command.
         cycle: u64,
@@ -52,7 +52,7 @@ pub enum CommandRefusal {
         present: u64,
     },
     /// It was valid until a time that is over.
-    #[error("the command of cycle {cycle} came {late_ns} ns after it had run out")]
+    #[error("the command of cycle {cycle} arrived {late_ns} ns after it had expired")]
     Expired {
         /// Of the command.
         cycle: u64,
@@ -61,8 +61,8 @@ pub enum CommandRefusal {
     },
     /// The first position is not where the robot was measured.
     #[error(
-        "the first position is not where the robot is measured: component {at} is {way:.6} from it, and {most:.6} is the most \
-         (rad, or m of a cable). Look at the robot, then cdcrctl reset"
+        "the first commanded position differs from the measured one: component {at} by {way}, allowed is {most} \
+         (rad, or m of a cable). Check the robot, then cdcrctl reset"
     )]
     Elsewhere {
         /// Component of the bends, or cable, whichever was measured.
@@ -73,7 +73,7 @@ pub enum CommandRefusal {
         most: f64,
     },
     /// A section would bend too far.
-    #[error("section {section} is commanded to bend by {bend_rad} rad, {limit_rad} is its limit")]
+    #[error("section {section} is commanded to bend by {bend_rad} rad, the limit is {limit_rad}")]
     Bend {
         /// From 0 at the base.
         section: usize,
@@ -83,9 +83,7 @@ pub enum CommandRefusal {
         limit_rad: f64,
     },
     /// A cable would be pulled or paid out too far.
-    #[error(
-        "cable {cable} is commanded {stroke_m} m from its length at the straight robot, {limit_m} is the limit"
-    )]
+    #[error("cable {cable} is commanded to a stroke of {stroke_m} m, the limit is {limit_m}")]
     Stroke {
         /// From 0, section by section.
         cable: usize,
@@ -96,7 +94,7 @@ pub enum CommandRefusal {
     },
     /// A bend-vector component would change too fast.
     #[error(
-        "section {section} is commanded to bend at {rate_rad_s} rad/s, {limit_rad_s} is its limit"
+        "section {section} is commanded to bend at {rate_rad_s} rad/s, the limit is {limit_rad_s}"
     )]
     Rate {
         /// From 0 at the base.
@@ -107,7 +105,7 @@ pub enum CommandRefusal {
         limit_rad_s: f64,
     },
     /// A cable would run too fast.
-    #[error("cable {cable} is commanded at {speed_m_s} m/s, {limit_m_s} is the limit")]
+    #[error("cable {cable} is commanded at {speed_m_s} m/s, the limit is {limit_m_s}")]
     CableSpeed {
         /// From 0, section by section.
         cable: usize,

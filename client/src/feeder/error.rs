@@ -33,7 +33,7 @@ pub enum FeedError {
     Link(#[from] LinkError),
     /// The daemon refused a chunk of the reference.
     #[error(
-        "the daemon refused the reference: {outcome}, at point {point} ({time_s:.3} s). {}",
+        "the daemon rejected the reference: {outcome}, at point {point} ({time_s:.3} s). {}",
         remedy(*outcome)
     )]
     Refused {
@@ -49,8 +49,8 @@ pub enum FeedError {
     Ignored,
     /// Another daemon took the place of the one that was fed.
     #[error(
-        "the daemon was started again after {played_s:.2} s of the reference: lease and reference are gone. Feed \
-         the reference again"
+        "the daemon was restarted after {played_s:.2} s of the reference: lease and reference are lost. Feed the \
+         reference again"
     )]
     Restarted {
         /// How much of the trajectory was played \[s\].

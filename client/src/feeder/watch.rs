@@ -128,7 +128,7 @@ impl Watch {
 /// What to do when the daemon left tracking for this reason.
 fn reason_remedy(reason: Reason) -> &'static str {
     match reason {
-        Reason::Start => "The daemon was started again: feed the reference again.",
+        Reason::Start => "The daemon was restarted: feed the reference again.",
         Reason::Request => "Another client asked for it.",
         Reason::ReferenceEnded => {
             "The chunks came too late: give this program more time, or send further ahead."
@@ -163,12 +163,12 @@ fn reason_remedy(reason: Reason) -> &'static str {
         Reason::ReferenceTooFar => {
             "Bring the tip nearer first, with cdcrctl goto, or set motion.approach to \"smooth\"."
         }
-        Reason::CommonMode => "Check the cables and what they are wound on, then cdcrctl reset.",
+        Reason::CommonMode => "Check the cables and their spools, then cdcrctl reset.",
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
         Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",
-        Reason::StoppedBefore => "Look at the robot, then cdcrctl reset.",
-        Reason::Shutdown => "Start it again with cdcrd run.",
+        Reason::StoppedBefore => "Check the robot, then cdcrctl reset.",
+        Reason::Shutdown => "Restart it with cdcrd run.",
     }
 }
 

@@ -23,7 +23,7 @@ impl fmt::Display for Difference {
         } = self;
         write!(
             f,
-            "cycle {cycle}: {what} is {recorded} in the recording, and {computed} computed again"
+            "cycle {cycle}: {what} is {recorded} in the recording, but {computed} recomputed"
         )
     }
 }

@@ -39,7 +39,7 @@ pub enum ReplayError {
     Code(#[from] UnknownCode),
     /// Its robot has another number of sections than its state, or its plan another length than its settings make here.
     #[error(
-        "state or plan of the record do not fit its robot, or it was recorded by a version with other control blocks: use that version's cdcrctl"
+        "state or plan of the record do not match its robot, or the record is from a version with other control blocks: use cdcrctl of that version"
     )]
     Shape,
 }

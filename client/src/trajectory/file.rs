@@ -392,7 +392,7 @@ mod tests {
     fn a_column_that_is_there_twice_is_named() {
         for header in ["t_s,x_m,y_m,z_m,x_m", "x_m,t_s, x_m,y_m,z_m"] {
             let text = message(&format!("{header}\n0,0,0,0,0\n1,0,0,0,0\n"));
-            assert_eq!(text, "ref.csv:1: column x_m is there more than once");
+            assert_eq!(text, "ref.csv:1: column x_m is given more than once");
         }
     }
 
@@ -420,7 +420,7 @@ mod tests {
             let column = column(&whole[last..end]);
             assert!(
                 said.starts_with(&format!(
-                    "ref.csv:5: the file ends in this line, in column {column}"
+                    "ref.csv:5: the file ends within this line, in column {column}"
                 )),
                 "{end}: {said}"
             );
@@ -433,7 +433,7 @@ mod tests {
     fn other_separators_and_a_missing_header_are_named() {
         for (found, said) in [(';', "';'"), ('\t', "'\\t'"), (' ', "' '")] {
             let text = "t_s,x_m,y_m,z_m\n0,0,0,0.3\n".replace(',', &found.to_string());
-            let start = format!("ref.csv:1: {said} stands between the columns");
+            let start = format!("ref.csv:1: columns are separated by {said}");
             assert!(message(&text).starts_with(&start), "{}", message(&text));
         }
         let said = message("0,0,0,0.3\n1,0,0,0.3\n");

@@ -34,8 +34,8 @@ impl Cycle {
         };
         let ms = |ns: u64| ns as f64 / 1e6;
         Err(format!(
-            "a cycle does not fit into cycle.period_ms = {}: without any search it takes {:.3} ms (sections: {}, \
-             controller.horizon_steps = {}), which is {:.3} ms too much; {}",
+            "a cycle does not fit into cycle.period_ms = {}: without a search it takes {:.3} ms (sections: {}, \
+             controller.horizon_steps = {}), {:.3} ms too long; {}",
             ms(self.period_ns),
             ms(least_ns),
             self.robot.section_count(),

@@ -17,7 +17,7 @@ pub(super) fn cores(scene: &Scene) -> Assessed {
         return Ok(format!("{online} online, {allowed} allowed"));
     }
     problem!(Warning, "{online} online, {allowed} allowed"
-        => "use a machine, or a control group, with two cores or more")
+        => "use a machine or a control group with two cores or more")
 }
 
 pub(super) fn isolation(scene: &Scene) -> Assessed {
@@ -34,7 +34,7 @@ pub(super) fn isolation(scene: &Scene) -> Assessed {
         return problem!(Warning, "the only core cannot be isolated"
             => "use a machine with two cores or more");
     }
-    problem!(Warning, "core {core} is open to everybody"
+    problem!(Warning, "core {core} is not isolated"
         => "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set \
             kernel.timer_migration=0 in /etc/sysctl.d/")
 }
@@ -114,9 +114,9 @@ pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
             problem!(Warning, "{value}; realtime.no_deep_sleep is false"
             => "set realtime.no_deep_sleep = true")
         }
-        Ok(()) => Ok(format!("{value}; the daemon keeps it away")),
+        Ok(()) => Ok(format!("{value}; disabled by the daemon")),
         Err(refusal) => {
-            problem!(Warning, "{value}; /dev/cpu_dma_latency cannot be opened: {refusal}"
+            problem!(Warning, "{value}; cannot open /dev/cpu_dma_latency: {refusal}"
             => "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency")
         }
     }

@@ -58,8 +58,8 @@ pub(super) use problem;
 pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Problem {
     Problem {
         severity: Severity::Unknown,
-        value: format!("{what} cannot be read: {cause}"),
-        remedy: "run `cdcrd doctor` as root, or look by hand".to_owned(),
+        value: format!("cannot read {what}: {cause}"),
+        remedy: "run `cdcrd doctor` as root, or check it by hand".to_owned(),
     }
 }
 

@@ -22,11 +22,11 @@ pub(super) fn steal(scene: &Scene) -> Assessed {
     let hidden = || unreadable(&format!("the time of core {core}"), "not shown");
     let load = scene.load()?.cores.get(&core).ok_or_else(hidden)?;
     let [now, since_start] = [load.steal, load.steal_since_start].map(|share| 100.0 * share);
-    let value = format!("{now:.1} % in this second, {since_start:.2} % since the machine started");
+    let value = format!("{now:.1} % in this second, {since_start:.2} % since boot");
     if now.max(since_start) < 100.0 * STEAL_SHARE {
         return Ok(value);
     }
-    problem!(Warning, "{value}" => "ask for dedicated (pinned) cores for this virtual machine")
+    problem!(Warning, "{value}" => "use dedicated (pinned) cores for this virtual machine")
 }
 
 pub(super) fn neighbours(scene: &Scene) -> Assessed {
@@ -35,7 +35,7 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
     let here = threads.filter(|thread| thread.core == core && thread.share > 0.0);
     let here: Vec<&Thread> = here.collect();
     let Some(busiest) = here.first() else {
-        return Ok(format!("nobody else on core {core}"));
+        return Ok(format!("no other threads on core {core}"));
     };
     let sum: f64 = here.iter().map(|thread| thread.share).sum();
     let each = here
@@ -67,9 +67,9 @@ fn is_daemons(thread: &Thread) -> bool {
 /// What to do about two daemons on one core.
 fn apart(others: &CoreSet) -> String {
     if others.count() == 0 {
-        return "use a machine with two cores or more: another cdcrd has the only one".to_owned();
+        return "use a machine with two cores or more: another cdcrd uses the only core".to_owned();
     }
-    format!("set another realtime.core (of {others}) for this cdcrd or for the other one")
+    format!("set another realtime.core ({others}) for this cdcrd or the other one")
 }
 
 pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
@@ -80,8 +80,8 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
     let described = |threads: &[&Thread]| named(threads.iter().map(|thread| described(thread)));
     let Some(first) = programs.first() else {
         return Ok(match kernel.len() {
-            0 => "none that could go before the loop".to_owned(),
-            count => format!("only {count} of the kernel's: {}", described(&kernel)),
+            0 => "none above the loop".to_owned(),
+            count => format!("only {count} kernel threads: {}", described(&kernel)),
         });
     };
     let others = scene.other_cores().unwrap_or_default();
@@ -93,7 +93,7 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
         format!("sudo chrt -f -p 1 {}", first.id)
     };
     let (count, described) = (programs.len(), described(&programs));
-    problem!(Warning, "{count} may use core {core}: {described}" => "{remedy}")
+    problem!(Warning, "{count} can use core {core}: {described}" => "{remedy}")
 }
 
 /// A real-time thread; one of the kernel with what it is there for.
@@ -115,12 +115,12 @@ fn described(thread: &Thread) -> String {
 fn errand(name: &str) -> &'static str {
     let known = [
         ("migration/", ", moves threads between cores"),
-        ("watchdog", ", restarts a machine that hangs"),
-        ("idle_inject/", ", keeps the processor from overheating"),
+        ("watchdog", ", restarts a hung machine"),
+        ("idle_inject/", ", prevents overheating"),
         ("sugov:", ", sets the frequency"),
         ("irq/", ", serves a device"),
         ("rcu", ", frees memory of the kernel"),
-        ("", ", a helper of the kernel"),
+        ("", ", kernel helper"),
     ];
     let found = known.iter().find(|(begin, _)| name.starts_with(begin));
     found.map_or("", |(_, errand)| errand)

@@ -28,7 +28,7 @@ pub(super) fn clock_source(scene: &Scene) -> Assessed {
         return Ok(current);
     }
     if !is_among(SLOW, &current) {
-        return problem!(Unknown, "{current}: its speed is not known here"
+        return problem!(Unknown, "{current}: unknown speed"
             => "cat {folder}/available_clocksource");
     }
     let available = scene
@@ -38,10 +38,10 @@ pub(super) fn clock_source(scene: &Scene) -> Assessed {
         .split_whitespace()
         .find(|name| is_among(FAST, name))
     {
-        Some(better) => problem!(Warning, "{current}, though {better} is there"
+        Some(better) => problem!(Warning, "{current}, but {better} is available"
             => "echo {better} | sudo tee {folder}/current_clocksource"),
-        None => problem!(Warning, "{current}; there is no fast one"
-            => "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable"),
+        None => problem!(Warning, "{current}; no fast clock source is available"
+            => "search dmesg for `clocksource`; if the kernel only distrusts the TSC, boot with tsc=reliable"),
     }
 }
 
@@ -67,12 +67,12 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
         return Ok("no".to_owned());
     }
     let kind = if product == " " {
-        "of unknown make"
+        "unknown hypervisor"
     } else {
         product.trim()
     };
     problem!(Warning, "yes, {kind}"
-        => "run on the machine itself, or pin this virtual machine to cores of its own")
+        => "run without a hypervisor, or pin this virtual machine to dedicated cores")
 }
 
 /// What one client and one driver add that write everything they can \[bytes\].
@@ -104,11 +104,11 @@ pub(super) fn shared_memory(scene: &Scene) -> Assessed {
     };
     let needed = daemon + client_bytes();
     let [free_mb, size_mb, needed_mb] = [*free, *size, needed].map(|bytes| bytes as f64 * 1e-6);
-    let value = format!("{free_mb:.0} MB of {size_mb:.0} MB free; still needed {needed_mb:.0} MB");
+    let value = format!("{free_mb:.0} MB of {size_mb:.0} MB free, {needed_mb:.0} MB needed");
     let mount = probe.shared_memory_mount.display();
     let files = CLIENT_FILES + daemon_files;
     if let Some(free) = probe.shared_memory_files.filter(|free| *free < files) {
-        return problem!(Fault, "{value}; {free} files can be made, still needed {files}"
+        return problem!(Fault, "{value}; {free} inodes free, {files} needed"
             => "sudo mount -o remount,nr_inodes=100k {mount}, or remove files there");
     }
     if *free >= needed {
@@ -125,13 +125,13 @@ pub(super) fn huge_pages(scene: &Scene) -> Assessed {
     let Some(text) = scene.system.read_if_there(path)? else {
         return Ok("the kernel has none".to_owned());
     };
-    let odd = || unreadable(path, format!("{text:?} has no choice in brackets"));
+    let odd = || unreadable(path, format!("no choice in brackets in {text:?}"));
     let chosen = chosen_of(&text, ['[', ']']).ok_or_else(odd)?;
     match &scene.probe.no_huge_pages {
         _ if chosen != "always" => Ok(chosen.to_owned()),
-        Ok(()) => Ok("always, but not for the daemon: it exempts itself".to_owned()),
+        Ok(()) => Ok("always, but disabled by the daemon for itself".to_owned()),
         Err(refusal) => {
-            problem!(Warning, "always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})"
+            problem!(Warning, "always, including the daemon: PR_SET_THP_DISABLE refused ({refusal})"
             => "echo madvise | sudo tee {path}")
         }
     }
@@ -143,9 +143,9 @@ pub(super) fn swap(scene: &Scene) -> Assessed {
     match areas.unwrap_or_default().lines().skip(1).count() {
         0 => Ok("none".to_owned()),
         count if scene.probe.memory_lock.is_ok() => {
-            Ok(format!("{count} in use, and memory can be locked"))
+            Ok(format!("{count} in use; memory can be locked"))
         }
-        count => problem!(Warning, "{count} in use, and memory is not locked"
+        count => problem!(Warning, "{count} in use; memory is not locked"
             => "sudo swapoff -a, or let the daemon lock its memory"),
     }
 }
@@ -153,8 +153,8 @@ pub(super) fn swap(scene: &Scene) -> Assessed {
 pub(super) fn root_folder(scene: &Scene) -> Assessed {
     let shown = scene.root().display();
     if let Ok(false) = scene.probe.root_in_memory {
-        return problem!(Fault, "{shown} lies on a disk"
-            => "choose a folder in memory (tmpfs), below /dev/shm or /run: --root DIR, or transport.root");
+        return problem!(Fault, "{shown} is on a disk"
+            => "use a folder in memory (tmpfs), in /dev/shm or /run: --root DIR, or transport.root");
     }
     let path = scene.system.path(scene.root());
     let user = scene.probe.user_id;
@@ -163,8 +163,8 @@ pub(super) fn root_folder(scene: &Scene) -> Assessed {
         Err(_) if can_be_created(&path) => {
             return Ok(format!("{shown}, created at the first start"));
         }
-        Err(_) => format!("{shown} is not there and cannot be created"),
-        Ok(folder) if !folder.is_dir() => format!("{shown} is no folder"),
+        Err(_) => format!("{shown} is missing and cannot be created"),
+        Ok(folder) if !folder.is_dir() => format!("{shown} is not a folder"),
         Ok(folder) if folder.uid() != user => {
             format!("{shown} belongs to user id {}, not to {user}", folder.uid())
         }
@@ -176,10 +176,10 @@ pub(super) fn root_folder(scene: &Scene) -> Assessed {
             if mode & foreign == 0 {
                 return Ok(value);
             }
-            return problem!(Warning, "{value}: others may write" => "chmod 700 '{shown}'");
+            return problem!(Warning, "{value}: other users can write" => "chmod 700 '{shown}'");
         }
     };
-    problem!(Fault, "{fault}" => "choose a folder of your own: --root DIR, or transport.root")
+    problem!(Fault, "{fault}" => "use a folder of your own: --root DIR, or transport.root")
 }
 
 /// The daemon creates the folder, with all above it, if the first one that is there lets it.

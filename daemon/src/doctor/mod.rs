@@ -66,53 +66,53 @@ macro_rules! checks {
 /// Every check, in the order of the report.
 const CHECKS: &[Check] = checks! {
     privileges::fifo, "SCHED_FIFO",
-        "Without a real-time priority every other program may keep the cycle waiting for many periods.";
+        "Without real-time priority any other program can delay the cycle by many periods.";
     privileges::pin, "pinned to a core",
-        "A thread that moves between cores meets cold caches and whoever is there.";
+        "A thread that migrates between cores finds cold caches and competing threads.";
     privileges::memory_lock, "locked memory",
-        "A page that was given away must be fetched again in the middle of a cycle.";
+        "A page that was swapped out is loaded again in the middle of a cycle.";
     scheduler::preemption, "pre-emption model",
-        "Where the kernel does not let itself be interrupted, the cycle waits until it has finished.";
+        "While the kernel is not preemptible, the cycle waits for it.";
     scheduler::rt_throttling, "RT throttling",
-        "The kernel halts real-time threads beyond their share of a second; without a limit a hung one keeps its core for ever.";
+        "The kernel halts real-time threads that exceed their share of a second; without a limit a hung thread blocks its core.";
     scheduler::rt_group, "RT group",
-        "In a control group without real-time runtime, SCHED_FIFO is refused even to root.";
+        "In a control group without real-time runtime, SCHED_FIFO is refused, even for root.";
     cores::cores, "number of cores",
-        "On a single core everything else runs between the cycles, on what they leave.";
+        "On a single core all other threads run in the time between cycles.";
     cores::isolation, "isolated core",
         "The system puts ordinary threads on every core that is not isolated.";
     cores::tick, "timer tick",
-        "The tick and deferred work of the kernel cost every core microseconds, hundreds of times a second.";
+        "The tick and deferred kernel work cost each core microseconds, hundreds of times per second.";
     cores::siblings, "hyper-threads",
-        "Two threads on one physical core slow each other down to about half.";
+        "Two threads on one physical core run at about half speed each.";
     cores::governor, "frequency governor",
         "A governor that saves power slows the core down between cycles, and a solve then takes longer.";
     cores::deep_sleep, "deep sleep",
-        "Out of a deep sleep a core needs up to hundreds of microseconds to wake up.";
+        "A core needs up to hundreds of microseconds to wake up from deep sleep.";
     scheduler::sysctls, "kernel settings",
-        "Some work that the kernel does by default moves memory in use, or comes onto a core that should be quiet.";
+        "Some default kernel work moves memory in use or runs on the real-time core.";
     load::steal, "stolen time",
-        "While the hypervisor lets another machine run on this core, no priority helps.";
+        "While the hypervisor runs another machine on this core, no priority helps.";
     load::neighbours, "threads on the core",
-        "Others on the core empty its caches, and keep the kernel busy there when the cycle is due.";
+        "Other threads on the core evict its caches and keep the kernel busy at a release.";
     load::realtime_neighbours, "real-time threads",
-        "A real-time thread of the same or a higher priority goes before the loop.";
+        "A real-time thread of the same or a higher priority runs before the loop.";
     load::interrupts, "interrupts",
-        "Each interrupt on the core goes before the cycle, whatever its priority.";
+        "Each interrupt on the core preempts the cycle, at any priority.";
     load::irqbalance, "irqbalance",
-        "It moves interrupts to this core when others are busier.";
+        "It moves interrupts to this core when other cores are busier.";
     machine::clock_source, "clock source",
-        "The loop reads the clock thousands of times a second; the slow ones cost microseconds each time.";
+        "The loop reads the clock thousands of times per second; a slow clock source costs microseconds per read.";
     machine::virtual_machine, "virtual machine",
-        "A hypervisor may halt a core for milliseconds at any time, and nothing inside can prevent it.";
+        "A hypervisor can halt a core for milliseconds at any time; the guest cannot prevent it.";
     machine::shared_memory, "shared memory",
-        "The daemon and its clients meet in files in the root folder; when its memory is full, nobody can connect.";
+        "Daemon and clients communicate through files in the root folder; when its memory is full, no client can connect.";
     machine::huge_pages, "transparent huge pages",
-        "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile; hence the daemon exempts itself.";
+        "To create huge pages, the kernel moves memory of a running process, which waits; the daemon disables this for itself.";
     machine::swap, "swap",
-        "Memory that is not locked may be on a disk when the cycle needs it.";
+        "Memory that is not locked can be on disk when the cycle needs it.";
     machine::root_folder, "root folder",
-        "Whoever may write here can disturb the robot; where the daemon may not, it does not start.";
+        "Users with write access can disturb the robot; without write access the daemon does not start.";
 };
 
 /// Checks that matter to every daemon; the others only where the configuration asks for real time.
@@ -138,7 +138,7 @@ pub(crate) fn examine(validated: &Validated) -> DoctorReport {
 }
 
 fn no_core() -> Problem {
-    unreadable("the core", "the system does not tell which cores it has")
+    unreadable("the core", "the system does not report its cores")
 }
 
 /// The process id that the daemon of this robot left in its lock file.

@@ -16,16 +16,16 @@ const RTPRIO: i32 = 90;
 /// not even start a file that has some, and everybody who may run the file would get them.
 fn grant(limit: &str, container: &str) -> String {
     format!(
-        "run it as the service (sudo systemctl start cdcrd); or, by hand, as a member of the group cdcr (sudo \
+        "run it as the service (sudo systemctl start cdcrd); or manually as a member of group cdcr (sudo \
          groupadd -f cdcr && sudo usermod -aG cdcr \"$USER\") with the line `@cdcr - {limit}` in \
-         /etc/security/limits.d/cdcr.conf, which the package brings, after the next login; or, in a \
+         /etc/security/limits.d/cdcr.conf, which the package installs, after the next login; or, in a \
          container: --ulimit {container}"
     )
 }
 
 fn is_capable(scene: &Scene, capability: u32) -> Assessed<bool> {
     let field = scene.system.own_status("CapEff")?;
-    let odd = |_| unreadable("CapEff", format!("{field:?} is no number"));
+    let odd = |_| unreadable("CapEff", format!("invalid number {field:?}"));
     let bits = u64::from_str_radix(&field, 16).map_err(odd)?;
     Ok(bits >> capability & 1 == 1)
 }
@@ -43,7 +43,7 @@ pub(super) fn fifo(scene: &Scene) -> Assessed {
         return Ok(format!("granted at priority {priority}"));
     };
     if may_have_priority(scene)? {
-        return problem!(scene.missing(), "refused at priority {priority}, in spite of the privilege: {refusal}"
+        return problem!(scene.missing(), "refused at priority {priority}, despite the privilege: {refusal}"
             => "in a systemd unit: RestrictRealtime=no; else see `RT group` below");
     }
     let limit = scene.probe.rtprio_max.unwrap_or(u64::MAX);
@@ -61,12 +61,12 @@ pub(super) fn pin(scene: &Scene) -> Assessed {
     let allowed = scene.system.own_status("Cpus_allowed_list")?;
     let online = scene.system.online()?;
     if !online.contains(core) {
-        return problem!(scene.missing(), "core {core} does not run; online are {online}"
+        return problem!(scene.missing(), "core {core} is offline; online are {online}"
             => "set realtime.core to one of {allowed}");
     }
     // An affinity that was inherited refuses nothing, only the cpuset of the group does.
     problem!(scene.missing(), "core {core} is refused by the control group; allowed are {allowed}"
-        => "set realtime.core to one of {allowed}, or give the group core {core}, too (a unit: AllowedCPUs=, a \
+        => "set realtime.core to one of {allowed}, or also give the group core {core} (a unit: AllowedCPUs=, a \
             container: --cpuset-cpus)")
 }
 

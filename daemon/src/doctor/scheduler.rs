@@ -57,7 +57,7 @@ fn dynamic_preemption(scene: &Scene) -> Assessed {
     if let Some(model) = scene.system.boot_option("preempt")? {
         return of_model(scene, &model, &format!("dynamic, {model} at boot"));
     }
-    problem!(Unknown, "dynamic, the model in force cannot be read"
+    problem!(Unknown, "dynamic, cannot read the current model"
         => "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt")
 }
 
@@ -77,15 +77,15 @@ fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
 pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
     let share = kernel_share(&scene.system)?;
     if scene.system.number(RT_RUNTIME_US)? < 0 {
-        return problem!(Warning, "off: nothing guards the core from a hung loop"
+        return problem!(Warning, "off: a hung loop blocks the core"
             => "sudo sysctl kernel.sched_rt_runtime_us=950000");
     }
     let usual = CoreBudget::new(&scene.validated.config);
     let budget = usual.with_kernel_share(share);
     let costs = Costs::default();
     let value = format!(
-        "at {:.1} % of a core, of which the loop keeps to {:.1} %: {}, and what guard and exchange are measured to take \
-         beyond that is taken from the solver",
+        "at {:.1} % of a core; the loop limits itself to {:.1} %: {}; longer measured times of guard and exchange \
+         reduce the solver budget",
         100.0 * share,
         100.0 * budget.share_max(),
         budget.describe(costs)
@@ -102,7 +102,7 @@ pub(super) fn rt_group(scene: &Scene) -> Assessed {
             => "echo 950000 | sudo tee {file}   (and first in the groups above it)"),
         Some((_, runtime_us)) => Ok(format!("{runtime_us} µs")),
         None if scene.probe.fifo.is_err() && may_have_priority(scene)? => {
-            problem!(scene.missing(), "SCHED_FIFO is refused in spite of the privilege: probably CONFIG_RT_GROUP_SCHED"
+            problem!(scene.missing(), "SCHED_FIFO is refused despite the privilege: probably CONFIG_RT_GROUP_SCHED"
             => "boot with rt_group_sched=0, or start cdcrd in the root control group")
         }
         None => Ok("no limit of a group".to_owned()),
@@ -145,11 +145,11 @@ fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
 /// core has no tick, and so should be left alone; where microseconds count: without the tick, or at short periods), and what
 /// it does otherwise.
 const SETTINGS: &str = "\
-kernel.timer_migration | 0 | tickless | timers of idle cores move to busy ones, nohz_full or not
-kernel.numa_balancing | 0 | always | takes pages away to see who uses them, also locked ones
-vm.compact_unevictable_allowed | 0 | always | moves locked pages, and who touches one waits
+kernel.timer_migration | 0 | tickless | moves timers of idle cores to busy ones, even with nohz_full
+kernel.numa_balancing | 0 | always | unmaps pages to track their use, including locked ones
+vm.compact_unevictable_allowed | 0 | always | moves locked pages; a thread that uses one waits
 kernel.nmi_watchdog | 0 | fine | interrupts every core, whatever its priority
-vm.stat_interval | 10 | fine | counts on every core so often (in s)";
+vm.stat_interval | 10 | fine | updates counters on every core at this interval (s)";
 
 pub(super) fn sysctls(scene: &Scene) -> Assessed {
     let has_no_tick = scene.has_no_tick()?;
@@ -174,10 +174,10 @@ pub(super) fn sysctls(scene: &Scene) -> Assessed {
         }
     }
     if values.is_empty() {
-        return Ok("none that disturbs the loop".to_owned());
+        return Ok("none that disturb the loop".to_owned());
     }
     let [values, settings] = [values.join("; "), settings.join(" ")];
-    problem!(Warning, "{values}" => "sudo sysctl {settings}   (and for good in /etc/sysctl.d/)")
+    problem!(Warning, "{values}" => "sudo sysctl {settings}   (permanently: /etc/sysctl.d/)")
 }
 
 #[cfg(test)]

@@ -41,7 +41,7 @@ impl System {
     /// A number that stands alone in a file.
     pub(super) fn number(&self, path: &str) -> Assessed<i64> {
         let text = self.read(path)?;
-        let odd = |_| unreadable(path, format!("{text:?} is no number"));
+        let odd = |_| unreadable(path, format!("invalid number {text:?}"));
         text.parse().map_err(odd)
     }
 
@@ -135,7 +135,7 @@ mod tests {
         assert!(system.number("/folder/odd").is_err() && system.read("/folder/odd").is_ok());
         assert_eq!(system.read_if_there("/nowhere"), Ok(None));
         let missing = system.read("/nowhere").unwrap_err().value;
-        assert!(missing.starts_with("/nowhere cannot be read"), "{missing}");
+        assert!(missing.starts_with("cannot read /nowhere"), "{missing}");
         // A folder is no file: there, but not to be read.
         assert!(system.read_if_there("/folder").is_err());
         assert_eq!(system.names("/"), ["folder", "number"]);

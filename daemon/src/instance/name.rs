@@ -23,7 +23,7 @@ pub(super) fn take(
             Ok(listener) => return Ok(Some(listener)),
             Err(error) if error.kind() == ErrorKind::AddrInUse => {}
             Err(error) => {
-                tracing::warn!(%error, "only the lock file prevents a second daemon: no abstract socket");
+                tracing::warn!(%error, "only the lock file prevents a second daemon: cannot create an abstract socket");
                 return Ok(None);
             }
         }
@@ -38,7 +38,7 @@ pub(super) fn take(
     }
     tracing::warn!(
         name = location.daemon_name(robot),
-        "only the lock file prevents a second daemon: another user holds the name of this daemon's socket, or keeps it busy"
+        "only the lock file prevents a second daemon: another user holds the socket name of this daemon"
     );
     Ok(None)
 }

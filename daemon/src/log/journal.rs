@@ -57,7 +57,7 @@ fn lost(lines: usize) -> Vec<u8> {
     let mut entry = Entry::new(Level::WARN);
     entry.put(
         "MESSAGE",
-        &format!("{lines} log lines have been lost so far: the journal accepts none"),
+        &format!("lost {lines} log lines so far: the journal accepts none"),
     );
     entry.put("CDCR_LOST", &lines.to_string());
     entry.0

@@ -87,8 +87,7 @@ impl Text {
 }
 
 fn lost_text(lines: usize) -> Vec<u8> {
-    format!("cdcrd: {lines} log lines have been lost so far: the standard error is not read\n")
-        .into_bytes()
+    format!("cdcrd: lost {lines} log lines so far: the standard error is not read\n").into_bytes()
 }
 
 /// Writes line after line until the log ends and none is left.
@@ -223,9 +222,8 @@ mod tests {
             .map(|(a, b)| (a.to_owned(), b.to_owned()))
             .unwrap();
         assert_eq!(first.lines().count() + lost, LINES);
-        let said = format!(
-            "{lost} log lines have been lost so far: the standard error is not read\nafter\nlast\n"
-        );
+        let said =
+            format!("lost {lost} log lines so far: the standard error is not read\nafter\nlast\n");
         assert_eq!(end, said, "it is said once");
     }
 

@@ -66,13 +66,13 @@ impl ThreadPlan {
         if let Some(priority) = self.priority
             && let Err(error) = sys::set_fifo(priority)
         {
-            tracing::warn!(priority, %error, "no SCHED_FIFO");
+            tracing::warn!(priority, %error, "SCHED_FIFO refused");
             missing |= realtime::FIFO;
         }
         if let Some(id) = self.core {
             let pinned = core_affinity::set_for_current(core_affinity::CoreId { id });
             if !pinned {
-                tracing::warn!(core = id, "cannot be pinned");
+                tracing::warn!(core = id, "cannot pin the thread");
                 missing |= realtime::PINNED;
             }
         }
@@ -86,7 +86,7 @@ impl ThreadPlan {
 /// Lets the calling thread wake up when it asked to, also where it has no `SCHED_FIFO`, with which there is no slack.
 fn wake_up_exactly() {
     if let Err(error) = set_current_timer_slack(Some(TIMER_SLACK_NS)) {
-        tracing::info!(%error, "an ordinary thread may wake up late: PR_SET_TIMERSLACK is refused");
+        tracing::info!(%error, "PR_SET_TIMERSLACK refused: ordinary threads may wake up late");
     }
 }
 
@@ -139,7 +139,7 @@ pub fn lock_memory() -> u32 {
 /// that is in use, also locked memory, and whoever touches it meanwhile waits.
 fn keep_pages_small() {
     if let Err(error) = disable_transparent_huge_pages(true) {
-        tracing::info!(%error, "the kernel may make huge pages: PR_SET_THP_DISABLE is refused");
+        tracing::info!(%error, "PR_SET_THP_DISABLE refused: the kernel may create huge pages");
     }
 }
 
@@ -152,7 +152,7 @@ pub fn keep_awake() -> Option<File> {
     match held {
         Ok(file) => Some(file),
         Err(error) => {
-            tracing::info!(%error, "the processor may sleep deeply: /dev/cpu_dma_latency is not granted");
+            tracing::info!(%error, "/dev/cpu_dma_latency refused: the processor may enter deep sleep");
             None
         }
     }

@@ -31,7 +31,7 @@ pub use shm_space::daemon_bytes;
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
     #[error(
-        "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
+        "cannot use shared memory with prefix {prefix} in {root}: {cause}\n\
          check that the folder belongs to you and has free space, and the limits of this process (ulimit -a)"
     )]
     Node {
@@ -40,19 +40,21 @@ pub enum ServiceError {
         cause: String,
     },
     #[error(
-        "the service {service} cannot be created: {cause}\n\
-         a client of another version may hold it open: end the clients, or use another prefix; or a limit of this process is too low: ulimit -a"
+        "cannot create the service {service}: {cause}\n\
+         if a client of another version holds it open, end the clients \
+         or use another prefix; or raise the limits of this process (ulimit -a)"
     )]
     Service { service: String, cause: String },
     #[error(
-        "another process writes to the service {service} already\n\
-         another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
+        "another process already writes to the service {service}\n\
+         another daemon for this robot runs without a \
+         visible lock file or socket: end it, or use another prefix"
     )]
     Taken { service: String },
     /// Shared memory has less room than is needed.
     #[error(
-        "there is no room for {what}: {lack}\n\
-         cdcrd doctor shows how much memory it should have"
+        "not enough space for {what}: {lack}\n\
+         see cdcrd doctor for the memory that is needed"
     )]
     Full {
         what: String,

@@ -145,7 +145,7 @@ fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode
         let _ = std::fs::remove_file(tag);
         // Only when it is empty.
         let _ = std::fs::remove_dir(folder);
-        tracing::warn!(?made, ?removed, "a process that is gone had left a port");
+        tracing::warn!(?made, ?removed, "found a stale port of a dead process");
     }
 }
 

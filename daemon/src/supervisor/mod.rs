@@ -244,7 +244,7 @@ impl Supervisor {
             tracing::warn!(
                 cycle = summary.cycle,
                 following_error_rad = summary.following.largest_rad(),
-                "the robot lags far behind its commands (safety.following_warning_rad)"
+                "following error above safety.following_warning_rad"
             );
         }
         if is_cut_short(summary)
@@ -254,7 +254,7 @@ impl Supervisor {
             self.said_cut = Instant::now();
             tracing::warn!(
                 cycle = summary.cycle,
-                "the solver is cut to less than half of its time, so that the other parts of the cycle fit: {}",
+                "solver budget cut to less than half to fit the other parts of the cycle: {}",
                 summary.core_budget.describe(summary.costs)
             );
         }
@@ -302,8 +302,8 @@ impl Supervisor {
         if self.status.misses_tolerated == 1 {
             tracing::warn!(
                 cycle = summary.cycle,
-                "too many deadline misses: a robot behind a driver would have been stopped, the simulated robot goes \
-                 on; set cycle.miss_limit to stop it, too, and see cdcrd doctor"
+                "too many deadline misses: a real robot would have been stopped, the simulated robot continues; set \
+                 cycle.miss_limit to stop it as well, and see cdcrd doctor"
             );
         }
     }
@@ -360,7 +360,7 @@ fn ports_do_not_close() -> Ended {
     Ended {
         cause: ExitCause::ExchangeHung,
         message: format!(
-            "exchange and reporter did not both end within {} s; the robot rests, and the process ends without them",
+            "exchange and reporter did not end within {} s; the robot is at rest, the process ends without them",
             END_MAX.as_secs()
         ),
     }

@@ -69,8 +69,8 @@ impl Watchdog {
         Err(Ended {
             cause,
             message: format!(
-                "the {name} thread made no progress for {} ms ({}cycle.watchdog_ms); the process ends, and the \
-                 robot holds when its last command runs out (link.command_valid_ms)",
+                "the {name} thread made no progress for {} ms ({}cycle.watchdog_ms); the process ends, and the robot \
+                 holds when its last command expires (link.command_valid_ms)",
                 (self.timeout * times).as_millis(),
                 if times == 1 {
                     String::new()

@@ -20,14 +20,14 @@ pub enum ReadError {
     #[error("the file is empty")]
     Empty,
     /// It begins otherwise.
-    #[error("this is no MCAP file")]
+    #[error("this is not an MCAP file")]
     Foreign,
     /// It ends too early; all before was read.
-    #[error("the recording is cut: it ends in the middle of a record")]
+    #[error("the recording is truncated: it ends within a record")]
     Cut,
     /// In a way that is not known here.
     #[error(
-        "its chunks are compressed with {0}: `mcap compress --compression lz4` makes a file that can be read"
+        "its chunks are compressed with {0}: convert it with `mcap compress --compression lz4`"
     )]
     Compressed(String),
     /// A record is not what it should be.

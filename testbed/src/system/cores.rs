@@ -15,7 +15,7 @@ pub struct Cores {
 impl Cores {
     /// Those that this process may use. To be asked before any of its threads is pinned.
     pub fn find() -> Result<Self> {
-        let ids = core_affinity::get_core_ids().context("the system does not tell its cores")?;
+        let ids = core_affinity::get_core_ids().context("the system does not report its cores")?;
         let mut ids: Vec<usize> = ids.iter().map(|core| core.id).collect();
         ids.sort_unstable();
         let realtime = ids.pop().context("this process may use no core")?;

@@ -67,7 +67,7 @@ pub(crate) fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
     let record = connection
         .telemetry()?
         .next_within(Duration::from_secs(1))?;
-    record.context("no telemetry within 1 s: the place of the tip is unknown")
+    record.context("no telemetry within 1 s: the tip position is unknown")
 }
 
 /// The daemon's robot, and how it is bent.
@@ -93,7 +93,7 @@ pub(crate) fn compute(
     let cycles = (trajectory.duration_s() / period_s).ceil();
     if cycles > CYCLES_MAX as f64 {
         bail!(
-            "the motion takes {:.0} s, more than {:.0} s: choose a faster one",
+            "the motion takes {:.0} s, more than {:.0} s: use a higher speed",
             trajectory.duration_s(),
             CYCLES_MAX as f64 * period_s
         );

@@ -68,7 +68,7 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
             dry_run: false,
         };
         let first_m = trajectory.position_m(0.0);
-        let done = go(&connection, &way, |_| first_m).context("on the way to the first point")?;
+        let done = go(&connection, &way, |_| first_m).context("moving to the first point")?;
         if done != Done::Good {
             return Ok(done);
         }
@@ -87,8 +87,12 @@ pub(crate) fn go(
     end_m: impl Fn([f64; 3]) -> [f64; 3],
 ) -> anyhow::Result<Done> {
     let status = connection.status(STATUS)?;
-    if !arguments.dry_run {
-        check_mode(&status)?;
+    let mode = Mode::try_from(status.mode);
+    if matches!(mode, Ok(Mode::Stopped | Mode::Faulted)) && !arguments.dry_run {
+        bail!(
+            "the daemon is {}: reset it first (cdcrctl reset)",
+            Mode::text_of(status.mode)
+        );
     }
     let before = newest(connection)?;
     let start_m = before.tip_position_m;
@@ -142,7 +146,7 @@ pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyho
     let moved = distance_m(now.tip_position_m, before.tip_position_m) > MOVED_M;
     if moved || !rests(before) || !rests(&now) {
         bail!(
-            "the tip moved while the way was computed; nothing was sent: try again when it rests"
+            "the tip moved while the path was computed; nothing was sent: try again when it is at rest"
         );
     }
     Ok(())
@@ -164,7 +168,7 @@ fn tell_end(end: &Telemetry, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<(
     if end.release_ns < end.tip_measured_ns + FRESH_NS {
         let measured_m = distance_m(end.tip_measured_m, goal_m);
         largest_m = largest_m.max(measured_m);
-        by = format!(" ({:.3} mm by its sensor)", 1e3 * measured_m);
+        by = format!(" ({:.3} mm as measured)", 1e3 * measured_m);
     }
     let left = 1e3 * estimated_m;
     if largest_m > limit_m {
@@ -234,7 +238,7 @@ fn check_duration(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
     let duration_s = trajectory.duration_s();
     ensure!(
         is_point || duration_s >= SHORTEST_S,
-        "the reference takes {duration_s:.1e} s, less than {SHORTEST_S} s: choose a lower speed"
+        "the reference takes {duration_s:.1e} s, less than {SHORTEST_S} s: use a lower speed"
     );
     Ok(())
 }
@@ -289,13 +293,13 @@ fn changed(
     let is_turned = matches!(trajectory.orientation(0.0), Orientation::Full(_));
     ensure!(
         !is_turned || plane == FigurePlane::Xy,
-        "--plane moves points, and the file has orientations, too: leave out qx,qy,qz,qw"
+        "--plane does not support orientations: remove qx,qy,qz,qw from the file"
     );
     let duration_s = f64::from(repeat) * trajectory.duration_s() / speed;
     let rows = trajectory.knots_s().map_or(0, <[f64]>::len) * repeat as usize;
     ensure!(
         duration_s <= LONGEST_S && rows <= ROWS_MAX,
-        "the reference lasts {duration_s:.0} s and has {rows} rows: {LONGEST_S} s and {ROWS_MAX} rows are the most"
+        "the reference lasts {duration_s:.0} s and has {rows} rows: at most {LONGEST_S} s and {ROWS_MAX} rows are allowed"
     );
     let trajectory = Box::new(trajectory);
     Ok(Box::new(Changed::new(
@@ -416,14 +420,14 @@ fn feed_options(arguments: &FeedArguments) -> FeedOptions {
 fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::Result<Done> {
     if report.end == FeedEnd::Interrupted {
         connection.request(RequestKind::Hold)?;
-        tell!("interrupted: the lease is released, the daemon holds");
+        tell!("interrupted: released the lease, the daemon holds");
         return Ok(Done::Interrupted);
     }
     let seconds = (report.end_ns - report.start_ns) as f64 * 1e-9;
     let tracked = if report.tracked {
         "and tracked to its end"
     } else {
-        "but not tracked (--track, or cdcrctl track while it is fed)"
+        "but not tracked (use --track, or cdcrctl track while feeding)"
     };
     writeln!(
         std::io::stdout(),
@@ -450,7 +454,7 @@ mod tests {
         let text = tell_end(&end, [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
         let text = text.to_string();
         assert!(
-            text.contains("0.000 mm from the point (3.000 mm by its sensor)"),
+            text.contains("0.000 mm from the point (3.000 mm as measured)"),
             "{text}"
         );
         assert!(tell_end(&end, [0.1, 0.0, 0.8], 0.004).is_ok());

@@ -31,7 +31,7 @@ pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result
     }
     if !options.follow {
         if kept.is_empty() && options.format == Format::Text {
-            writeln!(out, "no bad cycle since the daemon was started")?;
+            writeln!(out, "no incidents since the daemon started")?;
         }
         return Ok(Done::Good);
     }

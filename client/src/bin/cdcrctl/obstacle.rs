@@ -58,7 +58,7 @@ fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<
     let event = telemetry.event_on(EventKind::Obstacles, header, TIMEOUT)?;
     match Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode) {
         Outcome::Accepted => Ok(event.detail),
-        outcome => bail!("the daemon refused it: {outcome}. {}", advice(outcome)),
+        outcome => bail!("rejected by the daemon: {outcome}. {}", advice(outcome)),
     }
 }
 
@@ -118,9 +118,10 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
     let timeout_ms = status.obstacle_source_timeout_ns as f64 * 1e-6;
     if ends && obstacle.lifetime_ns > 0 && timeout_ms > 0.0 {
         bail!(
-            "this daemon supervises the sources of obstacles with lifetimes (obstacles.source_timeout_ms = {timeout_ms}): \
-             this command ends, so it would count as a lost source, and the robot would hold\nleave \
-             the lifetime out, and remove the obstacle with: cdcrctl obstacle remove {}",
+            "this daemon supervises sources of obstacles with lifetimes (obstacles.source_timeout_ms = \
+             {timeout_ms}): the robot would hold when this command ends\n\
+             omit the lifetime, and remove the obstacle \
+             with: cdcrctl obstacle remove {}",
             obstacle.id
         );
     }
@@ -141,8 +142,8 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
     };
     if !far {
         bail!(
-            "the obstacle {odd}, and the robot is {reach_m:.2} m long: are these millimetres?\npositions and \
-             radius are in m: 150 mm are 0.15. If it is really there: --far"
+            "the obstacle {odd}, and the robot is {reach_m:.2} m long: are these millimetres?\npositions and radius \
+             are in m: 150 mm are 0.15. To add it anyway: --far"
         );
     }
     Ok(())
@@ -166,13 +167,12 @@ fn distance_m(start: [f64; 3], end: [f64; 3]) -> f64 {
 fn advice(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::BufferFull => {
-            "The maximum of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
+            "The limit of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
         }
         Outcome::OutOfRange => {
-            "Positions and velocities are within ±1000000 m and m/s, the radius is 0 to 1000000 m, and measured_ns is \
-             of CLOCK_MONOTONIC and not in the future."
+            "Use positions and velocities within ±1000000 m and m/s, and a radius of 0 to 1000000 m."
         }
-        Outcome::InThePast => "Its lifetime was over when it arrived: give it a longer --lifetime.",
+        Outcome::InThePast => "The lifetime had ended on arrival: use a longer --lifetime.",
         other => remedy(other),
     }
 }

@@ -28,14 +28,16 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     let status = connection.status(Duration::from_secs(1))?;
     if status.mode != Mode::Starting.code() && !options.force {
         bail!(
-            "the robot is measured already, by a driver or by a daemon that simulates it (the daemon is {}): motors would follow \
-             what is commanded to the simulated robot\nwhere there are no motors, or a simulated robot comes back: --force",
+            "the robot is already measured, by a driver or a simulating daemon (the daemon is {}): its motors would \
+             follow the commands to the simulated robot\n\
+             if it has no motors, or a simulated robot is restarted: \
+             --force",
             Mode::text_of(status.mode)
         );
     }
     let configured = Interface::try_from(status.interface).ok();
     let interface = options.interface.or(configured);
-    let interface = interface.context("the daemon's interface is not known: give --interface")?;
+    let interface = interface.context("the daemon's interface is unknown: use --interface")?;
     let mut telemetry = connection.telemetry()?;
     let (preset, seed, mut flaws) = (options.preset, options.seed, options.preset.flaws());
     for (name, value) in &options.flaws {
@@ -48,7 +50,7 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     let interrupt = Interrupt::catch()?;
     writeln!(
         std::io::stdout(),
-        "a simulated robot with {} drives robot \"{}\": preset {}, {}; Ctrl-C ends it",
+        "a simulated robot with {} drives robot \"{}\": preset {}, {}; Ctrl-C to end",
         counted(status.robot.sections, "section"),
         target.location()?.1,
         preset.name(),
@@ -99,15 +101,15 @@ fn check(record: &Telemetry, sender_id: u64) -> anyhow::Result<()> {
         match Outcome::try_from(event.outcome) {
             Ok(Outcome::Accepted) => {}
             Ok(Outcome::Unsupported) => bail!(
-                "the daemon simulates its robot itself; start it with link.kind = \"driver\", or leave plant out"
+                "the daemon simulates its robot itself: start it with link.kind = \"driver\", or do not use plant"
             ),
             Ok(outcome) => bail!(
-                "the daemon refuses this robot: {}\n{}",
+                "the daemon rejects this robot: {}\n{}",
                 outcome.text(),
                 remedy(outcome)
             ),
             Err(_) => bail!(
-                "the daemon refuses this robot with the unknown code {}",
+                "the daemon rejects this robot with the unknown code {}",
                 event.outcome
             ),
         }

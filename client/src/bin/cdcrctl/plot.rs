@@ -73,7 +73,7 @@ fn packet(sent_ns: u64, message: Value, fields: &[String]) -> anyhow::Result<Str
     let text = chosen.to_string();
     if text.len() >= BYTES_MAX {
         bail!(
-            "a message takes {} bytes, and a datagram has less than {BYTES_MAX}: choose some fields with --field",
+            "a message takes {} bytes, a datagram holds less than {BYTES_MAX}: select fields with --field",
             text.len()
         );
     }
@@ -105,6 +105,6 @@ mod tests {
             assert!(value.get(absent).is_none(), "{text}");
         }
         let error = packet(0, json::message(&record), &[]).expect_err("too large");
-        assert!(error.to_string().contains("choose some fields"), "{error}");
+        assert!(error.to_string().contains("select fields"), "{error}");
     }
 }

@@ -26,7 +26,7 @@ const BUDGET: Setting = Setting {
 };
 /// Longest budget \[ms\]: the longest period that a daemon can have. Its own period bounds it further.
 const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
-const BUDGET_NOTE: &str = "; 0: all that is left of the period";
+const BUDGET_NOTE: &str = "; 0: all the remaining period";
 
 impl From<&'static Parameter> for Setting {
     fn from(parameter: &'static Parameter) -> Self {

@@ -83,7 +83,7 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
     if changed(before, after).next().is_none() {
         writeln!(
             out,
-            "nothing to change: these settings are in force already"
+            "nothing to change: these settings are already in effect"
         )?;
     }
     writeln!(
@@ -96,7 +96,7 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
     {
         writeln!(
             out,
-            "the solver is cut: it was ended after {:.3} ms at the latest, because the other parts of the period need the rest \
+            "the solver budget is cut to {:.3} ms, because the other parts of the period need the rest \
              (docs/realtime.md)",
             solve_ns as f64 * 1e-6
         )?;
@@ -140,7 +140,7 @@ fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
     if wanted.safe_distance_m < least_m {
         let wanted_m = wanted.safe_distance_m;
         return Some(format!(
-            "safe_distance_m = {wanted_m} is less than the configuration of the daemon allows: at least {least_m}"
+            "safe_distance_m = {wanted_m} is below the configured {least_m}: use at least that"
         ));
     }
     if wanted.budget_ns > status.period_ns {
@@ -209,7 +209,7 @@ mod tests {
         for line in [
             "solver                    gauss-newton   kpso, gauss-newton or kpso-refined\n",
             "damping                   1e-14          1e-20 to 1\n",
-            "budget_ms                 2.5            0 to 5; 0: all that is left of the period\n",
+            "budget_ms                 2.5            0 to 5; 0: all the remaining period\n",
             "safe_distance_m           0              0.02 to 10; no less than in the configuration\n",
         ] {
             assert!(table.contains(line), "{line} in\n{table}");
@@ -231,7 +231,7 @@ mod tests {
         };
         assert_eq!(broken_bound(&legal, &status), None);
         for (change, bound) in [
-            ("safe_distance_m=0.005", "at least 0.01"),
+            ("safe_distance_m=0.005", "below the configured 0.01"),
             (
                 "budget_ms=9",
                 "budget_ms = 9 is longer than the period of the daemon: at most 5",

@@ -105,8 +105,7 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
     if status.misses_tolerated > 0 {
         writeln!(
             out,
-            "misses      the leaky bucket was full {}; a robot behind a driver would have been stopped \
-             (cycle.miss_limit)",
+            "misses      the leaky bucket was full {}; a real robot would have been stopped (cycle.miss_limit)",
             counted(status.misses_tolerated, "time")
         )?;
     }
@@ -135,7 +134,7 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     }
     if status.measured_error_m.is_finite() {
         let error = 1e3 * status.measured_error_m;
-        write!(out, "; by its sensor {error:.3} mm from it")?;
+        write!(out, "; measured {error:.3} mm from it")?;
     }
     let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
     let largest_rad = status.following_error_rad[..sections]
@@ -286,7 +285,7 @@ fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
     }
     writeln!(
         out,
-        ", kept {} mm away (the guard changed {}; {} refused)",
+        ", safe distance {} mm (the guard changed {}; {} rejected)",
         1e3 * status.settings.safe_distance_m,
         counted(status.clearance_guarded, "command"),
         counted(status.obstacles_refused, "update")
@@ -325,7 +324,7 @@ fn robot(out: &mut String, status: &Status) -> std::fmt::Result {
 
 fn budget_text(budget_ns: u64) -> String {
     match budget_ns {
-        0 => "all that is left of the period".to_owned(),
+        0 => "all the remaining period".to_owned(),
         ns => format!("{} ms", ns as f64 * 1e-6),
     }
 }
@@ -372,8 +371,8 @@ mod tests {
         let table = table(&status, 124_900_000_000).expect("formatted");
         for expected in [
             "mode        tracking (started), 5 faults in 1234 cycles\n",
-            "misses      the leaky bucket was full 3 times; a robot behind a driver would have been stopped",
-            "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference, 101.5, -20.0, 300.0 mm; by its sensor 1.800 mm from it\n",
+            "misses      the leaky bucket was full 3 times; a real robot would have been stopped",
+            "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference, 101.5, -20.0, 300.0 mm; measured 1.800 mm from it\n",
             "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
             "SCHED_FIFO is missing: grant rtprio 90",
             "the last 2m 3s",
@@ -392,7 +391,7 @@ mod tests {
             "obstacles   2, smallest clearance 10.50 mm",
             "the guard changed 17 commands",
             "3  the sender has no right to feed a reference (it holds no lease)",
-            "budget all that is left of the period\n",
+            "budget all the remaining period\n",
         ] {
             assert!(table.contains(expected), "{expected} in\n{table}");
         }

@@ -140,8 +140,8 @@ impl TipError {
         }
         if self.approach_cycles > 0 && self.cycles == 0 {
             bail!(
-                "the reference ended before it was reached: bring the tip nearer first (cdcrctl goto), let the reference last longer, \
-                 or raise motion.approach_speed_m_s and motion.approach_acceleration_m_s2"
+                "the reference ended before the tip reached it: bring the tip nearer first (cdcrctl goto), use a \
+                 longer reference, or increase motion.approach_speed_m_s and motion.approach_acceleration_m_s2"
             );
         }
         if let Some(error_m) = self.mean_max_final_m() {
@@ -163,7 +163,7 @@ impl TipError {
             let [mean, max] = [sum_m / count as f64, max_m].map(|m| 1e3 * m);
             writeln!(
                 std::io::stdout(),
-                "by the sensor of the tip: mean {mean:.3}, max {max:.3} mm in {count} measurements, its noise included"
+                "measured by the tip sensor: mean {mean:.3}, max {max:.3} mm in {count} measurements, noise included"
             )?;
         }
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
@@ -177,10 +177,12 @@ impl TipError {
 
     fn check(&self, limit_m: f64) -> anyhow::Result<()> {
         let cycles = (self.cycles > 0).then_some(self.cycles);
-        cycles.context("no cycle tracked the reference, so no error can be compared with --max-error: use --track")?;
+        cycles.context(
+            "no cycle tracked the reference, so --max-error cannot be checked: use --track",
+        )?;
         // What the estimate does not know is in what was measured alone.
         let (by, max_m) = if self.measured.max_m > self.max_m {
-            (" by its sensor", self.measured.max_m)
+            (" as measured", self.measured.max_m)
         } else {
             ("", self.max_m)
         };
@@ -260,7 +262,7 @@ mod tests {
         assert!(error.tell(Some(0.251)).is_ok());
         let text = error.tell(Some(0.249)).expect_err("larger").to_string();
         assert!(
-            text.contains("250.000 mm from its reference by its sensor"),
+            text.contains("250.000 mm from its reference as measured"),
             "{text}"
         );
     }

@@ -26,9 +26,8 @@ impl Trigger {
     /// As people type it: `error>5mm`.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let words = text.split_once(['>', '<']);
-        let unknown = || {
-            "expected incident, fault, mode, error>5mm, clearance<5mm or response>800us".to_owned()
-        };
+        let unknown =
+            || "use incident, fault, mode, error>5mm, clearance<5mm or response>800us".to_owned();
         let Some((name, limit)) = words else {
             return match text.trim() {
                 "incident" => Ok(Self::Incident),

@@ -78,7 +78,7 @@ pub(crate) fn length_m(text: &str) -> Result<f64, String> {
     let (digits, unit_m) = match (text.strip_suffix("mm"), text.strip_suffix('m')) {
         (Some(digits), _) => (digits, 1e-3),
         (None, Some(digits)) => (digits, 1.0),
-        (None, None) => return Err("it needs a unit, for example 2mm or 0.002m".to_owned()),
+        (None, None) => return Err("a unit is missing: use for example 2mm or 0.002m".to_owned()),
     };
     Ok(unit_m * positive(digits)?)
 }
@@ -116,7 +116,7 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
             if seconds < 0.0 {
                 "is below zero".to_owned()
             } else {
-                format!("{seconds:e} s is no time that can be waited for")
+                format!("{seconds:e} s is not a valid waiting time")
             }
         });
     }
@@ -173,7 +173,7 @@ mod tests {
             assert!(refused.len() < 30, "{refused}");
         }
         let refused = parse_duration("1e30s").expect_err("too long");
-        assert_eq!(refused, "1e30 s is no time that can be waited for");
+        assert_eq!(refused, "1e30 s is not a valid waiting time");
         assert_eq!(parse_duration("-2s"), Err("is below zero".to_owned()));
     }
 

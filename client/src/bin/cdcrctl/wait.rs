@@ -40,7 +40,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
             drop(bar);
-            tell!("interrupted: the robot goes on; cdcrctl hold or stop ends that");
+            tell!("interrupted: the robot continues; end it with cdcrctl hold or stop");
             return Ok(Done::Interrupted);
         }
         let Some(record) = telemetry.next_within(LOOK)? else {
@@ -74,14 +74,16 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     }
     if let Some(cycle) = standstill.commanded_cycle() {
         let moves = standstill.rate_rad_s().map_or_else(
-            || "there are too few new measurements to tell".to_owned(),
+            || "too few new measurements to evaluate".to_owned(),
             |rate| format!("a bend moves by {rate:.3} rad/s"),
         );
         bail!(
-            "{kind}: commanded to rest since cycle {cycle}, but not measured to rest within {limit:?}: {moves}"
+            "{kind}: commanded to rest since cycle {cycle}, but measured in motion after {limit:?}: {moves}"
         );
     }
-    bail!("{kind}: not done within {limit:?}; the robot goes on (cdcrctl hold or stop ends that)")
+    bail!(
+        "{kind}: not done within {limit:?}; the robot continues (end it with cdcrctl hold or stop)"
+    )
 }
 
 fn done(

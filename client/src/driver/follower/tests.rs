@@ -258,11 +258,11 @@ fn a_refused_command_changes_nothing_and_is_counted() {
     for (bad, text) in [
         (
             with(|next| next.sections = 2),
-            "for 2 sections and this robot has 1",
+            "for 2 sections, but this robot has 1",
         ),
         (
             with(|next| next.interface = 2),
-            "commands by the interface position, and this driver obeys the interface velocity",
+            "commands by the interface position, but this driver follows the interface velocity",
         ),
         (with(|next| next.interface = 77), "77"),
         (
@@ -275,18 +275,18 @@ fn a_refused_command_changes_nothing_and_is_counted() {
         (good, "not newer"),
         (
             with(|next| next.valid_until_ns = 11 * PERIOD_NS),
-            "0 ns after it had run out",
+            "0 ns after it had expired",
         ),
         (
             with(|next| next.valid_until_ns = 11 * PERIOD_NS - 9),
-            "9 ns after it had run out",
+            "9 ns after it had expired",
         ),
         (of(OTHER, next), "a second daemon"),
-        (velocity(11, 2.1), "bend at 2.1 rad/s, 2 is its limit"),
+        (velocity(11, 2.1), "bend at 2.1 rad/s, the limit is 2"),
         (velocity(11, -2.1), "bend at -2.1 rad/s"),
         (
             velocity(11, 1.7),
-            "cable 0 is commanded at -0.02125 m/s, 0.02 is",
+            "cable 0 is commanded at -0.02125 m/s, the limit is 0.02",
         ),
     ] {
         let refusal = refuse(bad).to_string();

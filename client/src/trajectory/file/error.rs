@@ -45,19 +45,17 @@ pub enum TrajectoryFileProblem {
     MissingColumn(&'static str),
     /// The first line is no header.
     #[error(
-        "the header is missing: the first line is a row of numbers; put above it t_s,x_m,y_m,z_m or \
+        "the header is missing: the first line contains numbers; add the header t_s,x_m,y_m,z_m or \
          t_s,x_m,y_m,z_m,qx,qy,qz,qw"
     )]
     NoHeader,
     /// This stands between the columns, and not a comma.
-    #[error(
-        "{0:?} stands between the columns; put commas there, and points into the numbers (0.9, not 0,9)"
-    )]
+    #[error("columns are separated by {0:?}: use commas, and decimal points (0.9, not 0,9)")]
     Separator(char),
     /// The last line does not end.
     #[error(
-        "the file ends in this line, in column {column}, at {text:?}, which may be half of what was meant: write the \
-         file again, or end the line with a line break"
+        "the file ends within this line, in column {column}, at {text:?}, and may be truncated: write the file \
+         again, or end the line with a line break"
     )]
     Cut {
         /// Name or number of the column.
@@ -66,7 +64,7 @@ pub enum TrajectoryFileProblem {
         text: String,
     },
     /// The header names this column twice.
-    #[error("column {0} is there more than once")]
+    #[error("column {0} is given more than once")]
     DuplicateColumn(String),
     /// A cell is not a finite number, or too large.
     #[error(
@@ -80,7 +78,7 @@ pub enum TrajectoryFileProblem {
     },
     /// Time does not go forward.
     #[error(
-        "t_s = {time_s} does not come after {previous_s} of the row before; times must increase by at least 1 µs"
+        "t_s = {time_s} is not after {previous_s} of the previous row: times must increase by at least 1 µs"
     )]
     TimeNotIncreasing {
         /// Time in that row \[s\].

@@ -63,7 +63,7 @@ fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
         "cycle.period_ms = 0.1",
         "sections: 3",
         "0.050 ms before the release",
-        "0.040 ms of exchange",
+        "0.040 ms for the exchange",
     ] {
         assert!(error.contains(word), "{error}");
     }

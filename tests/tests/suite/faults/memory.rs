@@ -134,7 +134,7 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
             let got_in = output.status.success();
             assert!(!got_in || files > 8, "{request}: {printed}");
             assert!(got_in || printed.contains("nr_inodes="), "{printed}");
-            let is_vague = printed.contains("internal") || printed.contains("held up");
+            let is_vague = printed.contains("internal") || printed.contains("delayed");
             assert!(!is_vague, "{printed}");
             if request == "stop" && !got_in {
                 assert!(printed.contains("SIGUSR1"), "{printed}");

@@ -45,7 +45,14 @@ fn a_second_daemon_ends_with_69_and_the_first_goes_on() {
     let mut daemon = Daemon::start("");
     let process = format!("process {}", daemon.id());
     let prefix = daemon.place().location().prefix();
-    let parts = ["runs already", &process, "kill", ROBOT, prefix, "--prefix"];
+    let parts = [
+        "already running",
+        &process,
+        "kill",
+        ROBOT,
+        prefix,
+        "--prefix",
+    ];
     daemon.place().says("cdcrd run", 69, &parts);
     let connection = daemon.connect();
     let before = connection.status(TIMEOUT).unwrap();
@@ -304,7 +311,10 @@ fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too(
         }
     );
     assert!(is_of_reference, "{error:?}");
-    let parts = ["another version of the reference service", "of one version"];
+    let parts = [
+        "another version of the reference service",
+        "of the same version",
+    ];
     place.says("cdcrctl status", 1, &parts);
     drop(other);
     drop(node);

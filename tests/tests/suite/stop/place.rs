@@ -220,7 +220,7 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
         let printed = text(&output);
         assert_eq!(status, 69, "{printed}");
         // Where the machine stalls, the first has made its lock file again.
-        let words = ["writes to the service", "runs already"];
+        let words = ["writes to the service", "already running"];
         assert!(
             words.iter().any(|words| printed.contains(words)),
             "{printed}"
@@ -277,7 +277,7 @@ fn a_second_daemon_in_another_network_is_refused_with_and_without_a_lock_file() 
     let Some(second) = second_in_its_own_network(&mut daemon) else {
         return;
     };
-    assert_says(&second, 69, &["runs already"]);
+    assert_says(&second, 69, &["already running"]);
     assert!(daemon.runs(), "{}", daemon.log());
     fs::remove_file(daemon.place().location().lock_file(ROBOT)).unwrap();
     if let Some(second) = second_in_its_own_network(&mut daemon) {

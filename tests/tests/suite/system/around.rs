@@ -110,7 +110,7 @@ fn what_makes_a_recorder_wait_loses_nothing() {
     let (mut unread, mut full) = std::io::pipe().unwrap();
     // A page, however large pages are and whatever pipes begin with.
     let room = rustix::pipe::fcntl_setpipe_size(&full, 1).unwrap();
-    let told = "waiting for mode; Ctrl-C ends it\n";
+    let told = "waiting for mode; Ctrl-C to end\n";
     full.write_all(&vec![b'.'; room - 1 - told.len()]).unwrap();
     let mut command = daemon.place().command("cdcrctl");
     let line = "record --around mode --before 0s --after 1s -o run.mcap";
@@ -216,7 +216,7 @@ fn what_does_not_happen_leaves_no_file() {
     place.says(
         "cdcrctl record --around fault -o none.mcap",
         1,
-        &["is there already"],
+        &["already exists"],
     );
     place.says("cdcrctl scope --trigger error>5", 2, &["unit"]);
 }

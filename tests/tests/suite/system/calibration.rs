@@ -150,8 +150,8 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
                 if let Some(mut before) = daemon.take() {
                     // Between the two the page has the paste.
                     assert_eq!(before.stop().code(), Some(0));
-                    let sections = printed.split("# Instead of").nth(1).unwrap();
-                    configuration = [configuration.as_str(), "\n# Instead of", sections].concat();
+                    let sections = printed.split("# Replaces").nth(1).unwrap();
+                    configuration = [configuration.as_str(), "\n# Replaces", sections].concat();
                 }
                 daemon = Some(Daemon::start(&configuration));
             }
@@ -288,7 +288,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     ends(
         program,
         130,
-        &["interrupted: the lease is released, the daemon holds"],
+        &["interrupted: released the lease, the daemon holds"],
     );
     holds(&daemon.connect());
     assert!(rows(&daemon, "interrupted.csv") > 10);
@@ -385,14 +385,14 @@ fn a_recording_tells_what_its_rows_tell() {
     for (arguments, status, said) in [
         ("cut.mcap", 0, "length of section 1"),
         ("whole.dat", 0, "length of section 1"),
-        ("begun.mcap", 1, "holds no telemetry of cdcrd"),
+        ("begun.mcap", 1, "contains no telemetry of cdcrd"),
         ("empty.mcap", 1, "the file is empty"),
         ("rows.mcap", 1, "rows.mcap"),
         ("none.mcap", 1, "cannot read none.mcap"),
         (
             "moved.mcap --config three.toml",
             1,
-            "moved.mcap is of another robot: of 1 section, and three.toml has 3",
+            "moved.mcap is of another robot: it has 1 section, three.toml has 3",
         ),
     ] {
         let line = format!("cdcrctl calibrate geometry {arguments}");
@@ -403,8 +403,7 @@ fn a_recording_tells_what_its_rows_tell() {
     let geometry = ["calibrate", "geometry", "cut.mcap"];
     let output = command.args(geometry).current_dir(&folder).output();
     let said = text(&output.unwrap());
-    let repair =
-        "cut.mcap is cut: what is whole was read; `cdcrctl info --repair cut.mcap` saves it";
+    let repair = "cut.mcap is truncated: only complete messages were read; recover them with `cdcrctl info --repair cut.mcap`";
     assert!(said.contains(repair), "{said}");
 
     let without_tip = Daemon::start(PATIENT);

@@ -25,7 +25,7 @@ fn done(daemon: &Daemon, line: &str) -> String {
 const REFUSED: &str = "\
 status --robot other => the robot that runs there: cdcr
 track => no client feeds a reference
-settings set safe_distance_m=0.004 => safe_distance_m = 0.004 is less than the configuration of the daemon allows: at least 0.01
+settings set safe_distance_m=0.004 => safe_distance_m = 0.004 is below the configured 0.01: use at least that
 settings set control_blocks=9 => control_blocks = 9 is out of range: allowed is 0 to 2
 obstacle add --id 1 --at 500,0,0 --radius 20 => are these millimetres?
 obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s => obstacles.source_timeout_ms = 500
@@ -245,7 +245,7 @@ fn saved_settings_are_those_of_the_next_daemon() {
     // A file that another program or a unit is told of is there, also where nothing differs.
     let made = done(&daemon, "settings save new.toml");
     assert!(
-        made.contains("made; every setting has its default"),
+        made.contains("created; all settings have their defaults"),
         "{made}"
     );
     let check = "cdcrd check --config new.toml";

@@ -135,7 +135,7 @@ fn the_demo_writes_telemetry_and_pictures() {
         "{out}"
     );
     assert!(out.contains("ideal simulated robot"), "{out}");
-    assert!(out.contains("beside a bare loop"), "{out}");
+    assert!(out.contains("next to a bare loop"), "{out}");
     assert!(out.contains(is_braille), "the robot is drawn: {out}");
     assert!(!out.contains('\x1b'), "no colours in a pipe: {out:?}");
     let table = fs::read_to_string(folder.join("telemetry.csv")).unwrap();
@@ -305,7 +305,7 @@ fn the_daemon_of_a_killed_demo_ends() {
         .unwrap();
     assert!(next.status.success(), "{}", text(&next));
     assert!(
-        text(&next).contains("left by a program that was killed"),
+        text(&next).contains("left by a killed demo"),
         "{}",
         text(&next)
     );

@@ -166,7 +166,7 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
 #[test]
 fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
     let daemon = Daemon::start(PATIENT);
-    assert!(says(&daemon, "plant", 1).contains("measured already"));
+    assert!(says(&daemon, "plant", 1).contains("already measured"));
     let printed = says(&daemon, "plant --force", 1);
     assert!(printed.contains("link.kind"), "{printed}");
 }
@@ -258,7 +258,7 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     let daemon = Daemon::start(&format!("{PATIENT}{bent}{slow}"));
     says(&daemon, "home", 0);
     let refused = says(&daemon, "jog 0.01,0,0.01 --max-error 10mm", 1);
-    let reason = "the tip moved while the way was computed; nothing was sent";
+    let reason = "the tip moved while the path was computed; nothing was sent";
     assert!(refused.contains(reason), "{refused}");
     let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
     assert_eq!((status.mode, status.lease_holder), (Mode::Homing.code(), 0));
@@ -271,7 +271,10 @@ fn a_reference_that_ends_before_it_is_reached_is_an_error() {
     let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
     let words: Vec<_> = far.split(' ').collect();
     let output = daemon.place().cdcrctl(&words);
-    let parts = ["the reference ended before it was reached", "cdcrctl goto"];
+    let parts = [
+        "the reference ended before the tip reached it",
+        "cdcrctl goto",
+    ];
     assert_says(&output, 1, &parts);
     let printed = text(&output);
     assert!(printed.contains("approached in"), "{printed}");
@@ -302,10 +305,10 @@ fn a_simulated_robot_is_refused_beside_a_driver() {
     let _driver = DriverProcess::start(daemon.place());
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
-    assert!(says(&daemon, "plant", 1).contains("measured already"));
+    assert!(says(&daemon, "plant", 1).contains("already measured"));
     let refused = says(&daemon, "plant --force", 1);
     assert!(
-        refused.contains("the daemon refuses this robot"),
+        refused.contains("the daemon rejects this robot"),
         "{refused}"
     );
     // The driver's robot is measured and commanded as before.

@@ -109,7 +109,7 @@ fn obstacles_are_added_shown_and_removed() {
     says("clear", "accepted, 0 known");
     wait_until("none", || status(place)["clearance_m"].is_null());
     let far = "cdcrctl obstacle add --id 1 --at 9e8,0,0 --radius 1 --far";
-    let parts = ["the daemon refused it", "within ±1000000 m"];
+    let parts = ["rejected by the daemon", "within ±1000000 m"];
     place.says(far, 1, &parts);
     wait_until("counted", || status(place)["obstacles_refused"] == 1);
 }

@@ -189,7 +189,7 @@ fn cycles_of_a_reference_from_before_the_recording_are_counted_apart() {
     let said = daemon
         .place()
         .says("cdcrctl replay --verify run.mcap", 0, &["reproduced"]);
-    assert!(said.contains("not all, in the recording"), "{said}");
+    assert!(said.contains("not completely recorded"), "{said}");
 }
 
 #[test]
@@ -226,7 +226,7 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     // A machine that stalls delays the recorder, too; it flushes when it runs.
     assert!(seen_s > all_s - 2.0, "{seen_s} of {all_s} s");
     let said = run.cdcrctl(&["info", "run.mcap", "--repair"]);
-    assert!(said.contains("is cut"), "{said}");
+    assert!(said.contains("is truncated"), "{said}");
     fs::rename(run.file.with_file_name("run-repaired.mcap"), &run.file).unwrap();
     let repaired = run.info();
     assert_eq!(repaired["cut"], false);
@@ -441,7 +441,7 @@ fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
     let place = run.daemon.place();
     let says = ["the recording is damaged", "info --repair damaged.mcap"];
     place.says("cdcrctl info damaged.mcap", 1, &says);
-    let says = ["is damaged", "saved", "what is in the first"];
+    let says = ["is damaged", "saved", "the first"];
     place.says("cdcrctl info --repair damaged.mcap", 0, &says);
     place.says("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
     place.says("cdcrctl info --repair begun.mcap", 1, &["no message"]);
@@ -478,7 +478,7 @@ fn what_is_no_recording_is_refused_with_the_reason() {
     place.write("foreign.mcap", "time_s,x_m\n0,1\n");
     for (file, reason) in [
         ("empty.mcap", "the file is empty"),
-        ("foreign.mcap", "no MCAP file"),
+        ("foreign.mcap", "not an MCAP file"),
         ("missing.mcap", "No such file"),
     ] {
         place.says(&format!("cdcrctl info {file}"), 1, &[file, reason]);

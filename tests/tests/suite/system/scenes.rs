@@ -177,7 +177,7 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
     );
     assert_eq!(sections.lines().nth(1), Some("0.3\tnull"), "{sections}");
     let line = "echo telemetry --count 1 --field tip";
-    says(&daemon, line, 1, "there is no field \"tip\"");
+    says(&daemon, line, 1, "unknown field \"tip\"");
     let words: Vec<_> = line.split(' ').collect();
     let printed = daemon.place().cdcrctl(&words).stdout;
     assert!(printed.is_empty(), "a heading");
@@ -207,5 +207,5 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
         "cannot send to 127.0.0.1:0",
     );
     let whole = "plot status --count 1 --udp 127.0.0.1:9";
-    says(&daemon, whole, 1, "choose some fields with --field");
+    says(&daemon, whole, 1, "select fields with --field");
 }

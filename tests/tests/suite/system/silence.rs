@@ -116,7 +116,7 @@ fn a_simulated_robot_goes_on_after_misses_and_the_daemon_says_so() {
     assert!(daemon.stop().success());
     let log = daemon.log();
     assert!(
-        log.contains("the simulated robot goes on; set cycle.miss_limit"),
+        log.contains("the simulated robot continues; set cycle.miss_limit"),
         "{log}"
     );
 }

@@ -52,7 +52,7 @@ fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
         "of the status service",
         "cdcr.Status.v999",
         ours,
-        "of one version",
+        "of the same version",
     ];
     place.says("cdcrctl status", 1, &parts);
 }

@@ -163,7 +163,7 @@ fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
     daemon.kill();
     terminal.wait_for("no cycle for a second");
     daemon.restart();
-    terminal.wait_for("another daemon began");
+    terminal.wait_for("another daemon started");
     terminal.press("q");
     assert_eq!(top.wait(String::new).code(), Some(0));
 }
@@ -189,7 +189,7 @@ fn without_a_terminal_it_says_what_else_there_is() {
     let daemon = Daemon::start("");
     daemon
         .place()
-        .says("cdcrctl top", 1, &["draws on a terminal", "--format json"]);
+        .says("cdcrctl top", 1, &["needs a terminal", "--format json"]);
 }
 
 #[test]

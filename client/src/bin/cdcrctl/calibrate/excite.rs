@@ -92,11 +92,11 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
         let left_mm = 1e3 * left_m;
         ensure!(
             is_straight || left_m <= BACK_M,
-            "the tip rests {left_mm:.1} mm from where it began"
+            "the tip is at rest {left_mm:.1} mm from its start"
         );
         writeln!(
             std::io::stdout(),
-            "the tip is {left_mm:.1} mm from where it began"
+            "the tip is {left_mm:.1} mm from its start"
         )?;
     }
     Ok(done)
@@ -138,7 +138,7 @@ fn plan(
     for _ in 0..TRIES {
         ensure!(
             excitation.rounds >= ROUNDS_MIN,
-            "{:.1} s are too short for --rate-max {:.3}; nothing moved: choose a longer --duration",
+            "{:.1} s is too short for --rate-max {:.3}; nothing moved: use a longer --duration",
             excitation.duration_s(),
             bounds.rate_rad_s
         );
@@ -163,8 +163,8 @@ fn plan(
         format!(" ({})", why.trim_end_matches("; nothing moved"))
     });
     bail!(
-        "no path was found on which the robot keeps within {:.3} rad and {:.3} rad/s and clear of obstacles{missed}; nothing moved: choose \
-         another --seed, or other bounds, or move the robot otherwise meanwhile: cdcrctl calibrate record",
+        "no path within {:.3} rad and {:.3} rad/s and clear of obstacles was found{missed}; nothing moved: use \
+         another --seed or other limits, or move the robot by other means during cdcrctl calibrate record",
         bounds.bend_rad,
         bounds.rate_rad_s
     )

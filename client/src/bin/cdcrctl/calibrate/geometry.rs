@@ -66,7 +66,7 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
     let robot = configured(config)?;
     ensure!(
         robot.sections.len() == description.sections as usize,
-        "{} is of another robot: of {}, and {} has {}",
+        "{} is of another robot: it has {}, {} has {}",
         options.file.display(),
         counted(description.sections, "section"),
         config.display(),
@@ -97,12 +97,12 @@ fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
     if let Some(sections) = sections {
         let tables = sections
             .as_array_of_tables()
-            .with_context(|| format!("{name}: robot.sections is no list of tables"))?;
+            .with_context(|| format!("{name}: robot.sections is not a list of tables"))?;
         let sections = tables.iter().enumerate().map(|(index, table)| {
             let number = |key: &str| {
                 let value = table.get(key).and_then(Item::as_value).and_then(number_of);
                 value.with_context(|| {
-                    format!("{name}: robot.sections[{index}].{key} is missing, or no number")
+                    format!("{name}: robot.sections[{index}].{key} is missing or not a number")
                 })
             };
             Ok(SectionParameters {

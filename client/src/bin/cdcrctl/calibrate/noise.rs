@@ -55,7 +55,7 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
         let record = next(&mut telemetry)?;
         ensure!(
             record.mode == Mode::Holding.code() && record.command.bend_rate_rad_s == [0.0; _],
-            "the robot was moved meanwhile: the daemon is {}",
+            "the robot was moved during the measurement: the daemon is {}",
             Mode::text_of(record.mode)
         );
         if interrupt.is_raised() {
@@ -72,7 +72,7 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
     let [cables, tip] = [cables, tip].map(Sensor::noise);
     ensure!(
         cables.is_some() || tip.is_some(),
-        "too few measurements in {:?}: at least {LEAST} are needed; give --duration",
+        "too few measurements in {:?}: at least {LEAST} are needed; use a longer --duration",
         options.duration
     );
     let status = connection.status(Duration::from_secs(1))?;
@@ -219,7 +219,7 @@ fn fragment(
         let largest_rad = bends_rad.fold(0.0, f64::max);
         writeln!(
             out,
-            "# A bend is measured with {largest_rad:.6} rad of noise: motion.home_tolerance_rad belongs above {:.6}.",
+            "# A bend is measured with {largest_rad:.6} rad of noise: set motion.home_tolerance_rad above {:.6}.",
             SAFE * largest_rad
         )?;
     }

@@ -37,7 +37,7 @@ pub(super) fn run(target: &Target, options: &RecordOptions) -> anyhow::Result<Do
 pub(super) fn check_sensors(sensors: Sensors) -> anyhow::Result<()> {
     ensure!(
         sensors.cables && sensors.tip,
-        "measured are {}: calibration needs cable lengths and the tip, which a driver sends beside them (docs/drivers.md)",
+        "measured: {}; calibration needs cable lengths and the tip from the driver (docs/drivers.md)",
         sensors.text()
     );
     Ok(())
@@ -46,10 +46,7 @@ pub(super) fn check_sensors(sensors: Sensors) -> anyhow::Result<()> {
 /// Says what was written in `passed_s`, and fails where that is nothing.
 pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()> {
     let name = output.display();
-    ensure!(
-        rows > 0,
-        "{name}: no row: the tip was not measured meanwhile"
-    );
+    ensure!(rows > 0, "{name}: no row, because the tip was not measured");
     writeln!(
         std::io::stdout(),
         "{name}: {} in {passed_s:.1} s; next: cdcrctl calibrate geometry {name}",
@@ -63,7 +60,7 @@ pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
     let name = output.display();
     ensure!(
         !output.exists(),
-        "{name} exists: remove it or name another file"
+        "{name} already exists: remove it or use another file"
     );
     Ok(())
 }

@@ -37,7 +37,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Recording)>
         }
     }
     file.warn_of_cut();
-    let records = records.with_context(|| format!("{name} holds no telemetry of cdcrd"))?;
+    let records = records.with_context(|| format!("{name} contains no telemetry of cdcrd"))?;
     records.finish().with_context(|| name.to_string())
 }
 
@@ -65,7 +65,7 @@ impl Records {
     fn take(&mut self, record: &Telemetry) -> anyhow::Result<()> {
         ensure!(
             record.robot.fingerprint == self.robot.fingerprint,
-            "from cycle {} on it is of another robot than before: record each robot into a file of its own",
+            "the robot changes in cycle {}: record each robot into its own file",
             record.cycle
         );
         let sensors = Sensors::of(record);

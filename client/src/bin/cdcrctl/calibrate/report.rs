@@ -107,7 +107,7 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
     let noise = &found.noise;
     writeln!(
         out,
-        "\nnoise: {:.4} mm of a cable, {:.3} mm of a coordinate of the tip; rows left out as outliers: {}",
+        "\nnoise: {:.4} mm of a cable, {:.3} mm of a tip coordinate; outlier rows left out: {}",
         1e3 * noise.cable_m,
         1e3 * noise.tip_m,
         found.outliers
@@ -119,13 +119,13 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
         .collect();
     writeln!(
         out,
-        "three cables of a section agree on its backbone to {} mm rms, base first",
+        "the three cables of a section agree to {} mm rms, base first",
         rms.join(", ")
     )?;
     let estimated = found.estimates.len() + 2 * found.cable_zeros.len();
     writeln!(
         out,
-        "\nexcitation: {estimated} numbers are estimated; held as configured:"
+        "\nexcitation: {estimated} parameters estimated; held as configured:"
     )?;
     if found.held.is_empty() {
         writeln!(out, "  none")?;
@@ -136,8 +136,8 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
     if found.correlation > CORRELATED {
         writeln!(
             out,
-            "\nThe residuals of rows that follow each other are alike: something moves the robot that the model does not know (play, a load, \
-             friction). The bounds are {:.1} times as long for that, and still only those of this model.",
+            "\nResiduals of consecutive rows are correlated: the model lacks an effect (play, a load, friction). The \
+             bounds are widened {:.1} times for it and hold for this model only.",
             found.correlation
         )?;
     }
@@ -146,7 +146,7 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
 
 /// The sections for a configuration, with the old values as comments.
 fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Error> {
-    let mut out = String::from("# Instead of all [[robot.sections]] of the configuration:\n");
+    let mut out = String::from("# Replaces all [[robot.sections]] of the configuration:\n");
     let sections = robot.sections.iter().zip(&found.geometry.robot.sections);
     for (j, (old, new)) in sections.enumerate() {
         let SectionParameters {

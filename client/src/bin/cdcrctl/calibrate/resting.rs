@@ -27,7 +27,7 @@ pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry
         let is_held = record.mode == Mode::Holding.code();
         if !is_held || record.command.bend_rate_rad_s != [0.0; _] {
             bail!(
-                "the robot is not held at rest, the daemon is {}; cdcrctl hold --wait, or home --wait, first",
+                "the robot is not held at rest, the daemon is {}: first cdcrctl hold --wait or home --wait",
                 Mode::text_of(record.mode)
             );
         }
@@ -36,7 +36,7 @@ pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry
             return Ok(record);
         }
         if begun.elapsed() > TIMEOUT {
-            bail!("the robot is held, but not measured to rest; see cdcrctl status");
+            bail!("the robot is held, but measured in motion; see cdcrctl status");
         }
     }
 }

@@ -71,8 +71,10 @@ impl Baseline {
         if interrupt.is_raised() {
             return Ok(None);
         }
-        let summary: BareSummary = serde_json::from_str(&ended?).context(
-            "cannot read the result of cdcrd bare; build cdcrd and cdcrctl from one version",
+        let json = fs::read_to_string(place.folder().join(RESULT))
+            .context("cannot read the result of cdcrd bare")?;
+        let summary: BareSummary = serde_json::from_str(&json).context(
+            "cannot read the result of cdcrd bare; use cdcrd and cdcrctl of the same version",
         )?;
         Ok(Some(summary.into()))
     }

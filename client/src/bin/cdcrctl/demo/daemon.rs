@@ -51,7 +51,7 @@ impl DemoDaemon {
     /// Waits until the daemon controls its robot. `None`: interrupted.
     pub(super) fn connect(&mut self, interrupt: &Interrupt) -> anyhow::Result<Option<Connection>> {
         let deadline = Instant::now() + START_TIMEOUT;
-        let mut last = "it did not begin to control its robot".to_owned();
+        let mut last = "it did not start to control its robot".to_owned();
         while Instant::now() < deadline {
             if interrupt.is_raised() {
                 return Ok(None);

@@ -102,32 +102,32 @@ fn sentence(
     match limit {
         Limit::Nothing => format!("No deadline was missed{bare}."),
         Limit::Hypervisor => {
-            let took = steal.map(|steal| format!(": it took {steal} from a core"));
+            let took = steal.map(|steal| format!(": it stole {steal} from a core"));
             let took = took.unwrap_or_default();
             format!("The hypervisor limits this machine{took}{bare}.")
         }
         Limit::Platform => format!(
-            "The platform limits this machine: the timer came late or the processor stood still while no task \
-             had the core (hypervisor, firmware, power saving){bare}."
+            "The platform limits this machine: late timers or processor stalls while no task had the core \
+             (hypervisor, firmware, power saving){bare}."
         ),
         Limit::OtherTask => format!(
-            "Another task limits this machine: it had the core of the loop although the loop has real-time \
+            "Another task limits this machine: it had the core of the loop despite the loop's real-time \
              priority{bare}."
         ),
         Limit::NoRealTime if misses == 0 => format!(
             "No deadline was missed, but without real-time priority any other task can delay the loop{bare}."
         ),
-        Limit::NoRealTime => format!(
-            "Other tasks had the core of the loop, and without real-time priority it cannot go first{bare}."
-        ),
-        Limit::PageFaults => format!(
-            "Page faults limit this run: memory of the daemon was not resident when it was used{bare}."
-        ),
-        Limit::Cdcr => format!(
-            "The computation of cdcr limits this run: it takes too long on this processor{bare}."
-        ),
+        Limit::NoRealTime => {
+            format!("Other tasks had the core of the loop, which lacks real-time priority{bare}.")
+        }
+        Limit::PageFaults => {
+            format!("Page faults limit this run: memory of the daemon was not resident{bare}.")
+        }
+        Limit::Cdcr => {
+            format!("cdcr limits this run: its computation takes too long on this processor{bare}.")
+        }
         Limit::Unknown => {
-            format!("Deadlines were missed, and most of the causes were not recorded{bare}.")
+            format!("Deadlines were missed, mostly without a recorded cause{bare}.")
         }
     }
 }
@@ -140,7 +140,7 @@ fn bare_loop(baseline: &Baseline) -> String {
         (0, late) => format!("started {late} of {cycles} cycles late"),
         (misses, _) => format!("missed {misses} of {cycles} deadlines"),
     };
-    format!("; a bare loop, without work, {did}")
+    format!("; a bare loop without work {did}")
 }
 
 /// The command that finds everything on this machine that is in the way of a punctual loop. It lies beside this
@@ -237,15 +237,15 @@ mod tests {
         let text = stolen(&[LateCause::Platform], 0).text;
         assert_eq!(
             text,
-            "The hypervisor limits this machine: it took 1.30 of 5.0 s from a core; a bare loop, \
-             without work, missed 3 of 100 deadlines."
+            "The hypervisor limits this machine: it stole 1.30 of 5.0 s from a core; a bare loop \
+             without work missed 3 of 100 deadlines."
         );
         let with_baseline = |baseline: Option<Baseline>| {
             Diagnosis::new(&causes(&[]), baseline.as_ref(), None, 0).text
         };
         assert_eq!(
             with_baseline(Some(baseline(0, 0))),
-            "No deadline was missed; a bare loop, without work, started all its 100 cycles in time."
+            "No deadline was missed; a bare loop without work started all its 100 cycles in time."
         );
         assert_eq!(with_baseline(None), "No deadline was missed.");
         let late = with_baseline(Some(baseline(0, 4)));

@@ -40,7 +40,7 @@ use steal::StealReading;
 pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
     if let Some(out) = &options.out {
         fs::create_dir_all(out)
-            .with_context(|| format!("cannot make the folder {}", out.display()))?;
+            .with_context(|| format!("cannot create the folder {}", out.display()))?;
     }
     let sections = options.sections as usize;
     let spiral = Spiral {

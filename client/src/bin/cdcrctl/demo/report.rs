@@ -65,7 +65,7 @@ impl DemoReport {
         let Run { cycles, status, .. } = run;
         let lost_records = run.lost_records;
         if cycles.is_empty() {
-            bail!("the daemon tracked, but no record of it arrived ({lost_records} were lost)");
+            bail!("the daemon tracked, but no record arrived ({lost_records} lost)");
         }
         let errors_mm = || cycles.iter().map(|cycle| 1e3 * cycle.error_m);
         let missing = realtime_missing(status.realtime_missing);

@@ -59,8 +59,8 @@ pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error
 fn whose_error(skipped_periods: u64) -> String {
     match skipped_periods {
         0 => "the controller's share".to_owned(),
-        1 => "1 release got no command, which is the machine's share".to_owned(),
-        many => format!("{many} releases got no command, which is the machine's share"),
+        1 => "1 release without a command, caused by the machine".to_owned(),
+        many => format!("{many} releases without a command, caused by the machine"),
     }
 }
 
@@ -82,7 +82,7 @@ fn counts(out: &mut String, report: &DemoReport, status: &Status) -> Result<(), 
     causes(out, report)?;
     writeln!(
         out,
-        "{:<24}{:>12}   (releases that got no command)",
+        "{:<24}{:>12}   (releases without a command)",
         "skipped periods", report.skipped_periods
     )?;
     writeln!(
@@ -98,7 +98,7 @@ fn causes(out: &mut String, report: &DemoReport) -> Result<(), Error> {
         write!(out, "{:<24}{count:>12}   {cause}", "  caused by")?;
         let is_platform = cause == LateCause::Platform.text();
         if let Some(steal) = report.steal.filter(|s| is_platform && s.steal_s > 0.0) {
-            write!(out, " (the hypervisor took {steal})")?;
+            write!(out, " (the hypervisor stole {steal})")?;
         }
         writeln!(out)?;
     }
@@ -109,12 +109,12 @@ fn causes(out: &mut String, report: &DemoReport) -> Result<(), Error> {
 fn beside(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     let Some(bare) = &report.baseline else {
         let error = report.baseline_error.as_deref().unwrap_or_default();
-        return writeln!(out, "\nno bare loop to compare with: {error}");
+        return writeln!(out, "\nno bare loop for comparison: {error}");
     };
     writeln!(
         out,
         "\n{:<24}{:>12}{:>12}   (cdcrd bare: the same loop without work, {:.1} s before)",
-        "beside a bare loop", "daemon", "bare loop", bare.duration_s
+        "next to a bare loop", "daemon", "bare loop", bare.duration_s
     )?;
     let rows = [
         ("  wake-up p50 [µs]", report.wake_us.p50, bare.wake_us.p50),
@@ -192,7 +192,9 @@ mod tests {
         assert!(shown(&cycles).contains("the controller's share"));
         cycles[500].skipped_periods = 3;
         let lost = shown(&cycles);
-        assert!(lost.contains("3 releases got no command") && !lost.contains("controller's share"));
+        assert!(
+            lost.contains("3 releases without a command") && !lost.contains("controller's share")
+        );
     }
 
     #[test]
@@ -208,10 +210,7 @@ mod tests {
         assert!(text.contains("4.97 s: 994 cycles of 5 ms\n"), "{text}");
         assert!(text.contains("SCHED_FIFO: grant rtprio 90"), "{text}");
         assert!(text.contains("5e-3"), "{text}");
-        assert!(
-            text.contains("0   (releases that got no command)"),
-            "{text}"
-        );
+        assert!(text.contains("0   (releases without a command)"), "{text}");
     }
 
     #[test]
@@ -239,7 +238,7 @@ mod tests {
         assert_eq!(
             lines[misses + 1..misses + 3],
             [
-                "  caused by                        2   platform (the hypervisor took 1.30 of 5.0 s)",
+                "  caused by                        2   platform (the hypervisor stole 1.30 of 5.0 s)",
                 "  caused by                        1   another task had the core",
             ]
         );
@@ -274,9 +273,9 @@ mod tests {
         report.baseline = None;
         report.baseline_error = Some("cdcrd bare failed (exit status: 1)".to_owned());
         let text = text(&report, &Status::default()).expect("formatted");
-        let line = "\nno bare loop to compare with: cdcrd bare failed (exit status: 1)\n";
+        let line = "\nno bare loop for comparison: cdcrd bare failed (exit status: 1)\n";
         assert!(
-            text.contains(line) && !text.contains("beside a bare loop"),
+            text.contains(line) && !text.contains("next to a bare loop"),
             "{text}"
         );
     }

@@ -12,16 +12,16 @@ fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
                 let field = fields.get(part).with_context(|| {
                     let names: Vec<_> = fields.keys().map(String::as_str).collect();
                     let names = names.join(", ");
-                    format!("there is no field {part:?} in --field {path}; there are {names}")
+                    format!("unknown field {part:?} in --field {path}: use one of {names}")
                 });
                 field?
             }
             Value::Array(elements) => match part.parse::<usize>() {
                 Ok(index) => elements.get(index).unwrap_or(&Value::Null),
-                Err(_) => bail!("{part:?} in --field {path} is no number of an element, from 0"),
+                Err(_) => bail!("invalid index {part:?} in --field {path}: use a number from 0"),
             },
             Value::Null => value,
-            _ => bail!("--field {path} goes on beyond a value, at {part:?}"),
+            _ => bail!("--field {path}: {part:?} follows a value that has no fields"),
         };
     }
     Ok(value)
@@ -88,10 +88,10 @@ mod tests {
         let found = of(&message, &paths(&["tip.0", "report"])).expect("known");
         assert_eq!(found, json!({"tip.0": 1.0, "report": {"cost": 2.5}}));
         for (bad, part) in [
-            ("cycles", "there are cycle, mode, tip, report"),
-            ("report.costs", "there are cost"),
-            ("tip.x", "number of an element"),
-            ("cycle.0", "beyond a value"),
+            ("cycles", "use one of cycle, mode, tip, report"),
+            ("report.costs", "use one of cost"),
+            ("tip.x", "use a number from 0"),
+            ("cycle.0", "follows a value"),
         ] {
             let error = of(&message, &paths(&[bad])).expect_err(bad).to_string();
             assert!(error.contains(part), "{error}");

@@ -136,7 +136,7 @@ impl Watch for EchoOptions {
 fn warn_of_loss(service: Service, lost: u64) {
     if lost > 0 {
         tell!(
-            "lost: {} of the {} service: this program was too slow",
+            "lost {} of the {} service: this program was too slow",
             counted(lost, "message"),
             service.key()
         );

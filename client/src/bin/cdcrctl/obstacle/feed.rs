@@ -38,7 +38,7 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
     let changes = scene::parse(&text).map_err(|cause| anyhow!("{name}: {cause}"))?;
     if changes.is_empty() {
-        bail!("{name} has no obstacle");
+        bail!("{name} contains no obstacle");
     }
     let status = connection.status(TIMEOUT)?;
     for change in &changes {
@@ -107,7 +107,7 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
         feed.send(&together)?;
         if let Some(cause) = bad {
             let sent = counted(feed.changes, "change");
-            bail!("standard input: {cause}\nwhat came before stays as it is: {sent}");
+            bail!("standard input: {cause}\nearlier lines remain in effect: {sent}");
         }
     }
 }

@@ -96,9 +96,9 @@ pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, St
         return Ok(None);
     }
     let value = serde_json::from_str(line).map_err(|cause| match line.trim_start() {
-        list if list.starts_with('[') => format!(
-            "{cause}; each line is one obstacle, without a list around it (obstacle file reads a list)"
-        ),
+        list if list.starts_with('[') => {
+            format!("{cause}; use one obstacle per line, not a list (obstacle file reads lists)")
+        }
         _ => cause.to_string(),
     });
     value
@@ -129,8 +129,9 @@ fn change(number: usize, value: Value) -> Result<Change, String> {
 fn read<T: for<'de> Deserialize<'de>>(value: Value) -> Result<T, String> {
     serde_json::from_value(value).map_err(|cause| {
         format!(
-            "{cause}; an obstacle is {{\"id\": 1, \"start_m\": [x, y, z], \"radius_m\": r}}, perhaps with end_m (a capsule), \
-             velocity_m_s, lifetime_ns, measured_ns and time_s; {{\"remove\": [1, 2]}} removes some"
+            "{cause}; an obstacle is {{\"id\": 1, \"start_m\": [x, y, z], \"radius_m\": r}}, optionally with end_m \
+             (a capsule), velocity_m_s, lifetime_ns, measured_ns and time_s; {{\"remove\": [1, 2]}} removes \
+             obstacles"
         )
     })
 }
@@ -246,7 +247,7 @@ mod tests {
             ),
             ("{\"remove\": [3], \"time_s\": -1}", &["line 3", "-1"]),
             ("7", &["line 3", "an obstacle is"]),
-            ("[", &["line 3", "without a list"]),
+            ("[", &["line 3", "not a list"]),
         ] {
             let error = parse(&format!("{good}\n{bad}\n")).expect_err(bad);
             for part in parts {

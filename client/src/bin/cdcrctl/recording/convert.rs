@@ -21,7 +21,7 @@ pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     let folder = &options.csv;
     let name = folder.display();
     let mut recording = Recording::open(&options.file)?;
-    fs::create_dir_all(folder).with_context(|| format!("cannot make {name}"))?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot create {name}"))?;
     let mut tables = Tables::new(folder);
     let written = tables.take_all(&mut recording);
     let rows = tables
@@ -31,7 +31,7 @@ pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     let rows = rows?;
     ensure!(
         !rows.is_empty(),
-        "{} holds no message of cdcrd",
+        "{} contains no message of cdcrd",
         options.file.display()
     );
     let mut out = io::stdout().lock();

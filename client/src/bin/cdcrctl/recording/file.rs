@@ -146,7 +146,7 @@ impl Recording {
             }
             Err(error @ ReadError::Damaged(_)) => Err(error).with_context(|| {
                 let name = self.path.display();
-                format!("{name}; `cdcrctl info --repair {name}` saves what is before that")
+                format!("{name}; recover the part before it with `cdcrctl info --repair {name}`")
             }),
             item => item.with_context(|| self.path.display().to_string()),
         }
@@ -182,7 +182,9 @@ impl Recording {
     pub(crate) fn warn_of_cut(&self) {
         if self.is_cut {
             let name = self.path.display();
-            tell!("{name} is cut: what is whole was read; `cdcrctl info --repair {name}` saves it");
+            tell!(
+                "{name} is truncated: only complete messages were read; recover them with `cdcrctl info --repair {name}`"
+            );
         }
     }
 }
@@ -202,10 +204,10 @@ fn decoded(message: &Message<'_>) -> anyhow::Result<Option<Recorded>> {
 fn check_version(topic: Topic, message: &Message<'_>) -> anyhow::Result<()> {
     let ours = topic.layout().type_name;
     let wire_type = message.channel.metadata.get(WIRE_TYPE);
-    let found = wire_type.map_or("a type that it does not name", String::as_str);
+    let found = wire_type.map_or("an unnamed type", String::as_str);
     if found != ours {
         bail!(
-            "{} was recorded as {found}, and this cdcrctl ({}) reads {ours}: use the cdcrctl that recorded it",
+            "{} was recorded as {found}, but this cdcrctl ({}) reads {ours}: use the cdcrctl that recorded it",
             message.channel.topic,
             env!("CARGO_PKG_VERSION")
         );

@@ -33,7 +33,7 @@ pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     let name = options.file.display();
     ensure!(
         !seen.channels.is_empty(),
-        "{name} holds no message of cdcrd"
+        "{name} contains no message of cdcrd"
     );
     let mut out = io::stdout().lock();
     match options.format {
@@ -50,26 +50,26 @@ fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let other = path.with_file_name(format!("{stem}-repaired.mcap"));
     let name = other.display();
-    let file = new_file(&other)?;
+    let file = File::create_new(&other).with_context(|| format!("cannot create {name}"))?;
     let copied = copy(&mut recording, file, is_interrupted);
     if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
         // Nothing is left where nothing was saved.
         drop(std::fs::remove_file(&other));
     }
-    let (messages, damage) = copied.with_context(|| format!("{name} was not made"))?;
+    let (messages, damage) = copied.with_context(|| format!("{name} was not created"))?;
     let path = path.display();
     let was = match (&damage, recording.is_cut()) {
         (Some(damage), _) => damage.to_string(),
-        (None, true) => "the recording is cut".to_owned(),
-        (None, false) => "the recording is whole".to_owned(),
+        (None, true) => "the recording is truncated".to_owned(),
+        (None, false) => "the recording is complete".to_owned(),
     };
-    ensure!(messages > 0, "{path} holds no message: {was}");
+    ensure!(messages > 0, "{path} contains no message: {was}");
     let messages = counted(messages, "message");
     let saved = format!("{path}: {was}; {messages} saved in {name}");
     let [read_mb, all_mb] = recording
         .read_of_all_bytes()
         .map(|bytes| bytes as f64 * 1e-6);
-    let part = format!("what is in the first {read_mb:.1} of {all_mb:.1} MB");
+    let part = format!("the first {read_mb:.1} of {all_mb:.1} MB");
     match damage {
         None => writeln!(io::stdout(), "{saved}")?,
         Some(ReadError::Damaged(_)) => writeln!(io::stdout(), "{saved} ({part})")?,

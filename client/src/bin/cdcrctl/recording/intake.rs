@@ -66,13 +66,13 @@ impl Intake {
                 }
                 Err(error) => drop(ready.send(Err(error))),
             })
-            .context("a thread that reads")?;
+            .context("the reading thread")?;
         let intake = Self {
             readings: Some(readings),
             is_over,
             thread: Some(thread),
         };
-        let status = is_ready.recv().context("the thread that reads ended")??;
+        let status = is_ready.recv().context("the reading thread ended")??;
         Ok((intake, status))
     }
 

@@ -110,7 +110,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let cannot_write = || format!("cannot write {name}");
     if task.around.is_some() && path.exists() {
         // Told now and not after the wait.
-        bail!("{name} is there already");
+        bail!("{name} already exists");
     }
     let mut head = Head::new(robot, &status, offset_ns)?;
     let settings = configuration(status.settings, &status)?;
@@ -130,12 +130,12 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let mut recorder = Recorder::new(sink, robot, &status, offset_ns);
     let ended = match task.around {
         Some(around) => {
-            tell!("waiting for {}; Ctrl-C ends it", around.trigger);
+            tell!("waiting for {}; Ctrl-C to end", around.trigger);
             recorder.record(&intake, &mut task, &interrupt)?
         }
         None => match recorder.begin()? {
             Ok(()) => {
-                tell!("recording into {name}; Ctrl-C ends it");
+                tell!("recording into {name}; Ctrl-C to end");
                 recorder.record(&intake, &mut task, &interrupt)?
             }
             Err(cause) => Ended::Failed(cause),
@@ -145,8 +145,10 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     if !recorder.sink.has_begun() {
         return match ended {
             Ended::Interrupted => Ok(Done::Interrupted),
-            Ended::Daemon => bail!("the daemon ended, and nothing was recorded"),
-            Ended::Asked | Ended::Failed(_) => bail!("it did not happen, and nothing was recorded"),
+            Ended::Daemon => bail!("the daemon ended, nothing was recorded"),
+            Ended::Asked | Ended::Failed(_) => {
+                bail!("the trigger did not fire, nothing was recorded")
+            }
         };
     }
     let ended = match ended {
@@ -209,7 +211,7 @@ fn tell(
     for (topic, count) in lost {
         writeln!(
             out,
-            "lost: {}, because this program was too slow",
+            "lost {}: this program was too slow",
             counted(*count, topic.noun())
         )?;
     }

@@ -30,7 +30,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     let begin = Instant::now();
     let verified = verify(&mut recording, &options.file)?;
     let name = options.file.display();
-    ensure!(verified.cycles > 0, "{name} holds no cycle");
+    ensure!(verified.cycles > 0, "{name} contains no cycle");
     let took_s = begin.elapsed().as_secs_f64();
     let mut out = io::stdout().lock();
     match options.format {
@@ -41,7 +41,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     recording.warn_of_cut();
     if let Some((_, saved)) = &verified.first_difference {
         bail!(
-            "not all cycles came out as they were: `cdcrctl replay --verify {}` shows the first alone",
+            "not all cycles were reproduced: see the first with `cdcrctl replay --verify {}`",
             saved.display()
         );
     }
@@ -138,16 +138,16 @@ impl Verified {
         } = self;
         let speed = self.speed(took_s);
         let mut lines = vec![format!(
-            "{reproduced} of {cycles} cycles reproduced, {solved} of them solved; {speed:.0} times as fast as it was"
+            "{reproduced} of {cycles} cycles reproduced, {solved} of them solved; {speed:.0} times real time"
         )];
         if *without_reference > 0 {
             lines.push(format!(
-                "{without_reference} cycles follow a reference that is not, or not all, in the recording"
+                "{without_reference} cycles follow a reference that is not completely recorded"
             ));
         }
         if let Some((difference, saved)) = &self.first_difference {
             lines.push(format!(
-                "{different} cycles came out otherwise; the first: {difference}"
+                "{different} cycles differ; the first: {difference}"
             ));
             lines.push(format!("its inputs: {}", saved.display()));
         }

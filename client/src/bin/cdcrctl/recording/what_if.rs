@@ -40,7 +40,7 @@ pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
     let name = options.file.display();
     ensure!(
         compared.cycles > 0,
-        "{name} holds no cycle that solved and whose reference is known"
+        "{name} contains no solved cycle with a known reference"
     );
     let mut out = io::stdout().lock();
     match options.format {
@@ -112,11 +112,11 @@ impl Compared {
         let (recorded, other) = (&self.recorded, &self.other);
         let lines = [
             format!(
-                "{} cycles that solved, each with its recorded inputs",
+                "{} solved cycles, each with its recorded inputs",
                 self.cycles
             ),
             format!(
-                "{} of them cut short by their budget; with these settings none is",
+                "{} of them cut short by their budget; none with these settings",
                 self.cut_short
             ),
             format!("{:<34}{:>12}{:>12}", "", "recorded", "with these"),

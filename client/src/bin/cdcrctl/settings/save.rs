@@ -20,7 +20,7 @@ const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
 const AUTO: &str = "auto";
 
 /// First line of a file that is made.
-const HEAD: &str = "# Settings of cdcrd that differ from its defaults.\n";
+const HEAD: &str = "# Settings of cdcrd that differ from the defaults.\n";
 
 /// As many as Linux follows.
 const LINKS_MAX: usize = 40;
@@ -53,13 +53,13 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
     } else if changed.is_empty() {
         writeln!(
             out,
-            "{name}: nothing to change, it has these values already"
+            "{name}: nothing to change, it already has these values"
         )?;
         return Ok(Done::Good);
     }
     replace(file, &text).with_context(|| format!("cannot write {name}"))?;
     if changed.is_empty() {
-        writeln!(out, "{name}: made; every setting has its default")?;
+        writeln!(out, "{name}: created; all settings have their defaults")?;
     }
     for change in changed {
         writeln!(out, "{name}: {change}")?;
@@ -110,7 +110,7 @@ fn value(setting: Setting, settings: SolverSettings) -> anyhow::Result<Value> {
         Json::Number(number) => match number.as_i64() {
             Some(whole) => whole.into(),
             None => bail!(
-                "{} = {number} is larger than a configuration can have: at most {}",
+                "{} = {number} is too large for a configuration: at most {}",
                 setting.key,
                 i64::MAX
             ),
@@ -153,7 +153,7 @@ fn put(document: &mut DocumentMut, table: &str, key: &str, mut value: Value) -> 
         .entry(table)
         .or_insert_with(|| Item::Table(Table::new()))
         .as_table_like_mut()
-        .with_context(|| format!("{table} is no table"))?;
+        .with_context(|| format!("{table} is not a table"))?;
     match table.get_mut(key).and_then(Item::as_value_mut) {
         Some(old) => {
             *value.decor_mut() = old.decor().clone();
@@ -171,7 +171,7 @@ fn check_kind(file: &Path) -> anyhow::Result<()> {
     let is_other = fs::metadata(file).is_ok_and(|file| !file.is_file());
     ensure!(
         !is_other,
-        "{} is no regular file: name another one",
+        "{} is not a regular file: use another one",
         file.display()
     );
     Ok(())
@@ -205,7 +205,7 @@ fn behind_links(file: &Path) -> io::Result<PathBuf> {
             Err(cause) => return Err(cause),
         }
     }
-    Err(io::Error::other("too many links lead to each other"))
+    Err(io::Error::other("too many levels of links"))
 }
 
 fn write_anew(new: &Path, old: &Path, text: &str) -> anyhow::Result<()> {
@@ -215,7 +215,7 @@ fn write_anew(new: &Path, old: &Path, text: &str) -> anyhow::Result<()> {
         if (made.uid(), made.gid()) != (old.uid(), old.gid()) {
             fchown(&written, Some(old.uid()), Some(old.gid())).with_context(|| {
                 format!(
-                    "it belongs to user {} and group {}, which would be lost: run as that user, or save into another file",
+                    "it is owned by user {} and group {}, which this user cannot keep: run as that user, or save into another file",
                     old.uid(),
                     old.gid()
                 )
@@ -346,7 +346,7 @@ mod tests {
     fn a_device_or_a_folder_is_not_replaced() {
         for path in ["/dev/null", "/tmp"] {
             let error = check_kind(Path::new(path)).expect_err(path);
-            assert!(error.to_string().contains("no regular file"), "{error}");
+            assert!(error.to_string().contains("not a regular file"), "{error}");
         }
         let folder = Scratch::temporary().expect("a folder");
         assert!(check_kind(&folder.path().join("new.toml")).is_ok());
@@ -366,6 +366,6 @@ mod tests {
         fs::remove_file(&file).expect("ours");
         symlink(&first, &file).expect("made");
         let error = replace(&first, "two").expect_err("a circle");
-        assert!(error.to_string().contains("lead to each other"), "{error}");
+        assert!(error.to_string().contains("levels of links"), "{error}");
     }
 }

@@ -44,7 +44,7 @@ enum Action {
 pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done> {
     ensure!(
         stdout().is_terminal() && stdin().is_terminal(),
-        "top draws on a terminal, and there is none; for programs there are status and echo with --format json"
+        "top needs a terminal; programs use status or echo with --format json"
     );
     let connection = target.connect()?;
     let telemetry = connection.telemetry()?;
@@ -136,7 +136,7 @@ impl Top<'_> {
                     format!("no cycle for a second: {liveness}")
                 }
                 Err(error) => error.to_string(),
-                Ok(_) => "no cycle for a second, though the daemon tells its status".to_owned(),
+                Ok(_) => "no cycle for a second, but the daemon publishes its status".to_owned(),
             });
         }
         while let Some((kind, answer)) = self.asker.answer() {

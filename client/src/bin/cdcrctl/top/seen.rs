@@ -87,7 +87,7 @@ impl Seen {
             ..Self::default()
         };
         if is_next {
-            self.tell(record.release_ns, "another daemon began", true);
+            self.tell(record.release_ns, "another daemon started", true);
         }
     }
 
@@ -301,7 +301,7 @@ mod tests {
         let texts = texts(&seen);
         assert_eq!(
             texts[1..3],
-            ["hold: refused; remedy", "another daemon began"]
+            ["hold: refused; remedy", "another daemon started"]
         );
         assert_eq!(seen.rate_hz(), None);
     }
@@ -318,7 +318,7 @@ mod tests {
         }
         let texts = texts(&seen);
         let words = [
-            "another daemon began",
+            "another daemon started",
             "holding",
             "cycle 50: late",
             "1 obstacle",

@@ -331,7 +331,7 @@ impl<'a> Director<'a> {
             .arg(place.folder().join("robot.toml"));
         let output = command.output().unwrap();
         let printed = text(&output);
-        let refused = !output.status.success() && printed.contains("runs already");
+        let refused = !output.status.success() && printed.contains("already running");
         ensure(refused, || format!("a second daemon started: {printed}"))
     }
 

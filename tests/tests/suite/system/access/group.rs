@@ -264,7 +264,7 @@ fn a_group_shares_no_folder_that_somebody_else_could_have_made() {
         Path::new(Location::MEMORY).join(format!("{}open", shared.place.location().prefix()));
     let group = GROUP.to_string();
     let refused = Program::start(&mut shared.daemon(&root, &group)).output();
-    let words = ["belongs to root", "install -d -o", "transport.group"];
+    let words = ["owned by root", "install -d -o", "transport.group"];
     assert_says(&refused, EXIT_ROOT, &words);
     // Root shares none at all: it could be led out of the folder.
     let mut of_root = shared.daemon(&shared.root, &group);

@@ -44,7 +44,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
         &["mode 0777", "chmod go-rwx", remedy],
     );
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
-    let words = "every user may write to the root path";
+    let words = "every user can write to the root path";
     place.says("cdcrctl status", 1, &[words]);
     assert_eq!(files_below(root), BTreeSet::new());
     // A link of theirs to a folder of ours.
@@ -208,8 +208,8 @@ fn a_name_that_another_user_has_taken_keeps_neither_the_daemon_nor_a_stop_out() 
     let _taken = listen_as_stranger(location.daemon_name(ROBOT));
     assert_eq!(location.name_holder(ROBOT), NameHolder::Foreign);
     daemon.restart();
-    assert!(daemon.log().contains("another user holds the name"));
-    daemon.place().says("cdcrd run", 69, &["runs already"]);
+    assert!(daemon.log().contains("another user holds the socket name"));
+    daemon.place().says("cdcrd run", 69, &["already running"]);
     daemon.place().says("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
 }

@@ -259,7 +259,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     let output = Program::start(command.arg("run")).output();
     let words = [
         "belongs to user id 0, not to 65534",
-        "choose another with --root",
+        "use another one with --root",
     ];
     assert_says(&output, EXIT_ROOT, &words);
     // On a root folder of its own: yes, with the same prefix and robot.

@@ -43,12 +43,18 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     source.read_to(READ_AHEAD_NS)?;
     let status = connection.status(TIMEOUT)?;
     let fingerprint = source.robot_fingerprint();
-    let fingerprint = fingerprint.with_context(|| format!("{name} holds no cycle"))?;
+    let fingerprint = fingerprint.with_context(|| format!("{name} contains no cycle"))?;
     ensure!(
         fingerprint == status.robot.fingerprint,
-        "{name} is of another robot than the daemon's: its sections or limits differ"
+        "{name} is of another robot than the daemon: sections or limits differ"
     );
-    check_mode(&status)?;
+    if [Mode::Stopped, Mode::Faulted]
+        .map(Mode::code)
+        .contains(&status.mode)
+    {
+        let mode = Mode::text_of(status.mode);
+        bail!("the daemon is {mode}: reset it first (cdcrctl reset)");
+    }
     let mut player = Player::new(&connection, options.speed)?;
     let played = player.play(&mut source, &name, &interrupt);
     // However it ended; the first error is the one that says why.
@@ -62,7 +68,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     } = player;
     ensure!(
         chunks + updates > 0 || done == Done::Interrupted,
-        "{name} holds no obstacles, and no reference from its first chunk on"
+        "{name} contains no obstacles and no complete reference"
     );
     let speed = match options.speed {
         1.0 => String::new(),
@@ -70,7 +76,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     };
     writeln!(
         io::stdout(),
-        "{name}: {} and {} sent, {speed}as fast as they were; the daemon holds",
+        "{name}: {} and {} sent, {speed}as fast as recorded; the daemon holds",
         counted(chunks, Topic::Reference.noun()),
         counted(updates, Topic::Obstacles.noun())
     )?;
@@ -279,7 +285,7 @@ impl<'c> Player<'c> {
             }
             if event.outcome != Outcome::Accepted.code() {
                 bail!(
-                    "the daemon refused {}: {}",
+                    "the daemon rejected {}: {}",
                     EventKind::text_of(event.kind),
                     Outcome::text_of(event.outcome)
                 );

@@ -121,7 +121,7 @@ impl Content {
     /// Where there is no cycle.
     pub(super) fn json(&self, recording: &Recording, file: &str) -> anyhow::Result<Value> {
         let cycles = self.cycles.as_ref();
-        let cycles = cycles.with_context(|| format!("{file} holds no cycle"))?;
+        let cycles = cycles.with_context(|| format!("{file} contains no cycle"))?;
         let mut json = cycles.json();
         json["file"] = json!(file);
         json["robot"] = json!(self.robot_name);

@@ -31,7 +31,10 @@ pub(crate) fn run(options: &ReportOptions) -> anyhow::Result<Done> {
         .output
         .clone()
         .unwrap_or_else(|| options.file.with_extension("html"));
-    ensure!(page != options.file, "{name} is the recording itself");
+    ensure!(
+        page != options.file,
+        "{name} is the recording itself: use another --output"
+    );
     let data = content.json(&recording, &name.to_string())?;
     // Nothing in it ends the block early.
     let data = serde_json::to_string(&data)?.replace('<', "\\u003c");

@@ -62,7 +62,7 @@ impl Drop for Screen {
 fn draw(shot: &Shot, signs: Signs, frame: &mut Frame<'_>) {
     let area = frame.area();
     if area.width < COLUMNS_MIN || area.height < ROWS_MIN {
-        let words = format!("scope needs {COLUMNS_MIN} columns and {ROWS_MIN} rows; q ends it");
+        let words = format!("scope needs {COLUMNS_MIN} columns and {ROWS_MIN} rows; q quits");
         let words = Paragraph::new(words).wrap(ratatui::widgets::Wrap { trim: true });
         return frame.render_widget(words, area);
     }
@@ -83,7 +83,7 @@ fn draw(shot: &Shot, signs: Signs, frame: &mut Frame<'_>) {
     frame.render_widget(Line::from(letters), modes);
     let (before, after) = (shot.around.before, shot.around.after);
     let words = format!(
-        "{:>10} -{:.2} s to +{:.2} s   q ends it",
+        "{:>10} -{:.2} s to +{:.2} s   q quits",
         "time",
         before.as_secs_f64(),
         after.as_secs_f64()
