@@ -161,28 +161,28 @@ typedef enum CdcrOrientationKind {
 typedef enum CdcrOutcome {
     CDCR_OUTCOME_ACCEPTED = 0, /* accepted */
     CDCR_OUTCOME_NOT_FINITE = 1, /* a value is not a finite number */
-    CDCR_OUTCOME_IN_THE_PAST = 2, /* a time lies in the past */
+    CDCR_OUTCOME_IN_THE_PAST = 2, /* a time is in the past */
     CDCR_OUTCOME_OUT_OF_REACH = 3, /* a position is outside the reachable ball */
     CDCR_OUTCOME_TIME_NOT_INCREASING = 4, /* times do not increase */
-    CDCR_OUTCOME_NO_LEASE = 5, /* the sender has no right to feed a reference (it holds no lease) */
+    CDCR_OUTCOME_NO_LEASE = 5, /* the sender does not hold the reference lease */
     CDCR_OUTCOME_SEQUENCE_GAP = 6, /* an earlier chunk is missing */
     CDCR_OUTCOME_BUFFER_FULL = 7, /* the buffer is full */
     CDCR_OUTCOME_COUNT_OUT_OF_RANGE = 8, /* a count is out of range */
     CDCR_OUTCOME_UNKNOWN_CODE = 9, /* a code is unknown */
     CDCR_OUTCOME_NOT_UNIT = 10, /* an orientation is not of unit length */
     CDCR_OUTCOME_UNSUPPORTED = 11, /* this daemon does not support it */
-    CDCR_OUTCOME_LEASE_HELD = 12, /* another client feeds the reference (it holds the lease) */
+    CDCR_OUTCOME_LEASE_HELD = 12, /* another client holds the reference lease */
     CDCR_OUTCOME_NO_REFERENCE = 13, /* there is no reference ahead */
     CDCR_OUTCOME_WRONG_MODE = 14, /* the mode does not allow it */
-    CDCR_OUTCOME_CAUSE_STANDS = 15, /* the cause of the fault still stands */
+    CDCR_OUTCOME_CAUSE_STANDS = 15, /* the cause of the fault persists */
     CDCR_OUTCOME_OUT_OF_RANGE = 16, /* a value is out of range */
     CDCR_OUTCOME_BUSY = 17, /* too many requests at once */
     CDCR_OUTCOME_STALE = 18, /* the message is older than one already seen */
     CDCR_OUTCOME_WRONG_ROBOT = 19, /* the message belongs to another robot */
-    CDCR_OUTCOME_OVERRULED = 20, /* the robot was stopped after this was asked */
-    CDCR_OUTCOME_ENDING = 21, /* the daemon ends */
-    CDCR_OUTCOME_WRONG_INTERFACE = 22, /* the driver's interface is not that of the configuration (link.interface) */
-    CDCR_OUTCOME_OTHER_DRIVER = 23, /* another driver has the robot */
+    CDCR_OUTCOME_OVERRULED = 20, /* the robot was stopped after this request */
+    CDCR_OUTCOME_ENDING = 21, /* the daemon is shutting down */
+    CDCR_OUTCOME_WRONG_INTERFACE = 22, /* the driver's interface differs from the configuration (link.interface) */
+    CDCR_OUTCOME_OTHER_DRIVER = 23, /* another driver controls the robot */
     CDCR_OUTCOME_WAITS = 24, /* the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale */
     CDCR_OUTCOME_TOO_FAR = 25 /* the reference is farther from the tip than motion.approach_distance_m */
 } CdcrOutcome;
@@ -196,19 +196,19 @@ typedef enum CdcrReason {
     CDCR_REASON_DEADLINE_MISSES = 5, /* too many deadline misses (cycle.miss_limit) */
     CDCR_REASON_MEASUREMENT_LOST = 6, /* the measurement is lost */
     CDCR_REASON_NON_FINITE = 7, /* a value was not finite */
-    CDCR_REASON_LIMIT_BROKEN = 8, /* a limit is broken */
-    CDCR_REASON_CLEARANCE_BROKEN = 9, /* the clearance is broken */
-    CDCR_REASON_SHUTDOWN = 10, /* the daemon ends */
+    CDCR_REASON_LIMIT_BROKEN = 8, /* a limit is exceeded */
+    CDCR_REASON_CLEARANCE_BROKEN = 9, /* the clearance is too small (safety.clearance_fault_m) */
+    CDCR_REASON_SHUTDOWN = 10, /* the daemon is shutting down */
     CDCR_REASON_LEASE_RELEASED = 11, /* the reference lease was released */
     CDCR_REASON_MEASUREMENT_JUMP = 12, /* the measurement jumps */
     CDCR_REASON_MEASUREMENT_FROZEN = 13, /* the measurement is frozen */
-    CDCR_REASON_FOLLOWING_ERROR = 14, /* the robot does not follow (safety.following_fault_rad) */
+    CDCR_REASON_FOLLOWING_ERROR = 14, /* the following error is too large (safety.following_fault_rad) */
     CDCR_REASON_INPUTS_STALE = 15, /* the inputs are stale */
     CDCR_REASON_SUSPENDED = 16, /* the machine was suspended */
     CDCR_REASON_OBSTACLE_SOURCE_SILENT = 17, /* the source of the obstacles is silent (obstacles.source_timeout_ms) */
     CDCR_REASON_REFERENCE_TOO_FAR = 18, /* the reference was replaced by one farther from the tip than motion.approach_distance_m */
     CDCR_REASON_COMMON_MODE = 19, /* the cables of a section went slack, or one broke (safety.cable_common_m) */
-    CDCR_REASON_STOPPED_BEFORE = 20 /* it was stopped or faulted before the daemon was started; cdcrctl reset leaves that */
+    CDCR_REASON_STOPPED_BEFORE = 20 /* it was stopped or faulted before the daemon started; use cdcrctl reset */
 } CdcrReason;
 
 typedef enum CdcrReferenceState {

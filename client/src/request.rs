@@ -234,7 +234,7 @@ mod tests {
             .to_string();
         assert!(text.contains("acquire the lease"), "{text}");
         assert!(
-            text.contains("another client feeds the reference"),
+            text.contains("another client holds the reference lease"),
             "{text}"
         );
         assert!(text.contains("tracking"), "{text}");

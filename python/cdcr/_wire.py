@@ -182,13 +182,13 @@ class Outcome(Code):
     NOT_FINITE = 1
     """A value is not a finite number."""
     IN_THE_PAST = 2
-    """A time lies in the past."""
+    """A time is in the past."""
     OUT_OF_REACH = 3
     """A position is outside the reachable ball."""
     TIME_NOT_INCREASING = 4
     """Times do not increase."""
     NO_LEASE = 5
-    """The sender has no right to feed a reference (it holds no lease)."""
+    """The sender does not hold the reference lease."""
     SEQUENCE_GAP = 6
     """An earlier chunk is missing."""
     BUFFER_FULL = 7
@@ -202,13 +202,13 @@ class Outcome(Code):
     UNSUPPORTED = 11
     """This daemon does not support it."""
     LEASE_HELD = 12
-    """Another client feeds the reference (it holds the lease)."""
+    """Another client holds the reference lease."""
     NO_REFERENCE = 13
     """There is no reference ahead."""
     WRONG_MODE = 14
     """The mode does not allow it."""
     CAUSE_STANDS = 15
-    """The cause of the fault still stands."""
+    """The cause of the fault persists."""
     OUT_OF_RANGE = 16
     """A value is out of range."""
     BUSY = 17
@@ -218,13 +218,13 @@ class Outcome(Code):
     WRONG_ROBOT = 19
     """The message belongs to another robot."""
     OVERRULED = 20
-    """The robot was stopped after this was asked."""
+    """The robot was stopped after this request."""
     ENDING = 21
-    """The daemon ends."""
+    """The daemon is shutting down."""
     WRONG_INTERFACE = 22
-    """The driver's interface is not that of the configuration (link.interface)."""
+    """The driver's interface differs from the configuration (link.interface)."""
     OTHER_DRIVER = 23
-    """Another driver has the robot."""
+    """Another driver controls the robot."""
     WAITS = 24
     """The robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale."""
     TOO_FAR = 25
@@ -249,11 +249,11 @@ class Reason(Code):
     NON_FINITE = 7
     """A value was not finite."""
     LIMIT_BROKEN = 8
-    """A limit is broken."""
+    """A limit is exceeded."""
     CLEARANCE_BROKEN = 9
-    """The clearance is broken."""
+    """The clearance is too small (safety.clearance_fault_m)."""
     SHUTDOWN = 10
-    """The daemon ends."""
+    """The daemon is shutting down."""
     LEASE_RELEASED = 11
     """The reference lease was released."""
     MEASUREMENT_JUMP = 12
@@ -261,7 +261,7 @@ class Reason(Code):
     MEASUREMENT_FROZEN = 13
     """The measurement is frozen."""
     FOLLOWING_ERROR = 14
-    """The robot does not follow (safety.following_fault_rad)."""
+    """The following error is too large (safety.following_fault_rad)."""
     INPUTS_STALE = 15
     """The inputs are stale."""
     SUSPENDED = 16
@@ -273,7 +273,7 @@ class Reason(Code):
     COMMON_MODE = 19
     """The cables of a section went slack, or one broke (safety.cable_common_m)."""
     STOPPED_BEFORE = 20
-    """It was stopped or faulted before the daemon was started; cdcrctl reset leaves that."""
+    """It was stopped or faulted before the daemon started; use cdcrctl reset."""
 
 
 class ReferenceState(Code):

@@ -68,7 +68,7 @@ def test_a_second_client_does_not_get_the_lease(daemon: Daemon) -> None:
         t, xyz = curve(one.robot(), 600.0)
         with one.feed(t, xyz):
             for enter in (other.feed(t, xyz), other.stream()):
-                with pytest.raises(cdcr.RequestError, match="another client feeds") as refused:
+                with pytest.raises(cdcr.RequestError, match="another client holds the reference lease") as refused:
                     enter.__enter__()
                 assert "other client" in refused.value.remedy
             assert mode(one) is cdcr.Mode.TRACKING

@@ -214,17 +214,17 @@ wire_enum! {
         /// A measurement or a result was not a finite number.
         NonFinite = 7: "a value was not finite",
         /// The measured bend is beyond the limits.
-        LimitBroken = 8: "a limit is broken",
+        LimitBroken = 8: "a limit is exceeded",
         /// The body came too close to an obstacle.
-        ClearanceBroken = 9: "the clearance is broken",
-        Shutdown = 10: "the daemon ends",
+        ClearanceBroken = 9: "the clearance is too small (safety.clearance_fault_m)",
+        Shutdown = 10: "the daemon is shutting down",
         LeaseReleased = 11: "the reference lease was released",
         /// The measurement jumped farther than the robot can move.
         MeasurementJump = 12: "the measurement jumps",
         /// The measurement did not change although the robot was commanded to move.
         MeasurementFrozen = 13: "the measurement is frozen",
         /// The measured configuration is too far from the commanded one.
-        FollowingError = 14: "the robot does not follow (safety.following_fault_rad)",
+        FollowingError = 14: "the following error is too large (safety.following_fault_rad)",
         /// No gather brought new inputs for longer than a command is valid.
         InputsStale = 15: "the inputs are stale",
         Suspended = 16: "the machine was suspended",
@@ -233,7 +233,7 @@ wire_enum! {
         /// The mean length of a section's three cables changed by more than any bend does.
         CommonMode = 19: "the cables of a section went slack, or one broke (safety.cable_common_m)",
         /// The daemon was restarted since, without a reset.
-        StoppedBefore = 20: "it was stopped or faulted before the daemon was started; cdcrctl reset leaves that",
+        StoppedBefore = 20: "it was stopped or faulted before the daemon started; use cdcrctl reset",
     }
 }
 
@@ -264,12 +264,12 @@ wire_enum! {
         /// It took effect.
         Accepted = 0: "accepted",
         NotFinite = 1: "a value is not a finite number",
-        InThePast = 2: "a time lies in the past",
+        InThePast = 2: "a time is in the past",
         /// A position is farther from the base than the robot is long.
         OutOfReach = 3: "a position is outside the reachable ball",
         /// A time is less than a microsecond after the previous one.
         TimeNotIncreasing = 4: "times do not increase",
-        NoLease = 5: "the sender has no right to feed a reference (it holds no lease)",
+        NoLease = 5: "the sender does not hold the reference lease",
         /// A chunk before this one was lost or rejected.
         SequenceGap = 6: "an earlier chunk is missing",
         BufferFull = 7: "the buffer is full",
@@ -278,10 +278,10 @@ wire_enum! {
         /// An orientation is not a unit vector or quaternion.
         NotUnit = 10: "an orientation is not of unit length",
         Unsupported = 11: "this daemon does not support it",
-        LeaseHeld = 12: "another client feeds the reference (it holds the lease)",
+        LeaseHeld = 12: "another client holds the reference lease",
         NoReference = 13: "there is no reference ahead",
         WrongMode = 14: "the mode does not allow it",
-        CauseStands = 15: "the cause of the fault still stands",
+        CauseStands = 15: "the cause of the fault persists",
         OutOfRange = 16: "a value is out of range",
         /// Too many requests at once; try again.
         Busy = 17: "too many requests at once",
@@ -290,11 +290,11 @@ wire_enum! {
         /// The section count is not that of the robot.
         WrongRobot = 19: "the message belongs to another robot",
         /// A stop or a fault came after the request, or in the same cycle.
-        Overruled = 20: "the robot was stopped after this was asked",
-        Ending = 21: "the daemon ends",
+        Overruled = 20: "the robot was stopped after this request",
+        Ending = 21: "the daemon is shutting down",
         /// The driver follows positions and the daemon is configured for speeds, or the reverse.
-        WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",
-        OtherDriver = 23: "another driver has the robot",
+        WrongInterface = 22: "the driver's interface differs from the configuration (link.interface)",
+        OtherDriver = 23: "another driver controls the robot",
         /// The robot waits without a fault; the request may be repeated.
         Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
         TooFar = 25: "the reference is farther from the tip than motion.approach_distance_m",

@@ -153,13 +153,13 @@ pub enum Refusal {
     #[error("the reference is too far from the tip")]
     TooFar,
     /// The cause of the fault persists.
-    #[error("the cause of the fault still stands")]
+    #[error("the cause of the fault persists")]
     CauseStands,
     /// The robot must wait, without a fault: [`Observation::wait`].
     #[error("the robot has to wait")]
     Waits,
     /// A stop or a fault came after the request, or in the same cycle.
-    #[error("the robot was stopped after this was asked")]
+    #[error("the robot was stopped after this request")]
     Overruled,
     /// The process ends.
     #[error("the process ends")]

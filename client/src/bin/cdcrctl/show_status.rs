@@ -390,7 +390,7 @@ mod tests {
             "pinned to no core",
             "obstacles   2, smallest clearance 10.50 mm",
             "the guard changed 17 commands",
-            "3  the sender has no right to feed a reference (it holds no lease)",
+            "3  the sender does not hold the reference lease",
             "budget all the remaining period\n",
         ] {
             assert!(table.contains(expected), "{expected} in\n{table}");
