@@ -59,7 +59,7 @@ crate::parameters! {
         /// Optimised rates: "bend-vector" (smooth everywhere), or "bend-angles", the paper's theta and phi.
         coordinates: Coordinates = Coordinates::BendVector;
         /// Control blocks M, {range}, and at most N; 0: one per step. A plan has at most 240 numbers: 40 blocks with three
-        /// sections, 20 with six; at most 20 blocks where rate_change_weight is not 0.
+        /// sections, 20 with six; at most 20 blocks where rate changes have a weight.
         control_blocks: u32 = 0, in ranges::CONTROL_BLOCKS, "at most controller.horizon_steps";
         /// Particles of the swarm, {range}.
         swarm_size: u32 = 6, in ranges::SWARM_SIZE;
