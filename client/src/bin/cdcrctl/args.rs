@@ -214,15 +214,15 @@ pub(crate) enum Task {
         after_help = "Examples:\n  cdcrctl record                    write ROBOT-DATE-TIME.mcap until interrupted or the daemon ends\n  \
         cdcrctl record -o spiral.mcap & cdcrctl ref spiral --track\n  \
         cdcrctl record --around incident     record from 5 s before to 5 s after the next incident\n\n\
-        Start the recording before the reference is fed: cycles that follow an unrecorded reference\n\
+        Start the recording before the reference is fed: cycles that follow an unrecorded reference \
         cannot be recomputed. A full disk ends the recording with exit code 3; the file stays readable up to there."
     )]
     Record(RecordingOptions),
     /// Wait for a trigger, record the time around it, and plot it
     #[command(
         after_help = "Examples:\n  cdcrctl scope --trigger 'error>5mm'\n  cdcrctl scope --trigger fault --before 10s -o fault.mcap\n\n\
-        On a terminal, plots error, clearance, response time, fastest bend rate and mode over time while it waits and records, with the trigger\n\
-        level and a line at the cycle that fired: the first that meets the condition after one that does not. q quits.\n\
+        On a terminal, plots error, clearance, response time, fastest bend rate and mode over time while it waits and records, with the trigger \
+        level and a line at the cycle that fired: the first that meets the condition after one that does not. q quits. \
         At the end it prints the same charts. The file includes the time before the trigger."
     )]
     Scope(ScopeOptions),
@@ -237,7 +237,7 @@ pub(crate) enum Task {
     /// scaled by --speed. At the end the daemon holds, and the replayed obstacles are removed.
     #[command(
         after_help = "Examples:\n  cdcrctl replay spiral.mcap --speed 0.5     needs a daemon of the same robot\n  cdcrctl replay --verify spiral.mcap\n\n\
-        --verify and --with need no daemon. --verify saves the first cycle that differs, with its inputs, as NAME-cycle-N.mcap, which the same\n\
+        --verify and --with need no daemon. --verify saves the first cycle that differs, with its inputs, as NAME-cycle-N.mcap, which the same \
         command reads, and exits with code 1. Cycles that follow an unrecorded reference are counted separately."
     )]
     Replay(ReplayOptions),
@@ -250,7 +250,7 @@ pub(crate) enum Task {
     /// Convert the messages of a recording to CSV tables
     #[command(
         after_help = "Example:\n  cdcrctl convert spiral.mcap --csv spiral\n\n\
-        One row per cycle, event, reference point, obstacle, status and incident; columns are named by field, such as\n\
+        One row per cycle, event, reference point, obstacle, status and incident; columns are named by field, such as \
         command.mode or bend_rad[2]. Plans are left out."
     )]
     Convert(ConvertOptions),
