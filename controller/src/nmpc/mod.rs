@@ -16,13 +16,16 @@
 //! | `problem` | what does a plan cost, and how does that change with it |
 //! | `knowledge`, `escape` | which candidates are known before the search |
 //! | `solver` | in which order do knowledge, swarm and Gauss-Newton work |
+//! | `reachable` | what can be reached over a horizon |
 //! | `ways` | which ways past obstacles does a new plan try |
+//! | `foresight` | which of the plans that cost nothing leads on best |
 //! | `report` | how did the solve end |
 //!
 //! Invariant: nothing here knows a clock, a thread or a message. Time is counted in periods; the
 //! budget is a closure. Nothing allocates after [`Nmpc::new`].
 
 mod escape;
+mod foresight;
 mod horizon;
 mod knowledge;
 mod limits;
@@ -30,6 +33,7 @@ mod motion;
 mod obstacles;
 mod pose_error;
 mod problem;
+mod reachable;
 mod report;
 mod settings;
 mod solver;
@@ -40,13 +44,11 @@ pub use horizon::Horizon;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
 
-use crate::optimizer::{Bounds, Budget, Simd};
+use crate::optimizer::{Budget, Simd};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
-use limits::Limits;
-use motion::Motion;
-use obstacles::Obstacles;
-use problem::TrackingProblem;
+use foresight::Foresight;
+use reachable::{Reachable, Start};
 use solver::Solver;
 
 /// Control blocks M at most: one for each step.
@@ -95,9 +97,7 @@ pub struct Nmpc {
     acceleration_rad_s2: f64,
     settings: NmpcSettings,
     horizon: Horizon,
-    /// The box of the controls.
-    bounds: Bounds,
-    obstacles: Obstacles,
+    reachable: Reachable,
     /// The plan of the last solve: what the next warm start is made of.
     plan: Vec<f64>,
     warm_plan: Vec<f64>,
@@ -106,6 +106,7 @@ pub struct Nmpc {
     /// Periods by which a restored plan was moved on already.
     restored_periods: u64,
     solver: Solver,
+    foresight: Foresight,
 }
 
 impl Nmpc {
@@ -137,13 +138,13 @@ impl Nmpc {
             acceleration_rad_s2: f64::INFINITY,
             settings,
             horizon: Horizon::new(&settings, width),
-            bounds: Bounds::with_capacity(unknowns),
-            obstacles: Obstacles::with_capacity(),
+            reachable: Reachable::with_capacity(unknowns),
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
             kept_plan: Vec::with_capacity(unknowns),
             restored_periods: 0,
             solver: Solver::with_capacity(simd, unknowns, width * TIED_BLOCKS_MAX),
+            foresight: Foresight::with_capacity(unknowns),
         };
         nmpc.apply(settings);
         Ok(nmpc)
@@ -174,6 +175,7 @@ impl Nmpc {
         self.settings = settings;
         let width = self.robot.coordinate_count();
         self.horizon = Horizon::new(&settings, width);
+        self.foresight.configure(&settings, &self.horizon, width);
         let unknowns = width * self.horizon.blocks();
         self.plan.resize(unknowns, 0.0);
         self.warm_plan.resize(unknowns, 0.0);
@@ -257,16 +259,15 @@ impl Nmpc {
     ) -> (BendRates, SolveReport) {
         let thicker = self.robot.thicker(input.configuration, input.tip_offset_m);
         let robot: &Robot = &thicker;
-        let motion = Motion::new(
+        let start = Start {
             robot,
-            self.period_s,
-            self.settings.coordinates,
-            &self.horizon,
-            input.configuration,
-            input.previous_rates,
-            input.reference.first().map(|sample| sample.position_m),
-        );
-        motion.set_bounds(robot, &mut self.bounds);
+            period_s: self.period_s,
+            acceleration_rad_s2: self.acceleration_rad_s2,
+            settings: &self.settings,
+            input,
+        };
+        let motion = start.motion(&self.horizon);
+        let limits = self.reachable.survey(&start, &motion, budget);
         let moved_on = input.elapsed_periods.saturating_add(self.restored_periods);
         self.restored_periods = 0;
         self.horizon
@@ -276,46 +277,17 @@ impl Nmpc {
             input.previous_rates,
             input.elapsed_periods,
         );
-        let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
-        let is_limited = self.acceleration_rad_s2 < f64::INFINITY;
-        if is_limited && self.settings.coordinates == Coordinates::BendVector {
-            let change_rad_s = self.acceleration_rad_s2 * self.period_s;
-            let change = |block| change_rad_s * self.horizon.steps_into(block) as f64;
-            self.bounds
-                .keep_near(input.previous_rates.as_slice(), change);
-        }
-        self.bounds.project(&mut self.warm_plan);
-
-        self.obstacles.gather(
-            robot,
-            &motion,
-            input.obstacles,
-            self.settings.safe_distance_m,
-            &fastest_rad_s,
-            budget,
-        );
-        let limits = Limits::new(
-            robot,
-            &motion,
-            self.settings.position_weight,
-            &fastest_rad_s,
-        );
-        let problem = TrackingProblem::new(
-            robot,
-            &self.settings,
-            &motion,
-            &limits,
-            &self.obstacles,
-            &self.bounds,
-            input,
-        );
+        self.reachable.bounds.project(&mut self.warm_plan);
+        let problem = start.problem(&motion, &limits, &self.reachable, input.reference);
         let task = solver::Task {
             problem: &problem,
-            bounds: &self.bounds,
+            bounds: &self.reachable.bounds,
             settings: &self.settings,
             seed: input.seed,
         };
-        let report = self.solver.solve(&task, &self.warm_plan, budget);
+        let mut report = self.solver.solve(&task, &self.warm_plan, budget);
+        self.foresight
+            .improve(&mut self.solver, &task, &start, budget, &mut report);
         self.plan.copy_from_slice(self.solver.best());
         if !self.solver.is_evaluated() {
             self.horizon.rest_unforeseen(&mut self.plan, moved_on);

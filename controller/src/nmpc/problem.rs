@@ -7,14 +7,16 @@ use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
-use super::{Coordinates, NmpcSettings, SolveInput};
+use super::{Coordinates, NmpcSettings};
 use crate::optimizer::{
     Bounds, Budget, Cost, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
     WIDTH_MAX,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
-use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Near, Robot, SECTIONS_MAX};
-use crate::wide::{Aligned, Wide};
+use crate::robot::{
+    BendRates, COORDINATES_MAX, Configuration, Jacobian, Near, Robot, SECTIONS_MAX,
+};
+use crate::wide::Wide;
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {
@@ -52,10 +54,10 @@ impl<'a> TrackingProblem<'a> {
         limits: &'a Limits<'a>,
         obstacles: &'a Obstacles,
         bounds: &'a Bounds,
-        input: &SolveInput<'a>,
+        (previous_rates, reference): (&BendRates, &'a [ReferenceSample]),
     ) -> Self {
         let mut previous = [0.0; COORDINATES_MAX];
-        let held = input.previous_rates.as_slice();
+        let held = previous_rates.as_slice();
         motion.controls_of(held, &mut previous[..held.len()]);
         let mut problem = Self {
             robot,
@@ -65,7 +67,7 @@ impl<'a> TrackingProblem<'a> {
             limits,
             obstacles,
             bounds,
-            reference: input.reference,
+            reference,
             stages: Stages::new(
                 motion.width(),
                 motion.period_s(),

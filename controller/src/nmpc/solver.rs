@@ -21,6 +21,7 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 const ANOTHER_WAY: f64 = 0.5;
 
 /// What is to be solved.
+#[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
     pub problem: &'a TrackingProblem<'a>,
     pub bounds: &'a Bounds,
@@ -36,7 +37,7 @@ pub(super) struct Solver {
     pub(super) gauss_newton: GaussNewton,
     pub(super) incumbent: Incumbent,
     /// The result of another search from the same warm start.
-    apart: Incumbent,
+    pub(super) apart: Incumbent,
     /// A warm start that rests where it would break a constraint.
     resting: Incumbent,
     pub(super) ways: [Incumbent; WAYS],

@@ -92,13 +92,18 @@ impl Incumbent {
         self.evaluations += other.evaluations.saturating_sub(1);
         let better = other.cost < self.cost;
         if better {
-            self.z.copy_from_slice(&other.z);
-            self.cost = other.cost;
-            self.violations = other.violations;
-            self.evaluated = true;
+            self.replace(other);
             self.origin = other.origin;
         }
         better
+    }
+
+    /// Takes another solution that descends from it, whatever it costs.
+    pub(crate) fn replace(&mut self, other: &Self) {
+        self.z.copy_from_slice(&other.z);
+        self.cost = other.cost;
+        self.violations = other.violations;
+        self.evaluated = true;
     }
 
     /// Counts evaluations that are known not to be better.

@@ -96,7 +96,7 @@ impl TrackingProblem<'_> {
     }
 
     /// Whether rates or their change have a weight.
-    pub(super) fn is_regularised(&self) -> bool {
+    pub(in crate::nmpc) fn is_regularised(&self) -> bool {
         f64::from(self.settings.rate_weight) > 0.0 || self.settings.rate_change_weight > 0.0
     }
 

@@ -111,15 +111,6 @@ fn with_problem_among<T>(
     let safe_m = case.settings.safe_distance_m;
     let budget = &mut Budget::unlimited();
     obstacles.gather(&robot, &motion, around, safe_m, &fastest_rad_s, budget);
-    let input = SolveInput {
-        configuration: &case.at,
-        previous_rates: &case.held,
-        reference: &[case.goal],
-        obstacles: around,
-        tip_offset_m: 0.0,
-        elapsed_periods: 1,
-        seed: 1,
-    };
     run(&TrackingProblem::new(
         &robot,
         &case.settings,
@@ -127,7 +118,7 @@ fn with_problem_among<T>(
         &limits,
         &obstacles,
         &bounds,
-        &input,
+        (&case.held, &[case.goal]),
     ))
 }
 

@@ -1,0 +1,330 @@
+//! Many plans of a long horizon cost nothing. Of these the one is taken that leads on best: over some steps more, for which the reference is continued. Where rates or
+//! constraints are at their limits, that decides whether a curve can still be followed when the horizon gets there.
+
+use nalgebra::Vector3;
+
+use super::reachable::{Reachable, Start};
+use super::solver::{Solver, Task};
+use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport};
+use crate::optimizer::{Budget, GaussNewtonSettings, Incumbent, Problem};
+use crate::reference::{Orientation, ReferenceSample, ReferenceState};
+
+/// Steps that are foreseen, beside those of the horizon.
+const SHARE: f64 = 0.4;
+/// A curve is continued where its last point is no farther, in parts of its last step, beside the cubic through the four points before. Eight steps later
+/// that is a step.
+const SMOOTH_SHARE: f64 = 0.003;
+/// A rate is at a border of its box from this part of the box on.
+const BORDER_SHARE: f64 = 1e-3;
+
+/// A longer horizon, and what is reached over it.
+#[derive(Debug, Clone)]
+pub(super) struct Foresight {
+    horizon: Option<Horizon>,
+    reachable: Reachable,
+    reference: Vec<ReferenceSample>,
+}
+
+impl Foresight {
+    pub(super) fn with_capacity(unknowns: usize) -> Self {
+        Self {
+            horizon: None,
+            reachable: Reachable::with_capacity(unknowns),
+            reference: Vec::with_capacity(HORIZON_STEPS_MAX),
+        }
+    }
+
+    /// Beyond this horizon, if each of its steps has rates of its own, and there is room for more.
+    pub(super) fn configure(&mut self, settings: &NmpcSettings, horizon: &Horizon, width: usize) {
+        let steps = horizon.steps();
+        let most = HORIZON_STEPS_MAX.min(PLAN_MAX / width.max(1));
+        let longer = most.min(steps + (SHARE * steps as f64) as usize);
+        let is_free = horizon.blocks() == steps && settings.rate_change_weight == 0.0;
+        self.horizon = (is_free && longer > steps).then(|| {
+            let settings = NmpcSettings {
+                horizon_steps: longer as u32,
+                control_blocks: 0,
+                ..*settings
+            };
+            Horizon::new(&settings, width)
+        });
+    }
+
+    /// Lets the solver take a plan that costs as little as the one that it has found, and leads on better.
+    pub(super) fn improve(
+        &mut self,
+        solver: &mut Solver,
+        task: &Task,
+        start: &Start,
+        budget: &mut Budget<'_>,
+        report: &mut SolveReport,
+    ) {
+        let Some(horizon) = &self.horizon else {
+            return;
+        };
+        let (known, longer) = (task.problem.steps(), horizon.steps());
+        if !solver.may_choose(task) || !budget.left() {
+            return;
+        }
+        if !continue_reference(start.input.reference, known, longer, &mut self.reference) {
+            return;
+        }
+        let motion = start.motion(horizon);
+        let limits = self.reachable.survey(start, &motion, budget);
+        let problem = start.problem(&motion, &limits, &self.reachable, &self.reference);
+        let longer = Task {
+            problem: &problem,
+            bounds: &self.reachable.bounds,
+            ..*task
+        };
+        solver.lead_on(task, &longer, budget, report);
+    }
+}
+
+/// Writes the first `steps` samples, and those that follow smoothly up to `longer`. False: they do not tell how the curve goes on.
+fn continue_reference(
+    samples: &[ReferenceSample],
+    steps: usize,
+    longer: usize,
+    into: &mut Vec<ReferenceSample>,
+) -> bool {
+    let Some(known) = samples.get(..steps) else {
+        return false;
+    };
+    let [.., e, d, c, b, a] = known else {
+        return false;
+    };
+    let last = [e, d, c, b, a];
+    let tells = |sample: &&ReferenceSample| {
+        sample.state == ReferenceState::Inside && sample.orientation == Orientation::Free
+    };
+    let [e, d, c, b, a] = last.map(|sample| sample.position_m);
+    let next = |[d, c, b, a]: [Vector3<f64>; 4]| 4.0 * (a + c) - 6.0 * b - d;
+    let beside_m = (next([e, d, c, b]) - a).norm();
+    if !last.iter().all(tells) || beside_m > SMOOTH_SHARE * (a - b).norm() {
+        return false;
+    }
+    into.clear();
+    into.extend_from_slice(known);
+    let mut last = [d, c, b, a];
+    for _ in steps..longer {
+        let ahead = next(last);
+        last = [last[1], last[2], last[3], ahead];
+        into.push(ReferenceSample::at(ahead));
+    }
+    true
+}
+
+impl Solver {
+    /// Whether other plans may cost as little, and something keeps the robot from following any of them.
+    fn may_choose(&self, task: &Task) -> bool {
+        task.settings.solver.refines()
+            && task.problem.is_staged()
+            && !task.problem.is_regularised()
+            && !self.incumbent.is_violated()
+            && !self.error_is_left(task)
+            && (!task.problem.is_free() || self.is_at_border(task))
+    }
+
+    fn is_at_border(&self, task: &Task) -> bool {
+        let borders = task.bounds.lower().iter().zip(task.bounds.upper());
+        let mut rates = self.incumbent.z().iter().zip(borders);
+        rates.any(|(rate, (lower, upper))| {
+            let near = BORDER_SHARE * (upper - lower);
+            rate - lower <= near || upper - rate <= near
+        })
+    }
+
+    /// Refines the plan over a longer horizon, and what that begins with over its own. Where that costs no more than the plan, or next to nothing, it is taken.
+    fn lead_on(
+        &mut self,
+        task: &Task,
+        longer: &Task,
+        budget: &mut Budget<'_>,
+        report: &mut SolveReport,
+    ) {
+        let (own, all) = (task.problem.dimension(), longer.problem.dimension());
+        let plan = &mut self.scratch;
+        plan.clear();
+        plan.extend_from_slice(self.incumbent.z());
+        for i in own..all {
+            plan.push(plan[i - task.problem.motion.width()]);
+        }
+        longer.bounds.project(plan);
+        restart(&mut self.apart, longer, plan, budget);
+        self.incumbent.pass_over(self.apart.evaluations() as usize);
+        // Rates that can be held on need no choice.
+        if self.apart.is_violated() || self.is_at_border(task) {
+            self.look_ahead(task, longer, budget, report);
+        }
+        report.quanta = budget.passed();
+        report.budget_spent = budget.is_over();
+        report.evaluations = self.incumbent.evaluations();
+    }
+
+    fn look_ahead(
+        &mut self,
+        task: &Task,
+        longer: &Task,
+        budget: &mut Budget<'_>,
+        report: &mut SolveReport,
+    ) {
+        let settings = task.settings.gauss_newton();
+        let (gauss_newton, apart) = (&mut self.gauss_newton, &mut self.apart);
+        let each = GaussNewtonSettings {
+            steps: 1,
+            ..settings
+        };
+        for _ in 0..settings.steps {
+            if apart.cost() > task.settings.small_cost() {
+                gauss_newton.refine(longer.problem, longer.bounds, &each, budget, apart);
+            }
+        }
+        self.incumbent.pass_over(apart.evaluations() as usize);
+        self.scratch.clear();
+        self.scratch
+            .extend_from_slice(&apart.z()[..task.problem.dimension()]);
+        restart(apart, task, &self.scratch, budget);
+        for _ in 0..settings.steps {
+            if apart.cost() > task.settings.cost_tolerance() {
+                gauss_newton.refine(task.problem, task.bounds, &each, budget, apart);
+            }
+        }
+        self.incumbent.pass_over(apart.evaluations() as usize);
+        let most = f64::max(self.incumbent.cost(), task.settings.small_cost());
+        if apart.cost() <= f64::min(most, report.warm_cost) && !apart.is_violated() {
+            self.incumbent.replace(apart);
+            report.cost = apart.cost();
+        }
+    }
+}
+
+/// Begins with a plan.
+fn restart(incumbent: &mut Incumbent, task: &Task, plan: &[f64], budget: &mut Budget<'_>) {
+    let evaluation = task.problem.evaluate_at(plan, budget);
+    incumbent.restart(plan, evaluation.as_ref());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nmpc::{Nmpc, SolveInput, SolverKind};
+    use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+
+    fn curve(of: impl Fn(f64) -> Vector3<f64>) -> Vec<ReferenceSample> {
+        (0..30)
+            .map(|k| ReferenceSample::at(of(f64::from(k))))
+            .collect()
+    }
+
+    /// How far the last sample is beside where the curve goes on.
+    fn beside_m(samples: &[ReferenceSample]) -> Option<f64> {
+        let mut into = Vec::new();
+        let is_known = continue_reference(&samples[..20], 20, 28, &mut into);
+        assert!(!is_known || into[..20] == samples[..20]);
+        is_known.then(|| (into[27].position_m - samples[27].position_m).norm())
+    }
+
+    #[test]
+    fn a_smooth_curve_goes_on_and_another_is_not_guessed() {
+        let circle = |k: f64| Vector3::new((0.05 * k).cos(), (0.05 * k).sin(), 0.0);
+        let beside = beside_m(&curve(circle)).expect("smooth");
+        assert!(beside < 0.05, "{beside}");
+        let cubic = |k: f64| Vector3::new(k, 0.01 * k * k, -0.001 * k * k * k);
+        assert!(beside_m(&curve(cubic)).expect("smooth") < 1e-9);
+        assert_eq!(beside_m(&curve(|_| Vector3::x())), Some(0.0));
+        for corner in [16.0, 17.0, 18.0] {
+            let turn = |k: f64| Vector3::new(corner - (k - corner).abs(), 0.0, 0.0);
+            assert_eq!(beside_m(&curve(turn)), None, "{corner}");
+        }
+        let mut ended = curve(circle);
+        ended[18].state = ReferenceState::Ended;
+        assert_eq!(beside_m(&ended), None);
+        let short = &curve(circle)[..19];
+        assert!(!continue_reference(short, 20, 28, &mut Vec::new()));
+    }
+
+    #[test]
+    fn short_horizons_and_held_rates_have_none() {
+        let foreseen = |horizon_steps, control_blocks| {
+            let settings = NmpcSettings {
+                horizon_steps,
+                control_blocks,
+                ..NmpcSettings::default()
+            };
+            let mut foresight = Foresight::with_capacity(0);
+            foresight.configure(&settings, &Horizon::new(&settings, 6), 6);
+            foresight.horizon.map(|horizon| horizon.steps())
+        };
+        let steps = [2, 20, 35, 40, 50].map(|steps| foreseen(steps, 0));
+        assert_eq!(steps, [None, Some(28), Some(40), None, None]);
+        assert_eq!(foreseen(20, 10), None);
+    }
+
+    /// The paper's spiral at ten times its speed.
+    fn spiral_m(step: u32) -> Vector3<f64> {
+        let t = 5.0_f64.to_radians() + 0.05 * f64::from(step);
+        let (sin_part, cos_part) = (t / 15.0).sin_cos();
+        let h = 4.5 * sin_part / t;
+        Vector3::new(
+            h * sin_part * t.cos(),
+            h * sin_part * t.sin(),
+            0.6 + h * cos_part,
+        )
+    }
+
+    /// Balls around the foot of the last section.
+    fn balls(apart_m: f64) -> Vec<Obstacle> {
+        let ball = |i: u32| {
+            let (sin, cos) = (2.4 * f64::from(i)).sin_cos();
+            let up_m = 0.615 + 0.06 * f64::from(i) / 16.0;
+            let centre_m = Vector3::new(apart_m * cos, apart_m * sin, up_m);
+            Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).expect("a ball")
+        };
+        (0..16).map(ball).collect()
+    }
+
+    /// From one state and one warm start the plan that leads on costs no more than the one that does not look beyond.
+    #[test]
+    fn a_plan_that_leads_on_better_costs_no_more() {
+        let robot = Robot::new(&RobotParameters::paper(3)).expect("a robot");
+        let direction = 5.0_f64.to_radians();
+        let mut at = Configuration::from_bend_angles(&[
+            [0.0; 2],
+            [0.0; 2],
+            [2.0 * direction / 15.0, direction],
+        ]);
+        let mut rates = BendRates::zero(3);
+        let settings = NmpcSettings {
+            solver: SolverKind::GaussNewton,
+            horizon_steps: 20,
+            ..NmpcSettings::default()
+        };
+        let apart_m = robot.sections()[2].body_radius_m + settings.safe_distance_m + 0.026;
+        let balls = balls(apart_m);
+        let mut nmpc = Nmpc::new(robot, 0.005, settings).expect("settings");
+        let mut others = 0;
+        for cycle in 0..70 {
+            let steps = cycle + 1..=cycle + 20;
+            let reference: Vec<_> = steps.map(|k| ReferenceSample::at(spiral_m(k))).collect();
+            let input = SolveInput {
+                configuration: &at,
+                previous_rates: &rates,
+                reference: &reference,
+                obstacles: &balls,
+                tip_offset_m: 0.0,
+                elapsed_periods: 1,
+                seed: 1,
+            };
+            let mut blind = nmpc.clone();
+            blind.foresight.horizon = None;
+            let (_, without) = blind.solve(&input, &mut Budget::unlimited());
+            let (command, report) = nmpc.solve(&input, &mut Budget::unlimited());
+            let most = f64::max(without.cost, settings.small_cost());
+            assert!(report.cost <= f64::min(most, report.warm_cost), "{cycle}");
+            others += u32::from(nmpc.plan != blind.plan);
+            (at, rates) = (at.advanced(&command, 0.005), command);
+        }
+        assert!(others > 10, "{others}");
+    }
+}

@@ -1,0 +1,106 @@
+//! What a solve can reach over a horizon: the box of its controls, and the obstacles and limits in it.
+
+use super::limits::Limits;
+use super::motion::Motion;
+use super::obstacles::Obstacles;
+use super::problem::TrackingProblem;
+use super::{Coordinates, Horizon, NmpcSettings, SolveInput};
+use crate::optimizer::{Bounds, Budget};
+use crate::reference::ReferenceSample;
+use crate::robot::Robot;
+
+/// What one solve starts from, whatever its horizon.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Start<'a> {
+    pub robot: &'a Robot,
+    pub period_s: f64,
+    pub acceleration_rad_s2: f64,
+    pub settings: &'a NmpcSettings,
+    pub input: &'a SolveInput<'a>,
+}
+
+impl<'a> Start<'a> {
+    /// How controls move the robot over this horizon.
+    pub(super) fn motion(&self, horizon: &'a Horizon) -> Motion<'a> {
+        Motion::new(
+            self.robot,
+            self.period_s,
+            self.settings.coordinates,
+            horizon,
+            self.input.configuration,
+            self.input.previous_rates,
+            self.input.reference.first().map(|sample| sample.position_m),
+        )
+    }
+
+    /// What a plan is to do over the horizon of this motion.
+    pub(super) fn problem(
+        &self,
+        motion: &'a Motion<'a>,
+        limits: &'a Limits<'a>,
+        reachable: &'a Reachable,
+        reference: &'a [ReferenceSample],
+    ) -> TrackingProblem<'a> {
+        let Reachable { bounds, obstacles } = reachable;
+        let (robot, settings, previous_rates) =
+            (self.robot, self.settings, self.input.previous_rates);
+        TrackingProblem::new(
+            robot,
+            settings,
+            motion,
+            limits,
+            obstacles,
+            bounds,
+            (previous_rates, reference),
+        )
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Reachable {
+    /// The box of the controls.
+    pub bounds: Bounds,
+    pub obstacles: Obstacles,
+}
+
+impl Reachable {
+    pub(super) fn with_capacity(unknowns: usize) -> Self {
+        Self {
+            bounds: Bounds::with_capacity(unknowns),
+            obstacles: Obstacles::with_capacity(),
+        }
+    }
+
+    /// Finds it anew for a motion, and the limits that matter.
+    pub(super) fn survey<'a>(
+        &mut self,
+        start: &Start<'a>,
+        motion: &Motion,
+        budget: &mut Budget<'_>,
+    ) -> Limits<'a> {
+        let Start {
+            robot,
+            settings,
+            input,
+            ..
+        } = *start;
+        motion.set_bounds(robot, &mut self.bounds);
+        let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
+        let is_limited = start.acceleration_rad_s2 < f64::INFINITY;
+        if is_limited && settings.coordinates == Coordinates::BendVector {
+            let change_rad_s = start.acceleration_rad_s2 * start.period_s;
+            let change = |block| change_rad_s * motion.horizon().steps_into(block) as f64;
+            self.bounds
+                .keep_near(input.previous_rates.as_slice(), change);
+        }
+        self.obstacles.gather(
+            robot,
+            motion,
+            input.obstacles,
+            settings.safe_distance_m,
+            &fastest_rad_s,
+            budget,
+        );
+        Limits::new(robot, motion, settings.position_weight, &fastest_rad_s)
+    }
+}
