@@ -11,6 +11,10 @@ use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 
 /// Steps that are foreseen, beside those of the horizon.
 const SHARE: f64 = 0.4;
+/// Gauss-Newton steps of the longer plan at most: among obstacles each takes as long as a solve.
+const STEPS_MAX: u32 = 2;
+/// What costs as little as this part of a small error is as good as nothing: a nanometre.
+const EQUAL_SHARE: f64 = 1e-6;
 /// A curve is continued where its last point is no farther, in parts of its last step, beside the cubic through the four points before. Eight steps later
 /// that is a step.
 const SMOOTH_SHARE: f64 = 0.003;
@@ -175,7 +179,7 @@ impl Solver {
             steps: 1,
             ..settings
         };
-        for _ in 0..settings.steps {
+        for _ in 0..STEPS_MAX.min(settings.steps) {
             if apart.cost() > task.settings.small_cost() {
                 gauss_newton.refine(longer.problem, longer.bounds, &each, budget, apart);
             }
@@ -186,12 +190,17 @@ impl Solver {
             .extend_from_slice(&apart.z()[..task.problem.dimension()]);
         restart(apart, task, &self.scratch, budget);
         for _ in 0..settings.steps {
-            if apart.cost() > task.settings.cost_tolerance() {
+            let before = apart.cost();
+            if before > task.settings.cost_tolerance() {
                 gauss_newton.refine(task.problem, task.bounds, &each, budget, apart);
+            }
+            if apart.cost() >= before {
+                break;
             }
         }
         self.incumbent.pass_over(apart.evaluations() as usize);
-        let most = f64::max(self.incumbent.cost(), task.settings.small_cost());
+        let equal = EQUAL_SHARE * task.settings.small_cost();
+        let most = f64::max(self.incumbent.cost(), equal);
         if apart.cost() <= f64::min(most, report.warm_cost) && !apart.is_violated() {
             self.incumbent.replace(apart);
             report.cost = apart.cost();
@@ -320,7 +329,7 @@ mod tests {
             blind.foresight.horizon = None;
             let (_, without) = blind.solve(&input, &mut Budget::unlimited());
             let (command, report) = nmpc.solve(&input, &mut Budget::unlimited());
-            let most = f64::max(without.cost, settings.small_cost());
+            let most = f64::max(without.cost, EQUAL_SHARE * settings.small_cost());
             assert!(report.cost <= f64::min(most, report.warm_cost), "{cycle}");
             others += u32::from(nmpc.plan != blind.plan);
             (at, rates) = (at.advanced(&command, 0.005), command);

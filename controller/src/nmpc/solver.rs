@@ -20,6 +20,9 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 /// this share of the refined one is worth that.
 const ANOTHER_WAY: f64 = 0.5;
 
+/// A search among obstacles whose best plan costs up to so many times what was refined has found the same way, and is not refined.
+const SAME_WAY: f64 = 1.25;
+
 /// What is to be solved.
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
@@ -103,12 +106,12 @@ impl Solver {
             if refines {
                 is_known = self.incumbent.is_violated();
                 // A plan that goes on keeps the way that it is on.
-                let is_new = warm_plan.iter().all(|rate| *rate == 0.0);
-                let is_rough = stages && searches && is_new && task.problem.meets_obstacles();
+                let is_new = stages && warm_plan.iter().all(|rate| *rate == 0.0);
+                let is_rough = searches && is_new && task.problem.meets_obstacles();
                 refinement = if is_rough && !is_known {
                     Some(self.race(task, warm_plan, budget))
                 } else {
-                    self.refine_warm_start(task, evaluation.as_ref(), budget)
+                    self.refine_warm_start(task, is_new, evaluation.as_ref(), budget)
                 };
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
@@ -187,17 +190,22 @@ impl Solver {
     }
 
     /// Refines the warm start; where that breaks a constraint, as at the new end of its horizon, beside those that do less. None: one of these is
-    /// better.
+    /// better. A new long plan takes a step more: no cycle before has come near.
     fn refine_warm_start(
         &mut self,
         task: &Task,
+        is_new: bool,
         evaluation: Option<&Evaluation<1>>,
         budget: &mut Budget<'_>,
     ) -> Option<GaussNewtonOutcome> {
-        if !self.incumbent.is_violated() {
-            return Some(self.refine(task, budget));
-        }
         let settings = task.settings.gauss_newton();
+        let settings = GaussNewtonSettings {
+            steps: settings.steps + u32::from(is_new),
+            ..settings
+        };
+        if !self.incumbent.is_violated() {
+            return Some(self.refine_with(task.problem, task.bounds, &settings, budget));
+        }
         self.apart.restart(self.incumbent.z(), evaluation);
         self.knowledge
             .evaluate(task.problem, budget, &mut self.incumbent);
@@ -221,7 +229,12 @@ impl Solver {
         std::mem::swap(&mut self.incumbent, &mut self.apart);
         self.incumbent.restart(warm_plan, evaluation);
         let iterations = self.search(task, None, budget);
-        let mut refinement = Some(self.refine(task, budget));
+        let mut refinement = refined;
+        let (found, known) = (self.incumbent.cost(), self.apart.cost());
+        let is_same = (known..SAME_WAY * known).contains(&found);
+        if !(is_same && task.problem.meets_obstacles()) {
+            refinement = Some(self.refine(task, budget));
+        }
         let is_another_way = self.incumbent.cost() < ANOTHER_WAY * self.apart.cost();
         if budget.is_over() && !is_another_way && !self.apart.is_violated() {
             std::mem::swap(&mut self.incumbent, &mut self.apart);

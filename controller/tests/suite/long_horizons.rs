@@ -219,6 +219,13 @@ fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
             };
             let outcome = course.run(quanta(BUDGET_NS));
             assert!(outcome.mean_m < 5e-5, "{solver:?}, {every}: {outcome:?}");
+            // While steps went on that gained next to nothing, a tenth more.
+            let most = if solver == SolverKind::GaussNewton {
+                500
+            } else {
+                900
+            };
+            assert!(outcome.work < 99 * most, "{solver:?}, {every}: {outcome:?}");
             assert!(outcome.spare_m > -1e-9, "{solver:?}, {every}: {outcome:?}");
         }
     }
@@ -247,6 +254,19 @@ fn a_fast_curve_that_stops_or_turns_back_is_followed_all_the_same() {
             assert!(outcome.mean_m < 1e-9, "{solver:?}: {outcome:?}");
             assert!(outcome.spare_m > -1e-9, "{solver:?}: {outcome:?}");
         }
+    }
+}
+
+#[test]
+fn from_the_first_cycle_on_a_fast_spiral_is_followed_to_ten_nanometres() {
+    for solver in SOLVERS {
+        let course = Course::spiral(solver, 10.0, false);
+        let outcome = Course {
+            cycles: 2,
+            ..course
+        }
+        .run(quanta(BUDGET_NS));
+        assert!(outcome.mean_m < 1e-8, "{solver:?}: {outcome:?}");
     }
 }
 
