@@ -16,7 +16,7 @@ use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{
     BendRates, COORDINATES_MAX, Configuration, Jacobian, Near, Robot, SECTIONS_MAX,
 };
-use crate::wide::Wide;
+use crate::wide::{Aligned, Wide};
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {

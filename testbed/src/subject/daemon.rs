@@ -89,25 +89,6 @@ impl Launch {
     }
 }
 
-/// A program of ours: in the folder of this one, or, for a test, in the folder above it.
-pub fn program(name: &str) -> Result<PathBuf> {
-    let ourselves =
-        std::env::current_exe().context("cannot determine the folder of this program")?;
-    let beside = ourselves.with_file_name(name);
-    let above = ourselves.parent().map(|folder| folder.with_file_name(name));
-    let found = [Some(beside.clone()), above].into_iter().flatten();
-    found
-        .into_iter()
-        .find(|path| path.is_file())
-        .with_context(|| {
-            format!(
-                "{} does not exist: the benchmark needs {name} beside itself; build both with \
-                 cargo build --release",
-                beside.display()
-            )
-        })
-}
-
 /// A running daemon. Dropping it stops it and removes every trace.
 #[derive(Debug)]
 pub struct Daemon {

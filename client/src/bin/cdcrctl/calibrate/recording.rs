@@ -30,116 +30,10 @@ impl Recording {
     /// Reads and checks a file of a robot with so many cables; `text` is all of it. Times and tips are those of a reference
     /// file, with the cables beside them.
     pub(super) fn parse(path: &Path, text: &str, cables: usize) -> anyhow::Result<Self> {
-        let name = path.display();
-        let mut reader = csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .comment(Some(b'#'))
-            // The reader takes a comment that the file ends with for a row.
-            .from_reader(text.as_bytes().chain(&b"\n"[..]));
-        let names: Vec<String> = reader
-            .headers()
-            .with_context(|| name.to_string())?
-            .iter()
-            .map(|name| name.trim_start_matches('\u{feff}').to_owned())
-            .collect();
-        let columns = Columns::find(&names, cables).with_context(|| format!("{name}:1"))?;
-        let (mut rows, mut times_s) = (Vec::new(), Vec::<f64>::new());
-        for record in reader.records() {
-            let record = record.with_context(|| name.to_string())?;
-            let line = record.position().map_or(0, csv::Position::line);
-            let (time_s, row) = columns
-                .row(&record)
-                .with_context(|| format!("{name}:{line}"))?;
-            let before_s = times_s.last().copied().unwrap_or(f64::NEG_INFINITY);
-            ensure!(
-                time_s > before_s,
-                "{name}:{line}: t_s = {time_s} is not after {before_s} of the previous row"
-            );
-            times_s.push(time_s);
-            rows.push(row);
-        }
-        let ends_s = times_s.first().zip(times_s.last());
-        Ok(Self {
-            rows,
-            duration_s: ends_s.map_or(0.0, |(first_s, last_s)| last_s - first_s),
-        })
-    }
-}
-
-/// Where in a row each value stands.
-struct Columns {
-    names: Vec<String>,
-    time: usize,
-    cables: Vec<usize>,
-    position: [usize; 3],
-    quaternion: Option<[usize; 4]>,
-}
-
-impl Columns {
-    fn find(names: &[String], cables: usize) -> anyhow::Result<Self> {
-        let place = |column: &str| names.iter().position(|name| name == column);
-        let find = |column: &str| {
-            place(column).with_context(|| {
-                format!(
-                    "column {column} is missing; the header is {}[,{}]",
-                    header(cables).join(","),
-                    QUATERNION.join(",")
-                )
-            })
-        };
-        let is_cable = |name: &&String| name.starts_with("cable_");
-        let found = names.iter().filter(is_cable).count();
-        if found > 0 && found != cables {
-            bail!(
-                "{} of cables, but the configured robot has {cables}, three for each section",
-                counted(found, "column")
-            );
-        }
-        let has_quaternion = QUATERNION.iter().any(|column| place(column).is_some());
-        let four = || -> anyhow::Result<_> {
-            let [x, y, z, w] = QUATERNION.map(&find);
-            Ok([x?, y?, z?, w?])
-        };
-        let [x, y, z] = POSITION.map(&find);
-        Ok(Self {
-            names: names.to_vec(),
-            time: find("t_s")?,
-            cables: (1..=cables)
-                .map(|cable| find(&format!("cable_{cable}_m")))
-                .collect::<Result<_, _>>()?,
-            position: [x?, y?, z?],
-            quaternion: has_quaternion.then(four).transpose()?,
-        })
-    }
-
-    /// Its time \[s\] and what was measured.
-    fn row(&self, record: &csv::StringRecord) -> anyhow::Result<(f64, CalibrationRow)> {
-        let number = |place: usize| {
-            let text = record.get(place).unwrap_or("");
-            match text.parse::<f64>() {
-                Ok(value) if value.abs() <= MAGNITUDE_MAX => Ok(value),
-                _ => bail!(
-                    "{} is {text:?}; it must be a finite number",
-                    self.names[place]
-                ),
-            }
-        };
-        let mut cable_length_m = [0.0; CABLES_MAX];
-        for (length_m, place) in cable_length_m.iter_mut().zip(&self.cables) {
-            *length_m = number(*place)?;
-        }
-        let [x, y, z] = self.position.map(number);
-        let turned = self.quaternion.map(|places| -> anyhow::Result<_> {
-            let [x, y, z, w] = places.map(number);
-            let quaternion = Quaternion::new(w?, x?, y?, z?);
-            let norm = quaternion.norm();
-            ensure!(
-                (norm - 1.0).abs() <= UNIT_TOLERANCE,
-                "the quaternion has length {norm:.4}; it must be 1"
-            );
-            Ok(UnitQuaternion::from_quaternion(quaternion))
-        });
-        let row = CalibrationRow {
+        let cables_m = cables_m(path, text, cables)?;
+        let tips = FileTrajectory::parse(path, text)?;
+        let times_s = tips.knots_s().unwrap_or_default();
+        let row = |(cable_length_m, time_s): ([f64; CABLES_MAX], &f64)| CalibrationRow {
             cable_length_m,
             tip_position_m: tips.position_m(*time_s).into(),
             tip_rotation: match tips.orientation(*time_s) {
@@ -248,7 +142,7 @@ mod tests {
             ),
             (
                 format!("{HEADER}\n1,1,1,1,0,0,0\n1,1,1,1,0,0,0\n"),
-                "a.csv:3: t_s = 1 is not after 1",
+                "a.csv:3: t_s = 1 does not come after 1",
             ),
             (format!("{HEADER},qx\n"), "column qy is missing"),
             (

@@ -71,9 +71,7 @@ impl Baseline {
         if interrupt.is_raised() {
             return Ok(None);
         }
-        let json = fs::read_to_string(place.folder().join(RESULT))
-            .context("cannot read the result of cdcrd bare")?;
-        let summary: BareSummary = serde_json::from_str(&json).context(
+        let summary: BareSummary = serde_json::from_str(&ended?).context(
             "cannot read the result of cdcrd bare; use cdcrd and cdcrctl of the same version",
         )?;
         Ok(Some(summary.into()))
