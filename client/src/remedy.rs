@@ -73,7 +73,9 @@ pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) ->
         return remedy(outcome);
     }
     match mode {
-        Mode::Starting => "The driver has not sent a measurement: check that it runs.",
+        Mode::Starting => {
+            "No measurement of the driver was accepted yet: check that it runs and sends; cdcrctl status counts refused ones by reason."
+        }
         Mode::Stopped | Mode::Faulted => "Reset first: cdcrctl reset.",
         Mode::Holding | Mode::Tracking | Mode::Homing if kind == RequestKind::Reset => {
             "Nothing to reset: the daemon is neither stopped nor faulted."

@@ -61,7 +61,7 @@ pub enum CommandRefusal {
     },
     /// The first position is not where the robot was measured.
     #[error(
-        "the first commanded position differs from the measured one: component {at} by {way}, allowed is {most} \
+        "the first commanded position differs from the measured one: component {at} by {way:.6}, allowed is {most:.6} \
          (rad, or m of a cable). Check the robot, then cdcrctl reset"
     )]
     Elsewhere {

@@ -194,7 +194,8 @@ pub fn folder() -> Result<Scratch> {
 
 /// A program of ours: in the folder of this one, or, for a test, in the folder above it.
 pub fn program(name: &str) -> Result<PathBuf> {
-    let ourselves = std::env::current_exe().context("cannot determine the folder of this program")?;
+    let ourselves =
+        std::env::current_exe().context("cannot determine the folder of this program")?;
     let beside = ourselves.with_file_name(name);
     let tests = ourselves.parent().filter(|folder| folder.ends_with("deps"));
     let above = tests.map(|folder| folder.with_file_name(name));

@@ -87,12 +87,8 @@ pub(crate) fn go(
     end_m: impl Fn([f64; 3]) -> [f64; 3],
 ) -> anyhow::Result<Done> {
     let status = connection.status(STATUS)?;
-    let mode = Mode::try_from(status.mode);
-    if matches!(mode, Ok(Mode::Stopped | Mode::Faulted)) && !arguments.dry_run {
-        bail!(
-            "the daemon is {}: reset it first (cdcrctl reset)",
-            Mode::text_of(status.mode)
-        );
+    if !arguments.dry_run {
+        check_mode(&status)?;
     }
     let before = newest(connection)?;
     let start_m = before.tip_position_m;
@@ -124,7 +120,7 @@ pub(crate) fn check_mode(status: &Status) -> anyhow::Result<()> {
             Mode::try_from(status.mode),
             Ok(Mode::Stopped | Mode::Faulted)
         ),
-        "the daemon is {} ({}): leave that with cdcrctl reset",
+        "the daemon is {} ({}): reset it first (cdcrctl reset)",
         Mode::text_of(status.mode),
         Reason::text_of(status.reason)
     );

@@ -170,7 +170,8 @@ fn advice(outcome: Outcome) -> &'static str {
             "The limit of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
         }
         Outcome::OutOfRange => {
-            "Use positions and velocities within ±1000000 m and m/s, and a radius of 0 to 1000000 m."
+            "Use positions and velocities within ±1000000 m and m/s, a radius of 0 to 1000000 m, and a measured_ns of \
+             CLOCK_MONOTONIC that is not in the future."
         }
         Outcome::InThePast => "The lifetime had ended on arrival: use a longer --lifetime.",
         other => remedy(other),

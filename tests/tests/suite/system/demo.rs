@@ -305,7 +305,7 @@ fn the_daemon_of_a_killed_demo_ends() {
         .unwrap();
     assert!(next.status.success(), "{}", text(&next));
     assert!(
-        text(&next).contains("left by a killed demo"),
+        text(&next).contains("left by a program that was killed"),
         "{}",
         text(&next)
     );

@@ -50,7 +50,7 @@ fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let other = path.with_file_name(format!("{stem}-repaired.mcap"));
     let name = other.display();
-    let file = File::create_new(&other).with_context(|| format!("cannot create {name}"))?;
+    let file = new_file(&other)?;
     let copied = copy(&mut recording, file, is_interrupted);
     if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
         // Nothing is left where nothing was saved.

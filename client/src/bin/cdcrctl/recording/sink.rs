@@ -129,7 +129,7 @@ impl Sink {
     /// Makes the file, with all that was kept; the inner error is that of a full disk or the like.
     pub(super) fn begin(&mut self, unix_ns: u64) -> anyhow::Result<io::Result<()>> {
         let name = self.path.display();
-        let file = File::create_new(&self.path).with_context(|| format!("cannot create {name}"))?;
+        let file = new_file(&self.path)?;
         let mut writer = Writer::new(file, "ros2", &library())
             .with_context(|| format!("cannot write {name}"))?;
         let mut begun = || {

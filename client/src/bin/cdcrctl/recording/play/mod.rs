@@ -48,13 +48,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         fingerprint == status.robot.fingerprint,
         "{name} is of another robot than the daemon: sections or limits differ"
     );
-    if [Mode::Stopped, Mode::Faulted]
-        .map(Mode::code)
-        .contains(&status.mode)
-    {
-        let mode = Mode::text_of(status.mode);
-        bail!("the daemon is {mode}: reset it first (cdcrctl reset)");
-    }
+    check_mode(&status)?;
     let mut player = Player::new(&connection, options.speed)?;
     let played = player.play(&mut source, &name, &interrupt);
     // However it ended; the first error is the one that says why.
