@@ -189,8 +189,9 @@ impl Solver {
         (evaluation, rests)
     }
 
-    /// Refines the warm start; where that breaks a constraint, as at the new end of its horizon, beside those that do less. None: one of these is
-    /// better. A new long plan takes a step more: no cycle before has come near.
+    /// Refines the warm start. If it violates a constraint, as at the new end of its horizon, the knowledge
+    /// candidates compete with its refinement; returns `None` if one of them is better. A new long plan without
+    /// a search takes one more step, because no earlier cycle has come close.
     fn refine_warm_start(
         &mut self,
         task: &Task,
@@ -200,7 +201,7 @@ impl Solver {
     ) -> Option<GaussNewtonOutcome> {
         let settings = task.settings.gauss_newton();
         let settings = GaussNewtonSettings {
-            steps: settings.steps + u32::from(is_new),
+            steps: settings.steps + u32::from(is_new && !task.settings.solver.searches()),
             ..settings
         };
         if !self.incumbent.is_violated() {
