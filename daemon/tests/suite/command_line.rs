@@ -49,7 +49,7 @@ fn options_win_over_defaults_and_are_checked() {
         "trunk (simulated)",
         "section 3 ",
         "kpso-refined",
-        "lab_ below /tmp/lab",
+        "lab_ in /tmp/lab",
     ] {
         assert!(text.contains(part), "{part}: {text}");
     }
@@ -187,7 +187,7 @@ fn a_daemon_that_may_open_too_few_files_names_the_limit() {
         .expect("sh runs");
     let text = text_of(&output.stderr);
     assert_eq!(output.status.code(), Some(71), "{text}");
-    assert!(text.contains("may open 40 files"), "{text}");
+    assert!(text.contains("can open only 40 files"), "{text}");
     assert!(text.contains("ulimit -n 1024"), "{text}");
     assert!(!folder.path().join("root").exists());
 }

@@ -414,9 +414,5 @@ fn a_recording_tells_what_its_rows_tell() {
         &["rest.mcap"],
     );
     let line = "cdcrctl calibrate geometry rest.mcap";
-    place.says(
-        line,
-        1,
-        &["rest.mcap: measured are cable lengths, and no tip"],
-    );
+    place.says(line, 1, &["rest.mcap: measured: cable lengths, and no tip"]);
 }

@@ -35,8 +35,8 @@ ref line --duration 100ms --lead 1s --max-error 1mm => no cycle tracked the refe
 ref spiral --step 0s --dry-run => step is 0 s; it must be 0.0001 to 1 s
 ref circle --step 1ns --dry-run => it must be 0.0001 to 1 s
 ref rose --step 2s => it must be 0.0001 to 1 s
-ref spiral --speed 1e9 --dry-run => choose a lower speed
-ref polygon --speed 1e9 --track => choose a lower speed
+ref spiral --speed 1e9 --dry-run => use a lower speed
+ref polygon --speed 1e9 --track => use a lower speed
 ";
 
 #[test]
@@ -136,7 +136,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     daemon.place().says(too_short, 2, &["must be 0.3 s to"]);
     let printed = refused(&daemon, "home --wait=300ms");
     assert!(
-        printed.contains("not done within 300ms; the robot goes on"),
+        printed.contains("not done within 300ms; the robot continues"),
         "{printed}"
     );
     wait_status(&connection, |status| status.mode == Mode::Homing.code());

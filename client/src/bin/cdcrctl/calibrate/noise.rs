@@ -44,7 +44,7 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
     let sensors = Sensors::of(&first);
     ensure!(
         sensors.cables || sensors.tip,
-        "measured are {}: there is no noise to tell",
+        "measured: {}; there is no noise to measure",
         sensors.text()
     );
     let interrupt = Interrupt::catch()?;
