@@ -116,7 +116,10 @@ fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
         (&[][..], &[][..]),
         (&[machine], &[other_kernel, "bare loop"]),
         (&[options], &[other_rounds, "for this reason"]),
-        (&[("options", Value::Null)], &["the run after does not say"]),
+        (
+            &[("options", Value::Null)],
+            &["the run after does not contain its options"],
+        ),
     ] {
         let after = write(folder.path(), "b.json", keys, &new);
         let found = compare("--format json", [&before, &after]);
@@ -162,7 +165,7 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
         std::fs::write(&bad, text).expect("written");
         is_refused(
             [&good, &bad],
-            ["bad.json is no result of cdcr-bench", "\"metrics\""],
+            ["bad.json is not a result of cdcr-bench", "\"metrics\""],
         );
     }
     is_refused([&missing, &good], ["cannot read", "missing.json"]);
