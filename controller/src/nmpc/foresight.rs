@@ -9,8 +9,11 @@ use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport};
 use crate::optimizer::{Budget, GaussNewtonSettings, Incumbent, Problem};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 
-/// Steps that are foreseen, beside those of the horizon.
+/// Foreseen steps beyond the horizon, as a share of it.
 const SHARE: f64 = 0.4;
+/// Shortest horizon with foresight. With 5 to 10 steps, the few foreseen ones are a worse guide than none
+/// (`cdcr-bench quality`: gap and crossing); with 16 they are a better one.
+const HORIZON_MIN: usize = 16;
 /// Gauss-Newton steps of the longer plan at most: among obstacles each takes as long as a solve.
 const STEPS_MAX: u32 = 2;
 /// What costs as little as this part of a small error is as good as nothing: a nanometre.
@@ -44,7 +47,7 @@ impl Foresight {
         let most = HORIZON_STEPS_MAX.min(PLAN_MAX / width.max(1));
         let longer = most.min(steps + (SHARE * steps as f64) as usize);
         let is_free = horizon.blocks() == steps && settings.rate_change_weight == 0.0;
-        self.horizon = (is_free && longer > steps).then(|| {
+        self.horizon = (is_free && steps >= HORIZON_MIN && longer > steps).then(|| {
             let settings = NmpcSettings {
                 horizon_steps: longer as u32,
                 control_blocks: 0,
@@ -265,8 +268,8 @@ mod tests {
             foresight.configure(&settings, &Horizon::new(&settings, 6), 6);
             foresight.horizon.map(|horizon| horizon.steps())
         };
-        let steps = [2, 20, 35, 40, 50].map(|steps| foreseen(steps, 0));
-        assert_eq!(steps, [None, Some(28), Some(40), None, None]);
+        let steps = [2, 15, 20, 35, 40, 50].map(|steps| foreseen(steps, 0));
+        assert_eq!(steps, [None, None, Some(28), Some(40), None, None]);
         assert_eq!(foreseen(20, 10), None);
     }
 

@@ -20,9 +20,6 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 /// this share of the refined one is worth that.
 const ANOTHER_WAY: f64 = 0.5;
 
-/// A search among obstacles whose best plan costs up to so many times what was refined has found the same way, and is not refined.
-const SAME_WAY: f64 = 1.25;
-
 /// What is to be solved.
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
@@ -230,12 +227,7 @@ impl Solver {
         std::mem::swap(&mut self.incumbent, &mut self.apart);
         self.incumbent.restart(warm_plan, evaluation);
         let iterations = self.search(task, None, budget);
-        let mut refinement = refined;
-        let (found, known) = (self.incumbent.cost(), self.apart.cost());
-        let is_same = (known..SAME_WAY * known).contains(&found);
-        if !(is_same && task.problem.meets_obstacles()) {
-            refinement = Some(self.refine(task, budget));
-        }
+        let mut refinement = Some(self.refine(task, budget));
         let is_another_way = self.incumbent.cost() < ANOTHER_WAY * self.apart.cost();
         if budget.is_over() && !is_another_way && !self.apart.is_violated() {
             std::mem::swap(&mut self.incumbent, &mut self.apart);

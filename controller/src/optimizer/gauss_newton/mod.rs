@@ -92,8 +92,6 @@ const HALVINGS: u32 = 4;
 const VANISHED_SHARE: f64 = 0.05;
 /// A rough refinement goes on as long as steps gain this share of the cost.
 const ROUGH_GAIN: f64 = 1e-3;
-/// An exact one, where constraints leave an error: as long as they gain this share.
-const EXACT_GAIN: f64 = 1e-2;
 /// Factor on the damping after a step that did not help.
 const DAMPING_GROWTH: f64 = 1e3;
 
@@ -197,10 +195,8 @@ impl GaussNewton {
                     break;
                 }
             }
-            let least = self.least_gain(settings, incumbent);
-            let gains = incumbent.cost() < (1.0 - least) * before;
-            let is_tried = improved || damping > settings.damping;
-            if least > 0.0 && !gains && (is_tried || !settings.is_rough && outcome.accepted > 0) {
+            let gains = incumbent.cost() < (1.0 - ROUGH_GAIN) * before;
+            if settings.is_rough && !gains && (improved || damping > settings.damping) {
                 break;
             }
             model_is_current = !improved;
@@ -212,20 +208,6 @@ impl GaussNewton {
         }
         outcome.converged |= is_rounding(rounding, incumbent.cost());
         outcome
-    }
-
-    /// The share of the cost that a step has to gain for another to follow; 0: none. An exact refinement comes to its end; where constraints leave an error, that may be
-    /// far away, and the next cycle goes on.
-    fn least_gain(&self, settings: &GaussNewtonSettings, incumbent: &Incumbent) -> f64 {
-        let is_weighed = self.model.weighed().is_some();
-        let stays = incumbent.cost() > settings.residuals_max && !incumbent.is_violated();
-        if settings.is_rough {
-            ROUGH_GAIN
-        } else if stays && self.model.is_staged() && self.model.constraints() > 0 && !is_weighed {
-            EXACT_GAIN
-        } else {
-            0.0
-        }
     }
 
     /// One damped step from the incumbent: the least-squares particle of the swarm's knowledge. What is evaluated on the way the incumbent takes
