@@ -1,4 +1,4 @@
-/* A complete driver. Its robot is simulated: put your motors and encoders where length_m is (docs/c.md, docs/drivers.md). */
+/* A complete driver with a simulated robot: replace length_m by your motors and encoders (docs/c.md, docs/drivers.md). */
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
@@ -27,7 +27,7 @@ int main(int argc, char **argv) {
     if (cdcr_driver_connect(CDCR_LAYOUT, NULL, interface, UINT64_C(10000000000), &driver)) return failed("connect");
     CdcrRobotDescription robot;
     if (cdcr_driver_robot(driver, &robot)) return failed("robot");
-    /* Motors and encoders without a flaw. The cables of a straight robot are as long as the sections up to their own. */
+    /* Ideal motors and encoders. A cable of the straight robot is as long as the sections up to its own. */
     const size_t cables = 3 * (size_t)robot.sections;
     double length_m[CDCR_CABLES_MAX] = {0};
     for (size_t i = 0; i < cables; i++) length_m[i] = (i < 3 ? 0 : length_m[i - 3]) + robot.section[i / 3].length_m;
@@ -35,10 +35,10 @@ int main(int argc, char **argv) {
     while (!ending) {
         CdcrDriverUpdate update;
         if (cdcr_driver_update(driver, &update)) return failed("update");
-        /* A refused command is counted, reported (the 1st, 2nd, 4th, 8th …), and no reason to end: what runs out is rest. */
+        /* A refused command is counted and reported (the 1st, 2nd, 4th, 8th …). When commands expire, the robot rests. */
         if (update.was_refused && !(update.refusals & (update.refusals - 1))) fprintf(stderr, "refused: %s (%llu so far)\n", cdcr_last_error(), (unsigned long long)update.refusals);
         if (update.new_daemon) fprintf(stderr, "another daemon commands: %#llx\n", (unsigned long long)update.new_daemon);
-        /* The motors get their goal in each turn, whether a command came or not. */
+        /* The motors get a set point in each iteration, with or without a new command. */
         const uint64_t now_ns = cdcr_monotonic_ns();
         CdcrRates rates;
         CdcrPosition position;
@@ -49,10 +49,10 @@ int main(int argc, char **argv) {
             memcpy(length_m, position.cable_length_m, sizeof length_m);
         }
         last_ns = now_ns;
-        /* Measured from the first turn on: before that, the daemon commands nothing. */
+        /* Measure from the first iteration on: the daemon sends no command before. */
         if (cdcr_driver_send_cable_lengths(driver, cdcr_monotonic_ns(), length_m, cables)) return failed("measure");
         nanosleep(&(struct timespec){.tv_nsec = 1000000}, NULL);
     }
-    /* Here your motors stop. */
+    /* Stop your motors here. */
     return cdcr_driver_close(driver) ? failed("close") : 0;
 }

@@ -1,4 +1,4 @@
-/* Lets the tip move by some millimetres to the side and back, and watches how it does (docs/c.md). */
+/* Moves the tip sideways by some millimetres and back, and reports the error (docs/c.md). */
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
@@ -24,11 +24,11 @@ int main(void) {
     for (uint32_t i = 0; i < status.robot.sections; i++) length_m += status.robot.section[i].length_m;
     printf("robot %.*s: %" PRIu32 " sections, %g m\n", CDCR_TEXT_BYTES, status.robot_name, status.robot.sections, length_m);
 
-    /* The telemetry tells what the daemon makes of a chunk, so it is opened first. Who feeds has the lease. */
+    /* Opened before the first chunk, because the telemetry contains its outcome. A client that feeds needs the lease. */
     if (cdcr_telemetry_open(client)) return failed("telemetry");
     if (cdcr_request(client, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, NULL)) return failed("lease");
 
-    /* Two seconds of a reference that begins in a second: all of it in one chunk. Longer ones follow by CDCR_CHUNK_MODE_APPEND. */
+    /* Two seconds of a reference that begins in a second, in one chunk. Continue longer ones with CDCR_CHUNK_MODE_APPEND. */
     CdcrReferencePoint points[POINTS] = {0};
     const uint64_t begin_ns = cdcr_monotonic_ns() + SECOND_NS;
     for (uint64_t i = 0; i < POINTS; i++) {

@@ -1,9 +1,9 @@
-//! The functions of `include/cdcr.h`, which documents them: a test holds that header to these signatures.
+//! The functions of `include/cdcr.h`, which documents them. A test compares their signatures.
 //!
-//! Every unsafe line of this crate is here. A function turns pointers into values with `read_*`, calls the rest of the crate,
-//! and writes results with `Out`. All of them rely on the caller for one thing, the rule of `cdcr.h` on pointers: a pointer
-//! that is not NULL leads to memory for what its type says, as many elements as the count beside it, which nobody
-//! else changes during the call. The types are numbers without gaps: any bits are a value of them.
+//! All unsafe code of this crate is here. A function converts pointers to values with `read_*`, calls the
+//! rest of the crate, and writes results with `Out`. All rely on the pointer rule of `cdcr.h`: a pointer
+//! other than NULL refers to memory of its type, with as many elements as the count beside it. Nobody else
+//! changes that memory during the call. The types are numbers without padding: all bits are valid.
 
 #![allow(
     unsafe_code,
@@ -33,7 +33,7 @@ use crate::session::{Session, send_cable_lengths};
 
 const UNALIGNED: &str = "is not aligned as its type is";
 
-/// Room for so many results, or NULL for none.
+/// Memory of the caller for results, or NULL for none.
 struct Out<T> {
     pointer: *mut T,
     capacity: usize,
@@ -41,7 +41,7 @@ struct Out<T> {
 
 impl<T> Out<T> {
     /// # Safety
-    /// The rule on pointers, at the top of this file.
+    /// The pointer rule at the top of this file.
     unsafe fn array(pointer: *mut T, capacity: usize, name: &str) -> Result<Self, Failure> {
         if pointer.is_null() {
             return Err(Failure::argument(format!("{name} is NULL")));
@@ -59,7 +59,7 @@ impl<T> Out<T> {
         unsafe { Self::array(pointer, 1, name) }
     }
 
-    /// For what nobody may want: NULL is no error.
+    /// For an optional result: NULL is not an error.
     ///
     /// # Safety
     /// As `array`.
@@ -76,7 +76,7 @@ impl<T> Out<T> {
         self.write_at(0, value);
     }
 
-    /// Writes what was found, if something was.
+    /// Writes the result, if there is one.
     fn give(&self, found: Result<T, Failure>) -> Result<(), Failure> {
         found.map(|value| self.write(value))
     }
@@ -91,20 +91,20 @@ impl<T> Out<T> {
     }
 }
 
-/// A value behind a pointer.
+/// Reads a value behind a pointer.
 ///
 /// # Safety
-/// The rule on pointers, at the top of this file.
+/// The pointer rule at the top of this file.
 unsafe fn read<T: Copy>(pointer: *const T, name: &str) -> Result<T, Failure> {
     // SAFETY: the caller keeps the rule; one element.
     let items = unsafe { read_array(pointer, 1, 1, name)? };
     Ok(items[0])
 }
 
-/// The `count` elements of an array, at most `most`. NULL is the empty one.
+/// The `count` elements of an array, at most `most`. NULL is the empty array.
 ///
 /// # Safety
-/// The rule on pointers, at the top of this file.
+/// The pointer rule at the top of this file.
 unsafe fn read_array<'a, T: Copy>(
     pointer: *const T,
     count: usize,
@@ -124,7 +124,8 @@ unsafe fn read_array<'a, T: Copy>(
     if !pointer.is_aligned() {
         return refused(UNALIGNED.to_owned());
     }
-    // SAFETY: not NULL, aligned, small, and `count` elements that nobody changes, by the rule that the caller keeps.
+    // SAFETY: not NULL, aligned, of limited size, with `count` elements that nobody changes, by the caller's
+    // rule.
     Ok(unsafe { core::slice::from_raw_parts(pointer, count) })
 }
 
@@ -136,16 +137,16 @@ unsafe fn read_text<'a>(text: *const c_char, name: &str) -> Result<Option<&'a st
     if text.is_null() {
         return Ok(None);
     }
-    // SAFETY: not NULL; the rest the caller keeps.
+    // SAFETY: not NULL; the caller ensures the rest.
     let text = unsafe { CStr::from_ptr(text) };
     let unreadable = |_| Failure::argument(format!("{name} is not UTF-8: {text:?}"));
     text.to_str().map(Some).map_err(unreadable)
 }
 
-/// Location and robot. What is NULL is what the environment says, or its default.
+/// Location and robot. NULL is replaced by the environment variable, or the default.
 ///
 /// # Safety
-/// The rule on pointers, at the top of this file, for `place` and the texts in it.
+/// The pointer rule at the top of this file, for `place` and its strings.
 unsafe fn read_place(place: *const Place) -> Result<(Location, String), Failure> {
     let (mut robot, mut prefix, mut root) = (None, None, None);
     if !place.is_null() {
@@ -165,7 +166,7 @@ fn ns(timeout_ns: u64) -> Duration {
     Duration::from_nanos(timeout_ns)
 }
 
-/// The answer to a request, also where that is a refusal.
+/// Writes the answer to a request, also if it is a refusal.
 fn answer(asked: Result<Response, Failure>, response: &Out<Response>) -> Result<(), Failure> {
     let refusal = |failure: &Failure| failure.refusal;
     if let Some(answer) = asked.as_ref().map_or_else(refusal, |answer| Some(*answer)) {
@@ -300,7 +301,7 @@ unsafe extern "C" fn cdcr_send_tip(
     call(|| {
         // SAFETY: the rule of cdcr.h on pointers.
         let out = unsafe { Out::one_or_none(header, "header")? };
-        // SAFETY: as before; the header says three numbers.
+        // SAFETY: as before; the header requires three numbers.
         let tip = unsafe { read_array(tip_position_m, 3, 3, "tip_position_m")? };
         let tip_position_m = [tip[0], tip[1], tip[2]];
         out.give(handles::with(connection, |session| {
@@ -461,7 +462,7 @@ unsafe extern "C" fn cdcr_driver_rates_at(
     call(|| {
         // SAFETY: the rule of cdcr.h on pointers.
         let out = unsafe { Out::one(rates, "rates")? };
-        // Rest, whatever goes wrong.
+        // Rest, also in case of an error.
         out.write(CommandedRates::default().into());
         out.give(handles::with(driver, |driver| {
             Ok(driver.rates_at(now_ns).into())

@@ -1,6 +1,5 @@
-//! What the functions of the border return.
+//! Return codes of the C interface.
 
-/// What a function returns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(i32)]
 #[allow(missing_docs, reason = "cdcr.h says it")]
@@ -20,7 +19,7 @@ pub enum Code {
     Panic = -11,
 }
 
-/// Done, and there is nothing to add.
+// Success without further information.
 impl From<()> for Code {
     fn from((): ()) -> Self {
         Self::Ok

@@ -6,12 +6,12 @@ use cdcr_shared_types::codes::UnknownCode;
 
 use crate::code::Code;
 
-/// What a call returns and keeps as the text of the last error.
+/// Error of a call: its return code, and the text for `cdcr_last_error`.
 #[derive(Debug)]
 pub(crate) struct Failure {
     pub(crate) code: Code,
     pub(crate) text: String,
-    /// Why the daemon refused a request.
+    /// The answer of the daemon, if it refused a request.
     pub(crate) refusal: Option<Response>,
 }
 
@@ -29,7 +29,7 @@ impl Failure {
     }
 }
 
-/// A code of the wire that C gave as `name`.
+/// Converts the argument `name` from C to a code of the wire.
 pub(crate) fn read_code<T: TryFrom<u32, Error = UnknownCode>>(
     value: u32,
     name: &str,

@@ -11,9 +11,9 @@ thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
 }
 
-/// Runs what a function of C does: no panic leaves, and an error is a code and the text of the last error.
+/// Executes a C function: catches panics, and converts an error to its code and the text of the last error.
 pub(crate) fn call<T: Into<Code>>(work: impl FnOnce() -> Result<T, Failure>) -> c_int {
-    // What a panic leaves half done is behind a handle, which the caller closes then.
+    // State left inconsistent by a panic is behind a handle; the caller then closes it.
     let done = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let words = panic.downcast_ref::<String>().map(String::as_str);
         let words = words.or_else(|| panic.downcast_ref::<&str>().copied());
@@ -32,12 +32,12 @@ pub(crate) fn call<T: Into<Code>>(work: impl FnOnce() -> Result<T, Failure>) -> 
     }
 }
 
-/// Keeps the text of the last error.
+/// Sets the text of the last error.
 pub(crate) fn keep(text: &str) {
-    // No text of ours has a zero in it; one that came from outside would end there.
+    // Texts of this library contain no zero; a text from outside would end there.
     let text = text.split('\0').next().unwrap_or_default();
     let text = CString::new(text).unwrap_or_default();
-    // A thread that ends has none any more.
+    // During the end of a thread the text is no longer available.
     let _ = LAST_ERROR.try_with(|last| {
         if let Ok(mut last) = last.try_borrow_mut() {
             *last = text;
@@ -45,7 +45,7 @@ pub(crate) fn keep(text: &str) {
     });
 }
 
-/// The text of the last error, which stays where it is until the next error of this thread.
+/// The text of the last error. The pointer is valid until the next error of this thread.
 pub(crate) fn last_error() -> *const c_char {
     let last = LAST_ERROR.try_with(|last| last.try_borrow().map(|text| text.as_ptr()));
     match last {
@@ -54,7 +54,6 @@ pub(crate) fn last_error() -> *const c_char {
     }
 }
 
-/// The text of the last error, for tests.
 #[cfg(test)]
 fn last_text() -> String {
     LAST_ERROR.with(|last| last.borrow().to_string_lossy().into_owned())
@@ -84,7 +83,7 @@ mod tests {
             call::<()>(|| std::panic::panic_any(5_u8)),
             Code::Panic as c_int
         );
-        // A success leaves the text of the last error alone.
+        // A success keeps the text of the last error.
         assert_eq!(call(|| Ok(Code::Ok)), 0);
         assert!(last_text().contains("no words"), "{}", last_text());
     }

@@ -8,8 +8,8 @@ use crate::code::Code;
 use crate::failure::Failure;
 use crate::session::Session;
 
-/// What C has a handle of. A handle is a number in the form of a pointer, which nobody ever follows: one that was closed,
-/// that another thread opened, or that is no handle at all is not found, and nothing happens.
+/// A type with handles. A handle is a number in the form of a pointer and is never dereferenced. A closed
+/// handle, one of another thread and an invalid one are not found, without further effect.
 pub(crate) trait Handled: Sized {
     const NAME: &'static str;
     fn table(open: &mut Open) -> &mut HashMap<usize, Self>;
@@ -29,7 +29,7 @@ impl Handled for Driver {
     }
 }
 
-/// What this thread has open. The ports of iceoryx2 stay on their thread; when it ends, they are closed.
+/// Open handles of this thread. iceoryx2's ports cannot leave their thread; they are closed when it ends.
 #[derive(Debug, Default)]
 pub(crate) struct Open {
     process: u32,
@@ -38,7 +38,7 @@ pub(crate) struct Open {
 }
 
 impl Open {
-    /// A process that was forked has the memory of its parent, but must not close what that has open.
+    /// A forked process has the memory of its parent, but must not close the parent's ports.
     fn forget_the_parents(&mut self) {
         let process = std::process::id();
         if self.process != process {
@@ -59,10 +59,10 @@ thread_local! {
     static OPEN: RefCell<Open> = RefCell::default();
 }
 
-/// Numbers are never used twice.
+/// Last number of a handle; numbers are never reused.
 static LAST: AtomicUsize = AtomicUsize::new(0);
 
-/// Does something with the table of this thread.
+/// Calls `work` with the table of this thread.
 fn with_table<T: Handled, R>(
     work: impl FnOnce(&mut HashMap<usize, T>) -> Result<R, Failure>,
 ) -> Result<R, Failure> {
@@ -92,7 +92,7 @@ fn unknown<T: Handled>() -> Failure {
     )
 }
 
-/// Keeps what was opened, and returns its handle.
+/// Stores a value and returns its handle.
 pub(crate) fn keep<T: Handled>(opened: T) -> Result<*mut T, Failure> {
     with_table(|table| {
         let number = LAST.fetch_add(1, Ordering::Relaxed) + 1;
@@ -101,7 +101,7 @@ pub(crate) fn keep<T: Handled>(opened: T) -> Result<*mut T, Failure> {
     })
 }
 
-/// Does something with what belongs to a handle.
+/// Calls `work` with the value of a handle.
 pub(crate) fn with<T: Handled, R>(
     handle: *mut T,
     work: impl FnOnce(&mut T) -> Result<R, Failure>,
@@ -109,7 +109,7 @@ pub(crate) fn with<T: Handled, R>(
     with_table(|table| work(table.get_mut(&handle.addr()).ok_or_else(unknown::<T>)?))
 }
 
-/// Closes what belongs to a handle; NULL is closed already.
+/// Closes a handle; NULL is ignored.
 pub(crate) fn close<T: Handled>(handle: *mut T) -> Result<(), Failure> {
     if handle.is_null() {
         return Ok(());

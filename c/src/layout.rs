@@ -1,4 +1,4 @@
-//! Structs of the border, beside the messages: what a test compares `include/cdcr.h` with.
+//! Structs of the C interface other than messages; a test compares `include/cdcr.h` with them.
 
 use core::ffi::c_char;
 
@@ -9,11 +9,11 @@ use cdcr_shared_types::{Command, LAYOUTS};
 use crate::code::Code;
 use crate::failure::Failure;
 
-/// Raised with every change of a function or a struct of `cdcr.h` that is no message.
+/// Incremented with every change of a function, or of a struct of `cdcr.h` that is not a message.
 const BORDER: u8 = 1;
 
-/// `CDCR_LAYOUT`: a program that was compiled with the header of another version is refused, never misread. The versions
-/// in the names of the messages change with their layout and their meaning.
+/// `CDCR_LAYOUT`: a program compiled with the header of another version is refused. The versions in the
+/// message names change with the layout and the meaning of the messages.
 pub const LAYOUT: u64 = {
     let mut hash = hashed(0xcbf2_9ce4_8422_2325, &[BORDER]);
     let mut at = 0;
@@ -46,7 +46,7 @@ const fn hashed(mut hash: u64, bytes: &[u8]) -> u64 {
     hash
 }
 
-/// Declares structs of the border, and the list of their sizes and offsets.
+// Declares structs of the C interface, and the list of their sizes and offsets.
 macro_rules! structs {
     ($($(#[$meta:meta])* $name:ident $c_name:literal { $($field:ident: $type:ty,)+ })+) => {
         $(
@@ -57,7 +57,7 @@ macro_rules! structs {
             pub struct $name { $(pub $field: $type,)+ }
         )+
 
-        /// Name, size and fields with their offsets and sizes, of each struct that is no message.
+        /// Name, size and fields (with offset and size) of each struct that is not a message.
         pub const STRUCTS: &[(&str, usize, &[(&str, usize, usize)])] = &[$((
             $c_name,
             size_of::<$name>(),
@@ -71,7 +71,7 @@ macro_rules! structs {
 }
 
 structs! {
-    /// Where a daemon is; NULL is what the environment says.
+    /// Place of a daemon; NULL is replaced by the environment variable or the default.
     Place "CdcrPlace" {
         robot: *const c_char,
         prefix: *const c_char,
@@ -119,7 +119,7 @@ impl From<CommandedPosition> for Position {
 }
 
 impl Update {
-    /// `refusals`: commands that were refused since the beginning.
+    /// `refusals`: commands refused since the driver was opened.
     pub(crate) fn new(update: &DriverUpdate, refusals: u64) -> Self {
         Self {
             command: update.command.unwrap_or_default(),

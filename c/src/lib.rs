@@ -1,15 +1,15 @@
-//! The client of `cdcrd` for C, C++ and everything that calls C. What each function does, who owns what, threads and return
-//! codes: `include/cdcr.h`. How to build and link: `docs/c.md`.
+//! The client of `cdcrd` for C, C++ and languages that call C. `include/cdcr.h` documents functions,
+//! ownership, threads and return codes; `docs/c.md` describes building and linking.
 //!
-//! | module | is |
+//! | module | content |
 //! |---|---|
-//! | `abi` | the functions of `cdcr.h`: pointers in, pointers out, and every unsafe line |
-//! | `guard` | what each call has around it: panics end here, and the text of the last error is kept |
-//! | `handles` | connections and drivers by number, one table for each thread |
-//! | `session` | a connection with the ports that it has opened |
-//! | `place` | where a daemon is looked for |
-//! | `failure` | what went wrong, as a code and a text |
-//! | [`code`], [`layout`] | codes and structs of the border, as the header has to say them |
+//! | `abi` | the functions of `cdcr.h`: conversion of pointers, and all unsafe code |
+//! | `guard` | wrapper of each call: catches panics, and stores the text of the last error |
+//! | `handles` | connections and drivers by number, one table per thread |
+//! | `session` | a connection with its open ports |
+//! | `place` | location of a daemon |
+//! | `failure` | an error as a code and a text |
+//! | [`code`], [`layout`] | codes and structs of the C interface, for comparison with the header |
 //!
 //! Invariant: nothing here computes control; a function is one call of `cdcr_client`.
 

@@ -4,7 +4,7 @@ use cdcr_shared_types::Location;
 
 use crate::failure::Failure;
 
-/// Location and name of a robot. What is not given is what the environment says, or its default.
+/// Location and name of a robot. Missing parts come from the environment, or are defaults.
 pub(crate) fn locate(
     robot: Option<&str>,
     prefix: Option<&str>,

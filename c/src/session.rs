@@ -11,10 +11,10 @@ use cdcr_shared_types::{
 
 use crate::failure::Failure;
 
-/// How long the end of a session waits until the daemon has its lease back.
+/// Timeout for the release of the lease at the end of a session.
 const RELEASE_TIMEOUT: Duration = Duration::from_millis(300);
 
-/// A connection, with the ports that it has opened: each when it is first used.
+/// A connection with its ports, each opened on first use.
 #[derive(Debug)]
 pub(crate) struct Session {
     connection: Connection,
@@ -109,7 +109,8 @@ impl Session {
         self.telemetry.as_mut().ok_or_else(closed)
     }
 
-    /// Fills `write` with the records that wait, at most `capacity`. Waits for the first one. How many it were, and how many were lost so far.
+    /// Waits for a record, then passes the queued records to `write`, at most `capacity`. Returns their
+    /// number, and the number of lost records so far.
     pub(crate) fn read_telemetry(
         &mut self,
         capacity: usize,
@@ -144,14 +145,14 @@ impl Session {
 impl Drop for Session {
     fn drop(&mut self) {
         if self.holds_lease {
-            // A daemon that is gone takes the lease back by itself.
+            // When the daemon is down, its lease has ended with it.
             let release = RequestKind::ReleaseLease;
             let _ = self.connection.request_within(release, RELEASE_TIMEOUT);
         }
     }
 }
 
-/// The port, opened if it is not.
+/// The port, opened on first use.
 fn opened<T>(
     port: &mut Option<T>,
     open: impl FnOnce() -> Result<T, LinkError>,
@@ -163,7 +164,7 @@ fn opened<T>(
     Ok(port.insert(opened))
 }
 
-/// Sends measured lengths of the first cables, as many as the robot has.
+/// Sends cable lengths; their number must be that of the robot's cables.
 pub(crate) fn send_cable_lengths(
     driver: &Driver,
     measured_ns: u64,

@@ -1,4 +1,4 @@
-/* Bad inputs and bad moments, through the library as a program of C meets it. The test that runs it is tests/tests/suite/system/c.rs. */
+/* Invalid arguments and failures, seen from a C program. tests/tests/suite/system/c.rs runs it. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,7 +17,7 @@ static void check(int line, const char *what, int is, int wanted) {
     exit(1);
 }
 #define IS(call, wanted) check(__LINE__, #call, call, wanted)
-/* The same, and what the text of the error has to say. */
+/* The same, with a part of the expected error text. */
 #define SAYS(call, wanted, words) (IS(call, wanted), check(__LINE__, "a text with " words, strstr(cdcr_last_error(), words) != NULL, 1))
 
 static CdcrConnection *client(void) {
@@ -61,7 +61,7 @@ static void places(void) {
     SAYS(cdcr_driver_connect(CDCR_LAYOUT, NULL, 9, 0, &other), CDCR_ERROR_ARGUMENT, "unknown code 9");
 }
 
-/* Every function with a handle that is none: NULL, closed, and one of the other kind. */
+/* Every function with an invalid handle: NULL, closed, and one of the other type. */
 static void handles(CdcrConnection *none, CdcrDriver *no_driver) {
     static CdcrTelemetry record;
     CdcrStatus status;
@@ -130,7 +130,7 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
     SAYS(cdcr_telemetry_read(open, 0, records, 0, &count, NULL), CDCR_ERROR_ARGUMENT, "no room");
     SAYS(cdcr_telemetry_read(open, 0, NULL, 1, &count, NULL), CDCR_ERROR_ARGUMENT, "records is NULL");
     SAYS(cdcr_telemetry_read(open, 0, records, 1, NULL, NULL), CDCR_ERROR_ARGUMENT, "count is NULL");
-    /* A buffer that is too small for what waits gets what there is room for, and the rest comes with the next call. */
+    /* A buffer that is too small is filled; the next call returns the rest. */
     memset(records, 0x5a, sizeof records);
     usleep(100000);
     IS(cdcr_telemetry_read(open, PATIENCE_NS, records, 2, &count, &lost), CDCR_OK);
@@ -139,7 +139,7 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
     const uint64_t last = records[count - 1].header.sequence;
     IS(cdcr_telemetry_read(open, PATIENCE_NS, records, 1, &count, &lost), CDCR_OK);
     IS(count == 1 && (records[0].header.sequence == last + 1 || lost > 0), 1);
-    /* What the daemon makes of a message: without the lease it refuses a reference, and takes obstacles from anybody. */
+    /* Outcome of a message: without the lease the daemon refuses a reference; obstacles need no lease. */
     points[0].time_ns = cdcr_monotonic_ns() + PATIENCE_NS;
     IS(cdcr_feed(open, CDCR_CHUNK_MODE_REPLACE, CDCR_INTERPOLATION_LINEAR, points, 1, &header), CDCR_OK);
     IS(cdcr_outcome(open, CDCR_EVENT_KIND_REFERENCE, &header, PATIENCE_NS, &event), CDCR_OK);
@@ -197,7 +197,7 @@ static void *in_a_thread(void *unused) {
     SAYS(cdcr_request(own, CDCR_REQUEST_KIND_TRACK, PATIENCE_NS, &response), CDCR_ERROR_REFUSED, "cdcrctl reset");
     IS((int)response.mode, CDCR_MODE_STOPPED);
     IS(cdcr_request(own, CDCR_REQUEST_KIND_RESET, PATIENCE_NS, NULL), CDCR_OK);
-    /* The end of the thread closes it, and gives the lease back. */
+    /* The end of the thread closes the connection and gives the lease back. */
     IS(cdcr_request(own, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, NULL), CDCR_OK);
     return unused;
 }
@@ -231,7 +231,7 @@ static void forks(void) {
     IS(cdcr_request(parents, CDCR_REQUEST_KIND_HOLD, PATIENCE_NS, NULL), CDCR_OK);
 }
 
-/* Says on standard output how far it is, and waits for a line: what the test does meanwhile. */
+/* Prints the progress on standard output, and waits for a line while the test acts. */
 static void reached(const char *what) {
     char line[16];
     printf("%s\n", what);
@@ -247,7 +247,7 @@ static void lease(void) {
     reached("refused");
     IS(cdcr_request(second, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, &response), CDCR_OK);
     IS(response.lease_left_ns > SECOND_NS, 1);
-    /* The end of the program closes it. */
+    /* The end of the program closes the connection. */
 }
 
 static void away(void) {
@@ -261,7 +261,7 @@ static void away(void) {
     IS(cdcr_status(open, PATIENCE_NS, &status), CDCR_OK);
     const uint64_t before = status.header.sender_id;
     reached("connected");
-    /* A status is believed for a second. */
+    /* A status is valid for a second. */
     const uint64_t last_ns = cdcr_monotonic_ns() + PATIENCE_NS;
     while (cdcr_status(open, SECOND_NS / 10, &status) == CDCR_OK) IS(cdcr_monotonic_ns() < last_ns, 1);
     SAYS(cdcr_status(open, SECOND_NS / 10, &status), CDCR_ERROR_SILENT, "has ended");

@@ -1,6 +1,6 @@
-//! Sheets of charts: lines, dots and bars over labelled axes, each with its legend above it, as SVG.
+//! Sheets of charts as SVG: lines, dots and bars over labelled axes, each with a legend above it.
 //!
-//! Drawn twice as large as it is meant to be seen, because the library places everything on whole pixels.
+//! They are drawn at twice the intended size, because the library rounds all positions to whole pixels.
 
 #![allow(
     missing_docs,
@@ -16,7 +16,7 @@ use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 pub use plotters::style::RGBColor;
 
-// A palette that colour-blind people can tell apart (Okabe and Ito).
+// A palette for colour-blind readers (Okabe and Ito).
 pub const BLUE: RGBColor = RGBColor(0, 114, 178);
 pub const ORANGE: RGBColor = RGBColor(213, 94, 0);
 pub const GREEN: RGBColor = RGBColor(0, 158, 115);
@@ -32,7 +32,7 @@ const WIDTH: u32 = 1600;
 const TITLE: (&str, u32) = ("sans-serif", 32);
 const LABEL: (&str, u32) = ("sans-serif", 27);
 const TICK: (&str, u32) = ("sans-serif", 25);
-/// Width of a letter of a legend, about.
+/// Approximate width of a letter in a legend.
 const LETTER: u32 = 15;
 const LINE_OF_TEXT: u32 = 38;
 const LABEL_LEFT: u32 = 128;
@@ -40,10 +40,9 @@ const LABEL_BOTTOM: u32 = 84;
 const MARGIN: u32 = 20;
 /// The library centres a vertical label on the left edge of its area.
 const MARGIN_LEFT: u32 = 22;
-/// Room for half of the last tick label.
+/// Space for half of the last tick label.
 const MARGIN_RIGHT: u32 = 45;
 const SWATCH: u32 = 45;
-/// Radius of a dot.
 const DOT: i32 = 8;
 
 pub type Point = (f64, f64);
@@ -63,7 +62,7 @@ enum Mark {
 }
 
 impl Curve {
-    /// A line; an empty label keeps it out of the legend.
+    /// A line; one with an empty label is not in the legend.
     pub fn line(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
         Self::pieces(label, vec![points], colour)
     }
@@ -86,7 +85,7 @@ impl Curve {
         }
     }
 
-    /// Each from the lower end of a logarithmic axis up to its count, between its ends.
+    /// Bars from the lower end of a logarithmic axis up to their counts, each between its two x values.
     pub fn bars(label: impl Into<String>, bars: Vec<[Point; 2]>, colour: RGBColor) -> Self {
         let bars = bars.into_iter().map(Vec::from).collect();
         Self {
@@ -100,7 +99,7 @@ impl Curve {
         Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
     }
 
-    /// From the least share that is drawn to all.
+    /// A vertical line from `least` to 1, the range of the shares.
     pub fn upright(label: impl Into<String>, x: f64, least: f64, colour: RGBColor) -> Self {
         Self::line(label, vec![(x, least), (x, 1.0)], colour)
     }
@@ -111,7 +110,7 @@ impl Curve {
         self
     }
 
-    /// With so much of its colour, from 0 to 1.
+    /// Reduces the opacity to `share`, 0 to 1.
     #[must_use]
     pub fn faded(mut self, share: f64) -> Self {
         self.style.color = self.style.color.mix(share);
@@ -130,17 +129,17 @@ impl Curve {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
     Linear,
-    /// A logarithmic y axis; what is below the floor is drawn on it.
+    /// A logarithmic y axis; values below the floor are drawn on it.
     Log {
         floor: f64,
     },
-    /// Both axes logarithmic; what is below the floor is drawn on it. All x are above zero.
+    /// Both axes are logarithmic; values below the floor are drawn on it. All x are positive.
     LogLog {
         floor: f64,
     },
-    /// A logarithmic x axis; all x are above zero.
+    /// A logarithmic x axis; all x are positive.
     LogAcross,
-    /// Both linear, a unit as long across as up.
+    /// Both axes are linear, with the same scale.
     Equal,
 }
 
@@ -176,14 +175,14 @@ impl Panel {
         matches!(self.scale, Scale::LogLog { .. } | Scale::LogAcross)
     }
 
-    /// Whether no point of any curve is as high as that.
+    /// Whether all points of all curves are below `y`.
     pub fn is_below(&self, y: f64) -> bool {
         let mut points = self.curves.iter().flat_map(Curve::points);
         points.all(|point| point.1 < y)
     }
 }
 
-/// Two axes of the base frame, across and up: paths and robot shapes in projection.
+/// Two axes of the base frame, horizontal and vertical, for projections of paths and robot shapes.
 #[derive(Debug, Clone, Copy)]
 pub struct View([usize; 2]);
 
@@ -192,7 +191,7 @@ impl View {
     pub const SIDE: Self = Self([0, 2]);
     pub const FRONT: Self = Self([1, 2]);
 
-    /// Where a position \[m\] is seen \[mm\].
+    /// Projection \[mm\] of a position \[m\].
     pub fn point(self, position_m: [f64; 3]) -> Point {
         (1e3 * position_m[self.0[0]], 1e3 * position_m[self.0[1]])
     }
@@ -202,14 +201,15 @@ impl View {
         positions_m.map(|p_m| self.point(p_m)).collect()
     }
 
-    /// Axes of equal scale around all curves.
+    /// A panel with axes of equal scale around all curves.
     pub fn panel(self, title: impl Into<String>, curves: Vec<Curve>) -> Panel {
         let [x, y] = self.0.map(|axis| ["x [mm]", "y [mm]", "z [mm]"][axis]);
         Panel::new(title, [x, y], Scale::Equal, curves)
     }
 }
 
-/// Draws panels in rows of `columns`, each `height` high. Those over powers of one thing have one x axis: they can be compared.
+/// Draws panels in rows of `columns`, each `height` high. Panels with the same logarithmic x axis share its
+/// range, so that they can be compared.
 pub fn svg((columns, height): (usize, u32), panels: &[Panel]) -> Result<String> {
     let rows = panels.len().div_ceil(columns);
     let mut svg = String::new();
@@ -225,7 +225,7 @@ pub fn svg((columns, height): (usize, u32), panels: &[Panel]) -> Result<String> 
     Ok(svg)
 }
 
-/// The x axis of a panel over powers of something: as wide as all such panels need.
+/// The x range of a panel with a logarithmic x axis: it covers all panels with the same axis.
 fn common(panel: &Panel, panels: &[Panel]) -> Option<Range<f64>> {
     let is_compared = |other: &&Panel| other.is_log_across() && other.x == panel.x;
     let compared = panels.iter().filter(is_compared);
@@ -280,7 +280,7 @@ struct Entry<'a> {
     offset: u32,
 }
 
-/// The curves that have a label, in lines not longer than `room`.
+/// The curves with a label, in lines not longer than `room`.
 fn legend(panel: &Panel, room: u32) -> Vec<Entry<'_>> {
     let (mut line, mut offset) = (0, 0);
     let labelled = panel.curves.iter().filter(|curve| !curve.label.is_empty());
@@ -353,8 +353,8 @@ where
     Ok(())
 }
 
-/// A tick: plain on a linear axis and where that is short, else with a power of ten. Steps between plain ticks are above
-/// 1e-6; adding zero takes the sign from a negative zero.
+/// A tick label: a plain number on a linear axis and where that is short, otherwise a power of ten. Steps
+/// between plain ticks are above 1e-6; adding zero removes the sign of a negative zero.
 fn tick(value: f64, is_log: bool) -> String {
     if !is_log || (9e-3..2e4).contains(&value) {
         return format!("{}", (value * 1e6).round() / 1e6 + 0.0);
@@ -397,7 +397,7 @@ fn powers_across(panel: &Panel) -> Range<f64> {
     decades(if left > 0.0 { left } else { 0.1 * right }, right)
 }
 
-/// Least and greatest finite value, apart; zero to one of nothing.
+/// Minimum and maximum of the finite values, never equal; 0 and 1 without any.
 fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let all = values.filter(|value| value.is_finite());
     let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
@@ -417,7 +417,7 @@ fn widened(low: f64, high: f64) -> Range<f64> {
     low - room..high + room
 }
 
-/// A floor that is no power of ten is an end itself.
+/// A floor that is not a power of ten becomes the end of the range.
 fn decades_above(floor: f64, low: f64, high: f64) -> Range<f64> {
     let decades = decades(low.max(floor), high.max(floor));
     decades.start.max(0.999 * floor)..decades.end
@@ -425,7 +425,7 @@ fn decades_above(floor: f64, low: f64, high: f64) -> Range<f64> {
 
 fn decades(low: f64, high: f64) -> Range<f64> {
     let (first, last) = (low.log10().floor(), high.log10().ceil());
-    // A little more, or rounding takes the labels from the ends.
+    // Slightly wider, because rounding would remove the labels at the ends.
     0.999 * 10_f64.powf(first)..1.001 * 10_f64.powf(last.max(first + 1.0))
 }
 

@@ -1,4 +1,5 @@
-//! A complete driver. Its robot is simulated: put your motors and encoders where `length_m` is (docs/drivers.md).
+//! A complete driver with a simulated robot: replace `length_m` by your motors and encoders
+//! (docs/drivers.md).
 //!
 //! ```sh
 //! cdcrd run --set link.kind=driver --set link.interface=position --set realtime.mode=prefer
@@ -26,11 +27,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (location, patience) = (Location::from_environment()?, Duration::from_secs(10));
     let robot = env::var("CDCR_ROBOT").unwrap_or("cdcr".to_owned());
     let mut driver = Driver::connect_within(&location, &robot, interface, patience)?;
-    // Motors and encoders without a flaw, one for each cable of a straight robot.
+    // Ideal motors and encoders, one for each cable of a straight robot.
     let mut length_m = straight_cable_lengths_m(driver.robot());
     let mut last_ns = monotonic_ns();
     while !ending.load(Ordering::Relaxed) {
-        // A refused command is counted, reported (the 1st, 2nd, 4th, 8th …), and no reason to end: what runs out is rest.
+        // A refused command is counted and reported (the 1st, 2nd, 4th, 8th …). The driver continues: when
+        // commands expire, the robot rests.
         let update = driver.update()?;
         if let Some(refusal) = update.refused
             && driver.refusals().is_power_of_two()
@@ -40,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         if let Some(daemon) = update.new_daemon {
             eprintln!("another daemon commands: {daemon:#018x}");
         }
-        // The motors get their goal in each turn, whether a command came or not.
+        // The motors get a set point in each iteration, with or without a new command.
         let now_ns = monotonic_ns();
         if interface == Interface::Velocity {
             let speeds_m_s = driver.rates_at(now_ns).cable_speed_m_s;
@@ -51,10 +53,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             length_m = position.cable_length_m;
         }
         last_ns = now_ns;
-        // Measured from the first turn on: before that, the daemon commands nothing.
+        // Measure from the first iteration on: the daemon sends no command before.
         driver.send_cable_lengths(monotonic_ns(), length_m)?;
         thread::sleep(Duration::from_millis(1));
     }
-    // Here your motors stop.
+    // Stop your motors here.
     Ok(())
 }

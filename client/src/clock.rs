@@ -1,11 +1,12 @@
 use rustix::time::{ClockId, clock_gettime};
 
-/// Now, on the clock that every message is stamped with \[ns, `CLOCK_MONOTONIC`\].
+/// Present time on the clock of all message stamps \[ns, `CLOCK_MONOTONIC`\].
 ///
-/// All processes of one machine share it; it means nothing on another machine or after a restart.
+/// All processes of one machine share this clock. Its values mean nothing on another machine or after a
+/// restart.
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
-    // Both parts of a monotonic time are never negative.
+    // Both parts of a monotonic time are non-negative.
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
 }
 

@@ -8,7 +8,7 @@ use iceoryx2::service::builder::request_response::RequestResponseOpenError;
 
 use crate::link_error::{LinkError, Liveness, process_text};
 
-/// Where a daemon was looked for.
+/// Address of a daemon.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Place {
     /// Prefix of the shared-memory files.
@@ -20,7 +20,6 @@ pub struct Place {
 }
 
 impl Place {
-    /// The place of `robot` at `location`.
     pub(crate) fn new(location: &Location, robot: &str) -> Self {
         Self {
             prefix: location.prefix().to_owned(),
@@ -29,7 +28,7 @@ impl Place {
         }
     }
 
-    /// Whether its daemon runs, by what it holds while it lives.
+    /// Liveness of the daemon, from the lock and the name that a live daemon holds.
     pub(crate) fn liveness(&self) -> Liveness {
         match Location::new(&self.prefix, &self.root) {
             Ok(location) => liveness(&location, &self.robot),
@@ -57,10 +56,10 @@ impl core::fmt::Display for Place {
     }
 }
 
-/// Why no connection to a daemon could be made.
+/// Why a connection to a daemon failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConnectError {
-    /// Nobody answers there.
+    /// No daemon is running there.
     #[error(
         "no daemon is running for {place}: {found}\n{}{}\
          start one with: cdcrd run --robot {robot} --prefix {prefix} --root {root}",
@@ -69,40 +68,40 @@ pub enum ConnectError {
         robot = place.robot, prefix = place.prefix, root = place.root.display()
     )]
     DaemonNotRunning {
-        /// Where it was looked for.
+        /// The place that was searched.
         place: Place,
-        /// What was found instead.
+        /// What was found there instead.
         found: &'static str,
         /// Robots whose daemons run at that place.
         running: Vec<String>,
-        /// Whether one for that robot and prefix runs as the service.
+        /// Whether a daemon for that robot and prefix runs as the service.
         as_service: bool,
     },
-    /// A daemon runs, and shows no sign of life.
+    /// A daemon runs but does not respond.
     #[error(
         "the daemon for {place} runs ({process}), but {found}\n\
          to stop the robot anyway: cdcrctl stop, or signal USR1 to that process"
     )]
     Silent {
-        /// Where it was found.
+        /// Place of the daemon.
         place: Place,
-        /// Its process, in words.
+        /// Text about its process.
         process: String,
         /// What is missing.
         found: &'static str,
     },
-    /// The daemon speaks another version of the messages.
+    /// The daemon uses another version of the messages.
     #[error(
         "the daemon for {place} uses another version of the {service} service than this program ({}): {types}; \
          install daemon and clients of the same version and restart the daemon",
         env!("CARGO_PKG_VERSION")
     )]
     VersionMismatch {
-        /// Where it was looked for.
+        /// Place of the daemon.
         place: Place,
         /// Last part of the service's name.
         service: &'static str,
-        /// The types of the daemon's messages and of this library's, in words.
+        /// Text with the message types of the daemon and of this library.
         types: Box<str>,
     },
     /// The files belong to another user.
@@ -113,53 +112,52 @@ pub enum ConnectError {
         place.root.display()
     )]
     OtherUser {
-        /// Where it was looked for.
+        /// Place of the files.
         place: Place,
         /// User id of the owner of the root path.
         owner_id: u32,
         /// User id of this process.
         user_id: u32,
     },
-    /// This process may only read the files.
+    /// This process has read-only access to the files.
     #[error(
         "{root} is read-only for this program, but every client writes there: mount it writable (in a unit: ReadWritePaths={root})",
         root = place.root.display()
     )]
     ReadOnly {
-        /// Where it was looked for.
+        /// Place of the files.
         place: Place,
     },
-    /// As many processes as the service allows are connected already.
+    /// The service has as many clients as it allows.
     #[error(
         "the daemon for {place} has reached its limit of clients on the {service} service: close one"
     )]
     Full {
-        /// Where it was looked for.
+        /// Place of the daemon.
         place: Place,
         /// Last part of the service's name.
         service: &'static str,
     },
-    /// The robot's name is not legal.
+    /// The robot's name is invalid.
     #[error(transparent)]
     Robot(#[from] ServiceNameError),
-    /// The prefix or root path is not legal.
+    /// The prefix or root path is invalid.
     #[error(transparent)]
     Location(#[from] LocationError),
-    /// A port that is needed from the beginning could not be made.
+    /// A port that the connection needs from the start could not be created.
     #[error(transparent)]
     Port(#[from] LinkError),
-    /// Shared memory cannot be used at all.
+    /// Shared memory cannot be used.
     #[error("cannot use the shared memory for {place}: {cause}")]
     Memory {
-        /// Where it was looked for.
+        /// Place of the daemon.
         place: Place,
-        /// What iceoryx2 says.
+        /// Error text of iceoryx2, or the shortage of shared memory.
         cause: String,
     },
 }
 
 impl ConnectError {
-    /// Nobody answers at `place`.
     pub(crate) fn not_running(place: &Place, found: &'static str) -> Self {
         let location = Location::new(&place.prefix, &place.root);
         Self::DaemonNotRunning {
@@ -172,7 +170,7 @@ impl ConnectError {
         }
     }
 
-    /// Whether a daemon that is just starting may make this error go away.
+    /// Whether the error may pass because a daemon is just starting.
     pub(crate) fn may_pass(&self) -> bool {
         matches!(
             self,
@@ -180,13 +178,13 @@ impl ConnectError {
         )
     }
 
-    /// Whether a client that leaves may, too.
+    /// Like `may_pass`, also for errors that pass when another client disconnects.
     pub(crate) fn may_pass_with_others(&self) -> bool {
         self.may_pass() || matches!(self, Self::Full { .. } | Self::Port(_))
     }
 }
 
-/// A daemon whose services are there, and no status of it came.
+/// The error for a daemon whose services exist but that has sent no status.
 pub(crate) fn no_status(location: &Location, place: &Place) -> ConnectError {
     not_reached(
         location,
@@ -196,7 +194,7 @@ pub(crate) fn no_status(location: &Location, place: &Place) -> ConnectError {
     )
 }
 
-/// Tries again until `timeout`, while the error is one that `may_pass`.
+/// Repeats `connect` until `timeout` while `may_pass` accepts the error.
 pub(crate) fn retry<T>(
     timeout: Duration,
     may_pass: impl Fn(&ConnectError) -> bool,
@@ -213,8 +211,8 @@ pub(crate) fn retry<T>(
     }
 }
 
-/// A daemon that is not reached, though its services or their place are there: the truth by what it holds while it
-/// lives.
+/// The error for a daemon that cannot be reached although its services or its place exist. Its lock and name
+/// decide whether it runs.
 pub(crate) fn not_reached(
     location: &Location,
     place: &Place,
@@ -231,11 +229,11 @@ pub(crate) fn not_reached(
     }
 }
 
-/// A line about the service, whose root folder is not the default one.
+/// Hint for a daemon that runs as the service: its root folder is not the default one.
 const SERVICE_TEXT: &str =
     "one runs as the service cdcrd: use its root folder, --root /run/cdcr or CDCR_ROOT=/run/cdcr\n";
 
-/// A line about the robots that could have been meant.
+/// Hint with the robots whose daemons run at the place.
 fn running_text(running: &[String]) -> String {
     match running {
         [] => String::new(),
@@ -247,7 +245,7 @@ fn running_text(running: &[String]) -> String {
     }
 }
 
-/// What a failure of iceoryx2 to open a service means to us.
+/// Meaning of an iceoryx2 error on opening a service.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum OpenTrouble {
     Missing,
@@ -256,7 +254,8 @@ pub(crate) enum OpenTrouble {
     Other(String),
 }
 
-/// The two patterns have errors of their own, with the same names but for that of other types.
+// The two messaging patterns have error types of their own; only the name of the type-mismatch variant
+// differs.
 macro_rules! open_trouble {
     ($error:ident, $other_types:ident) => {
         impl From<$error> for OpenTrouble {

@@ -19,23 +19,22 @@ use crate::{
     monotonic_ns,
 };
 
-/// How long a request waits for its answer; a daemon answers within a few cycles of 5 ms.
+/// Timeout of a request; a daemon answers within a few cycles of 5 ms.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// An open connection to one daemon.
 ///
-/// It opens what the daemon created and creates nothing itself. Ports made from it (streams, feeds)
-/// stay usable on their own. A connection stays on the thread that opened it; a second thread opens a
-/// second connection.
+/// A connection opens the services of the daemon and creates none. Ports made from it (streams, feeds) stay
+/// usable without it. It stays on the thread that opened it; a second thread opens a second connection.
 ///
-/// Who only watches (status, telemetry, incidents) is kept apart from the daemon's control loop. The port for requests is
-/// made with the first one, or by [`prepare_requests`](Self::prepare_requests).
+/// Monitoring (status, telemetry, incidents) is kept apart from the daemon's control loop. The port for
+/// requests is created by the first request or by [`prepare_requests`](Self::prepare_requests).
 ///
-/// It outlives its daemon, however that ended: when another one is started at the same place, everything
-/// goes on with it. Streams, requests, [`Driver`] and [`ObstacleSender`] need nothing. What the daemon kept
-/// for its clients is gone with it: the obstacles, the reference, and the lease, whose holder is told by
+/// A connection outlives its daemon, however the daemon ended. When another daemon starts at the same place,
+/// streams, requests, [`Driver`] and [`ObstacleSender`] continue with it. State that the old daemon kept for
+/// its clients is lost: the obstacles, the reference and the lease. The lease holder gets
 /// [`RequestError::Restarted`] or [`FeedError::Restarted`] and may acquire or feed again. `header.sender_id`
-/// tells one daemon from the next.
+/// identifies a daemon.
 #[derive(Debug)]
 pub struct Connection {
     place: Place,
@@ -43,7 +42,7 @@ pub struct Connection {
     sender: Sender,
     control: Control,
     status: RefCell<StatusReader>,
-    /// Number of the newest lease; a new one that was given back counts, too.
+    /// Number of the newest lease; incremented when a lease begins or is given back.
     leases: Cell<u64>,
 }
 
@@ -51,8 +50,9 @@ impl Connection {
     /// Connects to the daemon that controls `robot` at `location`.
     ///
     /// # Errors
-    /// [`ConnectError::DaemonNotRunning`] when there is none, also when one was killed and left its
-    /// services behind; [`ConnectError::Silent`] when one runs and tells nothing; the other variants say what else stands in the way.
+    /// [`ConnectError::DaemonNotRunning`] when there is no daemon, or when one was killed and left its
+    /// services behind. [`ConnectError::Silent`] when one runs but sends no status. The other variants name
+    /// other obstacles.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
         let place = Place::new(location, robot);
         Service::Control.name(robot)?;
@@ -79,10 +79,10 @@ impl Connection {
         }
     }
 
-    /// Connects to a daemon that may still be starting: tries again until `timeout`.
+    /// Connects to a daemon that may still be starting: retries until `timeout`.
     ///
     /// # Errors
-    /// As [`open`](Self::open), with the last reason.
+    /// As [`open`](Self::open), with the error of the last attempt.
     pub fn open_within(
         location: &Location,
         robot: &str,
@@ -93,35 +93,34 @@ impl Connection {
         })
     }
 
-    /// Where the daemon was found.
+    /// Place of the daemon.
     pub fn place(&self) -> &Place {
         &self.place
     }
 
-    /// The identity of this connection in the headers of its messages, never 0.
+    /// Identity of this connection in the headers of its messages, never 0.
     pub fn sender_id(&self) -> u64 {
         self.sender.id()
     }
 
-    /// The newest snapshot of the daemon; waits at most `timeout` for one that is fresh.
+    /// The newest status of the daemon; waits at most `timeout` for a fresh one.
     ///
     /// # Errors
-    /// [`LinkError::Silent`] when none came.
+    /// [`LinkError::Silent`] when no fresh status arrived.
     pub fn status(&self, timeout: Duration) -> Result<Status, LinkError> {
         let status = self.status.borrow_mut().fresh_within(timeout)?;
         status.ok_or_else(|| self.silent(Service::Status, timeout))
     }
 
-    /// Nothing came on a service for as long.
     pub(crate) fn silent(&self, service: Service, waited: Duration) -> LinkError {
         LinkError::silent(service, waited, self.place.liveness())
     }
 
-    /// The settings of the solver that the first cycle from now on uses; waits for it, at most 1 s.
+    /// The solver settings used by the first cycle that starts after this call; waits for it, at most 1 s.
     ///
     /// # Errors
-    /// [`LinkError::Silent`] when no cycle came, [`LinkError::Port`] when the telemetry has as many readers
-    /// as it allows.
+    /// [`LinkError::Silent`] when no cycle ran, [`LinkError::Port`] when the telemetry has as many readers as
+    /// it allows.
     pub fn settings(&self) -> Result<SolverSettings, LinkError> {
         let begun_ns = monotonic_ns();
         let deadline = Instant::now() + REQUEST_TIMEOUT;
@@ -129,7 +128,7 @@ impl Connection {
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             match telemetry.next_within(left)? {
-                // Records of before may still be on their way, with settings that were changed since.
+                // Records of earlier cycles may still be queued, with settings that have changed since.
                 Some(record) if record.start_ns < begun_ns => {}
                 Some(record) => return Ok(record.settings),
                 None => return Err(self.silent(Service::Telemetry, REQUEST_TIMEOUT)),
@@ -137,31 +136,31 @@ impl Connection {
         }
     }
 
-    /// Gets ready to ask. The first request does it otherwise, and takes a little longer: who may have to stop a
-    /// robot in a hurry does this beforehand.
+    /// Creates the port for requests. The first request does the same but takes a little longer: call this
+    /// beforehand where a stop may be urgent.
     ///
     /// # Errors
-    /// [`LinkError::Askers`] when the daemon has as many clients that ask as it allows, [`LinkError::Memory`] when shared
-    /// memory is full.
+    /// [`LinkError::Askers`] when the daemon has as many requesting clients as it allows,
+    /// [`LinkError::Memory`] when shared memory is full.
     pub fn prepare_requests(&self) -> Result<(), LinkError> {
         self.control.port().map(|_| ())
     }
 
-    /// Asks the daemon for something and waits for the answer, at most 1 s.
+    /// Sends a request to the daemon and waits for the answer, at most 1 s.
     ///
-    /// If the daemon ends without an answer, this call sends the request to the next daemon at the same place, and again while that has
-    /// not yet measured its robot. So a `home` or a `track` that was asked of a daemon that was killed may be carried out by the
-    /// one that follows, also if the first had already carried it out, but only while this call waits: after it has returned an error, no
-    /// daemon that starts later moves the robot for it. If that is not wanted, wait for less long
-    /// ([`request_within`](Self::request_within)), or compare `header.sender_id` of the answer with the one of the status before.
+    /// If the daemon ends without an answer, this call sends the request to the next daemon at the same
+    /// place. It repeats the request while that daemon has not measured its robot yet. So the next daemon may
+    /// execute a `home` or a `track` a second time, but only while this call waits: after an error, no later
+    /// daemon executes it. To avoid this, wait for a shorter time ([`request_within`](Self::request_within)),
+    /// or compare `header.sender_id` of the answer with that of an earlier status.
     ///
     /// # Errors
-    /// A refusal is an error, with the reason and a remedy; so is silence.
+    /// A refusal, with its reason and a remedy, or a timeout.
     pub fn request(&self, kind: RequestKind) -> Result<Response, RequestError> {
         self.request_within(kind, REQUEST_TIMEOUT)
     }
 
-    /// As [`request`](Self::request), waiting at most `timeout`.
+    /// Like [`request`](Self::request), waiting at most `timeout`.
     ///
     /// # Errors
     /// As [`request`](Self::request).
@@ -170,10 +169,11 @@ impl Connection {
         kind: RequestKind,
         timeout: Duration,
     ) -> Result<Response, RequestError> {
-        self.control.ask(kind, SolverSettings::default(), timeout)
+        self.control
+            .request(kind, SolverSettings::default(), timeout)
     }
 
-    /// Begins the statistics of the status anew, for all clients.
+    /// Resets the statistics of the status, for all clients.
     ///
     /// # Errors
     /// As [`request`](Self::request).
@@ -181,16 +181,16 @@ impl Connection {
         self.request(RequestKind::ResetStatistics)
     }
 
-    /// Changes the settings of the solver. Start from those of [`settings`](Self::settings).
+    /// Changes the solver settings. Start from those of [`settings`](Self::settings).
     ///
     /// # Errors
     /// As [`request`](Self::request).
     pub fn change_settings(&self, settings: SolverSettings) -> Result<Response, RequestError> {
         self.control
-            .ask(RequestKind::Settings, settings, REQUEST_TIMEOUT)
+            .request(RequestKind::Settings, settings, REQUEST_TIMEOUT)
     }
 
-    /// Acquires the right to send references, until the lease is dropped.
+    /// Acquires the lease: the right to send references until it is dropped.
     ///
     /// # Errors
     /// When another client holds it.
@@ -198,7 +198,7 @@ impl Connection {
         self.acquire_lease_within(REQUEST_TIMEOUT)
     }
 
-    /// As [`acquire_lease`](Self::acquire_lease), waiting at most `timeout` for the daemon's answer.
+    /// Like [`acquire_lease`](Self::acquire_lease), waiting at most `timeout` for the daemon's answer.
     ///
     /// # Errors
     /// As [`acquire_lease`](Self::acquire_lease).
@@ -209,7 +209,7 @@ impl Connection {
     /// Prepares to stream `trajectory` to the daemon ahead of time; see [`Feeder::run`].
     ///
     /// # Errors
-    /// When the options are out of range, or the lease or a port cannot be had.
+    /// When the options are out of range, or the lease or a port is not available.
     pub fn feed<'c>(
         &'c self,
         trajectory: &'c dyn Trajectory,
@@ -218,7 +218,7 @@ impl Connection {
         Feeder::open(self, trajectory, options)
     }
 
-    /// A port that sends reference chunks one by one. [`feed`](Self::feed) is the easy way.
+    /// A port that sends single reference chunks. [`feed`](Self::feed) is simpler to use.
     ///
     /// # Errors
     /// When the service has as many writers as it allows.
@@ -236,11 +236,13 @@ impl Connection {
         Ok(ObstacleSender { outlet })
     }
 
-    /// The ports of a driver that obeys `interface`: measurements out, commands in. It follows no command beyond the
-    /// limits of the robot in the daemon's status. A driver that needs nothing else of a connection uses [`Driver::connect`].
+    /// The ports of a driver that obeys `interface`: measurements out, commands in. The driver refuses
+    /// commands beyond the robot limits in the daemon's status. A driver that needs no other part of a
+    /// connection uses [`Driver::connect`].
     ///
     /// # Errors
-    /// When the services have as many writers or readers as they allow, [`LinkError::Silent`] when the daemon is away.
+    /// When the services have as many writers or readers as they allow, or [`LinkError::Silent`] when the
+    /// daemon sends no status.
     pub fn driver(&self, interface: Interface) -> Result<Driver, LinkError> {
         let robot = self.status(STATUS_FRESH)?.robot;
         let Services {
@@ -254,13 +256,14 @@ impl Connection {
     /// The port of a process that measures the tip beside the driver (`link.tip_sensor = "separate"`).
     ///
     /// # Errors
-    /// When the service has as many writers as it allows, [`LinkError::Silent`] when the daemon is away.
+    /// When the service has as many writers as it allows, or [`LinkError::Silent`] when the daemon sends no
+    /// status.
     pub fn tip_sensor(&self) -> Result<TipSensor, LinkError> {
         let status = self.status(STATUS_FRESH)?;
         TipSensor::open(&self.services.measurement, self.sender.clone(), &status)
     }
 
-    /// One record of every cycle from now on.
+    /// Telemetry from now on: one record per cycle.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -268,7 +271,7 @@ impl Connection {
         Stream::open(&self.services.telemetry)
     }
 
-    /// Every command from now on.
+    /// All commands from now on.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -276,7 +279,7 @@ impl Connection {
         Stream::open(&self.services.command)
     }
 
-    /// Every snapshot from now on, and the newest one.
+    /// The newest status and all later ones.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -284,8 +287,8 @@ impl Connection {
         Stream::open(&self.services.status)
     }
 
-    /// The last bad cycles, at most 64, oldest first, and each new one from now on. The old ones arrive
-    /// within a moment, about when the next status does.
+    /// The last incidents, at most 64, oldest first, and each new one from now on. The old ones arrive after
+    /// a short delay, about when the next status does.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -293,7 +296,7 @@ impl Connection {
         Stream::open(&self.services.incidents)
     }
 
-    /// What all clients send as reference from now on.
+    /// The reference chunks of all clients from now on.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -301,7 +304,7 @@ impl Connection {
         Stream::open(&self.services.reference)
     }
 
-    /// What all clients send about obstacles from now on.
+    /// The obstacle messages of all clients from now on.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -309,7 +312,7 @@ impl Connection {
         Stream::open(&self.services.obstacles)
     }
 
-    /// What the driver measures from now on.
+    /// The measurements of the driver from now on.
     ///
     /// # Errors
     /// When the service has as many readers as it allows.
@@ -317,7 +320,7 @@ impl Connection {
         Stream::open(&self.services.measurement)
     }
 
-    /// A number for a lease that begins, or instead of one that ends.
+    /// Increments the lease number, when a lease begins or ends.
     pub(crate) fn number_lease(&self) -> u64 {
         self.leases.set(self.leases.get() + 1);
         self.leases.get()

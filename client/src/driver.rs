@@ -23,18 +23,23 @@ pub use commanded::{CommandedPosition, CommandedRates};
 pub use follower::CommandFollower;
 pub use refusal::CommandRefusal;
 
-/// How often a driver that waits looks for a command: a fifth of the daemon's usual period.
-const LOOK_AGAIN: Duration = Duration::from_millis(1);
+/// Interval at which a waiting driver checks for a command: a fifth of the usual period.
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
-/// The ports of a driver process: it sends what the robot measures and obeys what the daemon commands.
+/// The ports of a driver process: it sends measurements of the robot and executes the daemon's commands.
 ///
-/// In each turn of its loop a driver calls [`update`](Self::update), gives its motors what [`rates_at`](Self::rates_at) or
-/// [`position_at`](Self::position_at) say for that moment, whether a command came or not, and sends a measurement:
+/// In each iteration of its loop a driver calls [`update`](Self::update). It applies
+/// [`rates_at`](Self::rates_at) or [`position_at`](Self::position_at) of the present time to its motors, with
+/// or without a new command. Then it sends a measurement:
 ///
 /// ```no_run
 /// # use cdcr_client::{Connection, Driver, LinkError, monotonic_ns};
 /// # use cdcr_shared_types::Measurement;
-/// # fn turn(driver: &mut Driver, set_speeds: impl Fn([f64; 18]), measure: impl Fn() -> Measurement) -> Result<(), LinkError> {
+/// # fn turn(
+/// #     driver: &mut Driver,
+/// #     set_speeds: impl Fn([f64; 18]),
+/// #     measure: impl Fn() -> Measurement,
+/// # ) -> Result<(), LinkError> {
 /// if let Some(refusal) = driver.update()?.refused {
 ///     eprintln!("{refusal}");
 /// }
@@ -44,17 +49,17 @@ const LOOK_AGAIN: Duration = Duration::from_millis(1);
 /// # }
 /// ```
 ///
-/// The daemon sends no command before it has a first measurement, because it does not know before how
-/// the robot is bent: a driver that waits for a command before it measures waits for ever. The robot rests before the
-/// first command, and from the newest one's `valid_until_ns` on.
+/// The daemon sends no command before the first measurement, because it does not know the robot's
+/// configuration. A driver that waits for a command before it measures waits forever. The robot is at rest
+/// before the first command and after `valid_until_ns` of the newest one.
 ///
-/// A command that the robot must not follow is refused ([`CommandRefusal`]): reported, counted, and no reason to end. It is held
-/// to the limits of the robot that the daemon had when this driver was opened; a daemon that is started again with wider ones
-/// does not widen them.
+/// A command that the robot must not follow is refused ([`CommandRefusal`]): counted and reported; the driver
+/// continues. Commands are checked against the robot limits that the daemon had when this driver was opened;
+/// a restarted daemon with wider limits does not widen them.
 ///
-/// A driver goes on measuring while the daemon is away: the next one begins with its measurements, and its
-/// commands are taken as soon as those of the old one have run out. It begins at rest where the robot is measured,
-/// so there is nothing to do; [`DriverUpdate::new_daemon`] tells a driver that would rather ask somebody.
+/// A driver continues to measure while the daemon is down. The next daemon starts at rest from these
+/// measurements, and its commands are accepted once those of the old daemon have expired. No action is
+/// needed; [`DriverUpdate::new_daemon`] informs a driver that requires confirmation.
 #[derive(Debug)]
 pub struct Driver {
     interface: Interface,
@@ -62,27 +67,28 @@ pub struct Driver {
     measurements: Outlet<Measurement>,
     commands: CommandStream,
     follower: CommandFollower,
-    /// What was sent last of bends or cables.
+    /// The last measurement sent of bends or cables.
     measured: Cell<Option<Measurement>>,
 }
 
-/// What [`Driver::update`] found.
+/// Result of [`Driver::update`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DriverUpdate {
-    /// The newest command that was taken.
+    /// The newest accepted command.
     pub command: Option<Command>,
-    /// Another daemon than before commands from now on: its `sender_id`.
+    /// `sender_id` of a new daemon, when it has taken over.
     pub new_daemon: Option<u64>,
-    /// The newest refusal, if a command was refused.
+    /// The newest refusal, if any.
     pub refused: Option<CommandRefusal>,
 }
 
 impl Driver {
-    /// Connects to the daemon that controls `robot` at `location`, as a driver that obeys `interface`. Opens what a driver
-    /// needs and nothing else, so that no crowd of clients keeps it out.
+    /// Connects to the daemon that controls `robot` at `location`, as a driver that obeys `interface`. Opens
+    /// only the services of a driver, so other clients cannot exhaust its connections.
     ///
     /// # Errors
-    /// As [`Connection::open`](crate::Connection::open), and [`ConnectError::Port`] when other drivers have all places.
+    /// As [`Connection::open`](crate::Connection::open), and [`ConnectError::Port`] when other drivers use
+    /// all ports.
     pub fn connect(
         location: &Location,
         robot: &str,
@@ -92,7 +98,7 @@ impl Driver {
         Service::Measurement.name(robot)?;
         check_owner(location, &place)?;
         let services = DriverServices::open(location, &place)?;
-        let mut statuses = StatusReader::new(Stream::open_kept(&services.status)?);
+        let mut statuses = StatusReader::new(Stream::open_reserved(&services.status)?);
         let status = statuses.fresh_within(STATUS_FRESH)?;
         let robot = status.ok_or_else(|| no_status(location, &place))?.robot;
         let DriverServices {
@@ -104,10 +110,11 @@ impl Driver {
         Ok(driver)
     }
 
-    /// The same of a daemon that may still be starting, or whose places others have: tries again until `timeout`.
+    /// Like [`connect`](Self::connect) for a daemon that is starting or whose ports are in use: retries until
+    /// `timeout`.
     ///
     /// # Errors
-    /// As [`connect`](Self::connect), with the last reason.
+    /// As [`connect`](Self::connect), with the error of the last attempt.
     pub fn connect_within(
         location: &Location,
         robot: &str,
@@ -130,18 +137,18 @@ impl Driver {
             interface,
             robot: *robot,
             measurements: Outlet::open(measurement, sender)?,
-            commands: Stream::open_kept(command)?,
+            commands: Stream::open_reserved(command)?,
             follower: CommandFollower::new(robot, interface),
             measured: Cell::new(None),
         })
     }
 
-    /// The robot, as the daemon had it when this driver was opened.
+    /// Description of the robot when this driver was opened.
     pub fn robot(&self) -> &RobotDescription {
         &self.robot
     }
 
-    /// Sends what was measured, and by the way which interface this driver obeys.
+    /// Sends a measurement, with the interface that this driver obeys.
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -155,7 +162,7 @@ impl Driver {
         })
     }
 
-    /// Sends measured lengths of the cables \[m\], and when they were measured \[ns, `CLOCK_MONOTONIC`\].
+    /// Sends cable lengths \[m\] and the time of their measurement \[ns, `CLOCK_MONOTONIC`\].
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -173,21 +180,22 @@ impl Driver {
         })
     }
 
-    /// Takes every command that waits, oldest first, and says what is new. Never blocks. A driver that obeys positions takes none
-    /// before it has sent a measurement, and a first one only where that says the robot is.
+    /// Processes all queued commands, oldest first, and returns what is new. Never blocks. A driver that
+    /// obeys positions ignores commands before its first measurement. Its first position must agree with the
+    /// measured one.
     ///
     /// # Errors
-    /// When iceoryx2 fails. A refused command is no error.
+    /// When iceoryx2 fails. A refused command is not an error.
     pub fn update(&mut self) -> Result<DriverUpdate, LinkError> {
         let mut update = DriverUpdate::default();
         let measured = self.measured.get();
         if let Some(measured) = &measured {
             self.follower.tell_measured(measured);
         }
-        let is_blind = self.interface == Interface::Position && measured.is_none();
+        let awaits_measurement = self.interface == Interface::Position && measured.is_none();
         while let Some(command) = self.commands.try_next()? {
-            // One of the other interface is refused all the same.
-            if is_blind && command.interface == self.interface.code() {
+            // A command of the other interface is still refused.
+            if awaits_measurement && command.interface == self.interface.code() {
                 continue;
             }
             update.take(&mut self.follower, &command, monotonic_ns());
@@ -195,27 +203,27 @@ impl Driver {
         Ok(update)
     }
 
-    /// How fast the robot shall move at `now_ns`, as in [`CommandFollower::rates_at`].
+    /// Commanded rates at `now_ns`; see [`CommandFollower::rates_at`].
     pub fn rates_at(&self, now_ns: u64) -> CommandedRates {
         self.follower.rates_at(now_ns)
     }
 
-    /// Where the robot shall be at `now_ns`, as in [`CommandFollower::position_at`].
+    /// Commanded position at `now_ns`; see [`CommandFollower::position_at`].
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.follower.position_at(now_ns)
     }
 
-    /// Commands that were refused since the beginning.
+    /// Number of commands refused so far.
     pub fn refusals(&self) -> u64 {
         self.follower.refusals()
     }
 
-    /// Rests until the next command, as in [`CommandFollower::forget`].
+    /// Rests until the next command; see [`CommandFollower::forget`].
     pub fn forget(&mut self) {
         self.follower.forget();
     }
 
-    /// As [`update`](Self::update), for who wants the newest command alone.
+    /// Like [`update`](Self::update), but returns the newest command only.
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -223,7 +231,7 @@ impl Driver {
         Ok(self.update()?.command)
     }
 
-    /// The next command that is taken, or `None` when none came within `timeout`.
+    /// The next accepted command, or `None` when none arrived within `timeout`.
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -234,7 +242,7 @@ impl Driver {
             if command.is_some() || Instant::now() >= deadline {
                 return Ok(command);
             }
-            thread::sleep(LOOK_AGAIN);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 }
@@ -289,9 +297,9 @@ mod tests {
             (taken, update.new_daemon, update.refused.is_some())
         };
         assert_eq!(update(&[]), (None, None, false));
-        // The first daemon of all is not another one.
+        // The first daemon is not a new daemon.
         assert_eq!(update(&[of(1, 100), of(1, 110)]), (Some(110), None, false));
-        // A refusal is told beside what was taken.
+        // A refusal is reported along with the accepted command.
         assert_eq!(update(&[of(1, 110), of(1, 120)]), (Some(120), None, true));
         assert_eq!(update(&[of(2, 130)]), (None, None, true));
         assert_eq!(

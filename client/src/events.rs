@@ -6,19 +6,19 @@ use cdcr_shared_types::{Header, InputEvent, Obstacle, Service, Telemetry};
 
 use crate::{LinkError, Liveness, TelemetryStream};
 
-/// The obstacles of a record, where they are at its release.
+/// The obstacles of a record, at their positions at its release.
 pub fn obstacles(record: &Telemetry) -> &[Obstacle] {
     let count = (record.obstacle_count as usize).min(OBSTACLES_MAX);
     &record.obstacles[..count]
 }
 
-/// The events of a record: what took effect with it, or was refused.
+/// The events of a record: messages that took effect with it or were refused.
 pub fn events(record: &Telemetry) -> &[InputEvent] {
     let count = (record.event_count as usize).min(EVENTS_MAX);
     &record.events[..count]
 }
 
-/// What a record tells of the message with this header, if it does.
+/// The event of a record about the message with this header, if any.
 pub fn event_about(record: &Telemetry, kind: EventKind, header: &Header) -> Option<InputEvent> {
     let is_about = |event: &&InputEvent| {
         event.kind == kind.code()
@@ -29,11 +29,11 @@ pub fn event_about(record: &Telemetry, kind: EventKind, header: &Header) -> Opti
 }
 
 impl TelemetryStream {
-    /// Waits until the daemon has decided on the message with this header, at most `timeout`. The stream
-    /// must have been opened before the message was sent.
+    /// Waits for the daemon's decision on the message with this header, at most `timeout`. Open the stream
+    /// before the message is sent.
     ///
     /// # Errors
-    /// [`LinkError::Silent`] when no outcome came.
+    /// [`LinkError::Silent`] when no outcome arrived.
     pub fn outcome_on(
         &mut self,
         kind: EventKind,
@@ -44,8 +44,8 @@ impl TelemetryStream {
         Ok(Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode))
     }
 
-    /// As [`outcome_on`](Self::outcome_on), with all that the daemon says of the message: at which of its
-    /// points or obstacles it was refused, or how many obstacles are known since.
+    /// Like [`outcome_on`](Self::outcome_on), with the whole event: the point or obstacle that was refused,
+    /// or the number of known obstacles.
     ///
     /// # Errors
     /// As [`outcome_on`](Self::outcome_on).

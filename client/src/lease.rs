@@ -6,36 +6,36 @@ use cdcr_shared_types::{Header, Response};
 
 use crate::{Connection, RequestError, monotonic_ns};
 
-/// How long the end of a lease waits for the daemon: enough for many cycles, short for a person.
+/// Timeout of the request that ends a lease: enough for many cycles, short for a person.
 const RELEASE_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// The right to send references, held until it is released or dropped.
 ///
-/// The daemon takes it back some time after the last renewal or accepted chunk; a robot that tracks then
-/// holds. The daemon's configuration says how long that is, 20 ms to a minute; [`left`](Self::left) is
-/// what it told. One client at a time has it. It ends with the daemon that gave it: the next
-/// [`renew`](Self::renew) says so.
+/// The daemon withdraws the lease a certain time after the last renewal or accepted chunk; a tracking robot
+/// then holds. That time is configured in the daemon, 20 ms to one minute; see [`left`](Self::left). One
+/// client holds the lease at a time. The lease ends with the daemon that granted it: the next
+/// [`renew`](Self::renew) reports this.
 #[derive(Debug)]
 pub struct Lease<'c> {
     connection: &'c Connection,
     /// Number of this lease among those of the connection.
     number: u64,
     grant: Grant,
-    /// When the last renewal was asked for, and how long the daemon said that it runs.
+    /// Time of the last renewal request, and the lease time that the daemon returned.
     renewed_ns: Cell<u64>,
     left: Cell<Duration>,
 }
 
-/// Which daemon gave a lease, and when it was asked.
+/// The daemon that granted a lease, and the time of the request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Grant {
     pub(crate) daemon_id: u64,
-    /// \[ns, `CLOCK_MONOTONIC`\].
+    /// Time of the request \[ns, `CLOCK_MONOTONIC`\].
     pub(crate) asked_ns: u64,
 }
 
 impl Grant {
-    /// Whether a message with this header comes from that daemon.
+    /// Whether the daemon that granted the lease sent a message with this header.
     pub(crate) fn is_from(&self, header: &Header) -> bool {
         header.sender_id == self.daemon_id
     }
@@ -60,8 +60,8 @@ impl<'c> Lease<'c> {
         })
     }
 
-    /// How long it ran from its last renewal, as the daemon told then. Who renews it at a fifth of this
-    /// can lose four renewals.
+    /// Lease time at the last renewal, as reported by the daemon. With renewals at a fifth of it, four
+    /// renewals may be lost.
     pub fn left(&self) -> Duration {
         self.left.get()
     }
@@ -70,16 +70,16 @@ impl<'c> Lease<'c> {
         self.grant
     }
 
-    /// When it should be renewed \[ns, `CLOCK_MONOTONIC`\].
+    /// Time of the next renewal \[ns, `CLOCK_MONOTONIC`\].
     pub(crate) fn renewal_due_ns(&self) -> u64 {
         renewal_due_ns(self.renewed_ns.get(), self.left())
     }
 
-    /// Makes it run for its full time again.
+    /// Renews the lease for its full time.
     ///
     /// # Errors
-    /// When it was lost to another client, or the daemon does not answer, or another daemon took its place
-    /// ([`RequestError::Restarted`]): what was fed to the one before is lost.
+    /// When another client has the lease, the daemon does not answer, or the daemon was restarted
+    /// ([`RequestError::Restarted`]): the reference fed so far is lost then.
     pub fn renew(&self) -> Result<Response, RequestError> {
         let asked_ns = monotonic_ns();
         let kind = RequestKind::AcquireLease;
@@ -93,21 +93,22 @@ impl<'c> Lease<'c> {
         Ok(response)
     }
 
-    /// Gives it back; a robot that tracks then holds. Dropping does the same, silently.
+    /// Gives the lease back; a tracking robot then holds. Dropping the lease does the same and ignores
+    /// errors.
     ///
     /// # Errors
     /// When the daemon refuses or does not answer.
     pub fn release(self) -> Result<Response, RequestError> {
-        // The drop that follows finds that another lease is the newest.
+        // This makes the following drop find a newer lease, so it sends nothing.
         self.connection.number_lease();
         self.connection.request(RequestKind::ReleaseLease)
     }
 
-    /// The lease is the connection's: a newer one on it must not go with this one.
+    /// The lease belongs to the connection: the end of this lease must not release a newer one.
     fn give_back(&self) {
         if self.connection.newest_lease() == self.number {
             self.connection.number_lease();
-            // A daemon that is gone takes the lease back by itself.
+            // When the daemon is down, its lease has ended with it.
             let _ = self
                 .connection
                 .request_within(RequestKind::ReleaseLease, RELEASE_TIMEOUT);
@@ -121,7 +122,7 @@ impl Drop for Lease<'_> {
     }
 }
 
-/// Renewing at a fifth survives four renewals that came too late or not at all.
+/// Renewal at a fifth of the lease time tolerates four late or lost renewals.
 fn renewal_due_ns(renewed_ns: u64, left: Duration) -> u64 {
     renewed_ns + left.as_nanos() as u64 / 5
 }

@@ -1,32 +1,31 @@
-//! Talks to `cdcrd`, the real-time controller of cable-driven continuum robots.
+//! Client library of `cdcrd`, the real-time controller of cable-driven continuum robots.
 //!
-//! The daemon owns the robot and the 5 ms loop; everything else is a client in another process that
-//! meets it in shared memory. This library is the typed way in for Rust programs. `cdcrctl` is a thin
-//! user of it.
+//! The daemon owns the robot and the 5 ms loop. All other programs are clients in their own processes,
+//! connected through shared memory. This library is the typed interface for Rust programs; `cdcrctl` is built
+//! on it.
 //!
-//! # What there is
+//! # Contents
 //!
-//! * [`Connection`] opens the services of one daemon. A client never creates a service: without a
-//!   living daemon [`Connection::open`] says which one it looked for and how to start it.
-//! * [`Connection::request`] asks for something (track, hold, stop, reset, home) and waits for the
-//!   answer. A refusal is an error that says why and what to do.
-//! * [`Requester`] is the short way to that: it opens nothing else, so [`Requester::stop`] gets in where a
-//!   connection does not, and falls back to a signal.
-//! * [`Connection::feed`] streams a [`Trajectory`] ahead of time, so that a late client never reaches
-//!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's; `Straight` is a way from rest to rest (feature `model`);
-//!   [`FileTrajectory`] reads CSV (feature `csv`); your own type may implement the trait.
-//! * [`Connection::telemetry`] is a [`Stream`] of one record per cycle, which counts what was lost;
-//!   [`Connection::status`] is the newest snapshot; [`Connection::incidents`] are the last bad cycles,
-//!   kept whole.
-//! * [`model`] (feature `model`) makes the robot of `cdcr_controller` of what messages say;
-//!   `PlantDriver` is a simulated robot behind a driver; [`replay`] computes recorded cycles again.
-//! * [`channels`] (feature `channels`) is what recordings and live views hold: messages, and what viewers draw of them.
-//! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for
-//!   programs that do more than feed a curve.
-//!
+//! * [`Connection`] opens the services of one daemon. A client never creates a service: without a running
+//!   daemon, [`Connection::open`] names the daemon it looked for and the command that starts it.
+//! * [`Connection::request`] sends a request (track, hold, stop, reset, home) and waits for the answer. A
+//!   refusal is an error with a reason and a remedy.
+//! * [`Requester`] opens only the service for requests. So [`Requester::stop`] succeeds where a connection
+//!   may not, and falls back to a signal.
+//! * [`Connection::feed`] streams a [`Trajectory`] ahead of time, so that a late client does not affect the
+//!   loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's; `Straight` moves from rest to rest (feature
+//!   `model`). [`FileTrajectory`] reads CSV (feature `csv`). Your own type may implement the trait.
+//! * [`Connection::telemetry`] is a [`Stream`] with one record per cycle and a count of lost records.
+//!   [`Connection::status`] is the newest status; [`Connection::incidents`] are the last incidents in full.
+//! * [`model`] (feature `model`) converts messages to the types of `cdcr_controller`. `PlantDriver` is a
+//!   simulated robot behind a driver; [`replay`] recomputes recorded cycles.
+//! * [`channels`] (feature `channels`) defines the content of recordings and live views: messages, and
+//!   drawings for viewers.
+//! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for programs that
+//!   need more than a feed.
 //! # Example
 //!
-//! Let the robot draw the paper's spiral and watch the error:
+//! Draw the paper's spiral and record the largest tip error:
 //!
 //! ```no_run
 //! use std::ops::ControlFlow;
@@ -55,13 +54,13 @@
 //! # }
 //! ```
 //!
-//! # Rules that hold everywhere
+//! # General rules
 //!
-//! SI units; times are nanoseconds of `CLOCK_MONOTONIC` ([`monotonic_ns`]), the clock of all messages
-//! on one machine. Every message carries this connection's identity and a running number. Writers
-//! never wait for readers: who does not keep up loses messages, and can see how many. Freshness is
-//! judged from stamps, because shared memory does not tell that a process was killed. A daemon that is
-//! started again finds its old clients, and they find it: see [`Connection`].
+//! Units are SI. Times are nanoseconds of `CLOCK_MONOTONIC` ([`monotonic_ns`]), the clock of all messages on
+//! one machine. Every message carries this connection's identity and a sequence number. Writers never wait
+//! for readers: a slow reader loses messages and can count them. Freshness is determined from time stamps,
+//! because shared memory does not report that a process was killed. A restarted daemon and its old clients
+//! find each other again: see [`Connection`].
 //!
 //! Invariant: nothing here computes control or creates a service.
 

@@ -4,10 +4,10 @@ use std::time::Duration;
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX};
 use cdcr_shared_types::{Service, ipc};
 
-/// Why a port of an open connection could not be made, or did not carry a message.
+/// Why a port of an open connection failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LinkError {
-    /// A publisher or subscriber could not be made.
+    /// A publisher or subscriber could not be created.
     #[error(
         "cannot open a port on the {service} service: {cause}. \
          At most {writers} writers and {readers} readers are allowed; close one of them"
@@ -15,28 +15,28 @@ pub enum LinkError {
     Port {
         /// Last part of the service's name.
         service: &'static str,
-        /// What iceoryx2 says.
+        /// Error text of iceoryx2.
         cause: String,
         /// Writers that the service allows.
         writers: usize,
         /// Readers that the service allows.
         readers: usize,
     },
-    /// The port for requests could not be made.
+    /// The port for requests could not be created.
     #[error(
         "cannot send requests to the daemon: {cause}. At most {} clients are allowed; close one of them",
         Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
     )]
     Askers {
-        /// What iceoryx2 says.
+        /// Error text of iceoryx2, or that all places are taken.
         cause: String,
     },
-    /// Shared memory has no room for a port.
+    /// Shared memory has no space for a port.
     #[error("cannot open a port on the {service} service: {cause}")]
     Memory {
         /// Last part of the service's name.
         service: &'static str,
-        /// How much is needed and free, and what to do.
+        /// Needed and free space, and the remedy.
         cause: String,
     },
     /// A message could not be sent.
@@ -44,7 +44,7 @@ pub enum LinkError {
     Send {
         /// Last part of the service's name.
         service: &'static str,
-        /// What iceoryx2 says.
+        /// Error text of iceoryx2.
         cause: String,
     },
     /// Messages could not be received.
@@ -52,10 +52,10 @@ pub enum LinkError {
     Receive {
         /// Last part of the service's name.
         service: &'static str,
-        /// What iceoryx2 says.
+        /// Error text of iceoryx2.
         cause: String,
     },
-    /// The daemon sends nothing any more.
+    /// The daemon has stopped sending.
     #[error(
         "the daemon has sent nothing on the {service} service for {} ms: {liveness}",
         waited.as_millis()
@@ -63,36 +63,36 @@ pub enum LinkError {
     Silent {
         /// Last part of the service's name.
         service: &'static str,
-        /// How long it was waited for.
+        /// Time waited.
         waited: Duration,
-        /// Whether it still runs.
+        /// Whether the daemon still runs.
         liveness: Liveness,
     },
-    /// A reference chunk with no point or too many.
+    /// A reference chunk without points or with too many.
     #[error("a reference chunk holds 1 to {CHUNK_POINTS_MAX} points, not {count}")]
     ChunkPoints {
-        /// Points given.
+        /// Number of points.
         count: usize,
     },
     /// An obstacle message with too many obstacles.
     #[error("an obstacle message holds at most {OBSTACLES_MAX} obstacles, not {count}")]
     Obstacles {
-        /// Obstacles given.
+        /// Number of obstacles.
         count: usize,
     },
 }
 
-/// What is known of a daemon that does not answer or sends nothing.
+/// State of a daemon that does not answer or sends nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Liveness {
-    /// Nobody has looked.
+    /// Not checked.
     Unknown,
-    /// Its process runs: it is stopped, or a thread of it is held up.
+    /// The process runs: it is stopped, or one of its threads is blocked.
     Runs {
-        /// The process, as far as it could be told.
+        /// Process id, where it could be determined.
         process_id: Option<u32>,
     },
-    /// No process holds its lock or its name.
+    /// No process holds the daemon's lock or name.
     Ended,
 }
 
@@ -109,7 +109,7 @@ impl Display for Liveness {
     }
 }
 
-/// A process in words.
+/// Text for a process id.
 pub(crate) fn process_text(process_id: Option<u32>) -> String {
     process_id.map_or_else(
         || "process unknown".to_owned(),

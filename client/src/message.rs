@@ -10,15 +10,15 @@ mod sealed {
     pub trait Sealed {}
 }
 
-/// A payload of one of the publish-subscribe services. The set is closed: it is the wire contract.
+/// Payload of a publish-subscribe service. The set is closed: it is the wire contract.
 pub trait Message: sealed::Sealed + Copy + Debug + Default + ZeroCopySend + 'static {
-    /// The service it travels on.
+    /// The service of this message.
     const SERVICE: Service;
 
-    /// Who sent it, its number and when.
+    /// Sender, sequence number and time.
     fn header(&self) -> &Header;
 
-    /// Replaces the header; ports do it when they send.
+    /// Replaces the header; called by the ports on sending.
     fn set_header(&mut self, header: Header);
 }
 

@@ -1,4 +1,4 @@
-//! What messages say of robot and obstacles, as `cdcr_controller` computes with it.
+//! Conversion of robot, obstacles and settings in messages to the types of `cdcr_controller`.
 
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
@@ -17,7 +17,7 @@ use crate::Orientation;
 /// The robot of a description.
 ///
 /// # Errors
-/// When it describes none: a daemon publishes only robots that are.
+/// When the description is invalid; a daemon publishes only valid ones.
 pub fn robot_of(description: &RobotDescription) -> Result<Robot, RobotError> {
     let section = |section: &SectionDescription| SectionParameters {
         length_m: section.length_m,
@@ -36,7 +36,8 @@ pub fn robot_of(description: &RobotDescription) -> Result<Robot, RobotError> {
     })
 }
 
-/// An obstacle of a record, where it is at the release. None: no obstacle that a daemon would have taken.
+/// An obstacle of a record, at its position at the release. `None` for an obstacle that a daemon would
+/// refuse.
 pub fn obstacle_of(obstacle: &cdcr_shared_types::Obstacle) -> Option<Obstacle> {
     let shape = match ObstacleShape::try_from(obstacle.shape).ok()? {
         ObstacleShape::Sphere => Shape::Sphere {
@@ -50,10 +51,11 @@ pub fn obstacle_of(obstacle: &cdcr_shared_types::Obstacle) -> Option<Obstacle> {
     Obstacle::new(shape, obstacle.radius_m, obstacle.velocity_m_s.into()).ok()
 }
 
-/// The settings of a solver; its budget is left out. Each field has one name on both sides, and none can be forgotten.
+/// The solver settings without the budget. Each field has the same name on both sides, and a missing one does
+/// not compile.
 ///
 /// # Errors
-/// When a code has no meaning: no daemon publishes such settings.
+/// When a code is unknown; no daemon publishes such settings.
 pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCode> {
     macro_rules! same_names {
         ($($number:ident),+ $(,)?) => {{
@@ -85,7 +87,7 @@ pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCod
     })
 }
 
-/// The points of a reference chunk that a daemon accepted. None: of a chunk that no daemon accepts.
+/// The points of an accepted reference chunk. `None` for a chunk that no daemon accepts.
 pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::ReferencePoint>> {
     let interpolation = match codes::Interpolation::try_from(chunk.interpolation).ok()? {
         codes::Interpolation::Linear => reference::Interpolation::Linear,
@@ -109,7 +111,7 @@ pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::Referen
     used.iter().map(point).collect()
 }
 
-/// An orientation of a trajectory.
+/// Converts the orientation of a trajectory.
 pub fn orientation_of(orientation: Orientation) -> reference::Orientation {
     match orientation {
         Orientation::Free => reference::Orientation::Free,

@@ -5,12 +5,12 @@ use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate};
 use crate::LinkError;
 use crate::outlet::Outlet;
 
-/// Tells the daemon about obstacles. Any client may; ids are shared among all.
+/// Sends obstacles to the daemon. Any client may send; all clients share the ids.
 ///
-/// [`TelemetryStream::outcome_on`](crate::TelemetryStream::outcome_on) tells what became of a message.
-/// Keep the sender until then: with it goes what the daemon has not yet taken in.
+/// [`TelemetryStream::outcome_on`](crate::TelemetryStream::outcome_on) returns the outcome of a message. Keep
+/// the sender until then: dropping it discards messages that the daemon has not received yet.
 ///
-/// A daemon that is started again knows no obstacle; the sender reaches it as it is.
+/// A restarted daemon knows no obstacles; the same sender reaches it.
 #[derive(Debug)]
 pub struct ObstacleSender {
     pub(crate) outlet: Outlet<ObstacleUpdate>,
@@ -25,8 +25,9 @@ impl ObstacleSender {
         self.send(ObstacleAction::Upsert, obstacles)
     }
 
-    /// Removes obstacles by their ids. A client whose obstacles have lifetimes, which the daemon watches (`obstacles.source_timeout_ms`),
-    /// removes them all before it ends; else the robot holds.
+    /// Removes obstacles by id. If the daemon monitors a client's obstacles with lifetimes
+    /// (`obstacles.source_timeout_ms`), the client removes them all before it ends; otherwise the robot
+    /// holds.
     ///
     /// # Errors
     /// As [`upsert`](Self::upsert).

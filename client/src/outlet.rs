@@ -6,9 +6,9 @@ use crate::sender::Sender;
 use crate::services::Channel;
 use crate::{LinkError, Message};
 
-/// The writing end of one service: stamps the header and sends.
+/// Publisher of one service: stamps the header and sends.
 ///
-/// A reader that does not keep up loses messages; it never stops the writer.
+/// A slow reader loses messages; it never blocks the publisher.
 #[derive(Debug)]
 pub(crate) struct Outlet<T: Message> {
     publisher: Publisher<ipc::Service, T, ()>,
@@ -32,7 +32,6 @@ impl<T: Message> Outlet<T> {
         Ok(Self { publisher, sender })
     }
 
-    /// Stamps `message` and sends it.
     pub(crate) fn send(&self, mut message: T) -> Result<Header, LinkError> {
         let header = self.sender.next_header(T::SERVICE);
         message.set_header(header);

@@ -9,34 +9,34 @@ use cdcr_shared_types::counted;
 use crate::model::robot_of;
 use crate::{Connection, Driver, DriverUpdate, LinkError, monotonic_ns};
 
-/// The motors are moved on in steps of this \[ns\].
+/// Time step of the motors \[ns\].
 const STEP_NS: u64 = 1_000_000;
-/// How long the daemon's status is waited for.
+/// Timeout for the daemon's status.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A simulated robot behind a driver: [`MisbehavingRobot`] at the ports of a [`Driver`].
 ///
-/// Its motors do what the driver obeys, for as long as that holds, however seldom it is turned.
+/// The motors follow the commands in time steps of 1 ms, independent of the call rate.
 #[derive(Debug)]
 pub struct PlantDriver {
     driver: Driver,
     interface: Interface,
     sections: u32,
     plant: MisbehavingRobot,
-    /// Until when the motors have been moved on \[ns\].
+    /// Time up to which the motors are simulated \[ns\].
     moved_ns: u64,
 }
 
-/// Why there is no simulated robot.
+/// Why no simulated robot could be created.
 #[derive(Debug, thiserror::Error)]
 pub enum PlantError {
-    /// The daemon is not there.
+    /// The daemon is not reachable, or a port failed.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// The flaws make it no robot.
+    /// The flaws give an invalid robot.
     #[error("invalid robot with these flaws: {0}")]
     Robot(#[from] RobotError),
-    /// Another number of sections than the robot has.
+    /// The number of sections differs from the robot's.
     #[error("{} given, but the robot has {robot}", counted(*given, "section"))]
     SectionCount {
         /// Sections that were given.
@@ -47,7 +47,8 @@ pub enum PlantError {
 }
 
 impl PlantDriver {
-    /// The robot of the daemon of `connection` with these flaws, whose noise has this seed; bent by `start`, or straight.
+    /// The robot of the connected daemon with these flaws and this noise seed; its initial configuration is
+    /// `start`, or straight.
     ///
     /// # Errors
     /// [`PlantError`].
@@ -70,8 +71,8 @@ impl PlantDriver {
         })
     }
 
-    /// The same with sections that have other lengths (m), radii (m) and angles of their cables (rad) than the daemon is configured with, three
-    /// numbers for each, base first; whatever the flaws say of the geometry.
+    /// Replaces the true geometry, also that of the flaws: section length \[m\], cable radius \[m\] and cable
+    /// offset \[rad\] of each section, base first.
     ///
     /// # Errors
     /// [`PlantError`].
@@ -85,9 +86,9 @@ impl PlantDriver {
         Ok(self)
     }
 
-    /// Moves on to now, and takes the commands that have come.
+    /// Advances the simulation to the present time, then receives new commands.
     ///
-    /// The time that has passed belongs to the old commands, because a motor does not know those that come.
+    /// The elapsed time belongs to the old commands, because a motor does not know future ones.
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -112,7 +113,7 @@ impl PlantDriver {
         })
     }
 
-    /// Sends what the encoders say now, if anything.
+    /// Sends the encoder measurement, if there is one.
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -127,7 +128,7 @@ impl PlantDriver {
         })
     }
 
-    /// Sends what a sensor of the tip says now, if anything.
+    /// Sends the tip measurement, if there is one.
     ///
     /// # Errors
     /// When iceoryx2 fails.
@@ -151,12 +152,12 @@ impl PlantDriver {
         Ok(())
     }
 
-    /// The robot.
+    /// The simulated robot.
     pub fn plant(&mut self) -> &mut MisbehavingRobot {
         &mut self.plant
     }
 
-    /// Its driver.
+    /// The driver of the robot.
     pub fn driver(&self) -> &Driver {
         &self.driver
     }

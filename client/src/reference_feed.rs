@@ -5,10 +5,9 @@ use cdcr_shared_types::{Header, ReferenceChunk, ReferencePoint};
 use crate::LinkError;
 use crate::outlet::Outlet;
 
-/// Sends reference chunks. Whoever uses it must hold the [`Lease`](crate::Lease), or the daemon
-/// refuses them.
+/// Sends reference chunks. Its user must hold the [`Lease`](crate::Lease), otherwise the daemon refuses them.
 ///
-/// The daemon's verdict on each chunk is an event in the telemetry, by the header that
+/// The daemon's decision on each chunk is an event in the telemetry, identified by the header that
 /// [`send`](Self::send) returns.
 #[derive(Debug)]
 pub struct ReferenceFeed {
@@ -16,8 +15,7 @@ pub struct ReferenceFeed {
 }
 
 impl ReferenceFeed {
-    /// Sends one chunk. Append chunks of one connection follow each other without a gap in their
-    /// numbers, as the daemon demands.
+    /// Sends one chunk. The append chunks of one connection have consecutive numbers, as the daemon requires.
     ///
     /// # Errors
     /// When there are no points or more than [`CHUNK_POINTS_MAX`], or iceoryx2 fails.

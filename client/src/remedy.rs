@@ -1,6 +1,6 @@
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 
-/// What a person can do about a refused message or request: one sentence.
+/// Remedy for a refused message or request: one sentence.
 pub fn remedy(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Accepted => "Nothing to do.",
@@ -56,7 +56,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
     }
 }
 
-/// Why a request was refused, in the words that fit it.
+/// Reason of a refused request.
 pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
     match (kind, outcome) {
         (RequestKind::Track, Outcome::NoLease) => "no client feeds a reference",
@@ -64,7 +64,7 @@ pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
     }
 }
 
-/// As [`remedy`], for a request that a daemon in `mode` refused.
+/// Like [`remedy`], for a request that a daemon in `mode` refused.
 pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
     if kind == RequestKind::Track && outcome == Outcome::NoLease {
         return "Feed one first, for example: cdcrctl ref spiral --track.";

@@ -14,77 +14,78 @@ use crate::remedy::{refusal, request_remedy};
 use crate::sender::Sender;
 use crate::services::ControlChannel;
 
-/// How often a waiting client looks for the answer.
-pub(crate) const LOOK_AGAIN: Duration = Duration::from_millis(1);
+/// Interval at which a waiting client checks for the answer.
+pub(crate) const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
-/// Why a request had no effect.
+/// Why a request failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
-    /// The daemon refused it.
+    /// The daemon refused the request.
     #[error("cannot {kind}: {} (the daemon is {mode}). {}", refusal(*kind, *outcome), request_remedy(*kind, *outcome, *mode))]
     Refused {
-        /// What was asked for.
+        /// The request.
         kind: RequestKind,
-        /// Why not.
+        /// Reason of the refusal.
         outcome: Outcome,
         /// Mode of the daemon after the request.
         mode: Mode,
     },
-    /// No answer came.
+    /// No answer arrived.
     #[error(
         "cannot {kind}: the daemon did not answer within {} ms: {liveness}",
         waited.as_millis()
     )]
     Timeout {
-        /// What was asked for.
+        /// The request.
         kind: RequestKind,
-        /// How long it was waited for.
+        /// Time waited.
         waited: Duration,
-        /// Whether it still runs.
+        /// Whether the daemon still runs.
         liveness: Liveness,
     },
-    /// Another daemon answered than the one that gave the lease.
+    /// The answer came from another daemon than the one that granted the lease.
     #[error(
         "cannot {kind} again: the daemon was restarted and the lease is lost. Acquire a new one"
     )]
     Restarted {
-        /// What was asked for.
+        /// The request.
         kind: RequestKind,
     },
-    /// The request or its answer could not be carried.
+    /// The request or its answer could not be transferred.
     #[error("cannot {kind}: {cause}")]
     Link {
-        /// What was asked for.
+        /// The request.
         kind: RequestKind,
-        /// What iceoryx2 says.
+        /// Error text of the port.
         cause: String,
     },
-    /// The answer holds a code that this version does not know.
+    /// The answer has a code that is unknown in this version.
     #[error("the outcome of {kind} is unknown: the daemon answered with {code}")]
     Answer {
-        /// What was asked for.
+        /// The request.
         kind: RequestKind,
-        /// The code.
+        /// The unknown code.
         code: UnknownCode,
     },
 }
 
 type Port = Client<ipc::Service, Request, (), Response, ()>;
 
-/// The asking end of the control service. Its port is made when it is first used: with every client that joins or
-/// leaves a service the daemon makes or removes files, and who only reads must not cost the control loop anything.
+/// The client end of the control service. Its port is created on first use: for every client that joins or
+/// leaves a service, the daemon creates or removes files. A client that only reads must not cost the control
+/// loop anything.
 #[derive(Debug)]
 pub(crate) struct Control {
     channel: ControlChannel,
     port: OnceCell<Port>,
     sender: Sender,
     place: Place,
-    /// How many clients may ask, this one included, for it to be one of them.
+    /// Maximum number of requesting clients, this one included.
     clients_max: usize,
 }
 
 impl Control {
-    /// For everything but a stop: leaves the places free that are kept for one.
+    /// For all requests but a stop: leaves the ports free that are reserved for stops.
     pub(crate) fn new(channel: ControlChannel, sender: Sender, place: Place) -> Self {
         Self {
             channel,
@@ -95,15 +96,15 @@ impl Control {
         }
     }
 
-    /// May take the places that are kept for a stop.
-    pub(crate) fn with_kept_places(self) -> Self {
+    /// May use the ports that are reserved for stops.
+    pub(crate) fn with_reserved_places(self) -> Self {
         Self {
             clients_max: Service::CONTROL_CLIENTS,
             ..self
         }
     }
 
-    /// The port, made if it is not there.
+    /// The port, created on first use.
     pub(crate) fn port(&self) -> Result<&Port, LinkError> {
         if let Some(port) = self.port.get() {
             return Ok(port);
@@ -125,10 +126,10 @@ impl Control {
         Ok(self.port.get_or_init(|| port))
     }
 
-    /// Asks, waits for the answer, and returns it when it says accepted. When the daemon that has the
-    /// request ends without an answer, or there is none at the moment, the next one gets it, as soon as it knows
-    /// where its robot is: within `timeout` a request is never lost.
-    pub(crate) fn ask(
+    /// Sends a request and returns the answer if it is accepted. When the daemon ends without an answer, or
+    /// none is running, the next daemon gets the request as soon as it knows the robot's configuration. So no
+    /// request is lost within `timeout`.
+    pub(crate) fn request(
         &self,
         kind: RequestKind,
         settings: SolverSettings,
@@ -143,10 +144,10 @@ impl Control {
                 reserved: 0,
                 settings,
             };
-            let answer = self.ask_once(kind, request, deadline)?;
+            let answer = self.request_once(kind, request, deadline)?;
             let is_over = Instant::now() >= deadline;
             if let Some(response) = answer
-                && (is_over || !comes_too_early(kind, &response, was_unanswered))
+                && (is_over || !can_be_retried(kind, &response, was_unanswered))
             {
                 return evaluate(kind, response);
             }
@@ -158,13 +159,13 @@ impl Control {
                     liveness: self.place.liveness(),
                 });
             }
-            thread::sleep(LOOK_AGAIN);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 
-    /// Sends `request` to the daemon of this moment. `None` when no answer will come from it, or none came
-    /// until `deadline`.
-    fn ask_once(
+    /// Sends `request` to the present daemon. `None` when it will not answer, or has not answered by
+    /// `deadline`.
+    fn request_once(
         &self,
         kind: RequestKind,
         request: Request,
@@ -176,7 +177,7 @@ impl Control {
             .send_copy(request)
             .map_err(|cause| link(ipc::words(&cause)))?;
         loop {
-            // Before the look for the answer: a daemon answers first and then lets the request go.
+            // Read before the answer: a daemon answers first and then drops the request.
             let is_open = pending.is_connected();
             let answer = pending
                 .receive()
@@ -187,16 +188,17 @@ impl Control {
                 }
                 Some(_) => {}
                 None if !is_open || Instant::now() >= deadline => return Ok(None),
-                None => thread::sleep(LOOK_AGAIN),
+                None => thread::sleep(POLL_INTERVAL),
             }
         }
     }
 }
 
-/// Whether the same request can be granted a moment later. A daemon that was started again refuses every request about
-/// the mode until it has heard of its robot; and one that stood still refuses what waited for it for long, because it
-/// does not know that the client still waits. But a stop may have come meanwhile: a reset that is from before it is not asked again.
-fn comes_too_early(kind: RequestKind, response: &Response, was_unanswered: bool) -> bool {
+/// Whether the same request may be granted a moment later. A restarted daemon refuses requests for a mode
+/// until it has measured its robot. A daemon that was suspended refuses old requests, because it cannot know
+/// that the client still waits. A reset is not repeated, because a stop may have been requested in the
+/// meantime.
+fn can_be_retried(kind: RequestKind, response: &Response, was_unanswered: bool) -> bool {
     let is = |outcome: Outcome| response.outcome == outcome.code();
     let is_starting = response.mode == Mode::Starting.code();
     (kind != RequestKind::Reset && is(Outcome::Stale))
@@ -248,8 +250,8 @@ mod tests {
             mode: Mode::Stopped.code(),
             ..Response::default()
         };
-        assert!(comes_too_early(RequestKind::Home, &stale, true));
-        assert!(!comes_too_early(RequestKind::Reset, &stale, true));
+        assert!(can_be_retried(RequestKind::Home, &stale, true));
+        assert!(!can_be_retried(RequestKind::Reset, &stale, true));
     }
 
     #[test]
@@ -257,7 +259,11 @@ mod tests {
         for (kind, mode, remedy) in [
             (RequestKind::Track, Mode::Homing, "cdcrctl hold"),
             (RequestKind::Home, Mode::Tracking, "cdcrctl hold"),
-            (RequestKind::Hold, Mode::Starting, "not sent a measurement"),
+            (
+                RequestKind::Hold,
+                Mode::Starting,
+                "No measurement of the driver",
+            ),
             (RequestKind::Track, Mode::Stopped, "cdcrctl reset"),
             (RequestKind::Home, Mode::Faulted, "cdcrctl reset"),
             (RequestKind::Reset, Mode::Tracking, "Nothing to reset"),
@@ -289,7 +295,7 @@ mod tests {
         ] {
             let response = response(outcome, mode);
             assert_eq!(
-                comes_too_early(RequestKind::Home, &response, was_unanswered),
+                can_be_retried(RequestKind::Home, &response, was_unanswered),
                 again,
                 "{outcome} {mode}"
             );

@@ -9,8 +9,8 @@ pub fn section_lengths_m(robot: &RobotDescription) -> Vec<f64> {
     used.iter().map(|section| section.length_m).collect()
 }
 
-/// Lengths of the cables of the straight robot \[m\], to which encoders are set there: of each, all sections up to its own; three
-/// cables a section, base first.
+/// Cable lengths of the straight robot \[m\], the reference of the encoders: each is the sum of all sections
+/// up to the cable's own. Three cables per section, base first.
 pub fn straight_cable_lengths_m(robot: &RobotDescription) -> [f64; CABLES_MAX] {
     let mut lengths_m = [0.0; CABLES_MAX];
     let mut length_m = 0.0;
@@ -21,13 +21,13 @@ pub fn straight_cable_lengths_m(robot: &RobotDescription) -> [f64; CABLES_MAX] {
     lengths_m
 }
 
-/// What a daemon lacks for real time, each with its remedy; empty: nothing. `bits` is
+/// Missing real-time properties of a daemon, each with its remedy; empty if none is missing. `bits` is
 /// `realtime_missing` of its status.
 pub fn realtime_missing(bits: u32) -> Vec<(&'static str, &'static str)> {
     realtime::set(bits).collect()
 }
 
-/// The text in a message's fixed field: UTF-8, padded with zeros.
+/// Text of a fixed message field: UTF-8, padded with zeros.
 pub fn text(field: &[u8]) -> String {
     let used = field.iter().position(|&byte| byte == 0);
     String::from_utf8_lossy(&field[..used.unwrap_or(field.len())]).into_owned()

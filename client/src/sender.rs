@@ -6,9 +6,9 @@ use cdcr_shared_types::{Header, Service};
 
 use crate::monotonic_ns;
 
-/// Who sends: an identity drawn at random, and one running number for each service.
+/// Identity of a sender, drawn at random, and one sequence number per service.
 ///
-/// Clones share the numbers, so that two ports of one connection never send the same one.
+/// Clones share the sequence numbers, so that two ports of one connection never send the same one.
 #[derive(Debug, Clone)]
 pub(crate) struct Sender {
     id: u64,
@@ -16,7 +16,7 @@ pub(crate) struct Sender {
 }
 
 impl Sender {
-    /// A sender whose identity no other process has, but for a chance of 2⁻⁶⁴.
+    /// A new sender. Its identity collides with another one with a probability of 2⁻⁶⁴.
     pub(crate) fn new() -> Self {
         Self {
             id: RandomState::new().build_hasher().finish().max(1),
@@ -28,7 +28,7 @@ impl Sender {
         self.id
     }
 
-    /// The header of the next message on `service`: sequence 1, 2, 3, …, sent now.
+    /// Header of the next message on `service`: sequence 1, 2, 3, …, and the present time.
     pub(crate) fn next_header(&self, service: Service) -> Header {
         let previous = self.sequences[service as usize].fetch_add(1, Ordering::Relaxed);
         Header {

@@ -21,16 +21,16 @@ use iceoryx2_log::get_log_level;
 use crate::connect_error::{OpenTrouble, Place};
 use crate::{ConnectError, LinkError, Message};
 
-/// What a connection takes without further ports \[bytes\]. No more than it needs: a stop has to get in.
+/// Shared memory of a connection without further ports \[bytes\]. Kept minimal, so that a stop can connect.
 const CONNECTION_BYTES: u64 = 64 * 1024;
 
-/// A publish-subscribe service that is open.
+/// An open publish-subscribe service.
 pub(crate) type Channel<T> = Open<publish_subscribe::PortFactory<ipc::Service, T, ()>>;
 /// The request-response service.
 pub(crate) type ControlChannel =
     Open<request_response::PortFactory<ipc::Service, Request, (), Response, ()>>;
 
-/// A service that is open, and the folder that has to have room for each port of it.
+/// An open service, and the folder that needs space for each of its ports.
 #[derive(Debug, Clone)]
 pub(crate) struct Open<S> {
     service: S,
@@ -38,8 +38,8 @@ pub(crate) struct Open<S> {
 }
 
 impl<S> Open<S> {
-    /// Makes a port whose messages take `bytes`, where there is room for it. A lack of room may also show while it is made:
-    /// then that is the reason, and not what iceoryx2 calls it.
+    /// Creates a port whose messages take `bytes`, if there is space. If space runs out during creation, the
+    /// error reports that instead of iceoryx2's text.
     pub(crate) fn make_port<P, E: Debug>(
         &self,
         service: Service,
@@ -49,11 +49,11 @@ impl<S> Open<S> {
     ) -> Result<P, LinkError> {
         let ask = || {
             shm_space::ask(&self.root, bytes + PORT_BYTES, PORT_FILES)
-                .map_err(|lack| LinkError::memory(service, lack))
+                .map_err(|shortage| LinkError::memory(service, shortage))
         };
         ask()?;
         create(&self.service).map_err(|cause| match ask() {
-            Err(lack) => lack,
+            Err(shortage) => shortage,
             Ok(()) => refused(ipc::words(&cause)),
         })
     }
@@ -67,8 +67,8 @@ impl<S> Deref for Open<S> {
     }
 }
 
-/// All services of one daemon, open, so that a difference of version shows at once and not in the
-/// middle of the work.
+/// All services of one daemon, opened together, so that a version mismatch shows on connecting and not during
+/// operation.
 #[derive(Debug)]
 pub(crate) struct Services {
     pub(crate) reference: Channel<ReferenceChunk>,
@@ -82,13 +82,14 @@ pub(crate) struct Services {
 }
 
 impl Services {
-    /// Opens what a daemon has created; creates nothing. [`check_owner`] comes first.
+    /// Opens the services of a daemon; creates none. Call [`check_owner`] first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
         let opener = Opener::new(location, place, Service::ALL.len())?;
-        // The daemon clears away what the dead left, too, but this client may be the one that needs their places.
+        // The daemon also clears the leftovers of dead clients, but this client may need their places now.
         location.clear_dead_nodes(DEAD_NODES);
         Ok(Self {
-            // First, because it has the fewest places: who finds it full has taken no place that is kept for a driver.
+            // First, because it allows the fewest clients: a refused client has then taken no place of a
+            // driver.
             reference: opener.channel()?,
             status: opener.channel()?,
             obstacles: opener.channel()?,
@@ -101,7 +102,7 @@ impl Services {
     }
 }
 
-/// What a driver needs, and no other service: those may be full of clients that watch.
+/// The services of a driver only: the others may be full of monitoring clients.
 #[derive(Debug)]
 pub(crate) struct DriverServices {
     pub(crate) status: Channel<Status>,
@@ -110,7 +111,6 @@ pub(crate) struct DriverServices {
 }
 
 impl DriverServices {
-    /// As [`Services::open`].
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
         let opener = Opener::new(location, place, 3)?;
         location.clear_dead_nodes(DEAD_NODES);
@@ -122,10 +122,11 @@ impl DriverServices {
     }
 }
 
-/// Dead processes that a client clears away when it connects: a few more than a daemon that was killed leaves.
+/// Maximum number of dead processes that a connecting client clears away: a few more than a killed daemon
+/// leaves.
 pub(crate) const DEAD_NODES: usize = 16;
 
-/// The service for requests and nothing else: all that a stop needs.
+/// Opens the service for requests only: a stop needs no other.
 pub(crate) fn open_control(
     location: &Location,
     place: &Place,
@@ -136,13 +137,13 @@ pub(crate) fn open_control(
 struct Opener<'a> {
     node: Node<ipc::Service>,
     place: &'a Place,
-    /// Files that a connection takes without further ports.
+    /// Files of a connection without further ports.
     files: u64,
 }
 
-/// Errors are told in our own words; iceoryx2's log would say them twice, in its own. `IOX2_LOG_LEVEL` chooses a level, and one that the
-/// program has set stays, unless it is iceoryx2's default, `Info`.
-fn silence_iceoryx2() {
+/// Turns off the log of iceoryx2: this library reports the errors itself. `IOX2_LOG_LEVEL` overrides this. A
+/// level set by the program is kept, unless it is iceoryx2's default, `Info`.
+fn turn_off_iceoryx2_log() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         if get_log_level() == LogLevel::Info as u8 {
@@ -152,11 +153,11 @@ fn silence_iceoryx2() {
 }
 
 impl<'a> Opener<'a> {
-    /// Of so many services.
+    /// Opens a number of services.
     fn new(location: &Location, place: &'a Place, services: usize) -> Result<Self, ConnectError> {
-        silence_iceoryx2();
+        turn_off_iceoryx2_log();
         let files = NODE_FILES + services as u64;
-        ask_space(place, files)?;
+        check_space(place, files)?;
         let node = location.client_node_builder()?.create::<ipc::Service>();
         Ok(Self {
             node: node.map_err(|cause| memory_error(place, files, &ipc::words(&cause)))?,
@@ -195,7 +196,7 @@ impl<'a> Opener<'a> {
         }
     }
 
-    /// The types of the messages of a service: the daemon's, and ours.
+    /// Message types of a service: the daemon's, and this library's.
     fn types(&self, service: Service, ours: &[&Layout]) -> String {
         let ours = joined(ours.iter().map(|layout| layout.type_name.to_owned()));
         match self.found(service) {
@@ -249,8 +250,8 @@ fn joined(types: impl Iterator<Item = String>) -> String {
     types.collect::<Vec<_>>().join(" and ")
 }
 
-/// Checks whether this user may use the root path before iceoryx2 does. A node would create a root path that is missing, and would
-/// leave a file of ours in the way of a daemon that runs as another user.
+/// Checks, before iceoryx2 does, whether this user may use the root path. A node would create a missing root
+/// path, with a file that blocks a daemon of another user.
 pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), ConnectError> {
     let missing = |cause: io::Error| {
         let found = if cause.kind() == io::ErrorKind::PermissionDenied {
@@ -282,17 +283,17 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
     })
 }
 
-/// Whether there is room for a connection.
-fn ask_space(place: &Place, files: u64) -> Result<(), ConnectError> {
-    shm_space::ask(&place.root, CONNECTION_BYTES, files).map_err(|lack| ConnectError::Memory {
+/// Checks for enough shared memory for a connection.
+fn check_space(place: &Place, files: u64) -> Result<(), ConnectError> {
+    shm_space::ask(&place.root, CONNECTION_BYTES, files).map_err(|shortage| ConnectError::Memory {
         place: place.clone(),
-        cause: lack.to_string(),
+        cause: shortage.to_string(),
     })
 }
 
-/// A lack of room that showed when a connection was made already, else `cause`.
+/// The shortage of shared memory, if there is one by now, otherwise `cause`.
 fn memory_error(place: &Place, files: u64, cause: &str) -> ConnectError {
-    ask_space(place, files)
+    check_space(place, files)
         .err()
         .unwrap_or_else(|| ConnectError::Memory {
             place: place.clone(),

@@ -5,10 +5,11 @@ use cdcr_shared_types::Status;
 
 use crate::{LinkError, Stream, monotonic_ns};
 
-/// A daemon publishes its status ten times a second: one that is silent for this long is dead.
+/// Maximum age of a status. A daemon publishes ten per second: one that is silent for this long counts as
+/// dead.
 pub(crate) const STATUS_FRESH: Duration = Duration::from_secs(1);
 
-/// Remembers the newest status, so that asking often does not mean waiting often.
+/// Keeps the newest status, so that frequent reads do not wait each time.
 #[derive(Debug)]
 pub(crate) struct StatusReader {
     stream: Stream<Status>,
@@ -23,7 +24,7 @@ impl StatusReader {
         }
     }
 
-    /// The newest status, once it is fresh; `None` when none is within `timeout`.
+    /// The newest status if it is fresh; `None` when none arrives within `timeout`.
     pub(crate) fn fresh_within(&mut self, timeout: Duration) -> Result<Option<Status>, LinkError> {
         let deadline = Instant::now() + timeout;
         loop {

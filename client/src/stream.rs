@@ -9,30 +9,30 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use crate::services::Channel;
 use crate::{LinkError, Message};
 
-/// How often a waiting reader looks for a message: a fifth of the daemon's usual period.
-const LOOK_AGAIN: Duration = Duration::from_millis(1);
+/// Interval at which a waiting reader checks for a message: a fifth of the usual period.
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
-/// The reading end of one service: every message in order, and how many were lost.
+/// Subscriber of one service: every message in order, and the number of lost ones.
 ///
-/// A reader that is away for longer than the service's queue lasts (telemetry: 256 records, 1.28 s
-/// at 5 ms) loses the oldest messages; [`lost`](Self::lost) tells how many.
+/// A reader that pauses for longer than the service's queue lasts (telemetry: 256 records, 1.28 s at 5 ms)
+/// loses the oldest messages; see [`lost`](Self::lost).
 ///
-/// A stream outlives its daemon: when another one is started at the same place, its messages follow, with
-/// another `sender_id` and numbers from 1. That is no loss.
+/// A stream outlives its daemon. When another daemon starts at the same place, its messages follow, with
+/// another `sender_id` and numbers from 1. That does not count as loss.
 #[derive(Debug)]
 pub struct Stream<T: Message> {
     subscriber: Subscriber<ipc::Service, T, ()>,
     gaps: GapCounter,
 }
 
-/// One record of every cycle of the daemon.
+/// One record per cycle of the daemon.
 pub type TelemetryStream = Stream<Telemetry>;
 
-/// Every command that the daemon gives.
+/// All commands of the daemon.
 pub type CommandStream = Stream<Command>;
 
 impl<T: Message> Stream<T> {
-    /// For who only watches: leaves the places free that are kept for the driver and the daemon.
+    /// For monitoring clients: leaves the places free that are reserved for the driver and the daemon.
     pub(crate) fn open(service: &Channel<T>) -> Result<Self, LinkError> {
         let readers = service.dynamic_config().number_of_subscribers();
         if readers >= T::SERVICE.queues().watchers() {
@@ -41,11 +41,11 @@ impl<T: Message> Stream<T> {
                 "all places are taken".to_owned(),
             ));
         }
-        Self::open_kept(service)
+        Self::open_reserved(service)
     }
 
-    /// For who takes part.
-    pub(crate) fn open_kept(service: &Channel<T>) -> Result<Self, LinkError> {
+    /// For the driver and other participants: may use the reserved places.
+    pub(crate) fn open_reserved(service: &Channel<T>) -> Result<Self, LinkError> {
         let subscriber = service.make_port(
             T::SERVICE,
             0,
@@ -58,7 +58,7 @@ impl<T: Message> Stream<T> {
         })
     }
 
-    /// The next message, or `None` when none waits. Never blocks.
+    /// The next message, or `None` when the queue is empty. Never blocks.
     ///
     /// # Errors
     /// [`LinkError::Receive`] when the memory of a writer cannot be mapped.
@@ -74,7 +74,7 @@ impl<T: Message> Stream<T> {
         }))
     }
 
-    /// The next message, or `None` when none came within `timeout`.
+    /// The next message, or `None` when none arrived within `timeout`.
     ///
     /// # Errors
     /// As [`try_next`](Self::try_next).
@@ -85,18 +85,18 @@ impl<T: Message> Stream<T> {
             if message.is_some() || Instant::now() >= deadline {
                 return Ok(message);
             }
-            thread::sleep(LOOK_AGAIN);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 
-    /// The newest waiting message by its time of sending, or `None`; older ones are thrown away.
+    /// The newest queued message by its send time, or `None`; older ones are discarded.
     ///
     /// # Errors
     /// As [`try_next`](Self::try_next).
     pub fn newest(&mut self) -> Result<Option<T>, LinkError> {
         let mut newest: Option<T> = None;
         while let Some(message) = self.try_next()? {
-            // What a writer that was killed left in the queue may come after what its successor sent.
+            // Queued messages of a killed writer may follow those of its successor.
             if newest.is_none_or(|newest| newest.header().sent_ns <= message.header().sent_ns) {
                 newest = Some(message);
             }
@@ -104,14 +104,14 @@ impl<T: Message> Stream<T> {
         Ok(newest)
     }
 
-    /// Messages that never arrived, by the gaps in their numbers. The first message of each sender
-    /// sets where counting begins, so a daemon that was started again loses none by that.
+    /// Number of lost messages, from the gaps in their sequence numbers. Counting begins at the first message
+    /// of each sender, so the restart of a daemon does not count.
     pub fn lost(&self) -> u64 {
         self.gaps.lost
     }
 }
 
-/// Counts the numbers that are missing between the messages of each sender.
+/// Counts missing sequence numbers per sender.
 #[derive(Debug, Default)]
 struct GapCounter {
     last: HashMap<u64, u64>,
@@ -139,7 +139,7 @@ mod tests {
             sequence,
             sent_ns: 0,
         };
-        // The first message of a late joiner is no gap; a restarted daemon is another sender.
+        // The first message of a late joiner is not a gap; a restarted daemon is a new sender.
         for (sender_id, sequence, lost) in
             [(1, 40, 0), (1, 41, 0), (1, 45, 3), (2, 1, 3), (2, 3, 4)]
         {

@@ -6,11 +6,11 @@ use crate::outlet::Outlet;
 use crate::sender::Sender;
 use crate::services::Channel;
 
-/// The port of a process that measures the tip and nothing else, a camera for example, beside the driver of the robot.
+/// The port of a process beside the driver that measures the tip only, for example a camera.
 ///
-/// The daemon takes its measurements with `link.tip_sensor = "separate"`. One tip sensor has the robot: the first whose
-/// measurement was accepted, until none was for a second. It may pause or end; the robot goes on by its
-/// driver's bends or cables.
+/// The daemon uses its measurements with `link.tip_sensor = "separate"`. A robot has one tip sensor at a
+/// time: the first whose measurement was accepted, until none has been accepted for a second. The tip sensor
+/// may pause or end; the robot then continues with the driver's measurements of bends or cables.
 #[derive(Debug)]
 pub struct TipSensor {
     outlet: Outlet<Measurement>,
@@ -31,8 +31,8 @@ impl TipSensor {
         })
     }
 
-    /// Sends the position of the tip in the base frame \[m\], and when it was there \[ns, `CLOCK_MONOTONIC`\]: when the picture
-    /// was exposed, not when it was evaluated.
+    /// Sends the tip position in the base frame \[m\] and its time \[ns, `CLOCK_MONOTONIC`\]: that of the
+    /// camera exposure, not of the image evaluation.
     ///
     /// # Errors
     /// When iceoryx2 fails.

@@ -1,4 +1,4 @@
-//! `cdcrctl` as a user meets it when things are wrong: every error says what, where and what next.
+//! Error messages of `cdcrctl`: each names the problem, its location and the next step.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -21,8 +21,8 @@ fn cdcrctl(root: &Path, arguments: &[&str]) -> Output {
         .expect("cdcrctl runs")
 }
 
-/// Runs a program that was just written. While another test starts one, its child holds our file open
-/// for a moment, and the system calls it busy.
+/// Runs a program that was just written. While another test starts a process, that process briefly holds this
+/// file open, and the system call fails with "busy".
 fn run_fresh(command: &mut Command) -> Output {
     loop {
         match command.output() {
@@ -34,7 +34,7 @@ fn run_fresh(command: &mut Command) -> Output {
     }
 }
 
-/// A `cdcrctl` with nothing of ours beside it.
+/// A copy of `cdcrctl` without `cdcrd` beside it.
 fn copied_into(folder: &Scratch) -> PathBuf {
     let alone = folder.path().join("cdcrctl");
     fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
@@ -165,7 +165,7 @@ fn a_demo_says_what_to_do_about_its_folder_and_no_folder_is_too_deep() {
     };
     let text = demo(&folder.path().join("missing"));
     assert!(text.contains("set TMPDIR"), "{text}");
-    // This one gets as far as the daemon, which is no program.
+    // This call reaches the start of the daemon, which is not a program.
     let text = demo(&deep);
     assert!(text.contains("cdcrd") && !text.contains("TMPDIR"), "{text}");
     assert_eq!(fs::read_dir(&deep).expect("there").count(), 0);

@@ -1,5 +1,5 @@
-//! Classic CDR (XCDR1), little-endian, behind the four bytes of its encapsulation header: OMG DDSI-RTPS 2.5 §10.
-//! Alignment counts from after the header.
+//! Classic CDR (XCDR1), little-endian, after the four bytes of its encapsulation header: OMG DDSI-RTPS 2.5
+//! §10. Alignment is relative to the end of the header.
 
 use byteorder::LittleEndian;
 use cdr_encoding::CdrDeserializer;
@@ -9,21 +9,21 @@ use serde::de::{DeserializeOwned, DeserializeSeed};
 /// Plain CDR, little-endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// Bytes that are not what they should be.
+/// Why bytes are not a valid message.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum CdrError {
-    /// Another encoding, or none.
+    /// The encapsulation header is of another encoding, or missing.
     #[error("the first bytes are {0:?}, expected little-endian CDR, [0, 1, 0, 0]")]
     Encapsulation(Vec<u8>),
-    /// Cut, too long, or of another type.
+    /// The content is truncated, too long, or of another type.
     #[error("no such message: {0}")]
     Content(String),
 }
 
-/// Header and bytes of a value.
+/// Encodes a value with its header.
 ///
 /// # Errors
-/// [`CdrError::Content`], where the value is of a kind that CDR lacks, such as a map of unknown length.
+/// [`CdrError::Content`] for a value that CDR cannot represent, such as a map of unknown length.
 pub fn to_bytes(value: &impl Serialize) -> Result<Vec<u8>, CdrError> {
     let mut bytes = ENCAPSULATION.to_vec();
     cdr_encoding::to_writer::<_, LittleEndian, _>(&mut bytes, value)
@@ -31,15 +31,15 @@ pub fn to_bytes(value: &impl Serialize) -> Result<Vec<u8>, CdrError> {
     Ok(bytes)
 }
 
-/// The value of header and bytes.
+/// Decodes a value with its header.
 ///
 /// # Errors
-/// [`CdrError`], where the bytes are no such value or more than one.
+/// [`CdrError`] if the bytes are not exactly one such value.
 pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CdrError> {
     fill(bytes, core::marker::PhantomData)
 }
 
-/// As [`from_bytes`], into what `seed` has.
+/// Like [`from_bytes`], into the value of `seed`.
 pub(crate) fn fill<'a, S: DeserializeSeed<'a>>(
     bytes: &'a [u8],
     seed: S,

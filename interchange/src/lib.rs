@@ -1,13 +1,14 @@
-//! What leaves the machine: every message of the wire, and the standard messages that viewers draw, as little-endian CDR with a
-//! `ros2msg` schema and a ROS 2 type hash (RIHS01).
+//! Interchange formats: every message of the wire, and the standard messages for viewers, as little-endian
+//! CDR with a `ros2msg` schema and a ROS 2 type hash (RIHS01).
 //!
-//! Schemas and bytes of the wire's messages come from their one declaration (`cdcr_shared_types::message`): a field that is added
-//! there is in every recording. Used lengths become sequences, texts become strings, reserved fields are left out; doubles keep
-//! their bits, so that a recording can be computed again.
+//! Schemas and encoding of the wire's messages come from their one declaration
+//! (`cdcr_shared_types::message`), so a new field is in every recording. Arrays with a used length become
+//! sequences, texts become strings, and reserved fields are omitted. Doubles keep their bits, so that a
+//! recording can be recomputed.
 //!
 //! [`mcap`] is the container of recordings.
 //!
-//! Knows no service, no clock and no file.
+//! Invariant: nothing here knows a service, a clock or a file.
 
 pub mod cdr;
 pub mod mcap;

@@ -1,4 +1,4 @@
-//! Messages to try everything with: all that a field can hold, drawn at random.
+//! Messages for tests: zeros and random values of all fields.
 
 use cdcr_shared_types::message::{Field, Kind, Meaning, Struct, ValueMut};
 use cdcr_shared_types::{
@@ -23,7 +23,7 @@ pub fn zeros() -> Vec<Box<dyn Struct>> {
     ]
 }
 
-/// The same, drawn at random.
+/// The same with random values.
 pub fn random(seed: u64) -> Vec<Box<dyn Struct>> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut messages = zeros();
@@ -34,7 +34,8 @@ pub fn random(seed: u64) -> Vec<Box<dyn Struct>> {
 }
 
 fn draw(message: &mut dyn Struct, random: &mut impl Rng) {
-    // How much of an array is used is a number of this message or of a part of it: at most what fits all arrays that it counts.
+    // A used length is a field of this message or of a part of it: at most the size of the smallest array
+    // that it counts.
     let fields = message.layout().fields;
     let most = |path: &str| {
         let counted = fields

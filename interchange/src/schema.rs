@@ -9,26 +9,27 @@ use hiroz_schema::{
 
 use crate::wire::{is_kept, is_sequence, is_text};
 
-/// The package of our own messages.
+/// Package of the messages of this project.
 const PACKAGE: &str = "cdcr_msgs";
 
-/// What a reader has to know of a message.
+/// Schema of a message for readers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Schema {
     /// Package and name: `cdcr_msgs/msg/Telemetry`.
     pub name: String,
-    /// The definition and those of all its parts, as `ros2msg` in MCAP: <https://mcap.dev/spec/registry#ros2msg>.
+    /// The definition with those of all its parts, as `ros2msg` in MCAP:
+    /// <https://mcap.dev/spec/registry#ros2msg>.
     pub text: String,
     /// The ROS 2 type hash, `RIHS01_…`: REP 2016.
     pub hash: String,
 }
 
-/// The schema of a message of the wire.
+/// Schema of a message of the wire.
 pub fn of_layout(layout: &'static Layout) -> Schema {
     Definition::of_layout(layout).schema()
 }
 
-/// One message as ROS 2 defines it.
+/// A message in the terms of ROS 2.
 #[derive(Debug, Clone)]
 pub(crate) struct Definition {
     lines: String,
@@ -36,9 +37,9 @@ pub(crate) struct Definition {
     parts: Vec<Definition>,
 }
 
-/// What a field is made of.
+/// Type of a field.
 pub(crate) enum FieldType {
-    /// Name in a definition, and type id of a single one.
+    /// Name in a definition, and type id of a single value.
     Plain(&'static str, u8),
     Message(Definition),
     Array(Box<FieldType>, usize),
@@ -46,7 +47,7 @@ pub(crate) enum FieldType {
 }
 
 impl Definition {
-    /// One without fields.
+    /// A definition without fields.
     pub(crate) fn new(name: &str) -> Self {
         Self {
             lines: String::new(),
@@ -58,7 +59,7 @@ impl Definition {
         }
     }
 
-    /// Adds a field; `note` is empty or says more.
+    /// Adds a field; `note` is an optional comment.
     pub(crate) fn field(&mut self, name: &str, kind: FieldType, note: &str) {
         let mut field_type = FieldTypeDescription::primitive(0);
         let text = kind.describe(&mut field_type, &mut self.parts);
@@ -108,7 +109,7 @@ impl Definition {
         }
     }
 
-    /// All parts and theirs, by name.
+    /// All nested parts, by name.
     fn collect<'a>(&'a self, parts: &mut BTreeMap<&'a str, &'a Self>) {
         for part in &self.parts {
             parts.insert(&part.description.type_name, part);
@@ -139,7 +140,7 @@ impl FieldType {
         }
     }
 
-    /// Its words in a definition; fills in what its hash is made of.
+    /// Returns its text in a definition; fills in the type description for the hash.
     fn describe(self, into: &mut FieldTypeDescription, parts: &mut Vec<Definition>) -> String {
         match self {
             Self::Plain(text, id) => {
@@ -169,7 +170,7 @@ impl FieldType {
     }
 }
 
-/// `package/Name`, as definitions write it.
+/// The form `package/Name` of definitions.
 fn short(name: &str) -> String {
     name.replace("/msg/", "/")
 }

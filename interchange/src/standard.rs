@@ -1,4 +1,5 @@
-//! The standard messages of ROS 2 (Jazzy) that viewers draw: <https://docs.ros.org/en/jazzy/p/>, package by package.
+//! The standard messages of ROS 2 (Jazzy) for viewers: <https://docs.ros.org/en/jazzy/p/>, package by
+//! package.
 
 use hiroz_schema::TypeId;
 use serde::{Deserialize, Serialize};
@@ -11,7 +12,7 @@ pub trait Message: Serialize {
     fn schema() -> Schema;
 }
 
-/// What a field may be.
+/// A type for fields.
 trait Part {
     fn field_type() -> FieldType;
 }
@@ -39,7 +40,7 @@ impl<T: Part> Part for Vec<T> {
     }
 }
 
-/// The type `byte`, which has an id of its own and is encoded as a number of eight bits.
+/// The type `byte`, which has its own type id and is encoded as an 8-bit number.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Byte(pub u8);
 
@@ -49,7 +50,7 @@ impl Part for Byte {
     }
 }
 
-/// Declares messages with their fields in order; `field as "name"` where the name is a word of Rust.
+// Declares messages with their fields in order; `field as "name"` for a name that is a keyword of Rust.
 macro_rules! messages {
     ($($(#[$meta:meta])* $name:literal $type:ident {
         $($field:ident $(as $written:literal)?: $part:ty,)+
@@ -82,27 +83,27 @@ macro_rules! messages {
 messages! {
     /// A time since 1970.
     "builtin_interfaces/msg/Time" Time { sec: i32, nanosec: u32, }
-    /// A stretch of time.
+    /// A duration.
     "builtin_interfaces/msg/Duration" Duration { sec: i32, nanosec: u32, }
-    /// When, and in which frame.
+    /// Time and frame.
     "std_msgs/msg/Header" Header { stamp: Time, frame_id: String, }
-    /// 0 to 1 each.
+    /// A colour, each component 0 to 1.
     "std_msgs/msg/ColorRGBA" ColorRgba { r: f32, g: f32, b: f32, a: f32, }
-    /// A place (m).
+    /// A position (m).
     "geometry_msgs/msg/Point" Point { x: f64, y: f64, z: f64, }
     /// A direction or size.
     "geometry_msgs/msg/Vector3" Vector3 { x: f64, y: f64, z: f64, }
     /// A unit quaternion.
     "geometry_msgs/msg/Quaternion" Quaternion { x: f64, y: f64, z: f64, w: f64, }
-    /// Place and orientation.
+    /// Position and orientation.
     "geometry_msgs/msg/Pose" Pose { position: Point, orientation: Quaternion, }
-    /// A pose at a time.
+    /// A pose with time and frame.
     "geometry_msgs/msg/PoseStamped" PoseStamped { header: Header, pose: Pose, }
-    /// From one frame to another.
+    /// A transform between two frames.
     "geometry_msgs/msg/Transform" Transform { translation: Vector3, rotation: Quaternion, }
-    /// A transform at a time, from `child_frame_id` to the frame of the header.
+    /// A transform with its time, from `child_frame_id` to the frame of the header.
     "geometry_msgs/msg/TransformStamped" TransformStamped { header: Header, child_frame_id: String, transform: Transform, }
-    /// All transforms of a time.
+    /// All transforms of one time.
     "tf2_msgs/msg/TFMessage" TfMessage { transforms: Vec<TransformStamped>, }
     /// Named positions, velocities and efforts: the cables (m, m/s).
     "sensor_msgs/msg/JointState" JointState {
@@ -110,45 +111,45 @@ messages! {
     }
     /// An image; a part of a marker.
     "sensor_msgs/msg/CompressedImage" CompressedImage { header: Header, format: String, data: Vec<u8>, }
-    /// A place in an image.
+    /// A position in an image.
     "visualization_msgs/msg/UVCoordinate" UvCoordinate { u: f32, v: f32, }
     /// A file with a mesh; a part of a marker.
     "visualization_msgs/msg/MeshFile" MeshFile { filename: String, data: Vec<u8>, }
-    /// Something to draw.
+    /// A shape for a viewer.
     "visualization_msgs/msg/Marker" Marker {
         header: Header, ns: String, id: i32, kind as "type": i32, action: i32, pose: Pose, scale: Vector3, color: ColorRgba,
         lifetime: Duration, frame_locked: bool, points: Vec<Point>, colors: Vec<ColorRgba>, texture_resource: String,
         texture: CompressedImage, uv_coordinates: Vec<UvCoordinate>, text: String, mesh_resource: String, mesh_file: MeshFile,
         mesh_use_embedded_materials: bool,
     }
-    /// A scene.
+    /// All markers of a scene.
     "visualization_msgs/msg/MarkerArray" MarkerArray { markers: Vec<Marker>, }
     /// A named value.
     "diagnostic_msgs/msg/KeyValue" KeyValue { key: String, value: String, }
-    /// How something is: 0 good, 1 warning, 2 error, 3 stale.
+    /// State of a component: 0 good, 1 warning, 2 error, 3 stale.
     "diagnostic_msgs/msg/DiagnosticStatus" DiagnosticStatus {
         level: Byte, name: String, message: String, hardware_id: String, values: Vec<KeyValue>,
     }
-    /// How everything is.
+    /// States of all components.
     "diagnostic_msgs/msg/DiagnosticArray" DiagnosticArray { header: Header, status: Vec<DiagnosticStatus>, }
-    /// A line of a log; level 10 debug, 20 info, 30 warning, 40 error, 50 fatal.
+    /// A log line; level 10 debug, 20 info, 30 warning, 40 error, 50 fatal.
     "rcl_interfaces/msg/Log" Log {
         stamp: Time, level: u8, name: String, msg: String, file: String, function: String, line: u32,
     }
 }
 
-/// Shapes of [`Marker::kind`], and what may be done with them.
+/// Shapes and actions of a [`Marker`].
 pub mod shape {
-    /// [`Marker::action`](super::Marker::action), not a shape: take everything away.
+    /// A [`Marker::action`](super::Marker::action), not a shape: deletes all markers.
     pub const DELETE_ALL: i32 = 3;
-    /// A sphere of the diameters `scale`.
+    /// A sphere or ellipsoid with the diameters `scale`.
     pub const SPHERE: i32 = 2;
-    /// A cylinder along z of the diameters `scale.x` and `scale.y`, as long as `scale.z`.
+    /// A cylinder along z with the diameters `scale.x` and `scale.y` and the length `scale.z`.
     pub const CYLINDER: i32 = 3;
-    /// A line through `points`, as wide as `scale.x`.
+    /// A line through `points` with the width `scale.x`.
     pub const LINE_STRIP: i32 = 4;
-    /// A sphere of the diameters `scale` at each of `points`.
+    /// A sphere with the diameters `scale` at each of `points`.
     pub const SPHERE_LIST: i32 = 7;
-    /// A text that faces the viewer, as high as `scale.z`.
+    /// A text that faces the viewer, with the height `scale.z`.
     pub const TEXT_VIEW_FACING: i32 = 9;
 }

@@ -6,23 +6,24 @@ use serde::ser::{Serialize, SerializeSeq, SerializeTuple, Serializer};
 
 use crate::cdr::{self, CdrError};
 
-/// A message of the wire as CDR. Of an array that is used in part, these elements; none of what means nothing.
+/// Encodes a message of the wire as CDR: the used elements of arrays, without reserved fields.
 ///
 /// # Errors
-/// Where a text is no UTF-8, which no client or daemon of ours sends.
+/// When a text is not UTF-8; no client or daemon of this project sends one.
 pub fn encode(message: &dyn Struct) -> Result<Vec<u8>, CdrError> {
     cdr::to_bytes(&Message(message))
 }
 
-/// Reads what [`encode`] wrote into `message`. Elements that are not used, and reserved fields, become zero where they were.
+/// Decodes the output of [`encode`] into `message`. Unused elements become zero, and reserved fields are
+/// zero.
 ///
 /// # Errors
-/// [`CdrError`]; `message` is then in part as it was.
+/// [`CdrError`]; `message` is then partly overwritten.
 pub fn decode(bytes: &[u8], message: &mut dyn Struct) -> Result<(), CdrError> {
     cdr::fill(bytes, MessageMut(message))
 }
 
-/// Whether a field leaves the machine.
+/// Whether a field is encoded.
 pub(crate) fn is_kept(field: &Field) -> bool {
     !matches!(field.meaning, Meaning::Reserved)
 }
@@ -31,7 +32,7 @@ pub(crate) fn is_text(field: &Field) -> bool {
     matches!(field.meaning, Meaning::Text)
 }
 
-/// Whether it is as long as it is used.
+/// Whether a field is encoded as a sequence of its used elements.
 pub(crate) fn is_sequence(field: &Field) -> bool {
     field.used.is_some() && matches!(field.kind, Kind::Array(..))
 }
@@ -140,7 +141,7 @@ impl<'de> Visitor<'de> for Fields<'_> {
     }
 }
 
-/// What a field holds.
+/// A field with its value.
 struct PartMut<'a> {
     field: &'static Field,
     value: ValueMut<'a>,
@@ -225,7 +226,7 @@ impl<'de> Visitor<'de> for Elements<'_> {
     }
 }
 
-/// Refuses one more.
+/// Refuses an additional element.
 struct TooMany {
     name: &'static str,
     most: usize,

@@ -1,8 +1,8 @@
-//! `cdcr-view`: what a daemon does, live on a websocket, for viewers that speak Foxglove's protocol. The channels are those of a
-//! recording.
+//! `cdcr-view`: serves the messages of a daemon live over a websocket, for viewers that use Foxglove's
+//! protocol. Its channels are those of a recording.
 //!
-//! A program of its own: its server is more code than all of the daemon, and nobody needs it to move a robot. It listens on the
-//! loopback interface alone and takes nothing from viewers.
+//! This is a separate program: its server is larger than the daemon, and moving a robot does not need it. It
+//! listens on the loopback interface only and accepts no data from viewers.
 
 #![forbid(unsafe_code)]
 
@@ -27,9 +27,9 @@ use foxglove::{
 use iceoryx2::prelude::{LogLevel, set_log_level};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-/// How often the services are read: the queue of telemetry lasts for 256 cycles.
+/// Interval at which the services are read: the queue of telemetry holds 256 cycles.
 const READ_EVERY: Duration = Duration::from_millis(5);
-/// Only this machine.
+/// Loopback interface only.
 const HOST: &str = "127.0.0.1";
 
 #[allow(
@@ -63,7 +63,7 @@ fn main() -> ExitCode {
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // Where nobody reads it, nobody is told.
+            // Standard error may be closed.
             drop(writeln!(io::stderr(), "error: {error:#}"));
             ExitCode::FAILURE
         }
@@ -71,7 +71,7 @@ fn main() -> ExitCode {
 }
 
 fn run() -> anyhow::Result<()> {
-    // Errors are told in our own words; iceoryx2's log would say them twice.
+    // This program reports the errors itself, so iceoryx2's log is turned off.
     set_log_level(LogLevel::Fatal);
     let arguments = Arguments::parse();
     let is_over = Arc::<AtomicBool>::default();
@@ -105,7 +105,7 @@ fn run() -> anyhow::Result<()> {
         live.pass_on()?;
         thread::sleep(READ_EVERY);
     }
-    // Viewers are let go at once.
+    // Viewers are disconnected at once.
     drop(server.stop());
     let lost = live.lost();
     if lost > 0 {
@@ -115,7 +115,7 @@ fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// From the services to the channels of the server.
+/// Passes the messages of the services to the channels of the server.
 struct Live {
     context: Arc<Context>,
     telemetry: Stream<Telemetry>,
@@ -154,13 +154,13 @@ impl Live {
         })
     }
 
-    /// What no viewer could get.
+    /// Number of messages lost before they reached the server.
     fn lost(&self) -> u64 {
         let others = self.others.iter().map(|other| other.lost());
         self.telemetry.lost() + others.sum::<u64>()
     }
 
-    /// Passes on what has come.
+    /// Passes on all queued messages.
     fn pass_on(&mut self) -> anyhow::Result<()> {
         for other in &mut self.others {
             other.pass_on(self.offset_ns)?;
@@ -176,7 +176,7 @@ impl Live {
     }
 }
 
-/// A service of messages that are passed on as they are.
+/// A service whose messages are passed on unchanged.
 trait Passed {
     fn pass_on(&mut self, offset_ns: u64) -> anyhow::Result<()>;
     fn lost(&self) -> u64;
@@ -196,7 +196,7 @@ impl<T: Recorded> Passed for (Stream<T>, Arc<RawChannel>) {
     }
 }
 
-/// Encodes a message only where somebody wants it.
+/// Encodes and logs a message, if the channel has subscribers.
 fn log<T: Recorded>(channel: &RawChannel, message: &T, offset_ns: u64) -> anyhow::Result<()> {
     if channel.has_sinks() {
         let at = stamp(message.header().sent_ns + offset_ns);

@@ -1,5 +1,5 @@
-//! The command line of `cdcr-view`, where no daemon runs. (Being here, this test also makes cargo build the binary for the tests of the
-//! whole system.)
+//! The command line of `cdcr-view` without a daemon. (This test also makes cargo build the binary for the
+//! tests of the whole system.)
 
 use std::process::Command;
 

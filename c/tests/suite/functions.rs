@@ -6,7 +6,7 @@ use super::header;
 
 const SOURCE: &str = include_str!("../../src/abi.rs");
 
-/// A type of Rust at the border, as C writes it.
+/// C names of the Rust types at the interface.
 const TYPES: [(&str, &str); 8] = [
     ("u64", "uint64_t"),
     ("u32", "uint32_t"),
@@ -29,7 +29,7 @@ fn c_type(rust: &str) -> String {
     known.map_or_else(|| format!("Cdcr{rust}"), |(_, c)| (*c).to_owned())
 }
 
-/// A signature such as `fn name(a: u32, b: *const X) -> c_int` as a prototype.
+/// Converts a signature such as `fn name(a: u32, b: *const X) -> c_int` to a prototype.
 fn prototype(signature: &str) -> String {
     let (name, rest) = signature.split_once('(').unwrap();
     let (arguments, returned) = rest.split_once(')').unwrap();
@@ -51,7 +51,7 @@ fn prototype(signature: &str) -> String {
     format!("{returned} {name}({arguments})").replace("* ", "*")
 }
 
-/// What `abi.rs` exports, each behind its attribute.
+/// The functions exported by `abi.rs`.
 fn exported() -> BTreeSet<String> {
     let parts = SOURCE.split("#[unsafe(no_mangle)]").skip(1);
     let signature = |part: &str| {
@@ -62,7 +62,7 @@ fn exported() -> BTreeSet<String> {
     parts.map(|part| prototype(&signature(part))).collect()
 }
 
-/// What the header declares, without its comments.
+/// The functions declared in the header.
 fn declared() -> BTreeSet<String> {
     let text = header("cdcr.h");
     let mut code = String::new();
@@ -76,7 +76,7 @@ fn declared() -> BTreeSet<String> {
     let prototypes = parts.filter(|part| part.contains(" cdcr_") || part.contains("*cdcr_"));
     let one_line = |part: &str| part.split_whitespace().collect::<Vec<_>>().join(" ");
     prototypes
-        // The first one follows the last line of a directive.
+        // The first prototype follows a directive.
         .map(|part| one_line(part.rsplit("\n\n").next().unwrap()))
         .collect()
 }
@@ -93,7 +93,7 @@ fn the_header_declares_what_the_library_exports() {
     assert!(exported.contains(driver), "{exported:#?}");
 }
 
-/// A panic ends at the border: whatever a function does, it does inside `call`. The two without a code cannot fail.
+// Functions run inside `call`, which catches panics. The two without a code cannot fail.
 #[test]
 fn every_function_with_a_code_catches_panics() {
     let parts = || SOURCE.split("#[unsafe(no_mangle)]").skip(1);
@@ -102,7 +102,7 @@ fn every_function_with_a_code_catches_panics() {
     for part in with_code() {
         let (signature, body) = part.split_once("-> c_int {\n    ").unwrap();
         let (body, _) = body.split_once("\n}\n").unwrap();
-        // The call ends where the function does, and no statement follows it on its indentation.
+        // The call ends with the function: no statement follows at its indentation.
         let inside = body
             .strip_prefix("call(|| ")
             .and_then(|rest| rest.strip_suffix(')'));
@@ -115,7 +115,7 @@ fn every_function_with_a_code_catches_panics() {
     }
 }
 
-/// A comment stands right above each function.
+// A comment is right above each function.
 #[test]
 fn every_function_is_told_in_words() {
     let text = header("cdcr.h");

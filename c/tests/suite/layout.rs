@@ -1,4 +1,4 @@
-//! Where a C compiler puts the fields of structs, and the values of codes, beside where Rust has them.
+//! Compares field offsets and code values of a C compiler with those of Rust.
 
 use std::fmt::Write as _;
 
@@ -10,7 +10,7 @@ use cdcr_test_skip::{Need, skip};
 
 use super::refused;
 
-/// A source that compiles where all is as in Rust, with each offset `more` than it is.
+/// A source that compiles only if each offset is that of Rust plus `more`.
 fn source(more: usize, assert: &str) -> String {
     let mut text = String::from("#include \"cdcr.h\"\n");
     let mut check = |what: String, value: i128| {
@@ -51,7 +51,7 @@ fn source(more: usize, assert: &str) -> String {
     for (name, value, _) in limits::ALL {
         check(format!("CDCR_{name}"), *value as i128);
     }
-    // By hand, what the generator made of names; the values are all from one list.
+    // These names are written by hand; the generator derives them. All values come from one list.
     for (name, value) in [
         ("CDCR_MODE_FAULTED", Mode::Faulted.code()),
         ("CDCR_OUTCOME_NO_LEASE", Outcome::NoLease.code()),
@@ -69,7 +69,7 @@ fn c_lays_everything_out_as_rust_does() {
         let said = refused("cc", language, &source(0, "_Static_assert"));
         assert_eq!(said.expect("a C compiler"), "", "{language}");
     }
-    // Whoever compiles for C99 has its compiler check the sizes, too.
+    // With C99, the compiler checks the sizes, too.
     let said = refused("cc", "c99", "#include \"cdcr.h\"\n");
     assert_eq!(said.unwrap(), "");
 }

@@ -1,4 +1,4 @@
-//! The headers in `include/`: what they say is what this library is.
+//! The headers in `include/` agree with this library.
 
 #![allow(clippy::unwrap_used, reason = "in a test a panic is the report")]
 
@@ -18,7 +18,7 @@ fn header(name: &str) -> String {
     std::fs::read_to_string(include().join(name)).unwrap()
 }
 
-/// What a compiler says against a source in `language`; empty: nothing. `None` where there is no such compiler.
+/// Errors of a compiler for a source in `language`; empty if there are none. `None` without such a compiler.
 fn refused(compiler: &str, language: &str, source: &str) -> Option<String> {
     let mut command = Command::new(compiler);
     command

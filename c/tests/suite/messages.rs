@@ -1,4 +1,4 @@
-//! `cdcr_messages.h` comes from the declarations; `CDCR_GENERATE=1` writes it anew.
+//! Generates `cdcr_messages.h` from the declarations (`CDCR_GENERATE=1`), and checks that it is up to date.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use cdcr_shared_types::{LAYOUTS, declared, limits};
 
 const NAME: &str = "cdcr_messages.h";
 const HOW: &str = "CDCR_GENERATE=1 cargo test -p cdcr-c messages";
-/// Columns of a line of a comment.
+/// Maximum length of a comment line.
 const COLUMNS: usize = 110;
 
 const HEAD: &str = "\
@@ -38,7 +38,7 @@ const HEAD: &str = "\
 #endif
 ";
 
-/// `NoLease`, `late start` and `SCHED_FIFO` as parts of the name of a constant.
+/// Converts `NoLease`, `late start` and `SCHED_FIFO` to parts of the name of a constant.
 fn upper(name: &str) -> String {
     let mut text = String::new();
     let mut was_lower = false;
@@ -92,7 +92,7 @@ fn dimensions(kind: &Kind) -> String {
     }
 }
 
-/// Unit, codes and used length, in words, as far as `doc` does not say them.
+/// Unit, codes and used length as text, unless `doc` contains them.
 fn notes(field: &Field, doc: &str) -> String {
     let mut notes = Vec::new();
     match field.meaning {

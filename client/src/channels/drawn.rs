@@ -11,28 +11,28 @@ use super::happening::happenings;
 use super::scene::Scene;
 use super::topic::TYPE_HASH;
 
-/// How often a picture is made \[Hz\].
+/// Rate of the drawn pictures \[Hz\].
 const PICTURES_HZ: u64 = 30;
 
-/// A standard message that viewers draw.
+/// A standard message for viewers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Drawn {
     /// `tf2_msgs/TFMessage`: from the base to the end of each section and to the tip.
     Transforms,
-    /// `geometry_msgs/PoseStamped`: the tip.
+    /// `geometry_msgs/PoseStamped`: pose of the tip.
     Tip,
-    /// `geometry_msgs/PoseStamped`: where the tip shall be, while there is a reference.
+    /// `geometry_msgs/PoseStamped`: pose of the reference, while there is one.
     Reference,
-    /// `sensor_msgs/JointState`: lengths and speeds of the cables as commanded.
+    /// `sensor_msgs/JointState`: commanded cable lengths and speeds.
     Cables,
-    /// `visualization_msgs/MarkerArray`: body, obstacles, the ways of tip and reference, a line of text.
+    /// `visualization_msgs/MarkerArray`: body, obstacles, paths of tip and reference, a line of text.
     Scene,
-    /// `rcl_interfaces/Log`: what happened.
+    /// `rcl_interfaces/Log`: events.
     Log,
 }
 
 impl Drawn {
-    /// All of them; the place of each is its number.
+    /// All standard messages; the index of each is its number.
     pub const ALL: [Self; 6] = [
         Self::Transforms,
         Self::Tip,
@@ -42,7 +42,7 @@ impl Drawn {
         Self::Log,
     ];
 
-    /// Its channel, of the daemon of this robot.
+    /// Channel of this message for a robot.
     pub fn channel(self, robot: &str) -> Channel {
         let (name, schema) = match self {
             Self::Transforms => ("", TfMessage::schema()),
@@ -68,13 +68,13 @@ impl Drawn {
 /// One message for viewers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drawing {
-    /// On which channel.
+    /// Channel of the message.
     pub channel: Drawn,
-    /// Header and bytes, CDR.
+    /// CDR header and data.
     pub data: Vec<u8>,
 }
 
-/// Makes the standard messages of telemetry records: a picture 30 times a second, and a line of the log for each thing that happens.
+/// Converts telemetry records to standard messages: 30 pictures per second, and a log line per event.
 #[derive(Debug)]
 pub struct Drawings {
     robot: String,
@@ -84,7 +84,7 @@ pub struct Drawings {
 }
 
 impl Drawings {
-    /// Of the daemon of this robot; with what leads from `CLOCK_MONOTONIC` to the time since 1970 \[ns\].
+    /// For a robot; `unix_minus_monotonic_ns` converts `CLOCK_MONOTONIC` to the time since 1970 \[ns\].
     pub fn new(robot: &str, unix_minus_monotonic_ns: u64) -> Self {
         Self {
             robot: robot.to_owned(),
@@ -94,10 +94,10 @@ impl Drawings {
         }
     }
 
-    /// What the next record adds.
+    /// The messages for the next record.
     ///
     /// # Errors
-    /// [`CdrError`] where a message cannot be encoded; these can.
+    /// [`CdrError`] when a message cannot be encoded; these messages always can.
     pub fn of(&mut self, record: &Telemetry) -> Result<Vec<Drawing>, CdrError> {
         let before = self.before.take();
         let before = before.filter(|before| before.header.sender_id == record.header.sender_id);
@@ -188,7 +188,7 @@ impl Drawings {
     }
 }
 
-/// Three cables of each section, base first.
+/// Three cables per section, base first.
 fn cables(record: &Telemetry, header: &Header) -> JointState {
     let command = &record.command;
     let count = (3 * command.sections as usize).min(command.cable_length_m.len());
@@ -203,7 +203,7 @@ fn cables(record: &Telemetry, header: &Header) -> JointState {
     }
 }
 
-/// A unit quaternion (x, y, z, w): that of the reference, or the shortest turn from z to its axis.
+/// Unit quaternion (x, y, z, w) of the reference, or of the shortest rotation from z to its axis.
 fn reference_orientation(record: &Telemetry) -> [f64; 4] {
     let reference = &record.reference;
     match OrientationKind::try_from(reference.orientation_kind) {

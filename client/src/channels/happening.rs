@@ -3,31 +3,31 @@ use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, timing};
 
 use crate::{counted, events};
 
-/// How bad something is: the levels of `rcl_interfaces/Log`.
+/// Severity: the levels of `rcl_interfaces/Log`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Level {
-    /// As it should be.
+    /// Normal.
     Info = 20,
-    /// Not as somebody wanted it.
+    /// A request or message was refused, or a cycle was late.
     Warning = 30,
     /// The robot does not move until it is reset.
     Error = 40,
 }
 
-/// Something that a record tells beside the one before.
+/// An event derived from two consecutive records.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Happening {
-    /// In words, with numbers.
+    /// Text with numbers.
     pub text: String,
-    /// How bad it is.
+    /// Severity.
     pub level: Level,
 }
 
-/// What is new in a record: its mode, what was refused, another number of obstacles, and what was late.
+/// Events of a record compared with the previous one: mode, refusals, number of obstacles and lateness.
 pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happening> {
     let mut found = Vec::new();
-    let mut tell = |level, text| found.push(Happening { text, level });
+    let mut add = |level, text| found.push(Happening { text, level });
     if before.is_none_or(|before| (before.mode, before.reason) != (record.mode, record.reason)) {
         let (mode, reason) = (Mode::text_of(record.mode), Reason::text_of(record.reason));
         let is_latched = [Mode::Faulted, Mode::Stopped]
@@ -38,17 +38,17 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
         } else {
             Level::Info
         };
-        tell(level, format!("{mode}: {reason}"));
+        add(level, format!("{mode}: {reason}"));
     }
     for event in events(record)
         .iter()
         .filter(|event| event.outcome != Outcome::Accepted.code())
     {
         let why = Outcome::text_of(event.outcome);
-        tell(Level::Warning, format!("refused: {why}"));
+        add(Level::Warning, format!("refused: {why}"));
     }
     if before.is_some_and(|before| before.obstacle_count != record.obstacle_count) {
-        tell(Level::Info, counted(record.obstacle_count, "obstacle"));
+        add(Level::Info, counted(record.obstacle_count, "obstacle"));
     }
     let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
     if cause != LateCause::None {
@@ -58,7 +58,7 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
             (false, 0) => (Level::Info, "late start".to_owned()),
             (false, skipped) => (Level::Info, counted(skipped, "period") + " skipped"),
         };
-        tell(level, format!("cycle {}: {what} ({cause})", record.cycle));
+        add(level, format!("cycle {}: {what} ({cause})", record.cycle));
     }
     found
 }

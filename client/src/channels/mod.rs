@@ -1,7 +1,7 @@
-//! What leaves the machine, as channels with names and schemas: the messages of the services, and standard messages that viewers
-//! draw, made of telemetry records.
+//! Content of recordings and live views, as channels with names and schemas: the messages of the services,
+//! and standard messages for viewers, made from telemetry records.
 //!
-//! Knows no file and no socket: recordings and live views write the same.
+//! Invariant: nothing here knows a file or a socket; recordings and live views write the same content.
 
 mod drawn;
 mod happening;

@@ -11,19 +11,19 @@ use super::drawn::{point, pose};
 use crate::model::{obstacle_of, robot_of};
 use crate::{counted, obstacles, section_lengths_m};
 
-/// Points of a section's backbone: a bend of 0.7 rad looks round.
+/// Points on the backbone of a section; enough for a smooth bend of 0.7 rad.
 const POINTS: usize = 16;
-/// Discs of a section, evenly spaced; the last one is its end.
+/// Discs per section, evenly spaced; the last one is at its end.
 const DISCS: usize = 5;
-/// How thick a disc is, of its section's length.
+/// Thickness of a disc as a share of the section length.
 const DISC_SHARE: f64 = 0.01;
-/// Of the ways of tip and reference, one point in so much time \[ns\].
-const WAY_EVERY_NS: u64 = 50_000_000;
-/// Points of a way: 5 s.
-const WAY_POINTS: usize = 100;
-/// How wide a way is drawn, of the robot's length.
-const WAY_SHARE: f64 = 0.004;
-/// How high the text is, of the robot's length.
+/// Time between two points of the paths of tip and reference \[ns\].
+const PATH_INTERVAL_NS: u64 = 50_000_000;
+/// Points of a path: 5 s.
+const PATH_POINTS: usize = 100;
+/// Width of a path as a share of the robot length.
+const PATH_WIDTH_SHARE: f64 = 0.004;
+/// Height of the text as a share of the robot length.
 const TEXT_SHARE: f64 = 0.04;
 
 const BODY: ColorRgba = color(0.35, 0.55, 0.85, 1.0);
@@ -38,35 +38,35 @@ const fn color(r: f32, g: f32, b: f32, a: f32) -> ColorRgba {
     ColorRgba { r, g, b, a }
 }
 
-/// The robot in space, with the ways of tip and reference of the last seconds.
+/// Drawing of the robot, with the paths of tip and reference over the last seconds.
 #[derive(Debug)]
 pub(super) struct Scene {
     robot: Robot,
     length_m: f64,
-    tip_way: VecDeque<[f64; 3]>,
-    reference_way: VecDeque<[f64; 3]>,
-    way_ns: u64,
+    tip_path: VecDeque<[f64; 3]>,
+    reference_path: VecDeque<[f64; 3]>,
+    path_ns: u64,
 }
 
 impl Scene {
-    /// Of the robot of a record; none where that is no robot.
+    /// For the robot of a record; `None` when its description is invalid.
     pub(super) fn of(record: &Telemetry) -> Option<Self> {
         Some(Self {
             robot: robot_of(&record.robot).ok()?,
             length_m: section_lengths_m(&record.robot).iter().sum(),
-            tip_way: VecDeque::with_capacity(WAY_POINTS),
-            reference_way: VecDeque::with_capacity(WAY_POINTS),
-            way_ns: 0,
+            tip_path: VecDeque::with_capacity(PATH_POINTS),
+            reference_path: VecDeque::with_capacity(PATH_POINTS),
+            path_ns: 0,
         })
     }
 
-    /// Takes in where tip and reference are. Whether the robot is in a shape that can be drawn.
+    /// Adds the positions of tip and reference to their paths. Returns whether the robot can be drawn.
     pub(super) fn take(&mut self, record: &Telemetry) -> bool {
-        if record.release_ns.saturating_sub(self.way_ns) >= WAY_EVERY_NS {
-            self.way_ns = record.release_ns;
-            keep(&mut self.tip_way, record.tip_position_m);
+        if record.release_ns.saturating_sub(self.path_ns) >= PATH_INTERVAL_NS {
+            self.path_ns = record.release_ns;
+            keep(&mut self.tip_path, record.tip_position_m);
             if record.position_error_m.is_finite() {
-                keep(&mut self.reference_way, record.reference.position_m);
+                keep(&mut self.reference_path, record.reference.position_m);
             }
         }
         self.shape(record).is_some()
@@ -89,7 +89,7 @@ impl Scene {
         pose(at.position_m.into(), quaternion_xyzw(&at.rotation))
     }
 
-    /// All that is drawn. The first marker takes away what was drawn before.
+    /// All markers. The first one deletes the previous markers.
     pub(super) fn markers(&self, record: &Telemetry, header: &Header) -> Vec<Marker> {
         let Some(at) = self.shape(record) else {
             return Vec::new();
@@ -100,12 +100,12 @@ impl Scene {
         }];
         self.draw_body(&at, &mut markers);
         let ways = [
-            ("tip way", &self.tip_way, TIP_WAY),
-            ("reference way", &self.reference_way, REFERENCE_WAY),
+            ("tip way", &self.tip_path, TIP_WAY),
+            ("reference way", &self.reference_path, REFERENCE_WAY),
         ];
         for (name, way, color) in ways.into_iter().filter(|(_, way, _)| way.len() > 1) {
             let points = way.iter().copied().map(point).collect();
-            markers.push(line(name, points, WAY_SHARE * self.length_m, color));
+            markers.push(line(name, points, PATH_WIDTH_SHARE * self.length_m, color));
         }
         let robot = self.robot.thicker(&at, record.tip_margin_m);
         let body = robot.body(&at);
@@ -125,10 +125,10 @@ impl Scene {
                 nearest = Some(found);
             }
         }
-        markers.extend(
-            nearest.map(|nearest| gap(&robot, &nearest, safe_m, WAY_SHARE * self.length_m)),
-        );
-        markers.push(self.words(record));
+        markers.extend(nearest.map(|nearest| {
+            clearance_line(&robot, &nearest, safe_m, PATH_WIDTH_SHARE * self.length_m)
+        }));
+        markers.push(self.status_text(record));
         for (id, marker) in markers.iter_mut().enumerate() {
             marker.header = header.clone();
             marker.id = i32::try_from(id).unwrap_or(i32::MAX);
@@ -136,7 +136,7 @@ impl Scene {
         markers
     }
 
-    /// Backbone, as thick as the body, and discs.
+    /// Backbone with the thickness of the body, and discs.
     fn draw_body(&self, at: &Configuration, markers: &mut Vec<Marker>) {
         for (j, section) in self.robot.sections().iter().enumerate() {
             let share = |i: usize, of: usize| i as f64 / of as f64;
@@ -161,8 +161,8 @@ impl Scene {
         }
     }
 
-    /// Mode, misses and clearance above the robot.
-    fn words(&self, record: &Telemetry) -> Marker {
+    /// Text above the robot: mode, misses and clearance.
+    fn status_text(&self, record: &Telemetry) -> Marker {
         let mut text = Mode::text_of(record.mode).to_owned();
         let _ = write!(
             text,
@@ -190,8 +190,8 @@ impl Scene {
     }
 }
 
-/// The line from the backbone to the surface of the obstacle that is nearest to the body.
-fn gap(robot: &Robot, nearest: &Nearest, safe_m: f64, width_m: f64) -> Marker {
+/// Line from the backbone to the surface of the obstacle nearest to the body.
+fn clearance_line(robot: &Robot, nearest: &Nearest, safe_m: f64, width_m: f64) -> Marker {
     let section = robot.sections().get(nearest.section);
     let radius_m = section.map_or(0.0, |section| section.body_radius_m);
     let away_m = nearest.clearance_m.max(0.0) + radius_m;
@@ -206,7 +206,7 @@ fn gap(robot: &Robot, nearest: &Nearest, safe_m: f64, width_m: f64) -> Marker {
 }
 
 fn keep(way: &mut VecDeque<[f64; 3]>, place: [f64; 3]) {
-    if way.len() == WAY_POINTS {
+    if way.len() == PATH_POINTS {
         way.pop_front();
     }
     way.push_back(place);
@@ -258,10 +258,10 @@ fn draw_obstacle(obstacle: &Obstacle, color: &ColorRgba, markers: &mut Vec<Marke
     }
 }
 
-/// The shortest turn (x, y, z, w) from the z axis to this direction; none where that is zero.
+/// The shortest rotation (x, y, z, w) from the z axis to this direction; identity for a zero vector.
 pub(super) fn upright_to(direction: Vector3<f64>) -> [f64; 4] {
     let turn = UnitQuaternion::rotation_between(&Vector3::z(), &direction);
-    // Straight down: half a turn about any axis across.
+    // Straight down: half a turn about any horizontal axis.
     let turn = turn.map_or([1.0, 0.0, 0.0, 0.0], |turn| turn.coords.into());
     if direction.norm() > 0.0 {
         turn

@@ -7,12 +7,12 @@ use cdcr_shared_types::{
 
 use crate::Message;
 
-/// Under which name a channel keeps the type and version that its messages had on the wire.
+/// Metadata key of a channel with the type and version of its messages on the wire.
 pub const WIRE_TYPE: &str = "wire_type";
-/// The same of the ROS 2 type hash, as rosbag2 names it.
+/// Metadata key of the ROS 2 type hash, as in rosbag2.
 pub(super) const TYPE_HASH: &str = "topic_type_hash";
 
-/// A service whose messages leave the machine.
+/// A service whose messages are recorded and shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Topic {
     /// [`Telemetry`].
@@ -28,7 +28,7 @@ pub enum Topic {
 }
 
 impl Topic {
-    /// All of them; the place of each is its number.
+    /// All topics; the index of each is its number.
     pub const ALL: [Self; 5] = [
         Self::Telemetry,
         Self::Reference,
@@ -37,7 +37,7 @@ impl Topic {
         Self::Incidents,
     ];
 
-    /// The service whose messages these are.
+    /// The service of this topic.
     pub fn service(self) -> Service {
         match self {
             Self::Telemetry => Telemetry::SERVICE,
@@ -48,7 +48,7 @@ impl Topic {
         }
     }
 
-    /// A message of it, to be filled.
+    /// Layout of its messages.
     pub fn layout(self) -> &'static Layout {
         match self {
             Self::Telemetry => Telemetry::LAYOUT,
@@ -59,10 +59,10 @@ impl Topic {
         }
     }
 
-    /// Its channel, of the daemon of this robot.
+    /// Channel of this topic for a robot.
     ///
     /// # Errors
-    /// For a name that no robot has.
+    /// When the robot's name is invalid.
     pub fn channel(self, robot: &str) -> Result<Channel, ServiceNameError> {
         let layout = self.layout();
         let schema = of_layout(layout);
@@ -79,7 +79,7 @@ impl Topic {
         })
     }
 
-    /// What a channel of a file holds, by the name of its schema.
+    /// Topic of a channel in a file, from the name of its schema.
     pub fn of_schema(schema: &str) -> Option<Self> {
         let name = schema.strip_prefix("cdcr_msgs/msg/")?;
         Self::ALL
@@ -87,7 +87,7 @@ impl Topic {
             .find(|topic| topic.layout().name == name)
     }
 
-    /// What one of its messages is called.
+    /// Noun for one message.
     pub fn noun(self) -> &'static str {
         match self {
             Self::Telemetry => "cycle",
@@ -99,9 +99,9 @@ impl Topic {
     }
 }
 
-/// A message that is recorded.
+/// A message type with a topic.
 pub trait Recorded: Message + Struct {
-    /// Where it leaves.
+    /// Topic of this type.
     const TOPIC: Topic;
 }
 

@@ -1,4 +1,4 @@
-//! The limits of a robot, as its driver holds a command to them.
+//! The limits of a robot that its driver applies to a command.
 
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::{COORDINATES_MAX, SECTIONS_MAX};
@@ -6,10 +6,11 @@ use cdcr_shared_types::{Command, Measurement, RobotDescription, SectionDescripti
 
 use super::{CommandRefusal, CommandedPosition};
 
-/// What rounding may add to a rate or a speed, as a part of its limit.
+/// Allowance for rounding of a rate or a speed, as a share of its limit.
 const ROUNDING: f64 = 1e-9;
-/// The daemon holds a robot that is measured so far beyond the limit of a bend, and commands where it is
-/// \[rad\]. A cable: this times the sum of the radii on its way. A first position is as near to what was measured.
+/// Tolerance of a bend beyond its limit \[rad\]: the daemon holds a robot that is measured there and commands
+/// its position. For a cable: times the sum of the cable radii along it. The same tolerance applies between a
+/// first position and the measurement.
 const BEND_TOLERANCE_RAD: f64 = 0.05;
 
 /// The sections that a description uses.
@@ -17,10 +18,10 @@ pub(super) fn sections(robot: &RobotDescription) -> &[SectionDescription] {
     &robot.section[..(robot.sections as usize).min(SECTIONS_MAX)]
 }
 
-/// Refuses numbers that are not finite, and what `interface` obeys of a command where it is beyond a limit.
+/// Refuses numbers that are not finite, and values obeyed by `interface` that are beyond a limit.
 ///
-/// What the interface does not obey moves no motor, so it is held to no limit. A position beyond a limit is followed
-/// when it is no farther than `standing`: a robot may come back.
+/// Other values move no motor and are not checked against limits. A position beyond a limit is accepted if it
+/// is no farther out than `standing`, so that the robot can return.
 pub(super) fn check(
     robot: &RobotDescription,
     interface: Interface,
@@ -92,7 +93,7 @@ fn check_strokes(
     Ok(())
 }
 
-/// Refuses a first position that is not where the robot was measured.
+/// Refuses a first position that differs from the measured one.
 pub(super) fn check_near(
     robot: &RobotDescription,
     command: &Command,
@@ -108,13 +109,13 @@ pub(super) fn check_near(
         tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
         if measured.kind == MeasurementKind::Configuration.code() {
             for i in 2 * j..2 * j + 2 {
-                let way_rad = command.bend_target_rad[i] - measured.bend_rad[i];
-                near(i, way_rad, BEND_TOLERANCE_RAD)?;
+                let distance_rad = command.bend_target_rad[i] - measured.bend_rad[i];
+                near(i, distance_rad, BEND_TOLERANCE_RAD)?;
             }
         } else if measured.kind == MeasurementKind::CableLengths.code() {
             for i in 3 * j..3 * j + 3 {
-                let way_m = command.cable_length_m[i] - measured.cable_length_m[i];
-                near(i, way_m, tolerance_m)?;
+                let distance_m = command.cable_length_m[i] - measured.cable_length_m[i];
+                near(i, distance_m, tolerance_m)?;
             }
         }
     }
@@ -148,7 +149,7 @@ fn check_rates(robot: &RobotDescription, command: &Command) -> Result<(), Comman
     Ok(())
 }
 
-/// The shortest time in which this robot may go from `begin` to `end` \[s\].
+/// Minimum time of a move from `begin` to `end` \[s\].
 pub(super) fn shortest_s(
     robot: &RobotDescription,
     begin: &CommandedPosition,
@@ -157,12 +158,12 @@ pub(super) fn shortest_s(
     let mut shortest_s = 0.0_f64;
     for (j, section) in sections(robot).iter().enumerate() {
         for i in 2 * j..2 * j + 2 {
-            let way_rad = (end.bend_rad[i] - begin.bend_rad[i]).abs();
-            shortest_s = shortest_s.max(way_rad / section.rate_max_rad_s);
+            let distance_rad = (end.bend_rad[i] - begin.bend_rad[i]).abs();
+            shortest_s = shortest_s.max(distance_rad / section.rate_max_rad_s);
         }
         for i in 3 * j..3 * j + 3 {
-            let way_m = (end.cable_length_m[i] - begin.cable_length_m[i]).abs();
-            shortest_s = shortest_s.max(way_m / robot.cable_speed_max_m_s);
+            let distance_m = (end.cable_length_m[i] - begin.cable_length_m[i]).abs();
+            shortest_s = shortest_s.max(distance_m / robot.cable_speed_max_m_s);
         }
     }
     shortest_s

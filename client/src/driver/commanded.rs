@@ -1,11 +1,11 @@
 use cdcr_shared_types::limits::{CABLES_MAX, COORDINATES_MAX};
 
-/// How fast a robot shall move. The default is rest.
+/// Commanded rates. The default is rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CommandedRates {
     /// Bend-vector rates (u̇₁, v̇₁, …) \[rad/s\].
     pub bend_rate_rad_s: [f64; COORDINATES_MAX],
-    /// Cable speeds, section by section, three each \[m/s\]; positive pays out.
+    /// Cable speeds \[m/s\], three per section, base first; positive pays out.
     pub cable_speed_m_s: [f64; CABLES_MAX],
 }
 
@@ -18,17 +18,17 @@ impl Default for CommandedRates {
     }
 }
 
-/// Where a robot shall be.
+/// Commanded position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CommandedPosition {
     /// Bend vector (u₁, v₁, …) \[rad\].
     pub bend_rad: [f64; COORDINATES_MAX],
-    /// Cable lengths, section by section, three each \[m\].
+    /// Cable lengths \[m\], three per section, base first.
     pub cable_length_m: [f64; CABLES_MAX],
 }
 
 impl CommandedPosition {
-    /// The point at `part` of the straight way to `end`, 0 to 1. From 1 on it is `end`, to the bit.
+    /// Interpolates linearly to `end`; `part` is 0 to 1. From 1 on the result is `end`, bit for bit.
     pub(super) fn towards(&self, end: &Self, part: f64) -> Self {
         Self {
             bend_rad: core::array::from_fn(|i| between(self.bend_rad[i], end.bend_rad[i], part)),
@@ -39,7 +39,7 @@ impl CommandedPosition {
     }
 }
 
-/// Clamped, because rounding must not lead past an end; a number that does not change keeps its bits.
+// Clamped, so that rounding does not exceed an end; equal numbers keep their bits.
 fn between(begin: f64, end: f64, part: f64) -> f64 {
     if part >= 1.0 || begin.to_bits() == end.to_bits() {
         return end;

@@ -3,11 +3,11 @@ use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
 
-/// What a driver obeys at any time, from the commands that reached it: speeds that end, positions that are not
-/// overshot, and nothing that the robot must not do.
+/// Rates and positions that a driver applies at any time, from the received commands. Rates expire, positions
+/// do not overshoot, and inadmissible commands are refused.
 ///
-/// [`Driver`](crate::Driver) feeds one from shared memory. It is public for a driver that gets its commands some other way,
-/// and computes only: the time comes in as a value.
+/// [`Driver`](crate::Driver) supplies one from shared memory. It is public for drivers that receive commands
+/// by other means. It has no clock: the time is an argument.
 #[derive(Debug, Clone)]
 pub struct CommandFollower {
     robot: RobotDescription,
@@ -17,18 +17,18 @@ pub struct CommandFollower {
     refusals: u64,
 }
 
-/// The command in force, and its move.
+/// The command in force, with its move.
 #[derive(Debug, Clone, Copy)]
 struct Present {
     command: Command,
     begin: CommandedPosition,
     end: CommandedPosition,
-    /// When the move ends \[ns\].
+    /// Time at which the move ends \[ns\].
     end_ns: u64,
 }
 
 impl Present {
-    /// Which part of the move is done, 0 to 1.
+    /// Completed part of the move, 0 to 1.
     fn part(&self, now_ns: u64) -> f64 {
         let begin_ns = self.command.release_ns;
         if now_ns >= self.end_ns {
@@ -41,13 +41,13 @@ impl Present {
     }
 }
 
-/// Longer than any move: what a robot that may not move at all would need \[s\].
+/// Upper bound of the duration of a move, which is infinite for a robot without any speed \[s\].
 const MOVE_MAX_S: f64 = 1e6;
-/// What rounding may add to a move that takes one period \[s\].
+/// Allowance for rounding of a move that takes one period \[s\].
 const ROUNDING_S: f64 = 1e-8;
 
 impl CommandFollower {
-    /// Follows nothing yet, and no command beyond the limits of `robot`.
+    /// A follower without a command, which refuses commands beyond the limits of `robot`.
     pub fn new(robot: &RobotDescription, interface: Interface) -> Self {
         Self {
             robot: *robot,
@@ -58,16 +58,18 @@ impl CommandFollower {
         }
     }
 
-    /// Tells what was measured last. A first position is held to it: motors that have stood elsewhere hold until a reset has
-    /// brought the commanded position to them. Without any measurement of bends or cables it is taken as it is.
+    /// Sets the last measurement, which a first position must match. Motors at another position are held
+    /// until a reset has set the commanded position to theirs. Without a measurement of bends or cables, any
+    /// first position is accepted.
     pub fn tell_measured(&mut self, measurement: &Measurement) {
         self.measured = Some(*measurement);
     }
 
-    /// Takes a command that arrived at `now_ns`. One of another daemon is taken when that of the present one has run out.
+    /// Processes a command that arrived at `now_ns`. A command of another daemon is accepted once the present
+    /// command has expired.
     ///
     /// # Errors
-    /// Why it is not followed; it is counted, too. The one before stays in force until it runs out.
+    /// The reason of a refusal, which is also counted. The present command stays in force until it expires.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(command.release_ns);
         if let Err(refusal) = self.check(command, begin.as_ref(), now_ns) {
@@ -78,7 +80,7 @@ impl CommandFollower {
             bend_rad: command.bend_target_rad,
             cable_length_m: command.cable_length_m,
         };
-        // The first position of all is where the robot was measured: there is no way to it.
+        // The robot was measured at the first position: there is no move to it.
         let begin = begin.unwrap_or(end);
         self.present = Some(Present {
             command: *command,
@@ -130,8 +132,8 @@ impl CommandFollower {
         }
     }
 
-    /// The target is reached in time, unless the robot would have to be faster than it may be: after commands that
-    /// were lost, or where control begins anew beside the old position.
+    /// Time at which the target is reached. It is later than `target_ns` if the robot's limits require it:
+    /// after lost commands, or when control restarts beside the old position.
     fn end_ns(&self, command: &Command, begin: &CommandedPosition, end: &CommandedPosition) -> u64 {
         let shortest_s = bounds::shortest_s(&self.robot, begin, end) - ROUNDING_S;
         let shortest_ns = (1e9 * shortest_s.clamp(0.0, MOVE_MAX_S)) as u64;
@@ -140,8 +142,8 @@ impl CommandFollower {
             .max(command.release_ns.saturating_add(shortest_ns))
     }
 
-    /// How fast the robot shall move at `now_ns`: at rest before the first command, and from the newest one's
-    /// `valid_until_ns` on. For a driver that obeys [`Interface::Velocity`].
+    /// Commanded rates at `now_ns`: rest before the first command and after `valid_until_ns` of the newest
+    /// one. For a driver that obeys [`Interface::Velocity`].
     pub fn rates_at(&self, now_ns: u64) -> CommandedRates {
         match &self.present {
             Some(Present { command, .. }) if now_ns < command.valid_until_ns => CommandedRates {
@@ -152,12 +154,12 @@ impl CommandFollower {
         }
     }
 
-    /// Where the robot shall be at `now_ns`: from where the command before led at this one's release, on a straight line, to
-    /// its target at `target_ns`, and there until the next command. `None` before the first. For a driver that obeys
+    /// Commanded position at `now_ns`: on a straight line from the position at the command's release to its
+    /// target at `target_ns`, then constant. `None` before the first command. For a driver that obeys
     /// [`Interface::Position`].
     ///
-    /// It is never past the target, never faster than the robot's limits (then it arrives later), and it stays where it
-    /// is from `valid_until_ns` on.
+    /// The position never overshoots the target and respects the robot's limits, so it may arrive later. It
+    /// is constant from `valid_until_ns` on.
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.present.as_ref().map(|present| {
             let now_ns = now_ns.min(present.command.valid_until_ns);
@@ -165,25 +167,26 @@ impl CommandFollower {
         })
     }
 
-    /// The daemon whose command is in force, or was the last one.
+    /// The daemon that sent the last accepted command.
     pub fn sender_id(&self) -> Option<u64> {
         self.present.map(|present| present.command.header.sender_id)
     }
 
-    /// Commands that were refused.
+    /// Number of refused commands.
     pub fn refusals(&self) -> u64 {
         self.refusals
     }
 
-    /// Rests until the next command, which is then a first one again. For motors whose torque was off: they are no
-    /// longer where the last command led. To be called after the reset: until then the commands name the old position.
+    /// Rests until the next command, which is then treated as the first. For motors whose torque was off, so
+    /// that they have left the commanded position. Call this after the reset: earlier commands contain the
+    /// old position.
     pub fn forget(&mut self) {
         self.present = None;
     }
 }
 
-/// Numbers and times of one daemon only rise. Those of another begin anew, so its commands must be later, and the
-/// present one silent.
+/// Sequence numbers and times of one daemon increase. Those of another daemon start again, so its commands
+/// must be later, and the present command expired.
 fn check_newer(present: &Command, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
     let is_same = command.header.sender_id == present.header.sender_id;
     let is_newer = command.release_ns > present.release_ns

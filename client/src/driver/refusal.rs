@@ -1,7 +1,7 @@
 use cdcr_shared_types::codes::Interface;
 use cdcr_shared_types::counted;
 
-/// Why a command is not followed. The one before it stays in force until it runs out.
+/// Reason to refuse a command. The previous one stays in force until it expires.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CommandRefusal {
     /// A number is NaN or infinite.
@@ -13,12 +13,12 @@ pub enum CommandRefusal {
         counted(*commanded, "section")
     )]
     Sections {
-        /// Of the command.
+        /// Sections of the command.
         commanded: u32,
-        /// Of the robot.
+        /// Sections of the robot.
         sections: u32,
     },
-    /// The daemon means the other interface, or one that is not known.
+    /// The daemon uses the other interface, or an unknown one.
     #[error(
         "the daemon commands by {}, but this driver follows the interface {driver}: set link.interface",
         Interface::try_from(*commanded).map_or_else(|code| format!("an {code}"), |known| format!("the interface {known}"))
@@ -26,88 +26,88 @@ pub enum CommandRefusal {
     Interface {
         /// Code in the command.
         commanded: u32,
-        /// What the driver obeys.
+        /// Interface of the driver.
         driver: Interface,
     },
-    /// The move would end before it begins.
+    /// The target time is before the release.
     #[error("the target of the command is {before_ns} ns before its release")]
     Times {
-        /// By how much \[ns\].
+        /// Difference \[ns\].
         before_ns: u64,
     },
-    /// The command is not newer than the one in force: its sequence, its cycle or its release went back.
+    /// The command is not newer than the one in force: its sequence number, cycle or release went back.
     #[error("the command of cycle {cycle} is not newer than the present one of cycle {present}")]
     NotNewer {
-        /// Of the command.
+        /// Cycle of the command.
         cycle: u64,
-        /// Of the command in force.
+        /// Cycle of the command in force.
         present: u64,
     },
-    /// Another daemon commands while the command of the present one is still valid.
+    /// Another daemon sends commands while the command of the present one is valid.
     #[error("a second daemon ({sender:#018x}) commands beside {present:#018x}: end one of them")]
     OtherDaemon {
-        /// Who sent the command.
+        /// Sender of the command.
         sender: u64,
-        /// Whose command is in force.
+        /// Sender of the command in force.
         present: u64,
     },
-    /// It was valid until a time that is over.
+    /// The command had expired when it arrived.
     #[error("the command of cycle {cycle} arrived {late_ns} ns after it had expired")]
     Expired {
-        /// Of the command.
+        /// Cycle of the command.
         cycle: u64,
-        /// By how much \[ns\].
+        /// Time since it expired \[ns\].
         late_ns: u64,
     },
-    /// The first position is not where the robot was measured.
+    /// The first position differs from the measured one.
     #[error(
         "the first commanded position differs from the measured one: component {at} by {way:.6}, allowed is {most:.6} \
          (rad, or m of a cable). Check the robot, then cdcrctl reset"
     )]
     Elsewhere {
-        /// Component of the bends, or cable, whichever was measured.
+        /// Index of the bend component or cable, whichever was measured.
         at: usize,
-        /// How far its motor would go at once \[rad or m\].
+        /// Distance that its motor would jump \[rad or m\].
         way: f64,
-        /// How far it may \[rad or m\].
+        /// Largest distance allowed \[rad or m\].
         most: f64,
     },
-    /// A section would bend too far.
+    /// A bend is beyond its limit.
     #[error("section {section} is commanded to bend by {bend_rad} rad, the limit is {limit_rad}")]
     Bend {
-        /// From 0 at the base.
+        /// Section, from 0 at the base.
         section: usize,
         /// The commanded bend \[rad\].
         bend_rad: f64,
         /// Its limit \[rad\].
         limit_rad: f64,
     },
-    /// A cable would be pulled or paid out too far.
+    /// A cable stroke is beyond its limit.
     #[error("cable {cable} is commanded to a stroke of {stroke_m} m, the limit is {limit_m}")]
     Stroke {
-        /// From 0, section by section.
+        /// Cable, from 0, section by section.
         cable: usize,
-        /// The commanded stroke \[m\]; positive is paid out.
+        /// The commanded stroke \[m\]; positive pays out.
         stroke_m: f64,
         /// Its limit \[m\].
         limit_m: f64,
     },
-    /// A bend-vector component would change too fast.
+    /// The rate of a bend component is beyond its limit.
     #[error(
         "section {section} is commanded to bend at {rate_rad_s} rad/s, the limit is {limit_rad_s}"
     )]
     Rate {
-        /// From 0 at the base.
+        /// Section, from 0 at the base.
         section: usize,
         /// The commanded rate \[rad/s\].
         rate_rad_s: f64,
         /// Its limit \[rad/s\].
         limit_rad_s: f64,
     },
-    /// A cable would run too fast.
+    /// A cable speed is beyond its limit.
     #[error("cable {cable} is commanded at {speed_m_s} m/s, the limit is {limit_m_s}")]
     CableSpeed {
-        /// From 0, section by section.
+        /// Cable, from 0, section by section.
         cable: usize,
         /// The commanded speed \[m/s\].
         speed_m_s: f64,

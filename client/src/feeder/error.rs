@@ -4,31 +4,31 @@ use cdcr_shared_types::codes::Outcome;
 use crate::remedy::remedy;
 use crate::{LinkError, Liveness, RequestError};
 
-/// Why a trajectory was not fed to its end.
+/// Why a feed ended early.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FeedError {
     /// An option is out of range.
     #[error("{name} is {value_s} s; it must be {least_s} to {most_s} s")]
     Option {
-        /// Which.
+        /// Name of the option.
         name: &'static str,
-        /// What it is \[s\].
+        /// Its value \[s\].
         value_s: f64,
-        /// Least allowed \[s\].
+        /// Minimum \[s\].
         least_s: f64,
-        /// Most allowed \[s\].
+        /// Maximum \[s\].
         most_s: f64,
     },
-    /// The trajectory has a duration that is negative, not finite, or longer than a day.
+    /// The duration of the trajectory is negative, not finite, or longer than a day.
     #[error("the trajectory lasts {duration_s} s; it must be 0 to 86400 s")]
     Duration {
-        /// What it says \[s\].
+        /// Duration of the trajectory \[s\].
         duration_s: f64,
     },
-    /// A request (lease, track) was refused, or not answered by a daemon that runs.
+    /// A request (lease, track) was refused, or timed out while the daemon runs.
     #[error(transparent)]
     Request(RequestError),
-    /// A port failed, or the daemon fell silent or has ended.
+    /// A port failed, or the daemon has stopped sending or has ended.
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The daemon refused a chunk of the reference.
@@ -37,44 +37,44 @@ pub enum FeedError {
         remedy(*outcome)
     )]
     Refused {
-        /// Why.
+        /// Reason of the refusal.
         outcome: Outcome,
         /// Index of the point in the whole trajectory.
         point: u64,
-        /// Its time \[s\] since the start of the trajectory.
+        /// Time of the point since the start of the trajectory \[s\].
         time_s: f64,
     },
-    /// The daemon never said what became of the first chunk.
+    /// The daemon did not report an outcome of the first chunk.
     #[error("the daemon did not react to the reference within 1 s; see cdcrctl status")]
     Ignored,
-    /// Another daemon took the place of the one that was fed.
+    /// The daemon was restarted during the feed.
     #[error(
         "the daemon was restarted after {played_s:.2} s of the reference: lease and reference are lost. Feed the \
          reference again"
     )]
     Restarted {
-        /// How much of the trajectory was played \[s\].
+        /// Played time of the trajectory \[s\].
         played_s: f64,
     },
-    /// The daemon does not follow the reference any more.
+    /// The daemon left tracking.
     #[error(
         "the daemon left tracking after {played_s:.2} s of the reference: it is {mode} because {reason}. \
          {remedy}"
     )]
     LeftTracking {
-        /// How much of the trajectory was played \[s\].
+        /// Played time of the trajectory \[s\].
         played_s: f64,
-        /// Mode of the daemon, in words.
+        /// Text of the daemon's mode.
         mode: &'static str,
-        /// Its reason, in words.
+        /// Text of its reason.
         reason: &'static str,
-        /// What to do.
+        /// Remedy.
         remedy: &'static str,
     },
 }
 
 impl From<RequestError> for FeedError {
-    /// That the daemon has ended matters, and not in which request of the feed this was found.
+    // When the daemon has ended, the error says so, independent of the request that failed.
     fn from(error: RequestError) -> Self {
         match error {
             RequestError::Timeout {

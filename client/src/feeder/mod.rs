@@ -1,7 +1,7 @@
 //! Streams a trajectory to the daemon in chunks, ahead of time.
 //!
-//! [`schedule`](schedule) decides which points are due, [`watch`](watch) judges what the daemon makes
-//! of them; both are pure. Only [`Feeder`] knows the clock and the ports.
+//! [`schedule`] decides which points are due, [`watch`] evaluates the daemon's telemetry;
+//! both are pure. Only [`Feeder`] uses the clock and the ports.
 
 mod error;
 mod options;
@@ -24,38 +24,38 @@ use crate::{
 use schedule::Schedule;
 use watch::Watch;
 
-/// How often the feeder looks after everything: about once a cycle of the daemon, more often when the
-/// lease is short.
+/// Time between two iterations of the feed: about one cycle of the daemon, less for a short lease.
 const TURN_MAX: Duration = Duration::from_millis(5);
 const TURN_MIN: Duration = Duration::from_millis(1);
-/// How long the daemon may take no notice, or neither send telemetry nor answer, before the feed gives up.
+/// Time without an outcome of the first chunk, or without telemetry and answers, after which the feed fails.
 const TIMEOUT_NS: u64 = 1_000_000_000;
-/// How long the daemon may only answer: its telemetry leaves by a thread that others can hold up, and the control does not wait for it.
+/// Time without telemetry after which the feed fails although the daemon answers. Telemetry is sent by a
+/// thread that other load may delay; the control does not wait for it.
 const TELEMETRY_TIMEOUT_NS: u64 = 10_000_000_000;
-/// How long after its end a tracked reference may take to be reported as ended.
+/// Time after the end of a tracked reference for the daemon to report that end.
 const END_GRACE_NS: u64 = 500_000_000;
 
-/// What a feed tells while it runs.
+/// Event of a running feed.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum FeedEvent<'a> {
-    /// The trajectory begins at this time of the daemon's clock.
+    /// The start of the trajectory is scheduled.
     Scheduled {
         /// Time 0 of the trajectory \[ns, `CLOCK_MONOTONIC`\].
         start_ns: u64,
     },
-    /// A record of the daemon; every one that arrives while the feed runs.
+    /// A telemetry record; every record that arrives during the feed.
     Record(&'a Telemetry),
-    /// Every 5 ms or a little more often: how far it is.
+    /// Progress, once per iteration of the feed: at least every 5 ms.
     Progress(FeedProgress),
 }
 
-/// How far a feed is.
+/// Progress of a feed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeedProgress {
     /// Time played since the start of the trajectory \[s\]; 0 before it begins.
     pub played_s: f64,
-    /// How long the trajectory lasts \[s\].
+    /// Duration of the trajectory \[s\].
     pub duration_s: f64,
     /// Points sent.
     pub sent_points: u64,
@@ -70,11 +70,11 @@ pub struct FeedProgress {
 pub enum FeedEnd {
     /// The trajectory was played to its end.
     Played,
-    /// The observer said stop.
+    /// The observer ended the feed.
     Interrupted,
 }
 
-/// What a feed did.
+/// Result of a feed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeedReport {
     /// How it ended.
@@ -89,12 +89,11 @@ pub struct FeedReport {
     pub chunks: u64,
     /// Whether the daemon tracked it.
     pub tracked: bool,
-    /// Telemetry records that were lost on the way to the feeder.
+    /// Telemetry records lost by the feeder.
     pub lost_records: u64,
 }
 
-/// Streams one trajectory; made by [`Connection::feed`]. It holds the reference lease until it is
-/// dropped.
+/// Streams one trajectory; created by [`Connection::feed`]. It holds the lease until it is dropped.
 pub struct Feeder<'c> {
     connection: &'c Connection,
     trajectory: &'c dyn Trajectory,
@@ -121,14 +120,14 @@ impl<'c> Feeder<'c> {
         })
     }
 
-    /// Feeds the trajectory until it has been played, and gives the lease back.
+    /// Feeds the trajectory until it has been played, then gives the lease back.
     ///
-    /// `observer` sees everything that happens and ends the feed by `ControlFlow::Break`. It runs
-    /// between the turns, where the reference is ahead and nothing waits for it, but it must leave time to
-    /// renew the lease: what takes longer than the daemon's lease (see [`Lease::left`]) loses it.
+    /// `observer` gets all events and ends the feed with `ControlFlow::Break`. It runs between iterations,
+    /// while the reference is ahead and nothing waits for it. It must leave time to renew the lease: an
+    /// observer that takes longer than the lease (see [`Lease::left`]) loses it.
     ///
     /// # Errors
-    /// When a chunk is refused, the daemon leaves tracking or falls silent, or a request fails.
+    /// When a chunk is refused, the daemon leaves tracking or stops sending, or a request fails.
     pub fn run(
         mut self,
         mut observer: impl FnMut(FeedEvent<'_>) -> ControlFlow<()>,
@@ -137,19 +136,20 @@ impl<'c> Feeder<'c> {
         let mut state = FeedState {
             schedule: Schedule::new(self.trajectory, &self.options, now_ns)?,
             watch: Watch::new(self.connection.sender_id(), self.lease.grant()),
-            heard_ns: now_ns,
-            answered_ns: now_ns,
-            released_ns: now_ns,
+            record_arrived_ns: now_ns,
+            renewed_ns: now_ns,
+            last_release_ns: now_ns,
             begun_ns: now_ns,
-            asked: false,
+            track_requested: false,
         };
         let start_ns = state.schedule.start_ns();
         let mut flow = observer(FeedEvent::Scheduled { start_ns });
         while flow.is_continue() && !state.is_over(monotonic_ns()) {
             self.send_due(&mut state)?;
-            flow = self.listen(&mut state, &mut observer)?;
-            // Right after all records were read: a program that was stopped for longer has not heard the daemon fall silent.
-            state.check_patience(self.connection, monotonic_ns())?;
+            flow = self.read_records(&mut state, &mut observer)?;
+            // Right after all records were read: after a suspension of this program, queued records prove
+            // that the daemon was not silent.
+            state.check_timeouts(self.connection, monotonic_ns())?;
             self.track_once(&mut state)?;
             self.renew(&mut state)?;
             if flow.is_continue() {
@@ -160,7 +160,7 @@ impl<'c> Feeder<'c> {
         Ok(state.report(flow, self.telemetry.lost()))
     }
 
-    /// Sends every chunk that is due.
+    /// Sends all due chunks.
     fn send_due(&self, state: &mut FeedState) -> Result<(), FeedError> {
         loop {
             let first_point = state.schedule.sent();
@@ -179,17 +179,17 @@ impl<'c> Feeder<'c> {
         }
     }
 
-    /// Reads all records that wait.
-    fn listen(
+    /// Reads all queued records.
+    fn read_records(
         &mut self,
         state: &mut FeedState,
         observer: &mut impl FnMut(FeedEvent<'_>) -> ControlFlow<()>,
     ) -> Result<ControlFlow<()>, FeedError> {
         while let Some(record) = self.telemetry.try_next()? {
-            state.heard_ns = monotonic_ns();
-            state.released_ns = record.release_ns;
+            state.record_arrived_ns = monotonic_ns();
+            state.last_release_ns = record.release_ns;
             let flow = observer(FeedEvent::Record(&record));
-            state.watch.look(&record, &state.schedule)?;
+            state.watch.evaluate(&record, &state.schedule)?;
             if flow.is_break() {
                 return Ok(flow);
             }
@@ -197,16 +197,16 @@ impl<'c> Feeder<'c> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Asks for tracking when the reference is there.
+    /// Requests tracking once, after the first chunk is accepted.
     fn track_once(&self, state: &mut FeedState) -> Result<(), FeedError> {
-        if self.options.track && !state.asked && state.watch.is_accepted() {
+        if self.options.track && !state.track_requested && state.watch.is_accepted() {
             self.connection.request(RequestKind::Track)?;
-            state.asked = true;
+            state.track_requested = true;
         }
         Ok(())
     }
 
-    /// Renews the lease when that is due, or when it has to be known whether the daemon lives.
+    /// Renews the lease when that is due, or to check a silent daemon.
     fn renew(&self, state: &mut FeedState) -> Result<(), FeedError> {
         let now_ns = monotonic_ns();
         if now_ns < self.lease.renewal_due_ns() && state.silent_ns(now_ns) < TIMEOUT_NS / 2 {
@@ -214,7 +214,7 @@ impl<'c> Feeder<'c> {
         }
         match self.lease.renew() {
             Ok(_) => {
-                state.answered_ns = monotonic_ns();
+                state.renewed_ns = monotonic_ns();
                 Ok(())
             }
             Err(RequestError::Restarted { .. }) => Err(state.restarted()),
@@ -223,46 +223,46 @@ impl<'c> Feeder<'c> {
     }
 }
 
-/// How long to sleep when the lease runs for `left`: at most a fifth of it.
+/// Sleep of one iteration: a fifth of the lease time `left`, within bounds.
 fn turn(left: Duration) -> Duration {
     (left / 5).clamp(TURN_MIN, TURN_MAX)
 }
 
-/// What changes while a feed runs.
+/// State of a running feed.
 struct FeedState<'t> {
     schedule: Schedule<'t>,
     watch: Watch,
-    /// When the last record arrived.
-    heard_ns: u64,
-    /// When the lease was renewed last.
-    answered_ns: u64,
+    /// Arrival of the last record.
+    record_arrived_ns: u64,
+    /// Last renewal of the lease.
+    renewed_ns: u64,
     /// Release of the last record.
-    released_ns: u64,
+    last_release_ns: u64,
     begun_ns: u64,
-    /// Whether tracking has been asked for.
-    asked: bool,
+    /// Whether tracking has been requested.
+    track_requested: bool,
 }
 
 impl FeedState<'_> {
     fn is_over(&self, now_ns: u64) -> bool {
         let end_ns = self.schedule.end_ns();
         let waits_for_end = self.watch.is_tracking() && !self.watch.is_ended();
-        // Only a record can tell that it went to its end.
-        now_ns > end_ns && (!waits_for_end || self.released_ns > end_ns + END_GRACE_NS)
+        // Only a record shows that the reference was tracked to its end.
+        now_ns > end_ns && (!waits_for_end || self.last_release_ns > end_ns + END_GRACE_NS)
     }
 
-    /// How long neither a record nor an answer came.
+    /// Time since the last record or answer.
     fn silent_ns(&self, now_ns: u64) -> u64 {
-        now_ns.saturating_sub(self.heard_ns.max(self.answered_ns))
+        now_ns.saturating_sub(self.record_arrived_ns.max(self.renewed_ns))
     }
 
-    fn check_patience(&self, connection: &Connection, now_ns: u64) -> Result<(), FeedError> {
-        let unheard_ns = now_ns.saturating_sub(self.heard_ns);
-        if self.silent_ns(now_ns) > TIMEOUT_NS || unheard_ns > TELEMETRY_TIMEOUT_NS {
-            let waited = Duration::from_nanos(unheard_ns);
+    fn check_timeouts(&self, connection: &Connection, now_ns: u64) -> Result<(), FeedError> {
+        let no_record_ns = now_ns.saturating_sub(self.record_arrived_ns);
+        if self.silent_ns(now_ns) > TIMEOUT_NS || no_record_ns > TELEMETRY_TIMEOUT_NS {
+            let waited = Duration::from_nanos(no_record_ns);
             return Err(connection.silent(Service::Telemetry, waited).into());
         }
-        if !self.watch.is_accepted() && self.released_ns > self.begun_ns + TIMEOUT_NS {
+        if !self.watch.is_accepted() && self.last_release_ns > self.begun_ns + TIMEOUT_NS {
             return Err(FeedError::Ignored);
         }
         Ok(())

@@ -4,18 +4,18 @@ use cdcr_shared_types::codes::Interpolation;
 
 use super::FeedError;
 
-/// How a trajectory is streamed.
+/// Options of a feed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FeedOptions {
-    /// Time between two points of a curve that has no knots of its own.
+    /// Time between two points of a trajectory without knots.
     pub step: Duration,
-    /// How long after now the trajectory begins.
+    /// Delay from now to the start of the trajectory.
     pub lead: Duration,
-    /// How far ahead of its time a point is sent: what the client may be late without any effect.
+    /// Time by which a point is sent in advance: the client may be late by this much without effect.
     pub ahead: Duration,
     /// How the daemon interpolates between the points.
     pub interpolation: Interpolation,
-    /// Whether to ask for tracking as soon as the first chunk is accepted.
+    /// Whether to request tracking as soon as the first chunk is accepted.
     pub track: bool,
 }
 
@@ -32,10 +32,10 @@ impl Default for FeedOptions {
 }
 
 impl FeedOptions {
-    /// Refuses what cannot work, with the allowed range.
+    /// Checks the ranges.
     ///
     /// # Errors
-    /// [`FeedError::Option`] names the first time that is out of its range.
+    /// [`FeedError::Option`] with the first option that is out of its range.
     pub fn check(&self) -> Result<(), FeedError> {
         let ranges = [
             ("step", self.step, 0.000_1, 1.0),

@@ -7,15 +7,15 @@ use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, REFERENCE_POINTS_MAX};
 use super::{FeedError, FeedOptions};
 use crate::Trajectory;
 
-/// The longest trajectory that is fed \[s\]: a day.
+/// The longest trajectory that can be fed \[s\]: a day.
 const DURATION_MAX_S: f64 = 86_400.0;
-/// A chunk reaches at most this much beyond the time that must be covered: few chunks, small buffer.
+/// Largest excess of a chunk over the time to be covered: few chunks, small buffer.
 const CHUNK_EXTRA_NS: u64 = 250_000_000;
-/// A point counts against the daemon's buffer until this long after its time, because the daemon
-/// keeps the neighbours that its interpolation needs.
+/// Time after its release for which a point counts as buffered: the daemon keeps the neighbours that its
+/// interpolation needs.
 const PLAYED_AFTER_NS: u64 = 100_000_000;
 
-/// Which point of a trajectory is due when, and which chunk goes out next.
+/// Determines the due points of a trajectory and the next chunk.
 pub(super) struct Schedule<'t> {
     trajectory: &'t dyn Trajectory,
     step_s: f64,
@@ -23,7 +23,7 @@ pub(super) struct Schedule<'t> {
     ahead_ns: u64,
     points: u64,
     next: u64,
-    /// Times of the points that were sent and are not yet played.
+    /// Times of the points that are sent but not yet played.
     in_flight_ns: VecDeque<u64>,
     last_sent_ns: u64,
 }
@@ -72,7 +72,7 @@ impl<'t> Schedule<'t> {
         self.next
     }
 
-    /// How much of the trajectory has been played at `now_ns` \[s\].
+    /// Played time of the trajectory at `now_ns` \[s\].
     pub(super) fn played_s(&self, now_ns: u64) -> f64 {
         let played_s = now_ns.saturating_sub(self.start_ns) as f64 * 1e-9;
         played_s.min(self.trajectory.duration_s())
@@ -90,8 +90,8 @@ impl<'t> Schedule<'t> {
         self.start_ns + (self.time_s(index) * 1e9).round() as u64
     }
 
-    /// The points that must go out now, or none: the reference that was sent reaches far enough
-    /// ahead, the daemon's buffer is full, or all is sent.
+    /// The points to send now. Empty when the sent reference reaches far enough ahead, the daemon's buffer is
+    /// full, or all points are sent.
     pub(super) fn next_chunk(&mut self, now_ns: u64) -> Vec<ReferencePoint> {
         self.forget_played(now_ns);
         let must_reach_ns = now_ns + self.ahead_ns;
@@ -122,10 +122,10 @@ impl<'t> Schedule<'t> {
     }
 }
 
-/// Points at 0, step, 2 step, …, and one at the very end.
+/// Number of points at 0, step, 2 step, …, and one at the end.
 fn sample_count(duration_s: f64, step_s: f64) -> u64 {
     let steps = duration_s / step_s;
-    // A remainder below a millionth of a step is rounding, not a step.
+    // A remainder below a millionth of a step is due to rounding.
     let whole = (steps + 1e-6).floor();
     let remainder = u64::from(steps - whole > 1e-6);
     whole as u64 + 1 + remainder

@@ -5,15 +5,15 @@ use super::{FeedError, schedule::Schedule};
 use crate::events;
 use crate::lease::Grant;
 
-/// A reference that ended this much before its last point did not reach its end \[ns\].
+/// A reference that ended earlier than this before its last point was not completed \[ns\].
 const EARLY_END_NS: u64 = 50_000_000;
 
-/// Reads the telemetry for what concerns one feed: verdicts on its chunks, and the mode.
+/// Evaluates the telemetry for one feed: outcomes of its chunks, and the mode.
 #[derive(Debug)]
 pub(super) struct Watch {
     sender_id: u64,
     grant: Grant,
-    /// Sequence number and first point of every chunk that was sent.
+    /// Sequence number and first point of every sent chunk.
     chunks: Vec<(u64, u64)>,
     accepted: bool,
     tracking: bool,
@@ -21,7 +21,7 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Watches for the chunks of `sender_id`, which has the lease by `grant`.
+    /// For the chunks of `sender_id`, which holds the lease by `grant`.
     pub(super) fn new(sender_id: u64, grant: Grant) -> Self {
         Self {
             sender_id,
@@ -33,7 +33,7 @@ impl Watch {
         }
     }
 
-    /// Notes that a chunk went out.
+    /// Registers a sent chunk.
     pub(super) fn sent(&mut self, sequence: u64, first_point: u64) {
         self.chunks.push((sequence, first_point));
     }
@@ -57,28 +57,32 @@ impl Watch {
         self.ended
     }
 
-    /// Judges one record.
-    pub(super) fn look(
+    /// Evaluates one record.
+    pub(super) fn evaluate(
         &mut self,
         record: &Telemetry,
         schedule: &Schedule,
     ) -> Result<(), FeedError> {
         if !self.grant.is_from(&record.header) {
-            return self.judge_stranger(record, schedule);
+            return self.evaluate_other_daemon(record, schedule);
         }
         for event in events(record) {
-            self.judge_chunk(event, schedule)?;
+            self.evaluate_chunk_event(event, schedule)?;
         }
         match Mode::try_from(record.mode) {
             Ok(Mode::Tracking) if self.accepted => self.tracking = true,
-            _ if self.tracking && !self.ended => self.judge_end(record, schedule)?,
+            _ if self.tracking && !self.ended => self.evaluate_end(record, schedule)?,
             _ => {}
         }
         Ok(())
     }
 
-    /// A record of another daemon: of an earlier one, or of one that took its place.
-    fn judge_stranger(&self, record: &Telemetry, schedule: &Schedule) -> Result<(), FeedError> {
+    /// Evaluates a record of another daemon: an earlier one, or one that replaced the first.
+    fn evaluate_other_daemon(
+        &self,
+        record: &Telemetry,
+        schedule: &Schedule,
+    ) -> Result<(), FeedError> {
         if record.header.sent_ns < self.grant.asked_ns {
             return Ok(());
         }
@@ -86,7 +90,11 @@ impl Watch {
         Err(FeedError::Restarted { played_s })
     }
 
-    fn judge_chunk(&mut self, event: &InputEvent, schedule: &Schedule) -> Result<(), FeedError> {
+    fn evaluate_chunk_event(
+        &mut self,
+        event: &InputEvent,
+        schedule: &Schedule,
+    ) -> Result<(), FeedError> {
         let is_ours =
             event.kind == EventKind::Reference.code() && event.sender_id == self.sender_id;
         let chunk = self.chunks.iter().find(|chunk| chunk.0 == event.sequence);
@@ -109,7 +117,7 @@ impl Watch {
         }
     }
 
-    fn judge_end(&mut self, record: &Telemetry, schedule: &Schedule) -> Result<(), FeedError> {
+    fn evaluate_end(&mut self, record: &Telemetry, schedule: &Schedule) -> Result<(), FeedError> {
         let at_end = record.release_ns + EARLY_END_NS >= schedule.end_ns();
         let reason = Reason::try_from(record.reason);
         if reason == Ok(Reason::ReferenceEnded) && at_end {
@@ -125,7 +133,7 @@ impl Watch {
     }
 }
 
-/// What to do when the daemon left tracking for this reason.
+/// Remedy for each reason to leave tracking.
 fn reason_remedy(reason: Reason) -> &'static str {
     match reason {
         Reason::Start => "The daemon was restarted: feed the reference again.",
@@ -223,13 +231,14 @@ mod tests {
     #[test]
     fn only_verdicts_on_our_chunks_count() {
         check(|watch, schedule| {
-            let look = |watch: &mut Watch, record| watch.look(&record, schedule);
-            assert!(look(watch, with_event(8, 1, Outcome::NoLease)).is_ok());
-            assert!(look(watch, with_event(ME, 9, Outcome::NoLease)).is_ok());
+            let evaluate = |watch: &mut Watch, record| watch.evaluate(&record, schedule);
+            assert!(evaluate(watch, with_event(8, 1, Outcome::NoLease)).is_ok());
+            assert!(evaluate(watch, with_event(ME, 9, Outcome::NoLease)).is_ok());
             assert!(!watch.is_accepted());
-            assert!(look(watch, with_event(ME, 1, Outcome::Accepted)).is_ok());
+            assert!(evaluate(watch, with_event(ME, 1, Outcome::Accepted)).is_ok());
             assert!(watch.is_accepted());
-            let error = look(watch, with_event(ME, 2, Outcome::OutOfReach)).expect_err("refused");
+            let error =
+                evaluate(watch, with_event(ME, 2, Outcome::OutOfReach)).expect_err("refused");
             assert_eq!(
                 error,
                 FeedError::Refused {
@@ -247,11 +256,11 @@ mod tests {
             let end_ns = schedule.end_ns();
             watch.accepted = true;
             let tracking = record(Mode::Tracking, Reason::Request, 0);
-            watch.look(&tracking, schedule).expect("tracking");
+            watch.evaluate(&tracking, schedule).expect("tracking");
             assert!(watch.is_tracking());
             let faulted = record(Mode::Faulted, Reason::MeasurementLost, end_ns / 2);
             let text = watch
-                .look(&faulted, schedule)
+                .evaluate(&faulted, schedule)
                 .expect_err("fault")
                 .to_string();
             assert!(
@@ -259,9 +268,9 @@ mod tests {
                 "{text}"
             );
             let early = record(Mode::Holding, Reason::ReferenceEnded, end_ns / 2);
-            assert!(watch.look(&early, schedule).is_err());
+            assert!(watch.evaluate(&early, schedule).is_err());
             let ended = record(Mode::Holding, Reason::ReferenceEnded, end_ns);
-            watch.look(&ended, schedule).expect("the natural end");
+            watch.evaluate(&ended, schedule).expect("the natural end");
             assert!(watch.is_ended());
         });
     }
@@ -272,9 +281,9 @@ mod tests {
             let mut other = record(Mode::Holding, Reason::Start, 0);
             other.header.sender_id = 4;
             other.header.sent_ns = 499;
-            assert!(watch.look(&other, schedule).is_ok());
+            assert!(watch.evaluate(&other, schedule).is_ok());
             other.header.sent_ns = 501;
-            let error = watch.look(&other, schedule).expect_err("restarted");
+            let error = watch.evaluate(&other, schedule).expect_err("restarted");
             assert_eq!(error, FeedError::Restarted { played_s: 0.0 });
         });
     }
@@ -283,7 +292,7 @@ mod tests {
     fn holding_before_tracking_is_waited_for() {
         check(|watch, schedule| {
             let holding = record(Mode::Holding, Reason::Start, 0);
-            assert!(watch.look(&holding, schedule).is_ok());
+            assert!(watch.evaluate(&holding, schedule).is_ok());
         });
     }
 }

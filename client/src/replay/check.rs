@@ -1,15 +1,15 @@
 use core::fmt;
 
-/// The first thing of a cycle that came out otherwise.
+/// The first difference of a cycle.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Difference {
-    /// The cycle.
+    /// Number of the cycle.
     pub cycle: u64,
-    /// Field of the record, with the index where it is an array: `plan[3]`.
+    /// Field of the record, with an index for an array: `plan[3]`.
     pub what: String,
-    /// What the record has.
+    /// Recorded value.
     pub recorded: String,
-    /// What came out.
+    /// Computed value.
     pub computed: String,
 }
 
@@ -28,7 +28,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Compares what came out with a record, and keeps the first difference.
+/// Compares computed values with a record, and keeps the first difference.
 #[derive(Debug)]
 pub(super) struct Check {
     cycle: u64,
@@ -44,7 +44,7 @@ impl Check {
         self.first
     }
 
-    /// Numbers, by their bits.
+    /// Compares numbers bit by bit.
     pub(super) fn numbers(&mut self, what: &str, recorded: &[f64], computed: &[f64]) {
         let mut pairs = recorded.iter().zip(computed);
         let odd = pairs.position(|(recorded, computed)| recorded.to_bits() != computed.to_bits());
@@ -57,7 +57,7 @@ impl Check {
         }
     }
 
-    /// One number, by its bits.
+    /// Compares one number bit by bit.
     pub(super) fn number(&mut self, what: &str, recorded: f64, computed: f64) {
         if recorded.to_bits() != computed.to_bits() {
             let texts = (format!("{recorded:?}"), format!("{computed:?}"));
@@ -65,7 +65,7 @@ impl Check {
         }
     }
 
-    /// A word, a count or a flag.
+    /// Compares a word, a count or a flag.
     pub(super) fn same<T: PartialEq + fmt::Display + Copy>(
         &mut self,
         what: &str,

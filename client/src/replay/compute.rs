@@ -14,7 +14,7 @@ use super::{Outcome, ReplayError};
 use crate::model::{obstacle_of, settings_of};
 use crate::obstacles;
 
-/// What a cycle that was computed again had done.
+/// Steps of a recomputed cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Made {
     /// The solver ran.
@@ -25,16 +25,16 @@ pub struct Made {
     pub by_play: bool,
 }
 
-/// What other settings would have commanded, beside what was.
+/// Command with other settings, compared with the recorded one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WhatIf {
-    /// Largest difference of a commanded rate \[rad/s\].
+    /// Largest difference of a rate \[rad/s\].
     pub rates_apart_rad_s: f64,
-    /// Distance of the tips that both commands lead to in a period \[m\].
+    /// Distance between the tips after one period of each command \[m\].
     pub tips_apart_m: f64,
     /// The clearance guard would have changed the command.
     pub guarded: bool,
-    /// Cost evaluations, without a limit of time.
+    /// Cost evaluations, without a time limit.
     pub evaluations: u32,
     /// The solver would have converged.
     pub converged: bool,
@@ -48,16 +48,16 @@ pub(super) struct Computer {
     period_ns: u64,
 }
 
-/// What a record says of the robot, as the controller has it.
+/// Robot state of a record in the controller's types.
 struct State {
     at: Configuration,
     commanded: Configuration,
     motors: Configuration,
     present: Configuration,
     previous: BendRates,
-    /// Where they are at the release.
+    /// Obstacles at the release.
     known: Vec<Obstacle>,
-    /// Where they are when the robot is where its commands lead it.
+    /// Obstacles at the time when the robot reaches its commanded position.
     led: Vec<Obstacle>,
     tip_offset_m: Vector3<f64>,
     tip_margin_m: f64,
@@ -99,7 +99,7 @@ impl Computer {
         })
     }
 
-    /// Computes a cycle again.
+    /// Recomputes a cycle.
     pub(super) fn check(
         &mut self,
         record: &Telemetry,
@@ -146,7 +146,7 @@ impl Computer {
         ))
     }
 
-    /// The solve of a record: the rates that it wants.
+    /// Solves with the inputs of a record and returns the desired rates.
     fn solve(
         &mut self,
         record: &Telemetry,
@@ -184,7 +184,8 @@ impl Computer {
         Ok(rates)
     }
 
-    /// What limits and guard make of the rates that the mode wants. `slack`: whether the play of the cables counts.
+    /// Applies limits and guard to the desired rates. With `slack`, the guard includes the play of the
+    /// cables.
     fn safe(
         &self,
         record: &Telemetry,
@@ -291,7 +292,7 @@ impl Computer {
         [safe.clearance_hit, by_play]
     }
 
-    /// The command that other settings would have led to; none where the cycle did not solve.
+    /// The command with other settings; `None` when the cycle did not solve.
     pub(super) fn what_if(
         &mut self,
         record: &Telemetry,
@@ -304,7 +305,7 @@ impl Computer {
         let state = State::of(record, &self.robot).ok_or(ReplayError::Shape)?;
         let before = settings_of(&record.settings)?;
         let settings = settings_of(settings)?;
-        // A plan of another shape is no warm start.
+        // A plan of another shape is not a warm start.
         let is_same_shape = before.coordinates == settings.coordinates
             && before.horizon_steps == settings.horizon_steps
             && before.control_blocks == settings.control_blocks
@@ -340,7 +341,7 @@ impl Computer {
         }))
     }
 
-    /// A solve with the inputs of a record, and these settings.
+    /// Solves with the inputs of a record and these settings.
     #[allow(clippy::too_many_arguments, reason = "what a solve depends on")]
     fn solve_with(
         &mut self,
@@ -380,7 +381,7 @@ impl Computer {
             reference: &led,
             obstacles: &state.led,
             tip_offset_m: state.tip_margin_m,
-            // The recorded warm start is moved on in time already.
+            // The recorded warm start is already shifted in time.
             elapsed_periods: 0,
             seed,
         };
@@ -392,7 +393,7 @@ fn slack_of(record: &Telemetry) -> Option<Slack> {
     (record.play_m > 0.0).then(|| Slack::new(record.play_m, record.slack_m))
 }
 
-/// The next rates on the way to rest.
+/// The next rates of the ramp to rest.
 fn ramp(record: &Telemetry, state: &State) -> BendRates {
     ramp_to_zero(&state.previous, record.deceleration_rad_s2, state.period_s)
 }

@@ -1,7 +1,7 @@
-//! Computes recorded cycles again, offline: `docs/replay.md`.
+//! Recomputes recorded cycles offline: `docs/replay.md`.
 //!
-//! [`Replayer`] is given what a recording holds, in its order, and says of each cycle whether mode, plan, command and clearance come out
-//! as they were, bit for bit. Knows no clock, no service and no file.
+//! [`Replayer`] takes the content of a recording in order. For each cycle it reports whether mode, plan,
+//! command and clearance are reproduced bit for bit. It knows no clock, no service and no file.
 
 mod check;
 mod compute;
@@ -22,56 +22,57 @@ pub use compute::{Made, WhatIf};
 use modes::Modes;
 use reference::Reference;
 
-/// Records after a cycle that may still tell of what it took in: as many events as wait in a daemon fit into fewer.
-const LATER: usize = 64;
+/// Later records that may still contain events of a cycle: all events queued in a daemon fit into fewer.
+const EVENT_DELAY_RECORDS: usize = 64;
 
-/// A record that no daemon writes.
+/// An invalid record: no daemon writes it.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// It describes no robot.
+    /// The robot description is invalid.
     #[error("the record's robot: {0}")]
     Robot(#[from] RobotError),
-    /// Its settings are out of range.
+    /// The settings are out of range.
     #[error("the record's settings: {0}")]
     Settings(#[from] SettingsError),
-    /// A code has no meaning.
+    /// A code is unknown.
     #[error("the record: {0}")]
     Code(#[from] UnknownCode),
-    /// Its robot has another number of sections than its state, or its plan another length than its settings make here.
+    /// The state does not fit the number of sections, or the plan does not have the length that its settings
+    /// give here.
     #[error(
         "state or plan of the record do not match its robot, or the record is from a version with other control blocks: use cdcrctl of that version"
     )]
     Shape,
 }
 
-/// What became of a cycle.
+/// Result of a recomputed cycle.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
-    /// It came out as it was.
+    /// The result is the same.
     Reproduced(Made),
-    /// It did not.
+    /// The result differs.
     Different(Difference),
-    /// The reference that it followed is not, or not all, in the recording.
+    /// The recording lacks the reference of the cycle, or a part of it.
     WithoutReference,
 }
 
-/// A cycle that was computed again.
+/// A recomputed cycle.
 #[derive(Debug)]
 pub struct ReplayedCycle {
     /// Its record.
     pub record: Box<Telemetry>,
-    /// What became of it.
+    /// Result of the cycle.
     pub outcome: Outcome,
 }
 
-/// Computes the cycles of a recording again, one after the other.
+/// Recomputes the cycles of a recording, one after the other.
 ///
 /// Memory: 64 records (0.9 MB), at most 512 reference chunks (4.7 MB), a trajectory.
 #[derive(Debug, Default)]
 pub struct Replayer {
     waiting: VecDeque<Waiting>,
     newest: Option<Header>,
-    of_one_daemon: Option<OfOneDaemon>,
+    daemon_state: Option<DaemonState>,
     reference: Reference,
 }
 
@@ -79,26 +80,26 @@ pub struct Replayer {
 #[derive(Debug)]
 struct Waiting {
     record: Box<Telemetry>,
-    /// Records before it are missing.
+    /// Whether records before it are missing.
     follows_gap: bool,
-    /// It is the first one of a daemon.
+    /// Whether it is the first record of a daemon.
     is_first: bool,
 }
 
-/// What lasts as long as a daemon.
+/// State for the records of one daemon.
 #[derive(Debug)]
-struct OfOneDaemon {
+struct DaemonState {
     computer: Computer,
     modes: Modes,
 }
 
 impl Replayer {
-    /// A chunk that a client sent, before the record of the cycle that it took effect in.
+    /// Adds a reference chunk; call this before the record of the cycle in which the chunk took effect.
     pub fn take_chunk(&mut self, chunk: &ReferenceChunk) {
         self.reference.take_chunk(chunk);
     }
 
-    /// The record of the next cycle. Returns an earlier one that is complete by now.
+    /// Adds the next record. Returns an earlier cycle whose events are complete.
     ///
     /// # Errors
     /// [`ReplayError`].
@@ -117,14 +118,14 @@ impl Replayer {
             is_first: !is_same,
             record: Box::new(*record),
         });
-        if self.waiting.len() > LATER {
+        if self.waiting.len() > EVENT_DELAY_RECORDS {
             self.finish_one()
         } else {
             Ok(None)
         }
     }
 
-    /// The next cycle after the last record was taken; none when all are computed.
+    /// The next cycle, after the last record was added; `None` when all are computed.
     ///
     /// # Errors
     /// [`ReplayError`].
@@ -140,19 +141,19 @@ impl Replayer {
         if is_first {
             let robot = robot_of(&record.robot)?;
             self.reference.begin(&robot);
-            self.of_one_daemon = Some(OfOneDaemon {
+            self.daemon_state = Some(DaemonState {
                 computer: Computer::new(robot, &record)?,
                 modes: Modes::default(),
             });
         }
-        let Some(parts) = &mut self.of_one_daemon else {
+        let Some(parts) = &mut self.daemon_state else {
             return Ok(None);
         };
         if follows_gap {
-            self.reference.miss_records();
+            self.reference.note_missing_records();
             parts.modes.forget();
         }
-        self.reference.move_on_to(&record);
+        self.reference.advance_to(&record);
         let later = self.waiting.front().map(|later| &*later.record);
         let requests = self.reference.requests(&record, later);
         let mode = parts.modes.check(&record, &requests);
@@ -169,7 +170,8 @@ impl Replayer {
         Ok(Some(ReplayedCycle { record, outcome }))
     }
 
-    /// What `settings` would have commanded in the cycle that was returned last, from the same inputs and without a limit of time. None where it
+    /// Computes the command of the last returned cycle with other `settings`, from the same inputs and
+    /// without a time limit. `None` when the cycle did not solve or its reference is unknown.
     /// did not solve, or its reference is not known.
     ///
     /// # Errors
@@ -179,7 +181,7 @@ impl Replayer {
         cycle: &ReplayedCycle,
         settings: &SolverSettings,
     ) -> Result<Option<WhatIf>, ReplayError> {
-        match &mut self.of_one_daemon {
+        match &mut self.daemon_state {
             Some(parts) if cycle.outcome != Outcome::WithoutReference => {
                 let reference = &mut self.reference;
                 parts.computer.what_if(&cycle.record, settings, reference)
@@ -188,7 +190,8 @@ impl Replayer {
         }
     }
 
-    /// The chunks of the reference about the last cycle that was returned, oldest first: what a file needs from which it can be computed again.
+    /// The reference chunks around the last returned cycle, oldest first: a file needs them to make the cycle
+    /// reproducible.
     pub fn chunks_in_force(&self) -> Vec<ReferenceChunk> {
         self.reference.chunks_in_force()
     }

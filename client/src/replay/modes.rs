@@ -8,17 +8,18 @@ use cdcr_shared_types::{InputEvent, Telemetry};
 use super::Difference;
 use super::check::Check;
 
-/// The mode machine, fed with what the records hold.
+/// The mode machine, with the recorded inputs.
 ///
-/// What a record does not hold is taken from its reason: faults of measurements, that the robot is home, that the machine slept, that
-/// inputs or obstacles are stale, a stop by a signal or before the daemon was started, its end. All else is computed: clearance and following error that are
-/// faults, the bucket of misses, lease and end of the reference, requests, faults of the solver, and what becomes of a mode by each.
+/// Inputs that a record does not contain are taken from its reason. These are measurement faults, home
+/// reached, a suspension of the machine, stale inputs or obstacles, a stop by signal or before the start, and
+/// the shutdown. All others are computed: faults of clearance, following error and solver, the bucket of
+/// misses, lease, end of the reference, and requests.
 #[derive(Debug, Default)]
 pub(super) struct Modes {
     before: Option<Before>,
 }
 
-/// After the cycle before.
+/// State after the previous cycle.
 #[derive(Debug)]
 struct Before {
     machine: ModeMachine,
@@ -27,12 +28,12 @@ struct Before {
 }
 
 impl Modes {
-    /// Records are missing: the mode of the next one is taken as it is.
+    /// Records are missing: the mode of the next one is accepted as recorded.
     pub(super) fn forget(&mut self) {
         self.before = None;
     }
 
-    /// The mode of a record that follows the last one, after these accepted requests.
+    /// Checks the mode of the next record, after these accepted requests.
     pub(super) fn check(
         &mut self,
         record: &Telemetry,
@@ -42,15 +43,15 @@ impl Modes {
         let mut check = Check::new(record.cycle);
         let mut machine = None;
         if let Some(before) = self.before.take() {
-            let moved_on = before.moved_on(record, requests);
-            let (mode, reason) = codes_of(moved_on.mode());
+            let advanced = before.advanced(record, requests);
+            let (mode, reason) = codes_of(advanced.mode());
             check.same("mode", Mode::text_of(record.mode), mode.text());
             check.same("reason", Reason::text_of(record.reason), reason.text());
-            machine = Some(moved_on);
+            machine = Some(advanced);
         }
         let difference = check.first();
         let machine = machine.filter(|_| difference.is_none());
-        // After a difference, as after a gap, it goes on with what the record says.
+        // After a difference, as after a gap, the recorded mode is used.
         self.before = recorded.map(|mode| Before {
             machine: machine.unwrap_or_else(|| ModeMachine::resumed(mode, record.lease_number)),
             clearance_m: record.clearance_m,
@@ -61,7 +62,7 @@ impl Modes {
 }
 
 impl Before {
-    fn moved_on(&self, record: &Telemetry, requests: &[InputEvent]) -> ModeMachine {
+    fn advanced(&self, record: &Telemetry, requests: &[InputEvent]) -> ModeMachine {
         let mut machine = self.machine;
         let was_shut_down = machine.mode().reason() == safety::Reason::Shutdown;
         let is_now = |mode: Mode, reason: Reason| {
@@ -70,7 +71,7 @@ impl Before {
         if is_now(Mode::Stopped, Reason::Shutdown) {
             machine.shut_down();
         }
-        // A reset may come in the same cycle.
+        // A reset may arrive in the same cycle.
         let is_stopped_before =
             is_now(Mode::Stopped, Reason::StoppedBefore) || is_now(Mode::Holding, Reason::Request);
         if is_stopped_before && machine.mode() == safety::Mode::Starting {
@@ -82,7 +83,7 @@ impl Before {
             .iter()
             .filter_map(|event| request(event, record))
             .peekable();
-        // A stop by a signal is no message.
+        // A stop by signal is not a message.
         if requests.peek().is_none()
             && is_now(Mode::Stopped, Reason::Request)
             && (was_shut_down || !machine.mode().is_latched())
@@ -92,7 +93,7 @@ impl Before {
         let requests: Vec<_> = requests.collect();
         let stop = Some(&safety::Request::Stop).filter(|stop| requests.contains(stop));
         for request in stop.into_iter().chain(&requests) {
-            // What it refuses shows in the mode.
+            // A refusal is visible in the mode.
             let _ = machine.request(*request, &seen);
         }
         let failed = record.report.status == SolverStatus::NonFinite.code();
@@ -103,11 +104,11 @@ impl Before {
     }
 
     fn observation(&self, record: &Telemetry) -> Observation {
-        let told = reason_of(record.reason);
-        let told_in = |mode: Mode, reasons: &[Reason]| {
-            let is_told = record.mode == mode.code()
+        let recorded_reason = reason_of(record.reason);
+        let reason_in = |mode: Mode, reasons: &[Reason]| {
+            let is_recorded = record.mode == mode.code()
                 && reasons.iter().any(|reason| reason.code() == record.reason);
-            told.filter(|_| is_told)
+            recorded_reason.filter(|_| is_recorded)
         };
         let miss_limit = record.miss_limit;
         Observation {
@@ -118,7 +119,7 @@ impl Before {
                 Ok(codes::ReferenceState::Ended) => ReferenceState::Ended,
                 Ok(codes::ReferenceState::None) | Err(_) => ReferenceState::None,
             },
-            // A request that this refuses is not among those that were accepted.
+            // Requests refused for this reason are not among the accepted ones.
             too_far: false,
             lease: match codes::LeaseState::try_from(record.lease_state) {
                 Ok(codes::LeaseState::Held) => LeaseState::Held,
@@ -126,10 +127,10 @@ impl Before {
                 Ok(codes::LeaseState::Free) | Err(_) => LeaseState::Free,
             },
             lease_number: record.lease_number,
-            at_home: told_in(Mode::Holding, &[Reason::HomeReached]).is_some(),
+            at_home: reason_in(Mode::Holding, &[Reason::HomeReached]).is_some(),
             misses_overflow: miss_limit > 0 && self.miss_bucket >= miss_limit,
-            suspended: told_in(Mode::Stopped, &[Reason::Suspended]).is_some(),
-            wait: told_in(
+            suspended: reason_in(Mode::Stopped, &[Reason::Suspended]).is_some(),
+            wait: reason_in(
                 Mode::Holding,
                 &[
                     Reason::InputsStale,
@@ -139,7 +140,7 @@ impl Before {
             ),
             fault: self.fault(
                 record,
-                told_in(
+                reason_in(
                     Mode::Faulted,
                     &[
                         Reason::MeasurementLost,
@@ -153,12 +154,17 @@ impl Before {
         }
     }
 
-    /// In the order in which the daemon looks.
-    fn fault(&self, record: &Telemetry, told: Option<safety::Reason>) -> Option<safety::Reason> {
+    /// Determines the fault, in the daemon's order of checks.
+    fn fault(
+        &self,
+        record: &Telemetry,
+        recorded_reason: Option<safety::Reason>,
+    ) -> Option<safety::Reason> {
         if record.measurement.kind == MeasurementKind::None.code() {
             return None;
         }
-        let is_measured = told.filter(|told| *told != safety::Reason::LimitBroken);
+        let is_measured = recorded_reason
+            .filter(|recorded_reason| *recorded_reason != safety::Reason::LimitBroken);
         if is_measured.is_some() {
             return is_measured;
         }
@@ -174,11 +180,11 @@ impl Before {
         if record.bend_rad.iter().any(|bend| !bend.is_finite()) {
             return Some(safety::Reason::NonFinite);
         }
-        told
+        recorded_reason
     }
 }
 
-/// A request that concerns the mode.
+/// Converts a request for a mode; `None` for other requests.
 fn request(event: &InputEvent, record: &Telemetry) -> Option<safety::Request> {
     Some(match RequestKind::try_from(event.detail).ok()? {
         RequestKind::Track => safety::Request::Track {
@@ -195,7 +201,7 @@ fn request(event: &InputEvent, record: &Telemetry) -> Option<safety::Request> {
     })
 }
 
-/// The mode of a record; none where a code has no meaning.
+/// The mode of a record; `None` when a code is unknown.
 fn mode_of(record: &Telemetry) -> Option<safety::Mode> {
     let reason = reason_of(record.reason)?;
     Some(match Mode::try_from(record.mode).ok()? {
@@ -220,7 +226,7 @@ fn codes_of(mode: safety::Mode) -> (Mode, Reason) {
     (code, reason_code(mode.reason()))
 }
 
-/// Reasons have the same names on both sides; one that is missing does not compile.
+// Reasons have the same names on both sides; a missing one does not compile.
 macro_rules! reasons {
     ($($reason:ident),+ $(,)?) => {
         fn reason_of(code: u32) -> Option<safety::Reason> {

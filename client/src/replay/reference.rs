@@ -9,30 +9,30 @@ use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry};
 use crate::events;
 use crate::model::reference_points;
 
-/// Chunks that wait for what became of them. A daemon buffers 32.
+/// Maximum number of chunks without an outcome yet. A daemon buffers 32.
 const CHUNKS_MAX: usize = 512;
 
-/// Client and number of a chunk.
+/// Sender and sequence number of a chunk.
 type Key = (u64, u64);
 
-/// The reference as the daemon had it, rebuilt from the chunks and the events that tell what became of each.
+/// The reference of the daemon, rebuilt from the chunks and the events with their outcomes.
 #[derive(Debug, Default)]
 pub(super) struct Reference {
     chunks: HashMap<Key, Box<ReferenceChunk>>,
-    /// The same, oldest first.
+    /// The same chunks, oldest first.
     order: VecDeque<Key>,
-    /// By the gather that they took effect with.
+    /// Events by the gather in which they took effect.
     events: BTreeMap<u64, Vec<InputEvent>>,
     trajectory: Option<Trajectory>,
     window: ReferenceWindow,
-    /// Chunks of the trajectory whose points are not all passed, and the one before.
+    /// Chunks of the trajectory with points not passed yet, and the one before.
     in_force: VecDeque<Box<ReferenceChunk>>,
     last: Option<Key>,
-    /// The trajectory is all there.
+    /// Whether the trajectory is complete.
     is_known: bool,
-    /// It may have been continued in records that are missing.
+    /// Whether missing records may have continued it.
     has_gap: bool,
-    /// Accepted requests that took effect with the present gather or later, in order.
+    /// Accepted requests that no cycle has executed yet, with their gather, in order.
     requests: VecDeque<(u64, InputEvent)>,
 }
 
@@ -56,15 +56,15 @@ impl Reference {
         }
     }
 
-    /// Another daemon begins: its gathers count anew.
+    /// Discards the events of the previous daemon: gathers are counted from the start.
     pub(super) fn forget_events(&mut self) {
         self.events.clear();
         self.requests.clear();
     }
 
-    /// No reference, of this robot.
+    /// Starts without a reference, for this robot.
     pub(super) fn begin(&mut self, robot: &Robot) {
-        // The daemon forgets a little earlier.
+        // Larger than the daemon's, which discards old points a little earlier.
         let capacity = 2 * REFERENCE_POINTS_MAX;
         self.trajectory = Some(Trajectory::with_capacity(capacity, robot.reach_m()));
         self.in_force.clear();
@@ -72,7 +72,7 @@ impl Reference {
     }
 
     /// Records are missing: the trajectory may have been continued or replaced.
-    pub(super) fn miss_records(&mut self) {
+    pub(super) fn note_missing_records(&mut self) {
         self.has_gap = true;
     }
 
@@ -80,9 +80,9 @@ impl Reference {
         self.is_known && !self.has_gap
     }
 
-    /// Repeats what the daemon did up to the gather of a record.
-    pub(super) fn move_on_to(&mut self, record: &Telemetry) {
-        // An exchange that was held up gathers for a cycle that has long passed.
+    /// Repeats the daemon's steps up to the gather of a record.
+    pub(super) fn advance_to(&mut self, record: &Telemetry) {
+        // A delayed exchange gathers for a cycle that has passed long ago.
         let needed_ns = record.release_ns.min(window_release_ns(record));
         let behind_ns = needed_ns.saturating_sub(2 * record.period_ns);
         if let Some(trajectory) = &mut self.trajectory {
@@ -92,7 +92,7 @@ impl Reference {
             let last = chunk.count.saturating_sub(1) as usize;
             chunk.points.get(last).map_or(0, |point| point.time_ns)
         };
-        // A sample needs the points around it: of the chunk before, too.
+        // A sample needs its neighbours, which may be in the previous chunk.
         while self.in_force.len() > 2 && ends_ns(&self.in_force[1]) < behind_ns {
             self.in_force.pop_front();
         }
@@ -113,11 +113,11 @@ impl Reference {
         }
     }
 
-    /// A chunk was accepted.
+    /// Applies an accepted chunk.
     fn apply(&mut self, key: Key) {
         let (sender, number) = key;
         let Some(chunk) = self.chunks.remove(&key) else {
-            // It was sent before the recording began, or lost.
+            // The chunk was sent before the recording began, or was lost.
             (self.is_known, self.last) = (false, Some(key));
             return;
         };
@@ -125,7 +125,7 @@ impl Reference {
             self.put(chunk, key);
             return;
         }
-        // What is appended follows the chunk before without a gap: those between were accepted, too.
+        // Appended chunks follow each other without a gap: those between were accepted, too.
         let Some((_, last)) = self
             .last
             .filter(|(of, last)| *of == sender && *last < number)
@@ -164,7 +164,7 @@ impl Reference {
         self.in_force.push_back(chunk);
     }
 
-    /// The window of a record, of a horizon of so many steps.
+    /// The reference window of a record for a horizon of `steps`.
     pub(super) fn window(&mut self, record: &Telemetry, steps: usize) -> &ReferenceWindow {
         if let Some(trajectory) = &self.trajectory {
             self.window.fill(
@@ -179,7 +179,7 @@ impl Reference {
         &self.window
     }
 
-    /// The accepted requests that the cycle of a record carried out; `later`: the record after it.
+    /// The accepted requests executed by the cycle of a record; `later` is the next record.
     pub(super) fn requests(
         &mut self,
         record: &Telemetry,
@@ -203,7 +203,8 @@ impl Reference {
     }
 }
 
-/// The release of the first sample of a record's window: a cycle that is late has inputs that were gathered for the next one.
+/// The release of the first sample of a record's window: a late cycle has inputs that were gathered for the
+/// next one.
 fn window_release_ns(record: &Telemetry) -> u64 {
     let ahead = record.window_first_cycle.cast_signed() - record.cycle.cast_signed();
     let ahead_ns = ahead.wrapping_mul(record.period_ns.cast_signed());
@@ -246,13 +247,13 @@ mod tests {
         first.events[0].kind = EventKind::Reference.code();
         reference.take_events(&first);
         let mut check = |record: &Telemetry, last: u64| {
-            reference.move_on_to(record);
+            reference.advance_to(record);
             let window = reference.window(record, 2);
             assert!((window.get(last).position_m.x - 1e-3 * last as f64).abs() < 1e-12);
             assert_eq!(window.get(last + 1), window.get(last));
         };
         check(&first, 64);
-        // 76 periods later, with a window that was gathered for the third cycle: it ends before.
+        // 76 periods later, with a window that was gathered for the third cycle.
         check(&record(78, 2, 3), 65);
     }
 }

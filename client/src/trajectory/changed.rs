@@ -1,9 +1,9 @@
 use super::{FigurePlane, Orientation, Trajectory};
 
-/// Ends that are nearer to each other make a closed curve \[m\].
+/// A curve whose ends are closer than this is closed \[m\].
 const CLOSED_M: f64 = 1e-3;
 
-/// Another trajectory, faster or slower, larger or smaller, in another plane, or again and again. Its first point stays where it is.
+/// A trajectory changed in speed, size or plane, or repeated. Its first point is unchanged.
 pub struct Changed {
     inner: Box<dyn Trajectory>,
     speed: f64,
@@ -15,8 +15,9 @@ pub struct Changed {
 }
 
 impl Changed {
-    /// `speed` times as fast (above 0), its points `scale` times as far from the first (above 0), its x and y along the axes of `plane`,
-    /// gone through `rounds` times (1 or more): each time from the beginning where it ends where it began, and there and back elsewhere.
+    /// Multiplies the speed by `speed` (above 0) and the distances from the first point by `scale` (above 0).
+    /// Maps x and y to the axes of `plane`. Repeats the trajectory `rounds` times (1 or more): a closed curve
+    /// from its start each time, any other curve back and forth.
     pub fn new(
         inner: Box<dyn Trajectory>,
         speed: f64,
@@ -54,7 +55,7 @@ impl Changed {
         }
     }
 
-    /// The time of the other trajectory.
+    /// Time in the inner trajectory \[s\].
     fn inner_s(&self, time_s: f64) -> f64 {
         let one_s = self.inner.duration_s();
         if one_s <= 0.0 {
@@ -138,7 +139,7 @@ mod tests {
         }
     }
 
-    /// Points at uneven times.
+    /// A trajectory with unevenly spaced knots.
     struct Rows;
 
     impl Trajectory for Rows {

@@ -1,15 +1,15 @@
 use super::{PAPER_SECTION_M, Trajectory, base_and_last_m};
 
-/// The paper's horizontal circle, §4.3, which one section draws with a bend of 75°.
+/// The paper's horizontal circle, §4.3, drawn by one section with a bend of 75°.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Circle {
     /// Radius \[m\].
     pub radius_m: f64,
     /// Height above the robot's base \[m\].
     pub height_m: f64,
-    /// How fast it goes round \[rad/s\]; negative: clockwise seen from above.
+    /// Angular speed \[rad/s\]; negative: clockwise seen from above.
     pub rate_rad_s: f64,
-    /// How long it lasts \[s\].
+    /// Duration \[s\].
     pub duration_s: f64,
 }
 
@@ -18,10 +18,10 @@ impl Circle {
     pub const RADIUS_M: f64 = 0.169_86;
     /// The paper's height \[m\].
     pub const HEIGHT_M: f64 = 0.221_37;
-    /// The paper goes round once with 1 rad/s.
+    /// Duration of the paper's single round at 1 rad/s \[s\].
     pub const DURATION_S: f64 = core::f64::consts::TAU;
 
-    /// The paper's circle in the workspace of the last of these sections \[m\].
+    /// The paper's circle, scaled to the workspace of the last of these sections \[m\].
     pub fn for_sections(section_lengths_m: &[f64]) -> Self {
         let (base_height_m, section_length_m) = base_and_last_m(section_lengths_m);
         let scale = section_length_m / PAPER_SECTION_M;

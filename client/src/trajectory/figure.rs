@@ -2,40 +2,42 @@ use core::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use super::Trajectory;
 
-/// Chords of a round whose lengths are added up: so many that a way between two of them is a chord, and a multiple of most numbers of corners.
+/// Chords of a round for its length: so many that interpolation on a chord is exact enough, and a multiple of
+/// most numbers of corners.
 const CHORDS: usize = 5040;
 
-/// What a figure looks like, around (0, 0, 0) and 1 large.
+/// Shape of a figure, around (0, 0, 0) with radius 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FigureShape {
-    /// A screw line of so many turns, 1 to 100, whose ends are `rise` apart, in radii; every other round goes back.
+    /// A helix with 1 to 100 turns and a height of `rise` radii; every other round goes back.
     Helix {
-        /// Turns from end to end.
+        /// Number of turns.
         turns: u32,
-        /// From end to end, in radii.
+        /// Height, in radii.
         rise: f64,
     },
     /// x = sin(2π a u + π/2), y = sin(2π b u), with a and b from 1 to 100.
     Lissajous([u32; 2]),
     /// r = cos(k φ), with k from 1 to 100: k petals for an odd k, 2 k for an even one.
     Rose(u32),
-    /// A regular polygon of so many corners, 3 to 100, from one of them on.
+    /// A regular polygon with 3 to 100 corners, starting at one of them.
     Polygon(u32),
 }
 
-/// The plane that a figure is drawn in, named by two axes of the base frame: they are the x and y of the shape. A helix rises along the third.
+/// Plane of a figure, named by the axes of the base frame that are the x and y of the shape. A helix rises
+/// along the third axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FigurePlane {
-    /// Level.
+    /// Horizontal.
     Xy,
-    /// Upright.
+    /// Vertical.
     Xz,
-    /// Upright.
+    /// Vertical.
     Yz,
 }
 
 impl FigurePlane {
-    /// x and y along its axes, z along the third.
+    /// Maps x and y to the axes of the plane, z to the third axis.
     pub(super) fn placed(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self {
             Self::Xy => [x, y, z],
@@ -45,7 +47,7 @@ impl FigurePlane {
     }
 }
 
-/// A figure that the tip goes through at an even speed, once or more often.
+/// A figure that the tip follows at constant speed, once or repeatedly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
     shape: FigureShape,
@@ -54,15 +56,17 @@ pub struct Figure {
     radius_m: f64,
     speed_m_s: f64,
     rounds: u32,
-    /// From the beginning of a round to each of its chords' ends, in radii.
+    /// Path length from the start of a round to the end of each chord, in radii.
     lengths: Vec<f64>,
 }
 
 impl Figure {
-    /// A radius, and the height of a centre on the straight robot's axis, for most robots of two or more sections, as shares of their length.
+    /// Default radius and centre height on the robot's axis, as shares of the robot length; suitable for most
+    /// robots of two or more sections.
     pub const SHARES: [f64; 2] = [0.1, 0.85];
 
-    /// Around a centre (m, base frame), with a radius (m, above 0), at a speed (m/s, above 0), `rounds` times (1 or more).
+    /// A figure with a centre (m, base frame), a radius (m, above 0), a speed (m/s, above 0) and `rounds` (1
+    /// or more).
     pub fn new(
         shape: FigureShape,
         plane: FigurePlane,
@@ -89,14 +93,14 @@ impl Figure {
         }
     }
 
-    /// Of one round \[m\].
+    /// Length of one round \[m\].
     fn length_m(&self) -> f64 {
         self.radius_m * self.lengths[CHORDS]
     }
 }
 
 impl FigureShape {
-    /// Where it is after the share `u` of a round.
+    /// Position after the share `u` of a round.
     fn point(self, u: f64) -> [f64; 3] {
         match self {
             Self::Helix { turns, rise } => {
@@ -109,7 +113,7 @@ impl FigureShape {
                 [x, (f64::from(b) * turn).sin(), 0.0]
             }
             Self::Rose(k) => {
-                // An odd one is whole after half a turn.
+                // An odd k is complete after half a turn.
                 let turn = if k % 2 == 1 { PI * u } else { TAU * u };
                 let (sin, cos) = turn.sin_cos();
                 let r = (f64::from(k) * turn).cos();
@@ -201,7 +205,7 @@ mod tests {
             for step in 0..steps {
                 let [from, to] = [step, step + 1].map(|k| figure.position_m(f64::from(k) * step_s));
                 let speed_m_s = distance_m(from, to) / step_s;
-                // A chord cuts a corner, or the turn of a helix from there to back.
+                // A chord cuts a corner, or the reversal of a helix.
                 assert!(speed_m_s < 0.1 * 1.001, "{shape:?} {step}: {speed_m_s}");
             }
             let one_s = figure.duration_s() / 3.0;
@@ -227,7 +231,7 @@ mod tests {
         assert!((length_m(FigureShape::Polygon(3)) - triangle_m).abs() < 1e-12);
         let helix_m = 0.05 * (3.0 * TAU).hypot(1.5);
         assert!((length_m(SHAPES[0]) - helix_m).abs() < 1e-6);
-        // Once round (a = b = 1): a circle.
+        // One round (a = b = 1): a circle.
         assert!((length_m(FigureShape::Lissajous([1, 1])) - 0.05 * TAU).abs() < 1e-6);
         for shape in SHAPES {
             let figure = figure(shape, FigurePlane::Xy);

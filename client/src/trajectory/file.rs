@@ -9,16 +9,16 @@ use std::path::Path;
 
 use super::{Orientation, Trajectory};
 
-/// Columns that every file has, in any order.
+/// Required columns, in any order.
 const POSE_COLUMNS: [&str; 4] = ["t_s", "x_m", "y_m", "z_m"];
-/// Columns of the orientation: all of them or none.
+/// Columns of the orientation: all or none.
 const QUATERNION_COLUMNS: [&str; 4] = ["qx", "qy", "qz", "qw"];
-/// Largest magnitude of a number: seconds since 1970 fit, and two that are a microsecond apart still differ.
+/// Largest magnitude of a number: sufficient for seconds since 1970, with a resolution of a microsecond.
 const MAGNITUDE_MAX: f64 = 4e9;
-/// How far from 1 the length of a quaternion may be: written with three decimals it still passes.
+/// Tolerance of the length of a quaternion: three decimals are enough.
 const UNIT_TOLERANCE: f64 = 2e-3;
 
-/// Hours at 200 Hz. What never ends would fill the memory.
+/// Size limit: hours at 200 Hz. It protects the memory against endless input.
 const BYTES_MAX: u64 = 128_000_000;
 
 fn unread(path: &Path, cause: io::Error) -> TrajectoryFileError {
@@ -31,8 +31,8 @@ fn unread(path: &Path, cause: io::Error) -> TrajectoryFileError {
 
 /// A reference read from a CSV file with the header `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`.
 ///
-/// Its rows are sent as they are; the daemon interpolates between them. The curve begins at its first
-/// row, whatever the time there.
+/// Its rows are sent unchanged; the daemon interpolates between them. The trajectory starts at the first row,
+/// whatever its time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FileTrajectory {
     name: String,
@@ -41,7 +41,7 @@ pub struct FileTrajectory {
     quaternions: Option<Vec<[f64; 4]>>,
 }
 
-/// A problem, and in which line.
+/// A problem with its line.
 type Located = (Option<u64>, Problem);
 
 fn at(line: u64) -> impl FnOnce(Problem) -> Located {
@@ -59,7 +59,7 @@ impl FileTrajectory {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// With the file, the line and what would be right.
+    /// The file, the line and the remedy.
     pub fn read(path: &Path) -> Result<Self, TrajectoryFileError> {
         match File::open(path) {
             Ok(file) => Self::read_from(path, file),
@@ -67,7 +67,7 @@ impl FileTrajectory {
         }
     }
 
-    /// Reads and checks what something gives, such as the standard input; `path` is for the messages.
+    /// Reads and checks any input, such as the standard input; `path` is used in messages.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -81,7 +81,7 @@ impl FileTrajectory {
         }
     }
 
-    /// Checks the text of a file; `path` is for the messages.
+    /// Checks the text of a file; `path` is used in messages.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -97,7 +97,7 @@ impl FileTrajectory {
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
             .comment(Some(b'#'))
-            // The reader takes a comment that the file ends with for a row.
+            // The CSV reader takes a comment at the end of the file for a row if no line break follows.
             .from_reader(text.as_bytes().chain(&b"\n"[..]));
         let header = reader
             .headers()
@@ -149,7 +149,7 @@ impl FileTrajectory {
         Ok(self)
     }
 
-    /// Index of the row at or before `time_s`, and how far it is to the next, 0 ..= 1.
+    /// Index of the row at or before `time_s`, and the fraction towards the next, 0 ..= 1.
     fn locate(&self, time_s: f64) -> (usize, f64) {
         let after = self.times_s.partition_point(|&t| t <= time_s);
         let before = after.saturating_sub(1).min(self.times_s.len() - 2);
@@ -168,14 +168,14 @@ impl Trajectory for FileTrajectory {
         self.times_s.last().copied().unwrap_or(0.0)
     }
 
-    /// On the straight line between two rows.
+    /// Linear interpolation between two rows.
     fn position_m(&self, time_s: f64) -> [f64; 3] {
         let (before, share) = self.locate(time_s);
         let (a, b) = (self.positions_m[before], self.positions_m[before + 1]);
         core::array::from_fn(|i| a[i] + share * (b[i] - a[i]))
     }
 
-    /// That of the nearer row.
+    /// Orientation of the nearer row.
     fn orientation(&self, time_s: f64) -> Orientation {
         let (before, share) = self.locate(time_s);
         let nearer = before + usize::from(share >= 0.5);
@@ -190,7 +190,7 @@ impl Trajectory for FileTrajectory {
     }
 }
 
-/// Where in a row each value stands.
+/// Column of each value.
 struct Columns {
     pose: [usize; 4],
     quaternion: Option<[usize; 4]>,
@@ -199,7 +199,7 @@ struct Columns {
 impl Columns {
     fn find(header: &csv::StringRecord) -> Result<Self, Problem> {
         check_header(header)?;
-        // A spreadsheet may put a byte-order mark before the first name.
+        // Spreadsheet programs may write a byte-order mark before the first name.
         let names: Vec<&str> = header
             .iter()
             .map(|name| name.trim_start_matches('\u{feff}'))
@@ -260,7 +260,7 @@ impl Columns {
     }
 }
 
-/// Whether the first line is a header at all, of columns that commas separate.
+/// Checks that the first line is a header with columns separated by commas.
 fn check_header(header: &csv::StringRecord) -> Result<(), Problem> {
     if !header.is_empty() && header.iter().all(|name| name.parse::<f64>().is_ok()) {
         return Err(Problem::NoHeader);
@@ -270,7 +270,7 @@ fn check_header(header: &csv::StringRecord) -> Result<(), Problem> {
     found.map_or(Ok(()), |found| Err(Problem::Separator(found)))
 }
 
-/// A file that was cut in the middle of a number still has a number there.
+/// Refuses an unterminated last line: a file that was cut inside a number still parses.
 fn check_end(text: &str, header: &csv::StringRecord) -> Result<(), Located> {
     let last = text.rsplit(['\n', '\r']).next().unwrap_or("").trim();
     if last.is_empty() || last.starts_with('#') {
@@ -286,7 +286,7 @@ fn check_end(text: &str, header: &csv::StringRecord) -> Result<(), Located> {
     Err((Some(text.lines().count() as u64), problem))
 }
 
-/// The quaternion with rounding removed, when its length is 1 but for rounding.
+/// Normalises a quaternion whose length is 1 within the tolerance.
 fn unit(q: [f64; 4]) -> Result<[f64; 4], Problem> {
     let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if (norm - 1.0).abs() > UNIT_TOLERANCE {
@@ -295,8 +295,7 @@ fn unit(q: [f64; 4]) -> Result<[f64; 4], Problem> {
     Ok(q.map(|x| x / norm))
 }
 
-/// Number of the line in which a row stands. The reader's own number is that of the blank lines and
-/// comments before it.
+/// Line number of a row. The CSV reader's own number is that of preceding blank lines and comments.
 fn line_of(position: Option<&csv::Position>, text: &str) -> u64 {
     let Some(position) = position else { return 1 };
     let rest = text.get(position.byte() as usize..).unwrap_or("");

@@ -1,22 +1,22 @@
 use super::{Orientation, Trajectory};
 
-/// The paper's line, Eq. 9: from the straight robot's tip, 30 mm/s to the side and 10 mm/s down.
+/// The paper's line, Eq. 9: from the straight robot's tip, 30 mm/s sideways and 10 mm/s down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
-    /// Where it begins \[m\].
+    /// First point \[m\].
     pub start_m: [f64; 3],
-    /// How fast it goes \[m/s\].
+    /// Velocity \[m/s\].
     pub velocity_m_s: [f64; 3],
-    /// How long it lasts \[s\].
+    /// Duration \[s\].
     pub duration_s: f64,
-    /// Direction that the tip axis keeps (unit vector); `None`: any.
+    /// Constant direction of the tip axis (unit vector); `None`: free.
     pub tip_axis: Option<[f64; 3]>,
 }
 
 impl Line {
     /// The paper's velocity \[m/s\].
     pub const VELOCITY_M_S: [f64; 3] = [0.03, 0.0, -0.01];
-    /// The paper takes 510 samples of 5 ms.
+    /// Duration of the paper's 510 samples of 5 ms \[s\].
     pub const DURATION_S: f64 = 510.0 * 0.005;
 
     /// The paper's line for a robot with these sections \[m\], position only.

@@ -1,4 +1,4 @@
-//! Curves that the tip shall follow, each as an exact function of time.
+//! Curves for the tip, each as an exact function of time.
 //!
 //! Invariant: nothing here knows a clock or a daemon. Time counts from the start of the curve.
 
@@ -28,42 +28,42 @@ use cdcr_shared_types::codes::OrientationKind;
 /// Length of the paper's sections \[m\].
 pub const PAPER_SECTION_M: f64 = 0.3;
 
-/// How the tip shall be turned.
+/// Orientation of the tip.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Orientation {
-    /// In any way.
+    /// Any orientation.
     #[default]
     Free,
-    /// With its axis in this direction, a unit vector (x, y, z) in the base frame.
+    /// The tip axis has this direction, a unit vector (x, y, z) in the base frame.
     Axis([f64; 3]),
-    /// Exactly so: unit quaternion (x, y, z, w) base → tip.
+    /// The full orientation: unit quaternion (x, y, z, w) base → tip.
     Full([f64; 4]),
 }
 
-/// A curve in time. Implement it for curves of your own and feed them like the paper's.
+/// A curve in time. Implement it to feed your own curves.
 pub trait Trajectory {
-    /// A word for people.
+    /// Name for messages.
     fn name(&self) -> &str;
 
-    /// How long it lasts \[s\], ≥ 0.
+    /// Duration \[s\], ≥ 0.
     fn duration_s(&self) -> f64;
 
-    /// Exact position of the tip at `time_s` \[m, base frame\], for 0 ≤ `time_s` ≤ duration.
-    /// Outside that range it is the position at the nearer end.
+    /// Exact position of the tip at `time_s` \[m, base frame\], for 0 ≤ `time_s` ≤ duration. Outside that
+    /// range, the position at the nearer end.
     fn position_m(&self, time_s: f64) -> [f64; 3];
 
-    /// Orientation of the tip at `time_s`; free unless the curve says otherwise.
+    /// Orientation of the tip at `time_s`; free by default.
     fn orientation(&self, _time_s: f64) -> Orientation {
         Orientation::Free
     }
 
-    /// The times \[s\] that must be sent exactly: increasing, the first 0, the last the duration.
-    /// `None`: the curve is sampled at equal steps.
+    /// Times \[s\] that must be sent exactly: increasing, the first 0, the last the duration. `None`: the
+    /// curve is sampled at equal steps.
     fn knots_s(&self) -> Option<&[f64]> {
         None
     }
 
-    /// The point of the reference at `time_s`, stamped with `time_ns` on the daemon's clock.
+    /// The reference point at `time_s`, stamped with `time_ns` on the daemon's clock.
     fn point(&self, time_s: f64, time_ns: u64) -> ReferencePoint {
         let (kind, orientation) = match self.orientation(time_s) {
             Orientation::Free => (OrientationKind::None, [0.0; 4]),
@@ -80,8 +80,8 @@ pub trait Trajectory {
     }
 }
 
-/// Splits the lengths of a robot into the height of the straight sections below the last, and the
-/// length of the last one. An empty robot counts as one section of the paper.
+/// Splits section lengths into the height of the straight sections below the last, and the length of the last
+/// one. An empty robot counts as one section of the paper.
 fn base_and_last_m(section_lengths_m: &[f64]) -> (f64, f64) {
     match section_lengths_m.split_last() {
         Some((&last_m, below)) => (below.iter().sum(), last_m),
@@ -91,7 +91,7 @@ fn base_and_last_m(section_lengths_m: &[f64]) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    /// Asserts that two vectors are equal but for rounding.
+    /// Asserts that two vectors are equal within rounding.
     pub(super) fn assert_near<const N: usize>(values: [f64; N], expected: [f64; N]) {
         for (value, wanted) in values.iter().zip(expected) {
             assert!((value - wanted).abs() < 1e-15, "{values:?} {expected:?}");

@@ -1,23 +1,23 @@
 use super::{Trajectory, base_and_last_m};
 
-/// The paper's spiral, Eq. 8: what the last section reaches with θ = 2t/15, φ = t while the sections
-/// below it are straight. The parameter t is real time, and begins at `start_rad`.
+/// The paper's spiral, Eq. 8: the tip of the last section with θ = 2t/15, φ = t, above straight sections. The
+/// parameter t advances with real time and begins at `start_rad`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spiral {
-    /// Length ℓ of the section that draws it \[m\].
+    /// Length ℓ of the drawing section \[m\].
     pub section_length_m: f64,
     /// Height `P_z` of that section's base \[m\].
     pub base_height_m: f64,
     /// First value of the parameter t \[rad\].
     pub start_rad: f64,
-    /// How long it lasts \[s\].
+    /// Duration \[s\].
     pub duration_s: f64,
 }
 
 impl Spiral {
-    /// The paper starts at t = 5°.
+    /// The paper's first parameter: t = 5°.
     pub const START_RAD: f64 = 5.0 * core::f64::consts::PI / 180.0;
-    /// The paper runs 994 steps of 5 ms.
+    /// Duration of the paper's 994 steps of 5 ms \[s\].
     pub const DURATION_S: f64 = 994.0 * 0.005;
 
     /// The paper's spiral for a robot with these sections, base first \[m\].
@@ -31,7 +31,7 @@ impl Spiral {
         }
     }
 
-    /// Bend vector (u, v) \[rad\] with which the last section starts on the curve.
+    /// Bend vector (u, v) of the last section at the start of the curve \[rad\].
     pub fn start_bend_rad(&self) -> [f64; 2] {
         let bend_rad = 2.0 * self.start_rad / 15.0;
         let (sin, cos) = self.start_rad.sin_cos();

@@ -2,10 +2,10 @@ use cdcr_controller::reference::{QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
 
 use super::Trajectory;
 
-/// How long the end is kept, so that the tip comes to rest there \[s\].
+/// Time for which the end point is kept, so that the tip comes to rest there \[s\].
 const KEPT_S: f64 = 1.0;
 
-/// A straight way from rest to rest, without a jump in the acceleration: the quintic 10 s³ - 15 s⁴ + 6 s⁵.
+/// A straight line from rest to rest with continuous acceleration: the quintic 10 s³ - 15 s⁴ + 6 s⁵.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Straight {
     start_m: [f64; 3],
@@ -14,8 +14,8 @@ pub struct Straight {
 }
 
 impl Straight {
-    /// From `start_m` to `end_m` (m), never faster than `speed_m_s` (m/s, above 0), nor with more than
-    /// `acceleration_m_s2` (m/s², above 0). It stays at its end for a second.
+    /// From `start_m` to `end_m` (m), within `speed_m_s` (m/s, above 0) and `acceleration_m_s2` (m/s², above
+    /// 0). The end point is kept for a second.
     pub fn new(start_m: [f64; 3], end_m: [f64; 3], speed_m_s: f64, acceleration_m_s2: f64) -> Self {
         let squares = start_m
             .iter()

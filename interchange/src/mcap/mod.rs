@@ -1,7 +1,7 @@
-//! MCAP, the container of recordings: <https://mcap.dev/spec>. A layer over the crate `mcap` that says where a file is whole, and reads
-//! with one chunk in memory.
+//! MCAP, the container of recordings: <https://mcap.dev/spec>. A layer over the crate `mcap` that reports how
+//! many bytes of a file are complete, and reads with one chunk in memory.
 //!
-//! Works on anything that reads or writes bytes.
+//! It works with any reader or writer of bytes.
 
 mod reader;
 mod writer;
@@ -11,21 +11,21 @@ use std::collections::BTreeMap;
 pub use reader::{Item, Message, ReadError, Reader};
 pub use writer::{Stamp, Writer, end};
 
-/// What our messages are encoded as.
+/// Encoding of messages.
 pub const MESSAGE_ENCODING: &str = "cdr";
-/// What their schemas are encoded as.
+/// Encoding of schemas.
 pub const SCHEMA_ENCODING: &str = "ros2msg";
 
-/// What a topic carries.
+/// Description of a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Channel {
-    /// Its name.
+    /// Name of the topic.
     pub topic: String,
     /// Name of the schema, such as `cdcr_msgs/msg/Telemetry`.
     pub schema: String,
-    /// Its definition.
+    /// Text of the schema.
     pub text: String,
-    /// Values with names.
+    /// Named values.
     pub metadata: BTreeMap<String, String>,
 }
 

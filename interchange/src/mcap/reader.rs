@@ -7,55 +7,55 @@ use mcap::{MAGIC, McapError, parse_record};
 
 use super::Channel;
 
-/// A record or chunk above this is none of ours \[bytes\].
+/// Maximum size of a record or chunk \[bytes\]; recordings of this project have smaller ones.
 const RECORD_MAX: usize = 64 << 20;
 
-/// Why a recording cannot be read, or not any further.
+/// Why a recording cannot be read, or not completely.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The file system's.
+    /// An error of the input.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// It has no byte.
+    /// The file has no bytes.
     #[error("the file is empty")]
     Empty,
-    /// It begins otherwise.
+    /// The file does not begin as an MCAP file.
     #[error("this is not an MCAP file")]
     Foreign,
-    /// It ends too early; all before was read.
+    /// The file is truncated; everything before was read.
     #[error("the recording is truncated: it ends within a record")]
     Cut,
-    /// In a way that is not known here.
+    /// Chunks have an unsupported compression.
     #[error(
         "its chunks are compressed with {0}: convert it with `mcap compress --compression lz4`"
     )]
     Compressed(String),
-    /// A record is not what it should be.
+    /// A record is invalid.
     #[error("the recording is damaged: {0}")]
     Damaged(McapError),
 }
 
-/// What a recording holds, in the order of the file.
+/// Content of a recording, in the order of the file.
 #[derive(Debug)]
 pub enum Item<'a> {
-    /// Of a channel.
+    /// A message of a channel.
     Message(Message<'a>),
-    /// A file.
+    /// An attached file.
     Attachment {
-        /// Its name.
+        /// Name of the file.
         name: String,
-        /// What it is, such as `application/toml`.
+        /// Media type, such as `application/toml`.
         media_type: String,
-        /// Since 1970 \[ns\].
+        /// Time since 1970 \[ns\].
         time_ns: u64,
-        /// Its bytes.
+        /// Content of the file.
         data: Vec<u8>,
     },
-    /// Values with names.
+    /// Named values.
     Metadata {
-        /// What they are about.
+        /// Name of the group of values.
         name: String,
-        /// By their names.
+        /// The values by name.
         values: BTreeMap<String, String>,
     },
 }
@@ -63,42 +63,42 @@ pub enum Item<'a> {
 /// A message of a channel.
 #[derive(Debug, Clone, Copy)]
 pub struct Message<'a> {
-    /// Its channel's number in this file.
+    /// Number of the channel in this file.
     pub channel_id: u16,
-    /// What it is of.
+    /// The channel.
     pub channel: &'a Channel,
-    /// Its number in that.
+    /// Sequence number in the channel.
     pub sequence: u32,
-    /// Since 1970 \[ns\].
+    /// Time of recording since 1970 \[ns\].
     pub log_ns: u64,
-    /// Since 1970 \[ns\].
+    /// Time of sending since 1970 \[ns\].
     pub publish_ns: u64,
-    /// Its bytes.
+    /// Encoded content.
     pub data: &'a [u8],
 }
 
-/// Reads a recording from its beginning to its end; one chunk of it is in memory.
+/// Reads a recording from start to end, with one chunk in memory.
 pub struct Reader<R> {
     input: R,
     events: LinearReader,
-    /// The data of the newest message.
+    /// Data of the newest message.
     data: Vec<u8>,
     ended: bool,
     schemas: HashMap<u16, (String, String)>,
     channels: HashMap<u16, Channel>,
 }
 
-/// An item without what it borrows.
+/// An item without borrowed data.
 enum Found {
     Message(mcap::records::MessageHeader),
     Item(Item<'static>),
 }
 
 impl<R: Read> Reader<R> {
-    /// Begins to read.
+    /// Starts reading.
     ///
     /// # Errors
-    /// When it is no recording.
+    /// When the input is not a recording.
     pub fn new(mut input: R) -> Result<Self, ReadError> {
         let mut magic = Vec::new();
         let mut first = input.by_ref().take(MAGIC.len() as u64);
@@ -111,7 +111,7 @@ impl<R: Read> Reader<R> {
         }
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
-            // Nothing of a chunk that is damaged is handed out.
+            // No data of a damaged chunk is returned.
             .with_prevalidate_chunk_crcs(true)
             .with_record_length_limit(RECORD_MAX);
         Ok(Self {
@@ -124,10 +124,10 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    /// The next item; none at the end. After an error, nothing more.
+    /// The next item; `None` at the end, and after an error.
     ///
     /// # Errors
-    /// When the file cannot be read, or is not what it should be from here on.
+    /// When the input cannot be read, or is invalid from here on.
     pub fn next_item(&mut self) -> Result<Option<Item<'_>>, ReadError> {
         let found = self.find();
         self.ended |= !matches!(found, Ok(Some(_)));
@@ -197,7 +197,7 @@ impl<R: Read> Reader<R> {
                         values: metadata.metadata,
                     })));
                 }
-                // What follows is the index.
+                // Only the index follows.
                 Record::DataEnd(_) => break,
                 _ => {}
             }
@@ -209,7 +209,7 @@ impl<R: Read> Reader<R> {
 impl From<McapError> for ReadError {
     fn from(error: McapError) -> Self {
         match error {
-            // Of what is in memory: a chunk that cannot be unpacked is one, too.
+            // Reported by the decoder, also for a chunk that cannot be decompressed.
             McapError::UnexpectedEof => Self::Cut,
             McapError::UnsupportedCompression(name) => Self::Compressed(name),
             error => Self::Damaged(error),

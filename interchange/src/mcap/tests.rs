@@ -20,7 +20,7 @@ fn stamp(sequence: u32) -> Stamp {
     }
 }
 
-/// A file of `count` messages of 1 kB, and where each flush ended it.
+/// A file with `count` messages of 1 kB, and the number of complete bytes after each flush.
 fn file(count: u32) -> (Vec<u8>, Vec<u64>) {
     let mut writer = Writer::new(Vec::new(), "ros2", "test").unwrap();
     let ids = ["/a", "/b"].map(|topic| writer.add_channel(&channel(topic)).unwrap());
@@ -46,7 +46,7 @@ fn file(count: u32) -> (Vec<u8>, Vec<u64>) {
     (bytes, flushed)
 }
 
-/// Messages, other items, and how it ended.
+/// Messages, number of other items, and the result of reading.
 fn read(bytes: &[u8]) -> (Vec<u32>, usize, Result<(), ReadError>) {
     let (mut messages, mut others) = (Vec::new(), 0);
     let mut reader = match Reader::new(bytes) {
@@ -100,7 +100,7 @@ fn a_file_that_is_cut_anywhere_has_all_that_was_flushed() {
         match result {
             Err(ReadError::Cut) => {}
             Err(ReadError::Empty) => assert_eq!(end, 0),
-            // All messages came: what is missing is the index.
+            // All messages were read; only the index is missing.
             Ok(()) => assert_eq!(messages.len(), 40),
             Err(ReadError::Foreign) => assert!(end < mcap::MAGIC.len()),
             Err(other) => panic!("{end}: {other}"),
@@ -119,7 +119,7 @@ fn what_is_no_recording_is_refused() {
     for at in (9..bytes.len()).step_by(101) {
         let mut wrong = bytes.clone();
         wrong[at] ^= 0xFF;
-        // Never a panic, whatever stands there.
+        // No panic, whatever the content.
         let Ok(mut reader) = Reader::new(&wrong[..]) else {
             continue;
         };
@@ -134,7 +134,7 @@ fn what_is_no_recording_is_refused() {
     assert!(matches!(read(&wrong).2, Err(ReadError::Damaged { .. })));
 }
 
-/// A disk with room for so many bytes.
+/// A disk with a limited number of bytes.
 struct Disk(Vec<u8>, usize);
 
 impl std::io::Write for Disk {
@@ -152,7 +152,7 @@ impl std::io::Write for Disk {
     }
 }
 
-/// Bytes that cannot be made fewer.
+/// Bytes that cannot be compressed.
 fn noise(seed: u32) -> [u8; 1000] {
     let mut bytes = [0; 1000];
     Xoshiro256PlusPlus::seed_from_u64(seed.into()).fill_bytes(&mut bytes);

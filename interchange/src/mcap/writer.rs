@@ -10,34 +10,35 @@ use mcap::{Attachment, Compression, MAGIC, McapError, WriteOptions};
 
 use super::{Channel, MESSAGE_ENCODING, SCHEMA_ENCODING};
 
-/// A chunk is written when it has so much; a cut file loses what came since.
+/// Size at which a chunk is written; a truncated file loses later data.
 const CHUNK_BYTES: u64 = 64 * 1024;
 
-/// When a message was sent and received, and which one it is of its channel.
+/// Sequence number and times of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stamp {
-    /// Its number in its channel.
+    /// Sequence number in its channel.
     pub sequence: u32,
-    /// When it was recorded, since 1970 \[ns\].
+    /// Time of recording since 1970 \[ns\].
     pub log_ns: u64,
-    /// When it was sent, since 1970 \[ns\].
+    /// Time of sending since 1970 \[ns\].
     pub publish_ns: u64,
 }
 
 /// Writes a recording: chunks of 64 KiB, compressed with LZ4.
 ///
-/// Every error is one of the output. After it, nothing more can be written but by [`end`] on what [`abandon`](Self::abandon) gives back.
+/// Every error comes from the output. After an error, the only valid operation is [`end`] on the output
+/// returned by [`abandon`](Self::abandon).
 pub struct Writer<W: Write> {
     inner: mcap::Writer<NoSeek<Counting<W>>>,
     counted: Arc<Counted>,
     whole_bytes: u64,
 }
 
-/// What an output took.
+/// State of the output.
 #[derive(Debug, Default)]
 struct Counted {
     bytes: AtomicU64,
-    /// Why it took no more.
+    /// Kind of its first error.
     failed: OnceLock<ErrorKind>,
 }
 
@@ -68,7 +69,8 @@ impl<W: Write> Write for Counting<W> {
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins a recording. `profile` says what its messages are, such as `ros2`; `library` what wrote it.
+    /// Starts a recording. `profile` names the kind of messages, such as `ros2`; `library` the writing
+    /// program.
     ///
     /// # Errors
     /// When the output cannot be written.
@@ -83,7 +85,7 @@ impl<W: Write> Writer<W> {
             .library(library)
             .compression(Some(Compression::Lz4))
             .chunk_size(Some(CHUNK_BYTES))
-            // A chunk goes to the file at once, with its length, so that one that is cut can be told.
+            // Each chunk is written at once with its length, so that a truncated one is detected.
             .disable_seeking(true);
         let writer = options.create(NoSeek::new(out));
         let writer = writer.map_err(|error| counted.error(error))?;
@@ -96,7 +98,7 @@ impl<W: Write> Writer<W> {
         Ok(writer)
     }
 
-    /// A new channel; its number. The same channel again has the same number.
+    /// Adds a channel and returns its number. The same channel gets the same number.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -117,7 +119,7 @@ impl<W: Write> Writer<W> {
     /// Adds a message to a channel.
     ///
     /// # Errors
-    /// As [`new`](Self::new), and for a channel that was not added.
+    /// As [`new`](Self::new), and for a channel number that was not added.
     pub fn write(&mut self, channel_id: u16, stamp: Stamp, data: &[u8]) -> io::Result<()> {
         let header = MessageHeader {
             channel_id,
@@ -152,7 +154,7 @@ impl<W: Write> Writer<W> {
         self.flush()
     }
 
-    /// Adds values with names.
+    /// Adds named values.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -166,7 +168,7 @@ impl<W: Write> Writer<W> {
         self.flush()
     }
 
-    /// Writes what has been added since the last chunk.
+    /// Writes everything added since the last chunk.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -177,15 +179,15 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// So much of the output is whole after the last flush: what comes after may be cut off.
+    /// Number of complete bytes after the last flush; the bytes after them may be truncated.
     pub fn whole_bytes(&self) -> u64 {
         self.whole_bytes
     }
 
-    /// Ends the recording with its index; the output.
+    /// Completes the recording with its index, and returns the output.
     ///
     /// # Errors
-    /// As [`new`](Self::new); the output comes with it.
+    /// As [`new`](Self::new); the error contains the output.
     pub fn finish(mut self) -> Result<W, (W, io::Error)> {
         let finished = self.flush().and_then(|()| {
             let finished = self.inner.finish();
@@ -198,7 +200,7 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    /// The output, without an end. What of it is not [whole](Self::whole_bytes) is to be cut off.
+    /// Returns the incomplete output. The caller truncates it to its [complete bytes](Self::whole_bytes).
     pub fn abandon(self) -> W {
         self.inner.into_inner().into_inner().out
     }
@@ -209,7 +211,7 @@ impl<W: Write> Writer<W> {
 }
 
 impl Counted {
-    /// As the output said it, however the crate wraps it.
+    /// The error of the output, however the crate wraps it.
     fn error(&self, error: McapError) -> io::Error {
         match (self.failed.get(), error) {
             (_, McapError::Io(error)) => error,
@@ -219,12 +221,14 @@ impl Counted {
     }
 }
 
-/// Ends a recording that was cut off where it was whole, without an index: readers read it from the beginning.
+/// Completes a recording that was truncated to its complete bytes, without an index: readers read it from the
+/// start.
 ///
 /// # Errors
 /// When the output cannot be written.
 pub fn end(out: &mut impl Write) -> io::Result<()> {
-    // Data end with no checksum, then a footer with no summary: each its code, its length and its content, zero.
+    // A data end without a checksum, then a footer without a summary: each has its code, its length and
+    // zeros.
     let mut bytes = vec![mcap::records::op::DATA_END];
     bytes.extend(4_u64.to_le_bytes());
     bytes.extend([0; 4]);

@@ -40,7 +40,7 @@ fn what_is_not_a_message_is_refused() {
         ..ReferenceChunk::default()
     };
     let mut bytes = encode(&chunk).expect("it is one");
-    // Header, three numbers, and how many points there are.
+    // Header, three numbers, and the number of points.
     let count_at = 4 + 24 + 12;
     assert_eq!(bytes[count_at], 2);
     bytes[count_at..count_at + 4].copy_from_slice(&u32::MAX.to_le_bytes());

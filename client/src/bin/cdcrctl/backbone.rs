@@ -1,12 +1,13 @@
 use cdcr_controller::robot::{Configuration, Robot};
 
-/// Points along the backbone of one section: a bend of 0.7 rad looks round.
+/// Points on the backbone of a section; enough for a smooth bend of 0.7 rad.
 const POINTS_PER_SECTION: usize = 24;
 
 /// A point in the base frame \[m\].
 pub(crate) type Position = [f64; 3];
 
-/// Points on the backbone of a robot with these bends \[rad\], the base first and the tip last. Empty for bends that are none of it.
+/// Points on the backbone of a robot with these bends \[rad\], base first and tip last. Empty when the bends
+/// do not fit the robot.
 pub(crate) fn backbone(robot: &Robot, bend_rad: &[f64]) -> Vec<Position> {
     let sections = robot.section_count();
     let Some(bent) = Configuration::from_slice(bend_rad) else {
@@ -17,6 +18,6 @@ pub(crate) fn backbone(robot: &Robot, bend_rad: &[f64]) -> Vec<Position> {
         let share = part as f64 / POINTS_PER_SECTION as f64;
         robot.body_point(&bent, section, share).into()
     };
-    // The section beyond the last is the tip.
+    // The section index after the last one means the tip.
     (0..=sections * POINTS_PER_SECTION).map(point).collect()
 }

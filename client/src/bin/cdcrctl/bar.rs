@@ -5,10 +5,10 @@ use cdcr_client::FeedProgress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rustix::termios::tcgetwinsize;
 
-/// The longest line with a bar, with room for a file's name.
+/// Minimum terminal width for a bar: the longest line, including a file name.
 const COLUMNS_FOR_BAR: u16 = 80;
 
-/// A progress bar on the terminal's standard error; nothing at all when that is no terminal.
+/// A progress bar on standard error; nothing is shown if that is not a terminal.
 pub(crate) struct Bar {
     bar: ProgressBar,
 }
@@ -16,7 +16,7 @@ pub(crate) struct Bar {
 impl Bar {
     pub(crate) fn new(what: &str) -> Self {
         let bar = ProgressBar::with_draw_target(Some(1), ProgressDrawTarget::stderr_with_hz(10));
-        // A line that wraps is not cleared.
+        // A wrapped line cannot be cleared.
         let columns = tcgetwinsize(stderr()).map_or(0, |size| size.ws_col);
         let template = if columns < COLUMNS_FOR_BAR {
             "{prefix} {percent}%"
@@ -33,7 +33,7 @@ impl Bar {
         Self { bar }
     }
 
-    /// A part of the whole, 0 to 1.
+    /// Shows a fraction, 0 to 1.
     pub(crate) fn show_share(&self, share: f64) {
         let percent = 100.0 * share.clamp(0.0, 1.0);
         self.bar.set_length(100);
@@ -41,12 +41,12 @@ impl Bar {
         self.bar.set_message(format!("{percent:.0} %"));
     }
 
-    /// How long it has gone on, where nobody knows how long it lasts.
+    /// Shows the elapsed time, for an unknown duration.
     pub(crate) fn show_time(&self, played_s: f64) {
         self.bar.set_message(format!("{played_s:.1} s"));
     }
 
-    /// How far it is, and beside it what else is to be told while it tracks.
+    /// Shows the progress of a feed, and `beside` while the daemon tracks.
     pub(crate) fn show(&self, progress: &FeedProgress, beside: Option<String>) {
         self.bar.set_length(ms(progress.duration_s));
         self.bar.set_position(ms(progress.played_s));

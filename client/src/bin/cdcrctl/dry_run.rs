@@ -1,9 +1,10 @@
-//! What a reference would ask of the robot, computed before anything moves.
+//! Computes the demands of a reference on the robot before anything moves.
 //!
-//! The closed loop of the controller with the ideal robot of the daemon's model, from where it is now, with its tip offset, obstacles,
-//! acceleration and settings of the solver. First it goes to the first point, directly, then along the points as they would be
-//! sent; each has maxima of its own. The guard looks as far ahead as the daemon's, and keeps the margin of the tip offset as it is now.
-//! A real robot has motors, play and noise: beside obstacles it may do less.
+//! It simulates the closed loop with the ideal robot of the daemon's model. The start is the present
+//! configuration, with the daemon's tip offset, obstacles, acceleration and solver settings. The tip first
+//! moves directly to the first point, then along the points as they would be sent; each part has its own
+//! maxima. The guard has the daemon's stopping path, and keeps the margin of the present tip offset. A real
+//! robot has motors, play and noise: near obstacles it may achieve less.
 
 use std::fmt;
 use std::io::Write;
@@ -23,28 +24,28 @@ use nalgebra::Vector3;
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
 
-/// The way to the first point may take so long \[s\].
-const WAY_MAX_S: f64 = 30.0;
-/// A tip that comes no nearer than by this in [`PATIENT_CYCLES`] has arrived \[m\].
+/// Maximum duration of the move to the first point \[s\].
+const MOVE_MAX_S: f64 = 30.0;
+/// A tip that gets no nearer than by this in [`STALL_CYCLES`] has arrived \[m\].
 const NEARER_M: f64 = 1e-6;
-const PATIENT_CYCLES: u32 = 100;
-/// A reference of more cycles is not tried.
+const STALL_CYCLES: u32 = 100;
+/// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 
-/// What a reference asks of the robot.
+/// Demands of a reference on the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Demands {
-    /// From the tip now to the first point \[m\].
+    /// Distance from the present tip to the first point \[m\].
     distance_m: f64,
-    /// On the way to the first point.
+    /// The move to the first point.
     before: Motion,
-    /// From the first point on.
+    /// The motion from the first point on.
     along: Motion,
     cycles: u64,
     error_sum_m: f64,
     error_max_m: f64,
     error_end_m: f64,
-    /// Time \[s\] and point \[m\] that the tip is farthest from.
+    /// Time \[s\] and point \[m\] of the largest error.
     farthest: (f64, [f64; 3]),
     end_m: [f64; 3],
     stroke_max_m: f64,
@@ -54,7 +55,7 @@ pub(crate) struct Demands {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Motion {
     rate_rad_s: f64,
-    /// The largest part of its limit that a rate takes.
+    /// The largest rate as a share of its limit.
     rate_share: f64,
     acceleration_rad_s2: f64,
     bend_rad: f64,
@@ -70,7 +71,7 @@ pub(crate) fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
     record.context("no telemetry within 1 s: the tip position is unknown")
 }
 
-/// The daemon's robot, and how it is bent.
+/// The daemon's robot and its configuration.
 pub(crate) fn robot_and_pose(record: &Telemetry) -> anyhow::Result<(Robot, Configuration)> {
     let robot = robot_of(&record.robot)?;
     let here = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()]);
@@ -80,7 +81,7 @@ pub(crate) fn robot_and_pose(record: &Telemetry) -> anyhow::Result<(Robot, Confi
     ))
 }
 
-/// Computes `trajectory` with the daemon's robot, as it would be fed with `options`.
+/// Simulates `trajectory` with the daemon's robot, as it would be fed with `options`.
 pub(crate) fn compute(
     connection: &Connection,
     trajectory: &dyn Trajectory,
@@ -103,7 +104,7 @@ pub(crate) fn compute(
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
     let known: Vec<Obstacle> = obstacles(&record).iter().filter_map(obstacle_of).collect();
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
-    // A command to move to a position is over with its period.
+    // A position command ends with its period.
     let valid_ns = if record.command.interface == Interface::Position.code() {
         record.period_ns
     } else {
@@ -121,7 +122,7 @@ pub(crate) fn compute(
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
-    while since < PATIENT_CYCLES && way.time_s() < WAY_MAX_S {
+    while since < STALL_CYCLES && way.time_s() < MOVE_MAX_S {
         demands.before.step(&mut way, &mut nmpc, period_s);
         since += 1;
         if way.error_m() < nearest_m - NEARER_M {
@@ -129,7 +130,7 @@ pub(crate) fn compute(
         }
     }
 
-    // The reference begins so much later than now, wherever the robot is by then.
+    // The reference begins after the lead, wherever the robot is by then.
     let lead_s = options.lead.as_secs_f64();
     let moved: Vec<_> = known.iter().map(|one| one.moved(lead_s)).collect();
     let there = *way.configuration();
@@ -151,7 +152,7 @@ pub(crate) fn compute(
     Ok(demands)
 }
 
-/// The points as they would be sent, on a clock that begins with the trajectory.
+/// The points as they would be sent, on a clock that starts with the trajectory.
 fn points(
     trajectory: &dyn Trajectory,
     options: &FeedOptions,
@@ -191,7 +192,7 @@ impl Motion {
         clearance_m: f64::INFINITY,
     };
 
-    /// One period, and what it asks for.
+    /// Simulates one period and updates the maxima.
     fn step<R: Fn(f64) -> reference::ReferenceSample>(
         &mut self,
         closed: &mut ClosedLoop<R>,
@@ -266,7 +267,7 @@ impl Demands {
         (self.along.bend_rad, self.along.rate_rad_s)
     }
 
-    /// Fails where a point is missed by more than `allowed_m`.
+    /// Fails when a point is missed by more than `allowed_m`.
     pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_max_m > allowed_m {
             let (time_s, point_m) = self.farthest;
@@ -278,7 +279,7 @@ impl Demands {
         Ok(())
     }
 
-    /// Fails where the end is missed by more than `allowed_m`.
+    /// Fails when the end is missed by more than `allowed_m`.
     pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_end_m > allowed_m {
             bail!(
@@ -290,7 +291,7 @@ impl Demands {
     }
 }
 
-/// How far the tip stays away from a point, in words.
+/// Text for the distance between tip and point.
 pub(crate) fn away(error_m: f64, [x, y, z]: [f64; 3]) -> String {
     let error_mm = 1e3 * error_m;
     format!("the tip stays {error_mm:.1} mm away from ({x:.4}, {y:.4}, {z:.4}) m")

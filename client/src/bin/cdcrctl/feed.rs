@@ -23,25 +23,25 @@ use crate::interrupt::Interrupt;
 use crate::reach;
 use crate::tip_error::TipError;
 
-/// How long after now `goto` and `jog` begin.
+/// Delay of the start of `goto` and `jog`.
 const GO_LEAD: Duration = Duration::from_millis(500);
-/// How long a status or a record is waited for.
+/// Timeout for a status or a record.
 const STATUS: Duration = Duration::from_secs(1);
-/// A tip that is farther than this from where its way was computed from has moved, whatever error is allowed \[m\].
+/// A tip farther than this from the start of its computed path has moved, whatever error is allowed \[m\].
 const MOVED_M: f64 = 2e-3;
-/// What a sensor of the tip measured longer ago than this is of the way, not of its end \[ns\].
+/// A tip measurement older than this belongs to the path, not to its end \[ns\].
 const FRESH_NS: u64 = 100_000_000;
-/// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
+/// Default tolerance for reaching a point \[m\].
 pub(crate) const MISSED_M: f64 = 1e-3;
-/// A reference so many times as far from the base as the robot is long is asked about.
+/// A reference farther away than this, in robot lengths, needs a confirmation.
 const FAR: f64 = 10.0;
-/// A curve or a file that is gone through again and again lasts no longer \[s\], and has no more rows.
+/// Maximum duration of a repeated curve or file \[s\], and its maximum number of rows below.
 const LONGEST_S: f64 = 86_400.0;
-/// A reference of more than one point lasts no less \[s\].
+/// Minimum duration of a reference with more than one point \[s\].
 const SHORTEST_S: f64 = 0.01;
 const ROWS_MAX: usize = 10_000_000;
 
-/// How a reference is fed, what it is, and to whom.
+/// Feed options, trajectory and connection.
 type Prepared<'a> = (&'a FeedArguments, Box<dyn Trajectory>, Connection);
 
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
@@ -75,12 +75,12 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     }
     let (done, error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
-        error.tell(arguments.max_error)?;
+        error.print(arguments.max_error)?;
     }
     Ok(done)
 }
 
-/// `cdcrctl goto …`, `cdcrctl jog …`: to the point that `end_m` makes of where the tip is.
+/// `cdcrctl goto …`, `cdcrctl jog …`: moves to the point that `end_m` computes from the tip position.
 pub(crate) fn go(
     connection: &Connection,
     arguments: &StraightArguments,
@@ -108,12 +108,12 @@ pub(crate) fn go(
     check_stands(connection, &before)?;
     let (done, _) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
-        tell_end(&newest(connection)?, goal_m, arguments.max_error)?;
+        print_end(&newest(connection)?, goal_m, arguments.max_error)?;
     }
     Ok(done)
 }
 
-/// Fails where only a reset lets the robot move.
+/// Fails when only a reset lets the robot move.
 pub(crate) fn check_mode(status: &Status) -> anyhow::Result<()> {
     ensure!(
         !matches!(
@@ -127,7 +127,7 @@ pub(crate) fn check_mode(status: &Status) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// How a way is fed that begins where the tip is.
+/// Feed options for a path that starts at the tip.
 pub(crate) fn go_options() -> FeedOptions {
     FeedOptions {
         track: true,
@@ -136,7 +136,7 @@ pub(crate) fn go_options() -> FeedOptions {
     }
 }
 
-/// Fails where the robot does not rest where it was `before`.
+/// Fails when the robot does not rest at its position in `before`.
 pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyhow::Result<()> {
     let now = newest(connection)?;
     let moved = distance_m(now.tip_position_m, before.tip_position_m) > MOVED_M;
@@ -148,7 +148,7 @@ pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyho
     Ok(())
 }
 
-/// Whether no motion is commanded.
+/// Whether the command is rest.
 fn rests(record: &Telemetry) -> bool {
     record
         .command
@@ -157,8 +157,8 @@ fn rests(record: &Telemetry) -> bool {
         .all(|rate| *rate == 0.0)
 }
 
-/// Says how near the tip is to the point, as estimated and as measured, and fails where either is farther than `limit_m`.
-fn tell_end(end: &Telemetry, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
+/// Prints the final distance to the point, estimated and measured, and fails when either exceeds `limit_m`.
+fn print_end(end: &Telemetry, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
     let estimated_m = distance_m(end.tip_position_m, goal_m);
     let (mut largest_m, mut by) = (estimated_m, String::new());
     if end.release_ns < end.tip_measured_ns + FRESH_NS {
@@ -178,7 +178,8 @@ fn tell_end(end: &Telemetry, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<(
     Ok(())
 }
 
-/// The nearest point that the daemon takes: the tip of a robot that is longer than its model may be farther away.
+/// The nearest point that the daemon accepts: the tip of a robot that is longer than its model may be farther
+/// away.
 pub(crate) fn within(point_m: [f64; 3], reach_m: f64) -> [f64; 3] {
     let factor = (0.999 * reach_m / distance_m(point_m, [0.0; 3])).min(1.0);
     point_m.map(|m| factor * m)
@@ -189,7 +190,8 @@ pub(crate) fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     squares.sum::<f64>().sqrt()
 }
 
-/// Feeds a trajectory, and watches the tip. Where `watch` refuses a record, the robot holds, and that is the error.
+/// Feeds a trajectory and monitors the tip. When `watch` refuses a record, the robot holds, and the call
+/// returns that error.
 pub(crate) fn follow(
     connection: &Connection,
     trajectory: &dyn Trajectory,
@@ -228,7 +230,7 @@ pub(crate) fn follow(
     Ok((done, error))
 }
 
-/// Refuses a reference that is so fast that nothing is left of it between two cycles.
+/// Refuses a reference so short that it would pass between two cycles.
 fn check_duration(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
     let is_point = trajectory.knots_s().is_some_and(|knots| knots.len() < 2);
     let duration_s = trajectory.duration_s();
@@ -239,7 +241,7 @@ fn check_duration(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Refuses a reference in millimetres. The daemon would refuse it, too, without a guess at the reason.
+/// Refuses a reference in millimetres. The daemon would refuse it, too, but without this reason.
 fn check_unit(trajectory: &dyn Trajectory, reach_m: f64) -> anyhow::Result<()> {
     let ends_s = [0.0, trajectory.duration_s()];
     let times_s = trajectory.knots_s().unwrap_or(&ends_s);
@@ -257,7 +259,7 @@ fn check_unit(trajectory: &dyn Trajectory, reach_m: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Checks everything that needs no daemon first, so that a bad file is told even without one.
+/// Checks everything that needs no daemon first, so that a bad file is reported even without one.
 fn prepare<'a>(target: &Target, curve: &'a Curve) -> anyhow::Result<Prepared<'a>> {
     let (arguments, change, trajectory) = match curve {
         Curve::File(options) => {
@@ -275,7 +277,7 @@ fn prepare<'a>(target: &Target, curve: &'a Curve) -> anyhow::Result<Prepared<'a>
     Ok((arguments, trajectory, target.connect()?))
 }
 
-/// A curve or a file, faster, larger, in another plane, or more often.
+/// Applies the options for speed, size, plane and rounds.
 fn changed(
     trajectory: impl Trajectory + 'static,
     change: &ChangeArguments,
@@ -303,7 +305,7 @@ fn changed(
     )))
 }
 
-/// A curve that a formula draws, for the daemon's robot.
+/// A curve from a formula, for the daemon's robot.
 fn prepare_drawn(connection: Connection, curve: &Curve) -> anyhow::Result<Prepared<'_>> {
     let lengths = |curve: &CurveArguments| lengths_m(&connection, curve.sections);
     let robot_m: f64 = lengths_m(&connection, None)?.iter().sum();
@@ -342,7 +344,7 @@ fn prepare_drawn(connection: Connection, curve: &Curve) -> anyhow::Result<Prepar
     Ok((arguments, trajectory, connection))
 }
 
-/// A figure for a robot of this length, with a shape that may depend on its radius \[m\].
+/// A figure for a robot of this length; its shape may depend on its radius \[m\].
 fn figure(
     options: &FigureArguments,
     robot_m: f64,
@@ -357,7 +359,8 @@ fn figure(
     (&options.feed, Box::new(figure))
 }
 
-/// Lengths of the daemon's sections; with `--sections`, that many of them, and the paper's beyond.
+/// Lengths of the daemon's sections; with `--sections`, that many, with the paper's lengths for additional
+/// ones.
 fn lengths_m(connection: &Connection, sections: Option<u32>) -> anyhow::Result<Vec<f64>> {
     let status = connection
         .status(Duration::from_secs(1))
@@ -412,7 +415,7 @@ fn feed_options(arguments: &FeedArguments) -> FeedOptions {
     }
 }
 
-/// The lease is back already; an interrupted feed also asks for hold.
+/// The lease has already been given back; an interrupted feed also requests hold.
 fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::Result<Done> {
     if report.end == FeedEnd::Interrupted {
         connection.request(RequestKind::Hold)?;
@@ -447,16 +450,16 @@ mod tests {
             tip_measured_ns: 995_000_000,
             ..Telemetry::default()
         };
-        let text = tell_end(&end, [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
+        let text = print_end(&end, [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
         let text = text.to_string();
         assert!(
             text.contains("0.000 mm from the point (3.000 mm as measured)"),
             "{text}"
         );
-        assert!(tell_end(&end, [0.1, 0.0, 0.8], 0.004).is_ok());
-        // A sensor that is silent says nothing of the end; the estimate does.
+        assert!(print_end(&end, [0.1, 0.0, 0.8], 0.004).is_ok());
+        // A silent sensor does not decide about the end; the estimate does.
         end.tip_measured_ns = 800_000_000;
-        assert!(tell_end(&end, [0.1, 0.0, 0.8], 0.002).is_ok());
-        assert!(tell_end(&end, [0.103, 0.0, 0.8], 0.002).is_err());
+        assert!(print_end(&end, [0.1, 0.0, 0.8], 0.002).is_ok());
+        assert!(print_end(&end, [0.103, 0.0, 0.8], 0.002).is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! How often messages come.
+//! Measures message rates.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -8,9 +8,9 @@ use cdcr_shared_types::message::Struct;
 
 use crate::Done;
 use crate::args::{HzOptions, Target};
-use crate::echo::{Look, Watch, each, watch};
+use crate::echo::{LineFormat, Watch, each, watch};
 
-/// How often a line is printed.
+/// Interval of the printed lines.
 const LINE: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &HzOptions) -> anyhow::Result<Done> {
@@ -22,7 +22,7 @@ impl Watch for HzOptions {
         &self,
         connection: &Connection,
         mut stream: Stream<T>,
-        _: &Look<T>,
+        _: &LineFormat<T>,
     ) -> anyhow::Result<Done> {
         let mut out = std::io::stdout().lock();
         writeln!(out, "{HEADING}")?;
@@ -31,8 +31,8 @@ impl Watch for HzOptions {
             let mut gaps = Gaps::default();
             let (begin, begin_ns, mut lives) = (Instant::now(), monotonic_ns(), false);
             each(connection, &mut stream, |message| {
-                // Of a daemon that stood still meanwhile, or had not noticed this reader yet, silence tells nothing. What
-                // it sent together with its status has a look more to arrive.
+                // Silence means nothing for a daemon that was suspended, or that has not noticed this reader
+                // yet. So the messages are read once more before silence is reported.
                 let lived = lives;
                 if message.is_none() {
                     let status = connection.status(Duration::ZERO);
@@ -40,7 +40,7 @@ impl Watch for HzOptions {
                 }
                 if let Some(header) = message.map(Message::header) {
                     gaps.count += 1;
-                    // Only one sender's stamps are on a line.
+                    // A line covers one sender only.
                     if let Some((sender_id, sent_ns)) = last
                         && sender_id == header.sender_id
                     {
@@ -66,7 +66,7 @@ impl Watch for HzOptions {
 
 const HEADING: &str = "messages/s  between ms: mean       min       max  deviation  lost";
 
-/// What is between the stamps of messages \[ms\].
+/// Intervals between the stamps of messages \[ms\].
 #[derive(Debug, Default)]
 struct Gaps {
     count: u64,

@@ -10,12 +10,12 @@ use crate::args::{Format, IncidentsOptions, Target};
 use crate::echo::{json, line};
 use crate::interrupt::Interrupt;
 
-/// The kept incidents are there when so many snapshots of the daemon have come: it sees a new reader at
-/// the latest when it publishes the next one.
-const SNAPSHOTS: u64 = 3;
-/// How long these may take; ten a second are published.
+/// Number of statuses after which all kept incidents have arrived: the daemon detects a new reader at the
+/// latest when it publishes its next status.
+const STATUSES: u64 = 3;
+/// Timeout for these statuses; ten per second are published.
 const TIMEOUT: Duration = Duration::from_secs(2);
-const LOOK: Duration = Duration::from_millis(100);
+const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
 
 pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
@@ -36,7 +36,7 @@ pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result
         return Ok(Done::Good);
     }
     while !interrupt.is_raised() {
-        match stream.next_within(LOOK)? {
+        match stream.next_within(INTERRUPT_INTERVAL)? {
             Some(incident) => print(&mut out, &incident, options.format)?,
             None => out.flush()?,
         }
@@ -44,14 +44,14 @@ pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result
     Ok(Done::Good)
 }
 
-/// What the daemon has kept and has not been read from `stream`, oldest first.
+/// The incidents that the daemon has kept and that were not read from `stream` yet, oldest first.
 pub(crate) fn kept(
     connection: &Connection,
     stream: &mut Stream<Incident>,
 ) -> anyhow::Result<Vec<Incident>> {
     let mut snapshots = connection.statuses()?;
     let deadline = Instant::now() + TIMEOUT;
-    for _ in 0..SNAPSHOTS {
+    for _ in 0..STATUSES {
         let left = deadline.saturating_duration_since(Instant::now());
         if snapshots.next_within(left)?.is_none() {
             break;
@@ -64,7 +64,7 @@ pub(crate) fn kept(
     Ok(kept)
 }
 
-/// The last `count` of them.
+/// The last `count` incidents.
 fn newest(kept: &[Incident], count: Option<u64>) -> &[Incident] {
     let count = count.map_or(kept.len(), |count| kept.len().min(count as usize));
     &kept[kept.len() - count..]

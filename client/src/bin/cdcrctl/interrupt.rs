@@ -4,17 +4,18 @@ use std::sync::{Arc, OnceLock};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGXFSZ};
 
-/// One for all: a signal that comes between two parts of a command counts for the second.
+/// One for the process: a signal between two parts of a command applies to the second.
 static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Whether the user or the system wants us to end.
+/// A request of the user or the system to end the program.
 #[derive(Debug, Clone)]
 pub(crate) struct Interrupt {
     raised: Arc<AtomicBool>,
 }
 
 impl Interrupt {
-    /// Catches SIGINT, SIGTERM, SIGHUP and SIGQUIT from now on. A file that reaches its limit (`ulimit -f`) is an error of writing, and kills nobody.
+    /// Catches SIGINT, SIGTERM, SIGHUP and SIGQUIT from now on. SIGXFSZ is handled, too: a file that reaches
+    /// its size limit (`ulimit -f`) causes a write error and does not end the process.
     pub(crate) fn catch() -> io::Result<Self> {
         if let Some(raised) = RAISED.get() {
             let raised = Arc::clone(raised);

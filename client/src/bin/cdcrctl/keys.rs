@@ -1,4 +1,4 @@
-//! Keys that are pressed at a terminal, which may be closed.
+//! Key input from a terminal that may be closed at any time.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -13,18 +13,18 @@ use rustix::stdio::{dup2_stderr, dup2_stdout};
 
 const CLOSED: PollFlags = PollFlags::HUP.union(PollFlags::ERR).union(PollFlags::NVAL);
 
-/// crossterm reads a terminal that was closed again and again, and holds a core for ever. So it is asked only where there is something
-/// to read.
+/// crossterm reads a closed terminal in an endless loop, and occupies a core. So it is called only when there
+/// is input.
 #[derive(Debug, Default)]
 pub(crate) struct Keys {
     pressed: VecDeque<KeyEvent>,
 }
 
 impl Keys {
-    /// The next key. None: no key came within `timeout`, or before a signal.
+    /// The next key. `None` when no key arrived within `timeout`, or a signal interrupted the wait.
     ///
     /// # Errors
-    /// [`io::ErrorKind::BrokenPipe`] when the terminal was closed: what is written to it from then on is thrown away.
+    /// [`io::ErrorKind::BrokenPipe`] when the terminal was closed: output is discarded from then on.
     pub(crate) fn next_within(&mut self, timeout: Duration) -> io::Result<Option<KeyEvent>> {
         if self.pressed.is_empty() && is_readable(timeout)? {
             while event::poll(Duration::ZERO)? {
@@ -35,42 +35,43 @@ impl Keys {
     }
 }
 
-/// What was drawn; where that failed because the terminal was closed, the error of [`Keys::next_within`].
+/// Returns the result of drawing; after a failure due to a closed terminal, the error of
+/// [`Keys::next_within`].
 pub(crate) fn drawn<T>(drawn: io::Result<T>) -> io::Result<T> {
     drawn.or_else(|error| is_readable(Duration::ZERO).and(Err(error)))
 }
 
 fn is_readable(timeout: Duration) -> io::Result<bool> {
-    let found = look_at(&io::stdin(), PollFlags::IN, timeout)?;
+    let found = poll_events(&io::stdin(), PollFlags::IN, timeout)?;
     if found.intersects(CLOSED) {
-        write_nowhere()?;
+        discard_output()?;
         return Err(io::ErrorKind::BrokenPipe.into());
     }
     Ok(found.contains(PollFlags::IN))
 }
 
-/// What is true of a file within `timeout`, of `wanted` or of [`CLOSED`]; nothing after a signal.
-fn look_at(file: &dyn AsFd, wanted: PollFlags, timeout: Duration) -> io::Result<PollFlags> {
+/// Events of a file within `timeout`, out of `wanted` and [`CLOSED`]; none after a signal.
+fn poll_events(file: &dyn AsFd, wanted: PollFlags, timeout: Duration) -> io::Result<PollFlags> {
     let timeout = Timespec::try_from(timeout).ok();
-    let mut looked_at = [PollFd::new(&file, wanted)];
-    match poll(&mut looked_at, timeout.as_ref()) {
+    let mut polled = [PollFd::new(&file, wanted)];
+    match poll(&mut polled, timeout.as_ref()) {
         Err(Errno::INTR) => Ok(PollFlags::empty()),
-        count => Ok(count.map(|_| looked_at[0].revents())?),
+        count => Ok(count.map(|_| polled[0].revents())?),
     }
 }
 
-/// Whoever writes to a closed terminal fails, and whoever tells of that there panics.
-fn write_nowhere() -> io::Result<()> {
-    let nowhere = File::options().write(true).open("/dev/null")?;
+/// Redirects output: writing to a closed terminal fails, and reporting that failure there panics.
+fn discard_output() -> io::Result<()> {
+    let null_device = File::options().write(true).open("/dev/null")?;
     let is_closed = |file: &dyn AsFd| {
-        let found = look_at(file, PollFlags::empty(), Duration::ZERO)?;
+        let found = poll_events(file, PollFlags::empty(), Duration::ZERO)?;
         Ok::<_, io::Error>(found.intersects(CLOSED))
     };
     if is_closed(&io::stdout())? {
-        dup2_stdout(&nowhere)?;
+        dup2_stdout(&null_device)?;
     }
     if is_closed(&io::stderr())? {
-        dup2_stderr(&nowhere)?;
+        dup2_stderr(&null_device)?;
     }
     Ok(())
 }

@@ -3,7 +3,7 @@ use std::time::Duration;
 use cdcr_client::{Connection, LinkError, Liveness, obstacles};
 use cdcr_shared_types::{Obstacle, Service};
 
-/// The obstacles that the next cycle knows.
+/// The obstacles known to the next cycle.
 pub(crate) fn known(
     connection: &Connection,
     timeout: Duration,

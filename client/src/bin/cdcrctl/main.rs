@@ -1,6 +1,6 @@
-//! `cdcrctl`: feeds references to `cdcrd`, asks it for things and shows what it does.
+//! `cdcrctl`: feeds references to `cdcrd`, sends requests and shows its state.
 //!
-//! A thin user of the library `cdcr_client`: here are only command lines, texts, tables and pictures.
+//! Based on the library `cdcr_client`: this program adds only command lines, texts, tables and pictures.
 
 #![forbid(unsafe_code)]
 #![deny(clippy::print_stderr)]
@@ -48,9 +48,9 @@ use iceoryx2::prelude::{LogLevel, set_log_level};
 
 use args::{Arguments, Task};
 
-/// What a shell expects of a program that SIGINT ended: 128 + 2.
+/// Exit code of a program ended by SIGINT, by convention of shells: 128 + 2.
 const EXIT_INTERRUPTED: u8 = 130;
-/// A recording ended because there was no room for more.
+/// Exit code of a recording that ended because the disk is full.
 const EXIT_DISK_FULL: u8 = 3;
 
 /// How a task ended without an error.
@@ -62,7 +62,7 @@ enum Done {
 }
 
 fn main() -> ExitCode {
-    // Errors are told in our own words; iceoryx2's log would say them twice.
+    // This program reports the errors itself, so iceoryx2's log is turned off.
     set_log_level(LogLevel::Fatal);
     args::complete::answer();
     let arguments = Arguments::parse();
@@ -70,7 +70,7 @@ fn main() -> ExitCode {
         Ok(Done::Good) => ExitCode::SUCCESS,
         Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),
         Ok(Done::DiskFull) => ExitCode::from(EXIT_DISK_FULL),
-        // The reader of our output (head, less) has seen enough.
+        // The reader of the output (head, less) has closed it.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             tell!("error: {error:#}");

@@ -17,10 +17,10 @@ use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
 use crate::echo::json;
 use crate::known_obstacles::known;
 
-/// An obstacle so many times the length of the robot away is asked about. (The nearest that millimetres can be mistaken
-/// for is about a thousand times as far as meant.)
+/// An obstacle farther away than this, in robot lengths, needs a confirmation. (Mistaking millimetres for
+/// metres gives a factor of about a thousand.)
 const FAR: f64 = 10.0;
-/// How long the daemon may take to decide on the message, or to run a cycle.
+/// Timeout for the daemon's decision on a message, or for a cycle.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<Done> {
@@ -53,7 +53,7 @@ fn change(
     Ok(Done::Good)
 }
 
-/// How many obstacles are known after this message was accepted.
+/// Number of known obstacles after this message was accepted.
 fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<u32> {
     let event = telemetry.event_on(EventKind::Obstacles, header, TIMEOUT)?;
     match Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode) {
@@ -113,7 +113,8 @@ fn vector_text([x, y, z]: [f64; 3]) -> String {
     format!("{x:.3},{y:.3},{z:.3}")
 }
 
-/// Refuses what the daemon would take, and the user hardly means. A source that `ends` must have no lifetimes where it is watched.
+/// Refuses obstacles that the daemon would accept but that are probably a mistake. A source that `ends` must
+/// send no lifetimes if the daemon monitors them.
 fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow::Result<()> {
     let timeout_ms = status.obstacle_source_timeout_ns as f64 * 1e-6;
     if ends && obstacle.lifetime_ns > 0 && timeout_ms > 0.0 {
@@ -149,7 +150,7 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
     Ok(())
 }
 
-/// From the base, the origin, to a segment \[m\].
+/// Distance of a segment from the base, the origin \[m\].
 fn distance_m(start: [f64; 3], end: [f64; 3]) -> f64 {
     let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let along: [f64; 3] = std::array::from_fn(|i| end[i] - start[i]);
@@ -163,7 +164,7 @@ fn distance_m(start: [f64; 3], end: [f64; 3]) -> f64 {
     dot(nearest, nearest).sqrt()
 }
 
-/// What to do, in the words of this command where it has its own.
+/// Remedy, with the options of this command where it has some.
 fn advice(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::BufferFull => {
@@ -233,7 +234,7 @@ mod tests {
             // A wall, and a machine across the hall.
             ([0.0, 0.0, -1000.0], 999.9, true),
             ([8.0, 0.0, 0.0], 1.0, true),
-            // The radius alone is in mm: the base is inside.
+            // Only the radius is in mm: the base is inside.
             ([0.5, 0.6, 0.1], 20.0, false),
         ] {
             let said = checked(&add(at, radius), &status());
@@ -265,7 +266,7 @@ mod tests {
         let error = refused.to_string();
         assert!(error.contains("source_timeout_ms = 500"), "{error}");
         assert!(error.contains("cdcrctl obstacle remove 7"), "{error}");
-        // One that goes on sending may have them.
+        // A source that continues to send may use lifetimes.
         assert!(check(&obstacle(&fleeting, 0), &watching, false, false).is_ok());
         fleeting.lifetime = None;
         assert!(checked(&fleeting, &watching).is_ok());

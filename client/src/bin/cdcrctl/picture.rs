@@ -1,6 +1,6 @@
-//! The robot from one side, drawn with the signs of a terminal. Its scale is the same in both directions: a circle is round.
+//! View of the robot from one side, drawn with terminal characters. Both directions have the same scale.
 //!
-//! Knows no message.
+//! Invariant: nothing here knows a message.
 
 use std::env;
 
@@ -14,14 +14,14 @@ use ratatui::widgets::canvas::{Canvas, Circle, Context, Line, Points};
 
 use crate::backbone::Position;
 
-/// How many dots apart those of the reference are: its line is dotted, that of the tip is not.
+/// Spacing of the reference points in dots: the reference is dotted, the path of the tip is a line.
 const REFERENCE_STEP: f64 = 3.0;
 
-/// From where: two of the three axes.
+/// Direction of view: two of the three axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct View {
     pub(crate) name: &'static str,
-    /// The same where there is little room.
+    /// Short name for narrow screens.
     pub(crate) short: &'static str,
     across: usize,
     up: usize,
@@ -46,17 +46,17 @@ pub(crate) const TOP: View = View {
     up: 1,
 };
 
-/// A ball or a rod in the picture.
+/// A sphere or capsule in the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Solid {
     pub(crate) start_m: Position,
     pub(crate) end_m: Position,
     pub(crate) radius_m: f64,
-    /// The body is within the safe distance of it.
+    /// Whether it is within the safe distance of the body.
     pub(crate) is_near: bool,
 }
 
-/// What is drawn, later entries over earlier ones.
+/// Content of the picture; later entries cover earlier ones.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Scene {
     pub(crate) obstacles: Vec<Solid>,
@@ -66,15 +66,15 @@ pub(crate) struct Scene {
     pub(crate) backbone: Vec<Position>,
 }
 
-/// What part of space is drawn.
+/// The visible part of space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Window {
     pub(crate) middle_m: Position,
-    /// How much of it the shorter side of a picture shows \[m\], above 0.
+    /// Extent of the shorter side of the picture \[m\], above 0.
     pub(crate) size_m: f64,
 }
 
-/// The signs that a terminal can show.
+/// Characters that a terminal supports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Signs {
     Braille,
@@ -82,7 +82,7 @@ pub(crate) enum Signs {
     Ascii,
 }
 
-/// What lies where in the picture.
+/// Kinds of content, each with its colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ink {
     Obstacle,
@@ -103,7 +103,7 @@ impl Ink {
         Self::Tip,
     ];
 
-    /// Of the terminal's own colours, so that they suit its background.
+    /// A colour of the terminal's palette, so that it suits the background.
     pub(crate) fn ansi(self) -> AnsiColor {
         match self {
             Self::Obstacle => AnsiColor::Blue,
@@ -132,7 +132,7 @@ impl Ink {
 }
 
 impl Signs {
-    /// The best that the terminal can show, by what the environment says of it.
+    /// The best supported characters, according to the environment.
     pub(crate) fn of_terminal() -> Self {
         let of = |key: &str| env::var(key).ok().filter(|value| !value.is_empty());
         let locale = of("LC_ALL")
@@ -144,13 +144,13 @@ impl Signs {
         });
         match (is_unicode, of("TERM").as_deref()) {
             (false, _) => Self::Ascii,
-            // The console of Linux has fonts with half blocks, and without Braille.
+            // The Linux console has half blocks but no Braille.
             (true, Some("linux")) => Self::HalfBlocks,
             (true, _) => Self::Braille,
         }
     }
 
-    /// Dots in a cell, across and up.
+    /// Dots per cell, across and up.
     fn dots(self) -> (u16, u16) {
         match self {
             Self::Braille => (2, 4),
@@ -159,7 +159,7 @@ impl Signs {
         }
     }
 
-    /// What draws a line; `letter` where there is nothing finer.
+    /// Marker for lines; `letter` if the terminal has nothing finer.
     pub(crate) fn marker(self, letter: char) -> Marker {
         match self {
             Self::Braille => Marker::Braille,
@@ -181,11 +181,12 @@ impl View {
 }
 
 impl Window {
-    /// How much of space a picture of `area` shows, across and up, and of that a dot \[m\]. A cell counts as twice as high as wide.
+    /// Extent of a picture in `area`, across and up, and of one dot \[m\]. Cells are taken as twice as high
+    /// as wide.
     fn extent_m(&self, area: Rect, signs: Signs) -> (f64, f64, f64) {
         let (dots_across, dots_up) = signs.dots();
         let (across, up) = (f64::from(dots_across), f64::from(dots_up));
-        // In widths of a cell, from the middle of the first dot to that of the last.
+        // In cell widths, from the middle of the first dot to that of the last.
         let wide = (f64::from(area.width) * across - 1.0).max(1.0) / across;
         let high = (f64::from(area.height) * up - 1.0).max(1.0) / up * 2.0;
         let cell_m = self.size_m / wide.min(high);
@@ -194,7 +195,7 @@ impl Window {
 }
 
 impl Scene {
-    /// Draws it from one side into `area`. Returns how much of space a dot is \[m\].
+    /// Draws the scene into `area`. Returns the size of a dot \[m\].
     pub(crate) fn draw(
         &self,
         view: View,
@@ -253,7 +254,7 @@ impl Scene {
     }
 }
 
-/// The points that lie `apart_m` from the one before, at least.
+/// Removes points that are closer than `apart_m` to the previous one.
 fn thinned(points: impl Iterator<Item = (f64, f64)>, apart_m: f64) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     for (x, y) in points {
@@ -265,7 +266,7 @@ fn thinned(points: impl Iterator<Item = (f64, f64)>, apart_m: f64) -> Vec<(f64, 
     kept
 }
 
-/// Both ends, and what lies between them on either side.
+/// Circles at both ends, and the lines between them.
 fn outline(solid: &Solid, view: View, color: Color, context: &mut Context<'_>) {
     let (a, b) = (view.project(&solid.start_m), view.project(&solid.end_m));
     for (x, y) in [a, b] {
@@ -301,7 +302,7 @@ mod tests {
         buffer
     }
 
-    /// Columns and rows of the cells in which something of a colour is.
+    /// Columns and rows of the cells with a colour.
     fn inked(buffer: &Buffer, ink: Ink) -> Vec<(u16, u16)> {
         let cells = AREA.positions().filter(|position| {
             let cell = &buffer[*position];

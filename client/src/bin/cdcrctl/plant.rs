@@ -1,4 +1,4 @@
-//! A simulated robot in a process of its own, where a driver would be.
+//! A simulated robot in its own process, in place of a driver.
 
 use std::io::Write;
 use std::mem::discriminant;
@@ -14,14 +14,14 @@ use crate::Done;
 use crate::args::{PlantOptions, Target};
 use crate::interrupt::Interrupt;
 
-/// Cables are measured once in this time.
+/// Interval of the cable measurements.
 const TURN: Duration = Duration::from_millis(1);
 
-/// A refusal of the same kind is told again after this long: one may come with every command.
-const TOLD_AGAIN: Duration = Duration::from_secs(10);
+/// Interval at which a refusal of the same kind is printed again: each command may be refused.
+const REPEAT_INTERVAL: Duration = Duration::from_secs(10);
 
-/// It listens so long whether it is taken for the robot's driver.
-const LISTENS: Duration = Duration::from_secs(1);
+/// Time for which the daemon's acceptance of the measurements is checked.
+const CHECK_DURATION: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
@@ -67,7 +67,7 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
         let update = robot.follow()?;
         if let Some(refusal) = update.refused {
             let kind = discriminant(&refusal);
-            told.retain(|(_, at): &(_, Instant)| at.elapsed() < TOLD_AGAIN);
+            told.retain(|(_, at): &(_, Instant)| at.elapsed() < REPEAT_INTERVAL);
             if told.iter().all(|(other, _)| *other != kind) {
                 told.push((kind, Instant::now()));
                 tell!("refused: {refusal} ({} so far)", robot.driver().refusals());
@@ -82,7 +82,7 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
             tip_due = (tip_due + every).max(Instant::now());
             robot.send_tip()?;
         }
-        if begun.elapsed() < LISTENS {
+        if begun.elapsed() < CHECK_DURATION {
             while let Some(record) = telemetry.try_next()? {
                 check(&record, connection.sender_id())?;
             }
@@ -92,7 +92,7 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     Ok(Done::Good)
 }
 
-/// Fails where a record says that a measurement of `sender_id` was refused.
+/// Fails when a record contains a refused measurement of `sender_id`.
 fn check(record: &Telemetry, sender_id: u64) -> anyhow::Result<()> {
     let ours = |event: &&InputEvent| {
         event.kind == EventKind::Measurement.code() && event.sender_id == sender_id

@@ -1,4 +1,4 @@
-//! Messages as JSON datagrams, for plotters that listen.
+//! Sends messages as JSON datagrams to plotters.
 
 use std::net::{ToSocketAddrs, UdpSocket};
 
@@ -10,11 +10,11 @@ use serde_json::{Value, json};
 use crate::Done;
 use crate::args::{PlotOptions, Target, Topic};
 use crate::echo::field::{of, without_null};
-use crate::echo::{Look, Watch, json, paced, watch};
+use crate::echo::{LineFormat, Watch, json, paced, watch};
 
-/// A datagram is smaller than this, so that no listener cuts it off.
+/// Maximum size of a datagram, so that no receiver truncates it.
 const BYTES_MAX: usize = 2000;
-/// What of the telemetry is sent where nothing else is asked for.
+/// Default fields of the telemetry.
 const TELEMETRY: [&str; 8] = [
     "cycle",
     "mode",
@@ -35,7 +35,7 @@ impl Watch for PlotOptions {
         &self,
         connection: &Connection,
         mut stream: Stream<T>,
-        _: &Look<T>,
+        _: &LineFormat<T>,
     ) -> anyhow::Result<Done> {
         let expected = || format!("--udp {}: expected HOST:PORT", self.udp);
         let mut all = self.udp.to_socket_addrs().with_context(expected)?;
@@ -50,7 +50,8 @@ impl Watch for PlotOptions {
         let mut is_first = true;
         paced(connection, &mut stream, limits, |message| {
             let packet = packet(message.header().sent_ns, json::message(message), &fields)?;
-            // A plotter that does not listen yet is no error: there is nobody who answers. A network may go and come again.
+            // A plotter that does not listen yet is not an error: UDP has no answer. A network may go down
+            // and come back.
             let sent = socket.send_to(packet.as_bytes(), to);
             if std::mem::take(&mut is_first) {
                 sent.with_context(|| format!("cannot send to {to}"))?;
@@ -61,7 +62,7 @@ impl Watch for PlotOptions {
     }
 }
 
-/// One datagram: the fields, all where there are none, and the time in seconds.
+/// One datagram: the chosen fields, or all, and the time in seconds.
 fn packet(sent_ns: u64, message: Value, fields: &[String]) -> anyhow::Result<String> {
     let chosen = if fields.is_empty() {
         message

@@ -1,5 +1,5 @@
-//! Whether the robot's model reaches the points of a reference, computed before anything moves: with the limits of its bends alone. What rates,
-//! strokes and obstacles allow on the way is the matter of the dry run.
+//! Checks whether the robot's model reaches the points of a reference before anything moves, with the bend
+//! limits only. The dry run covers rates, strokes and obstacles.
 
 use anyhow::bail;
 use cdcr_client::Trajectory;
@@ -9,14 +9,15 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::dry_run::{away, robot_and_pose};
 
-/// Points that are looked at, evenly along a reference that has more.
+/// Maximum number of checked points, evenly spaced along the reference.
 const POINTS_MAX: usize = 2000;
-/// Steps towards a point.
+/// Iterations towards a point.
 const STEPS: usize = 60;
-/// Shapes from which it is tried again, where the shape of the point before leads to none that is near enough.
+/// Additional start configurations, if the solution of the previous point does not lead near enough.
 const SHAPES: u32 = 100;
 
-/// Fails at the first point that the tip stays farther from than `allowed_m`, whatever the bends; `record`: what the robot and its tip offset are.
+/// Fails at the first point that the tip misses by more than `allowed_m` with any bends; `record` has the
+/// robot and its tip offset.
 pub(crate) fn check(
     record: &Telemetry,
     trajectory: &dyn Trajectory,
@@ -50,7 +51,8 @@ pub(crate) fn check(
     Ok(())
 }
 
-/// A shape whose tip is near the point, and how far it stays away \[m\]: the first that is found within `enough_m`, or else the nearest.
+/// A configuration with its tip near the point, and the distance \[m\]: the first within `enough_m`,
+/// otherwise the nearest.
 fn nearest(
     robot: &Robot,
     from: &Configuration,
@@ -70,7 +72,7 @@ fn nearest(
     best
 }
 
-/// Damped least-squares steps, each of them brought back into the limits of the bends.
+/// Damped least-squares iterations, each projected into the bend limits.
 fn approached(robot: &Robot, from: &Configuration, point_m: &Vector3<f64>) -> (Configuration, f64) {
     let mut jacobian = Jacobian::new();
     let mut shape = within_limits(robot, *from);
@@ -117,7 +119,7 @@ fn within_limits(robot: &Robot, mut shape: Configuration) -> Configuration {
     shape
 }
 
-/// One of many different shapes within the limits: Weyl's sequence in each coordinate.
+/// One of many different configurations within the limits: Weyl's sequence in each coordinate.
 fn some_shape(robot: &Robot, number: u32) -> Configuration {
     const PRIMES: [f64; 12] = [
         2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0,

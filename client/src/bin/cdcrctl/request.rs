@@ -9,7 +9,8 @@ use crate::Done;
 use crate::args::Target;
 use crate::wait;
 
-/// How long `track` waits for a reference, which another program may just begin to feed, and how often it asks.
+/// Time for which `track` waits for a reference that another program is about to feed, and the retry
+/// interval.
 const REFERENCE_TIMEOUT: Duration = Duration::from_secs(2);
 const ASK_AGAIN: Duration = Duration::from_millis(50);
 
@@ -22,11 +23,11 @@ pub(crate) fn run(
         return wait::run(target, kind, limit);
     }
     let (location, robot) = target.location()?;
-    wait::tell(kind, &ask(&location, robot, kind)?)?;
+    wait::print_outcome(kind, &ask(&location, robot, kind)?)?;
     Ok(Done::Good)
 }
 
-/// Asks a daemon, a stop by whatever way there is.
+/// Sends a request to a daemon; a stop by every available means.
 pub(crate) fn ask(location: &Location, robot: &str, kind: RequestKind) -> anyhow::Result<Response> {
     Ok(match kind {
         RequestKind::Stop => Requester::stop(location, robot)?,

@@ -1,7 +1,7 @@
-//! Every setting with its key, its range and its place in the message: the fields of the message, and what is declared of
-//! the table `[controller]` of the configuration.
+//! The solver settings, each with its key, range and field: from the fields of the message, and the declared
+//! table `[controller]` of the configuration.
 //!
-//! The ranges are checked here so that a typing error is told at once; the daemon checks them again.
+//! Ranges are checked here, so that a typing error is reported at once; the daemon checks them again.
 
 use std::ops::RangeInclusive;
 
@@ -24,7 +24,7 @@ const BUDGET: Setting = Setting {
     key: "budget_ms",
     field: "budget_ns",
 };
-/// Longest budget \[ms\]: the longest period that a daemon can have. Its own period bounds it further.
+/// Largest budget \[ms\]: the longest period of a daemon. The daemon's own period limits it further.
 const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
 const BUDGET_NOTE: &str = "; 0: all the remaining period";
 
@@ -38,14 +38,14 @@ impl From<&'static Parameter> for Setting {
 }
 
 impl Setting {
-    /// All of them, in the order of the configuration.
+    /// All settings, in the order of the configuration.
     pub(crate) fn all() -> impl Iterator<Item = Self> {
         let (seed, others) = NmpcSettings::PARAMETERS.split_last().unzip();
         let others = others.into_iter().flatten().map(Self::from);
         others.chain([BUDGET]).chain(seed.map(Self::from))
     }
 
-    /// Its value, as it is typed.
+    /// Its value as command-line text.
     pub(crate) fn text(self, settings: SolverSettings) -> String {
         match self.json(settings) {
             Value::String(word) => word,
@@ -72,7 +72,7 @@ impl Setting {
         value
     }
 
-    /// The words that it may be, if it is no number.
+    /// The words that it accepts, if it is not a number.
     pub(crate) fn words(self) -> Vec<String> {
         let codes = self.codes().into_iter().flat_map(|codes| codes.values);
         codes.map(|(_, _, text)| (*text).to_owned()).collect()
@@ -97,7 +97,7 @@ impl Setting {
             .clone()
     }
 
-    /// What it may be for this daemon, in words.
+    /// Text of the accepted values for this daemon.
     pub(crate) fn allowed_by(self, status: &Status) -> String {
         match self.range() {
             Some(range) if self.key == "safe_distance_m" => format!(
@@ -113,7 +113,7 @@ impl Setting {
         }
     }
 
-    /// What it may be, in words.
+    /// Text of the accepted values.
     pub(crate) fn allowed(self) -> String {
         let words = self.words();
         let range = match (words.split_last(), self.range()) {
@@ -138,7 +138,7 @@ impl Setting {
     }
 }
 
-/// With a power of ten where the zeros would be many.
+/// Uses an exponent instead of many zeros.
 fn number_text(number: f64) -> String {
     if number == 0.0 || (1e-3..1e6).contains(&number.abs()) {
         number.to_string()
@@ -161,7 +161,7 @@ enum Wanted {
 }
 
 impl Change {
-    /// `KEY=VALUE`, with a key that exists and a value in its range.
+    /// Parses `KEY=VALUE`, with a known key and a value in its range.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let (key, value) = text.split_once('=').ok_or_else(|| {
             format!("invalid setting {text:?}: use KEY=VALUE, for example horizon_steps=5")
@@ -185,7 +185,7 @@ impl Change {
                     (ValueMut::U32(count), Wanted::Count(wanted)) => *count = wanted,
                     (ValueMut::U64(whole), Wanted::Whole(wanted)) => *whole = wanted,
                     (ValueMut::F64(number), Wanted::Number(wanted)) => *number = wanted,
-                    // `wanted` makes no other pairs.
+                    // `wanted` returns no other pairs.
                     _ => {}
                 }
             }
@@ -193,7 +193,7 @@ impl Change {
     }
 }
 
-/// The value of a setting, when it may be that.
+/// The value of a setting, if it is valid.
 fn wanted(setting: Setting, text: &str) -> Option<Wanted> {
     if let Some(codes) = setting.codes() {
         let mut values = codes.values.iter();
@@ -218,7 +218,7 @@ fn wanted(setting: Setting, text: &str) -> Option<Wanted> {
     Some(Wanted::Number(number))
 }
 
-/// The error for a key that does not exist: the nearest one that does, and all.
+/// The error for an unknown key: the most similar key, and all keys.
 fn unknown(key: &str) -> String {
     let likeness = |setting: &Setting| strsim::jaro_winkler(setting.key, key);
     let nearest = Setting::all()
@@ -249,7 +249,7 @@ mod tests {
         let mut keys = vec!["budget_ms"];
         for line in lines {
             let (key, value) = line.split_once(" = ").expect("filtered");
-            // A daemon has a number where a configuration leaves it to the robot.
+            // A daemon has a number where the configuration says auto.
             let value = value.trim_matches('"').replace("auto", "0");
             let change = Change::parse(&format!("{key}={value}"));
             assert_eq!(change.expect(line).setting.key, key);

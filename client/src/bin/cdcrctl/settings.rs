@@ -1,4 +1,4 @@
-//! The settings of the solver by their keys, as in the table `[controller]` of the configuration.
+//! The solver settings by their keys, as in the table `[controller]` of the configuration.
 
 pub(crate) mod save;
 
@@ -19,9 +19,9 @@ use crate::setting::{Change, Setting};
 
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long it is watched whether the solver has the time that was set.
-const WATCHED: Duration = Duration::from_millis(300);
-/// What the solver may end earlier than the budget without having been cut \[ns\].
+/// Time for which the solves are monitored for the new budget.
+const MONITOR_TIME: Duration = Duration::from_millis(300);
+/// Largest time by which an uncut solve may end before its budget \[ns\].
 const CUT_NS: u64 = 50_000;
 
 pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<Done> {
@@ -51,7 +51,7 @@ fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::
     Ok(out)
 }
 
-/// With the keys and values that `set` understands.
+/// With the keys and values that `set` accepts.
 fn object(settings: SolverSettings) -> Value {
     let fields = Setting::all().map(|setting| (setting.key.to_owned(), setting.json(settings)));
     Value::Object(fields.collect())
@@ -104,10 +104,11 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
-/// The longest of the solves after `cycle` that were ended before their budget \[ns\]; none: none was, or no robot tracks.
+/// The longest solve after `cycle` that was cut before its budget \[ns\]; `None` without one, or when the
+/// robot does not track.
 fn longest_cut_solve_ns(connection: &Connection, cycle: u64) -> Result<Option<u64>, LinkError> {
     let mut telemetry = connection.telemetry()?;
-    let deadline = Instant::now() + WATCHED;
+    let deadline = Instant::now() + MONITOR_TIME;
     let mut longest_ns = None;
     while let Some(record) =
         telemetry.next_within(deadline.saturating_duration_since(Instant::now()))?
@@ -122,7 +123,7 @@ fn longest_cut_solve_ns(connection: &Connection, cycle: u64) -> Result<Option<u6
     Ok(longest_ns)
 }
 
-/// What a solve took that was ended before its budget was over \[ns\].
+/// Duration of a solve that was cut before its budget \[ns\].
 fn cut_solve_ns(record: &Telemetry) -> Option<u64> {
     let solve_ns = record.solve_end_ns.saturating_sub(record.solve_start_ns);
     let is_cut = record.report.budget_spent == 1 && solve_ns + CUT_NS < record.settings.budget_ns;
@@ -134,7 +135,7 @@ fn changed(before: SolverSettings, after: SolverSettings) -> impl Iterator<Item 
     Setting::all().filter(is_changed)
 }
 
-/// The bound that the daemon has beyond the range of each setting: by its configuration, or by another setting.
+/// A bound of the daemon beyond the range of a setting: from its configuration, or from another setting.
 fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
     let least_m = status.safe_distance_min_m;
     if wanted.safe_distance_m < least_m {

@@ -16,10 +16,10 @@ use crate::echo::json;
 use crate::echo::line::{clearance_text, latency_text};
 use crate::interrupt::Interrupt;
 
-/// How often `--watch` shows it anew, and how often it looks for an interrupt meanwhile.
+/// Interval of `--watch`, and the number of interrupt checks in it.
 const EVERY: Duration = Duration::from_secs(1);
-const LOOKS: u32 = 10;
-/// What lets a terminal begin anew: home, and clear to the end.
+const INTERRUPT_CHECKS: u32 = 10;
+/// Terminal sequence: cursor home, and clear to the end.
 const CLEAR: &str = "\x1b[H\x1b[2J";
 
 pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Done> {
@@ -42,7 +42,7 @@ pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Do
     Ok(Done::Good)
 }
 
-/// Until it is interrupted; a daemon that ends and is started again is waited for.
+/// Repeats until interrupted; waits for a daemon that is restarted.
 fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     let mut out = std::io::stdout().lock();
@@ -59,9 +59,9 @@ fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
         };
         write!(out, "{clear}{shown}")?;
         out.flush()?;
-        for _ in 0..LOOKS {
+        for _ in 0..INTERRUPT_CHECKS {
             if !interrupt.is_raised() {
-                thread::sleep(EVERY / LOOKS);
+                thread::sleep(EVERY / INTERRUPT_CHECKS);
             }
         }
     }
@@ -120,7 +120,7 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
     Ok(())
 }
 
-/// Where the tip is, how far from its reference, and how far the robot is from where it is commanded to be.
+/// Tip position, error to the reference, and following error.
 fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
     write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
@@ -173,7 +173,7 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     for (name, of) in LATENCIES {
         latency_row(out, name, both.map(of))?;
     }
-    // Not every cycle solves, so its percentiles are of other cycles than those above.
+    // Not every cycle solves, so these percentiles cover other cycles than those above.
     let [left, right] = both.map(|statistics| format!("{} of the cycles", statistics.solve.count));
     writeln!(
         out,
@@ -184,7 +184,7 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     writeln!(out)?;
     let [left, right] = both.map(|statistics| (statistics as &dyn Struct).counters());
     let mut counters: Vec<_> = left.into_iter().zip(right).collect();
-    // The number of cycles first, that of late starts last, where the causes follow.
+    // The number of cycles first, late starts last, followed by their causes.
     counters[1..].reverse();
     counters.retain(|((field, _), _)| !ERROR.contains(&field.name));
     for ((field, left), (_, right)) in counters {
@@ -208,10 +208,10 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     )
 }
 
-/// What one line tells together.
+/// Counters that are combined in one line.
 const ERROR: [&str; 3] = ["tracked_cycles", "tip_error_sum_nm", "tip_error_max_nm"];
 
-/// How far the tip was from its reference while it followed one, as estimated.
+/// Estimated error between tip and reference during tracking.
 fn error_text(statistics: &Statistics) -> String {
     if statistics.tracked_cycles == 0 {
         return "-".to_owned();
@@ -222,7 +222,7 @@ fn error_text(statistics: &Statistics) -> String {
 }
 
 type LatencyOf = fn(&Statistics) -> &LatencySummary;
-/// Of every cycle. What is indented is a part of the line above it.
+/// Latencies of every cycle. An indented one is a part of the line above it.
 const LATENCIES: [(&str, LatencyOf); 5] = [
     ("response", |s| &s.response),
     ("  wake-up", |s| &s.wake),
@@ -240,7 +240,7 @@ fn latency_row(out: &mut String, name: &str, both: [&LatencySummary; 2]) -> std:
     writeln!(out, "{name:<20}{left}   {right}")
 }
 
-/// A count as it is, limited cycles with their share of those that solved; a time in µs.
+/// A plain count, limited cycles with their share of solved cycles, or a time in µs.
 fn counter_texts(field: &Field, both: [u64; 2], solved: [u64; 2]) -> (String, String, String) {
     let heading = field.heading();
     if field.name == "limited_cycles" {

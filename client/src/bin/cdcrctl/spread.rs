@@ -1,6 +1,6 @@
 use serde::Serialize;
 
-/// How a number is spread, exact from all its values.
+/// Exact percentiles of all values.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub(crate) struct Spread {
     pub(crate) p50: f64,
@@ -9,7 +9,8 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// By nearest rank: the smallest value that at least this share of all values does not exceed. None of nothing.
+    /// Nearest rank: the smallest value that is not exceeded by at least this share of all values. `None`
+    /// without values.
     pub(crate) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_unstable_by(f64::total_cmp);

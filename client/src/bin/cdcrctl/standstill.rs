@@ -3,52 +3,53 @@ use std::collections::VecDeque;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::limits::COORDINATES_MAX;
 
-/// The movement is averaged over this time \[ns\].
+/// Averaging time of the motion \[ns\].
 const WINDOW_NS: u64 = 200_000_000;
-/// Of a robot at rest no bend moves faster on average \[rad/s\]. Encoders with a noise of 1e-3 rad seem to move at a fifth of it,
-/// where there are 40 measurements.
+/// Largest average rate of a bend at rest \[rad/s\]. Encoder noise of 1e-3 rad causes an apparent rate of a
+/// fifth of it, with 40 measurements.
 const REST_RAD_S: f64 = 0.02;
-/// Measurements at least, where they are so rare that the window has fewer.
+/// Minimum number of measurements, for rates so low that the window holds fewer.
 const LEAST: usize = 8;
 
-/// Whether a robot that is commanded to rest is measured to rest: motors with a lag are still on their way.
+/// Detects whether a robot is measured at rest after its command is rest: motors with a lag still move.
 ///
-/// What moves is the estimate, which follows every kind of measurement.
+/// It uses the estimate, which covers every kind of measurement.
 #[derive(Debug, Default)]
 pub(crate) struct Standstill {
-    /// The first cycle whose command was rest, and its release \[ns\].
+    /// The first cycle with the command rest, and its release \[ns\].
     commanded: Option<(u64, u64)>,
-    looks: VecDeque<Look>,
+    samples: VecDeque<Sample>,
 }
 
 #[derive(Debug)]
-struct Look {
+struct Sample {
     measured_ns: u64,
     bend_rad: [f64; COORDINATES_MAX],
 }
 
 impl Standstill {
-    /// Takes note of a record with rest as its command, if it has a measurement that is newer than that command and all before.
+    /// Adds a record with the command rest, if its measurement is newer than that command and all earlier
+    /// ones.
     pub(crate) fn note(&mut self, record: &Telemetry) {
         let here = (record.cycle, record.release_ns);
         let (_, since_ns) = *self.commanded.get_or_insert(here);
-        let newest_ns = self.looks.back().map_or(0, |look| look.measured_ns);
+        let newest_ns = self.samples.back().map_or(0, |sample| sample.measured_ns);
         let measured_ns = record.measurement.measured_ns;
         if measured_ns < since_ns || measured_ns <= newest_ns {
             return;
         }
         let bend_rad = record.present_rad;
-        self.looks.push_back(Look {
+        self.samples.push_back(Sample {
             measured_ns,
             bend_rad,
         });
-        let is_enough = |second: &Look| measured_ns - second.measured_ns >= WINDOW_NS;
-        while self.looks.len() > LEAST && self.looks.get(1).is_some_and(is_enough) {
-            self.looks.pop_front();
+        let is_enough = |second: &Sample| measured_ns - second.measured_ns >= WINDOW_NS;
+        while self.samples.len() > LEAST && self.samples.get(1).is_some_and(is_enough) {
+            self.samples.pop_front();
         }
     }
 
-    /// The first cycle whose command was rest.
+    /// The first cycle with the command rest.
     pub(crate) fn commanded_cycle(&self) -> Option<u64> {
         self.commanded.map(|(cycle, _)| cycle)
     }
@@ -57,28 +58,28 @@ impl Standstill {
         self.rate_rad_s().is_some_and(|rate| rate < REST_RAD_S)
     }
 
-    /// How fast the fastest component of the bends moves \[rad/s\]: between the means of the earlier and of the later half.
-    /// None: there are too few measurements.
+    /// Rate of the fastest bend component \[rad/s\], from the means of the earlier and the later half. `None`
+    /// with too few measurements.
     pub(crate) fn rate_rad_s(&self) -> Option<f64> {
-        let (first, last) = (self.looks.front()?, self.looks.back()?);
+        let (first, last) = (self.samples.front()?, self.samples.back()?);
         let is_whole =
-            self.looks.len() >= LEAST && last.measured_ns - first.measured_ns >= WINDOW_NS;
+            self.samples.len() >= LEAST && last.measured_ns - first.measured_ns >= WINDOW_NS;
         is_whole.then(|| {
-            let half = self.looks.len() / 2;
-            let mean = |of: &dyn Fn(&Look) -> f64, earlier: bool| {
+            let half = self.samples.len() / 2;
+            let mean = |of: &dyn Fn(&Sample) -> f64, earlier: bool| {
                 let (skip, take) = if earlier {
                     (0, half)
                 } else {
                     (half, usize::MAX)
                 };
-                let values = self.looks.iter().skip(skip).take(take).map(of);
+                let values = self.samples.iter().skip(skip).take(take).map(of);
                 let count = values.len();
                 values.sum::<f64>() / count as f64
             };
-            let moved = |of: &dyn Fn(&Look) -> f64| mean(of, false) - mean(of, true);
-            let passed_s = moved(&|look| (look.measured_ns - first.measured_ns) as f64 * 1e-9);
-            let rates =
-                (0..COORDINATES_MAX).map(|i| (moved(&|look| look.bend_rad[i]) / passed_s).abs());
+            let moved = |of: &dyn Fn(&Sample) -> f64| mean(of, false) - mean(of, true);
+            let passed_s = moved(&|sample| (sample.measured_ns - first.measured_ns) as f64 * 1e-9);
+            let rates = (0..COORDINATES_MAX)
+                .map(|i| (moved(&|sample| sample.bend_rad[i]) / passed_s).abs());
             rates.fold(0.0, f64::max)
         })
     }
@@ -90,7 +91,7 @@ mod tests {
 
     const PERIOD_NS: u64 = 5_000_000;
 
-    /// A robot whose motors lag, from the cycle in which the command became rest.
+    /// A robot with lagging motors, from the cycle in which the command became rest.
     fn record(cycle: u64, lag_s: f64, noise_rad: f64) -> Telemetry {
         let mut record = Telemetry {
             cycle,
@@ -104,7 +105,7 @@ mod tests {
         record
     }
 
-    /// The cycle in which it is found to rest.
+    /// The cycle in which it is detected at rest.
     fn found(lag_s: f64, noise_rad: f64) -> u64 {
         let mut standstill = Standstill::default();
         let rests = |cycle: &u64| {
@@ -116,7 +117,7 @@ mod tests {
 
     #[test]
     fn rest_is_measured_and_not_only_commanded() {
-        // The window, and the first measurement is older than the command.
+        // The length of the window, plus a measurement that is older than the command.
         assert_eq!(found(1e-3, 0.0), 41);
         assert_eq!(found(1e-3, 1e-3), 41);
         for lag_s in [0.1, 0.4, 1.0] {

@@ -1,6 +1,6 @@
-//! What a person is told beside what is printed.
+//! Messages for the user on standard error.
 
-/// Prints a line to the standard error. Where that is closed nobody reads it, and the work goes on; `eprintln!` would panic.
+// Prints a line to standard error. If it is closed, the work continues; `eprintln!` would panic.
 macro_rules! tell {
     ($($text:tt)*) => {{
         use std::io::Write as _;

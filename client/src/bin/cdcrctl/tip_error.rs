@@ -5,19 +5,19 @@ use anyhow::{Context, bail};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, ReferenceState};
 
-/// How far the tip was from the reference while the robot tracked it. The approach counts for itself.
+/// Distance between tip and reference while the robot tracked. The approach is counted separately.
 #[derive(Debug, Default)]
 pub(crate) struct TipError {
-    /// The reference was fed from then on, and may have been approached \[ns\]. Records of before are about another one.
+    /// Time from which the reference was fed \[ns\]. Earlier records belong to another reference.
     pub(crate) fed_ns: u64,
-    /// It begins then \[ns\].
+    /// Start of the reference \[ns\].
     pub(crate) start_ns: u64,
     period_ns: u64,
-    /// Until the tip was led along the reference itself.
+    /// Cycles before the tip followed the reference itself.
     approach_cycles: u64,
     approach_max_m: f64,
     cycles: u64,
-    /// In which limits or guard changed the command.
+    /// Cycles in which limits or guard changed the command.
     limited_cycles: u64,
     sum_m: f64,
     max_m: f64,
@@ -25,10 +25,10 @@ pub(crate) struct TipError {
     measured: Measured,
 }
 
-/// The same by a sensor of the tip, which has its noise and knows nothing of the model: what the estimate does not know is in it.
+/// The error according to a tip sensor, which has noise but no model: it includes errors of the estimate.
 #[derive(Debug, Default)]
 struct Measured {
-    /// Where the reference was at the newest releases \[ns, m\], oldest first.
+    /// Reference at the newest releases \[ns, m\], oldest first.
     reference: VecDeque<(u64, [f64; 3])>,
     newest_ns: u64,
     newest_m: f64,
@@ -37,7 +37,7 @@ struct Measured {
     max_m: f64,
 }
 
-/// Whether the tip was led along the reference itself, and not on the way to it.
+/// Whether the tip follows the reference itself, after the approach.
 pub(crate) fn is_along(record: &Telemetry) -> bool {
     record.mode == Mode::Tracking.code() && is_inside(record) && !is_approach(record)
 }
@@ -50,7 +50,7 @@ fn is_approach(record: &Telemetry) -> bool {
     record.approach.duration_ns.max(record.approach.joining_ns) > 0
 }
 
-/// Releases that are remembered: of what a sensor measures half a second late, too, at 5 ms.
+/// Number of kept releases: enough for a sensor that is half a second late at 5 ms.
 const REMEMBERED: usize = 100;
 
 impl Measured {
@@ -89,7 +89,7 @@ impl Measured {
 }
 
 impl TipError {
-    /// Of a reference that is fed from now on \[ns\].
+    /// For a reference that is fed from now on \[ns\].
     pub(crate) fn since(fed_ns: u64) -> Self {
         Self {
             fed_ns,
@@ -97,7 +97,7 @@ impl TipError {
         }
     }
 
-    /// Takes a record in, if its cycle tracked.
+    /// Adds a record, if its cycle tracked.
     pub(crate) fn take(&mut self, record: &Telemetry) {
         if record.mode != Mode::Tracking.code() || record.release_ns < self.fed_ns {
             return;
@@ -116,7 +116,8 @@ impl TipError {
         }
     }
 
-    /// The newest, once a cycle tracked; by the sensor of the tip, too, where there is one.
+    /// Text with the newest error, also by the tip sensor if there is one; `None` before the first tracked
+    /// cycle.
     pub(crate) fn live(&self) -> Option<String> {
         if self.cycles == 0 {
             return None;
@@ -128,8 +129,8 @@ impl TipError {
         Some(format!("error {:.3}{measured} mm", 1e3 * self.final_m))
     }
 
-    /// Says what it was, and fails where it was larger than `limit_m`, as estimated or as measured.
-    pub(crate) fn tell(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
+    /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`.
+    pub(crate) fn print(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
         if self.approach_cycles > 0 {
             let seconds = (self.approach_cycles * self.period_ns) as f64 * 1e-9;
             writeln!(
@@ -169,7 +170,7 @@ impl TipError {
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
     }
 
-    /// Of the cycles after the approach \[m\]; none without them.
+    /// Mean, maximum and final error after the approach \[m\]; `None` without such cycles.
     pub(crate) fn mean_max_final_m(&self) -> Option<[f64; 3]> {
         let mean_m = self.sum_m / self.cycles as f64;
         (self.cycles > 0).then_some([mean_m, self.max_m, self.final_m])
@@ -180,7 +181,7 @@ impl TipError {
         cycles.context(
             "no cycle tracked the reference, so --max-error cannot be checked: use --track",
         )?;
-        // What the estimate does not know is in what was measured alone.
+        // Errors of the estimate appear in the measured error only.
         let (by, max_m) = if self.measured.max_m > self.max_m {
             (" as measured", self.measured.max_m)
         } else {
@@ -247,7 +248,7 @@ mod tests {
             let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.0);
             record.reference.position_m[0] = x_m;
             record.tip_measured_ns = tip_ns;
-            // 0.25 beside where it was: one measurement is of before the first release, and one comes twice.
+            // An offset of 0.25: one measurement is from before the first release, and one is repeated.
             record.tip_measured_m = [tip_ns as f64 / 10.0, 0.25, 0.0];
             error.take(&record);
         }
@@ -258,9 +259,9 @@ mod tests {
             error.live().as_deref(),
             Some("error 0.000, measured 250.000 mm")
         );
-        // The estimate, whose error is 0, does not decide alone.
-        assert!(error.tell(Some(0.251)).is_ok());
-        let text = error.tell(Some(0.249)).expect_err("larger").to_string();
+        // The estimated error, 0, is not the only criterion.
+        assert!(error.print(Some(0.251)).is_ok());
+        let text = error.print(Some(0.249)).expect_err("larger").to_string();
         assert!(
             text.contains("250.000 mm from its reference as measured"),
             "{text}"
@@ -276,7 +277,7 @@ mod tests {
         };
         for (state, release_ns, error_m) in [
             (ReferenceState::Inside, 0, 0.2),
-            // Most of the approach may be over before the reference begins.
+            // Most of the approach may end before the reference begins.
             (ReferenceState::Before, 1, 0.1),
         ] {
             let mut record = record(Mode::Tracking, state, release_ns, error_m);
@@ -288,19 +289,19 @@ mod tests {
             (error.cycles, error.approach_cycles, error.approach_max_m),
             (0, 1, 0.1)
         );
-        assert!(error.tell(Some(0.2)).is_err(), "nothing was tracked yet");
+        assert!(error.print(Some(0.2)).is_err(), "nothing was tracked yet");
     }
 
     #[test]
     fn a_limit_is_for_the_largest_error_and_for_something_that_was_tracked() {
         let mut error = TipError::default();
-        assert!(error.tell(None).is_ok());
+        assert!(error.print(None).is_ok());
         assert_eq!(error.live(), None);
-        assert!(error.tell(Some(1.0)).is_err());
+        assert!(error.print(Some(1.0)).is_err());
         error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.003));
         error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, 0.001));
-        assert!(error.tell(Some(0.003)).is_ok());
-        let text = error.tell(Some(0.0029)).expect_err("larger").to_string();
+        assert!(error.print(Some(0.003)).is_ok());
+        let text = error.print(Some(0.0029)).expect_err("larger").to_string();
         assert!(
             text.contains("3.000 mm") && text.contains("2.900 mm"),
             "{text}"

@@ -5,25 +5,25 @@ use cdcr_shared_types::codes::Mode;
 
 use crate::value;
 
-/// What begins a recording: it fires in the first cycle in which it holds after one in which it does not.
+/// Trigger of a recording: it fires in the first cycle that meets its condition after one that does not.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Trigger {
-    /// The daemon tells of a bad cycle.
+    /// The daemon reports an incident.
     Incident,
     /// The robot is faulted.
     Fault,
     /// The mode changes.
     Mode,
-    /// Tip and reference are farther apart than this \[m\].
+    /// The distance of tip and reference exceeds this \[m\].
     Error(f64),
     /// The clearance is below this \[m\].
     Clearance(f64),
-    /// The command is handed over later than this after the release that was due \[ns\].
+    /// The response time exceeds this \[ns\].
     Response(u64),
 }
 
 impl Trigger {
-    /// As people type it: `error>5mm`.
+    /// Parses the command-line form: `error>5mm`.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let words = text.split_once(['>', '<']);
         let unknown =
@@ -47,10 +47,10 @@ impl Trigger {
         }
     }
 
-    /// Whether it fires with a record, after the one before.
+    /// Whether it fires with a record, given the previous one.
     pub(crate) fn fires(self, before: &Telemetry, record: &Telemetry) -> bool {
         match self {
-            // Told on a service of its own.
+            // Incidents have a service of their own.
             Self::Incident => false,
             Self::Mode => before.mode != record.mode,
             Self::Fault | Self::Error(_) | Self::Clearance(_) | Self::Response(_) => {

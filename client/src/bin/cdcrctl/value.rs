@@ -1,4 +1,4 @@
-//! Values as people type them on the command line, each checked with its range.
+//! Command-line values, each checked against its range.
 
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub(crate) fn vector(text: &str) -> Result<Vector, String> {
         .map_err(|_| format!("expected three numbers x,y,z, found {count}"))
 }
 
-/// A direction `x,y,z` of any length but zero, made a unit vector.
+/// A direction `x,y,z` of non-zero length, normalised.
 pub(crate) fn direction(text: &str) -> Result<Vector, String> {
     let v = vector(text)?;
     let norm = v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -31,7 +31,7 @@ pub(crate) fn direction(text: &str) -> Result<Vector, String> {
     Ok(v.map(|x| x / norm))
 }
 
-/// Nothing that is typed, in whatever unit, is larger, or nearer to zero and not zero.
+/// Largest magnitude of any value, in any unit, and the inverse of the smallest non-zero one.
 const LARGEST: f64 = 1e9;
 const SMALLEST: f64 = 1e-9;
 
@@ -83,11 +83,11 @@ pub(crate) fn length_m(text: &str) -> Result<f64, String> {
     Ok(unit_m * positive(digits)?)
 }
 
-/// How long a fed curve may take \[s\].
+/// Duration of a fed curve \[s\].
 pub(crate) const CURVE_S: RangeInclusive<f64> = 0.01..=86_400.0;
-/// How long to wait for a robot that is measured to rest, which takes a fifth of a second at least \[s\].
+/// Timeout for a robot to be measured at rest, which takes at least a fifth of a second \[s\].
 pub(crate) const WAIT_S: RangeInclusive<f64> = 0.3..=86_400.0;
-/// What is recorded around something \[s\].
+/// Recorded time around a trigger \[s\].
 pub(crate) const AROUND_S: RangeInclusive<f64> = 0.0..=60.0;
 
 /// A time between points, or before the start; the library checks the range.
@@ -111,7 +111,7 @@ pub(crate) fn duration_in(
 fn parse_duration(text: &str) -> Result<Duration, String> {
     let seconds = text.trim().strip_suffix('s').map(str::trim_end);
     if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
-        // humantime knows no decimals.
+        // humantime does not accept decimals.
         return Duration::try_from_secs_f64(seconds).map_err(|_| {
             if seconds < 0.0 {
                 "is below zero".to_owned()
@@ -142,7 +142,7 @@ pub(crate) fn plane() -> impl TypedValueParser<Value = FigurePlane> {
     })
 }
 
-/// The name of a way to interpolate.
+/// The name of an interpolation.
 pub(crate) fn interpolation() -> impl TypedValueParser<Value = Interpolation> {
     let kinds = || Interpolation::ALL.iter().copied();
     PossibleValuesParser::new(kinds().map(Interpolation::text)).try_map(move |name| {

@@ -11,18 +11,18 @@ use crate::bar::Bar;
 use crate::interrupt::Interrupt;
 use crate::standstill::Standstill;
 
-/// After this long without a record the daemon counts as silent.
+/// Time without records after which the daemon counts as silent.
 const QUIET: Duration = Duration::from_secs(1);
-/// How often an interrupt is looked for.
-const LOOK: Duration = Duration::from_millis(100);
+/// Interval of the checks for an interrupt.
+const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
 
-/// What a record says of the request.
+/// Progress of the request according to a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Progress {
     Moves,
-    /// It is done, and the command is rest.
+    /// The request is done, and the command is rest.
     Rests,
-    /// Something else came between.
+    /// Another mode or request has replaced it.
     Lost,
 }
 
@@ -31,7 +31,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     let mut telemetry = connection.telemetry()?;
     let interrupt = Interrupt::catch()?;
     let response = connection.request(kind)?;
-    tell(kind, &response)?;
+    print_outcome(kind, &response)?;
     let bar = Bar::new(kind.text());
     bar.show_share(0.0);
     let begun = Instant::now();
@@ -43,7 +43,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
             tell!("interrupted: the robot continues; end it with cdcrctl hold or stop");
             return Ok(Done::Interrupted);
         }
-        let Some(record) = telemetry.next_within(LOOK)? else {
+        let Some(record) = telemetry.next_within(INTERRUPT_INTERVAL)? else {
             if heard.elapsed() > QUIET {
                 connection.status(QUIET)?;
                 heard = Instant::now();
@@ -101,7 +101,7 @@ fn done(
     Ok(Done::Good)
 }
 
-/// Whether a record is of a cycle that knew the request.
+/// Whether the cycle of a record already knew the request.
 fn is_later(record: &Telemetry, response: &Response) -> bool {
     record.header.sender_id == response.header.sender_id && record.cycle >= response.cycle
 }
@@ -122,7 +122,7 @@ fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
     }
 }
 
-/// How much there is still to do: the largest bend on the way home \[rad\], or the largest rate \[rad/s\].
+/// Remaining distance: the largest bend of homing \[rad\], otherwise the largest rate \[rad/s\].
 fn left(kind: RequestKind, record: &Telemetry) -> f64 {
     let values = match kind {
         RequestKind::Home => record.present_rad,
@@ -131,13 +131,13 @@ fn left(kind: RequestKind, record: &Telemetry) -> f64 {
     values.iter().fold(0.0, |most, value| value.abs().max(most))
 }
 
-/// Says what came of a request.
-pub(crate) fn tell(kind: RequestKind, response: &Response) -> std::io::Result<()> {
-    writeln!(std::io::stdout(), "{}", words(kind, response))
+/// Prints the outcome of a request.
+pub(crate) fn print_outcome(kind: RequestKind, response: &Response) -> std::io::Result<()> {
+    writeln!(std::io::stdout(), "{}", outcome_text(kind, response))
 }
 
-/// What came of a request that was not refused.
-pub(crate) fn words(kind: RequestKind, response: &Response) -> String {
+/// Text for an accepted request.
+pub(crate) fn outcome_text(kind: RequestKind, response: &Response) -> String {
     format!(
         "{kind}: accepted in cycle {}, the daemon is {}",
         response.cycle,

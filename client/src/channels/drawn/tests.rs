@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 
 use super::*;
 
-/// A record of the paper's robot of three sections, 0.2 m off its reference and with a ball and a rod beside it.
+/// A record of the paper's robot with three sections, 0.2 m off its reference, near a sphere and a capsule.
 fn record(cycle: u64) -> Telemetry {
     let parameters = RobotParameters::paper(3);
     let mut record = Telemetry {
@@ -108,10 +108,10 @@ fn a_scene_shows_body_obstacles_and_the_gap_between() {
     assert_eq!(named("body").len(), 3);
     assert_eq!(named("body")[0].scale.x, 2.0 * radius_m);
     assert_eq!(named("discs").len(), 15);
-    // The last disc is where the straight robot ends.
+    // The last disc is at the end of the straight robot.
     assert!((named("discs")[14].pose.position.z - 0.9).abs() < 1e-12);
     assert_eq!(named("tip way")[0].points.len(), 2);
-    // The ball is within the safe distance, the rod is not: two ends and what is between.
+    // The sphere is within the safe distance, the capsule is not: two ends and a cylinder.
     let obstacles = named("obstacles");
     assert_eq!(obstacles.len(), 4);
     assert!(obstacles[0].color.r > 0.8 && obstacles[1].color.r < 0.7);

@@ -11,7 +11,7 @@ const LENGTH_M: f64 = 0.3;
 const DAEMON: u64 = 0xda1;
 const OTHER: u64 = 0xda2;
 
-/// One section with cables at 12.5 mm.
+/// One section with a cable radius of 12.5 mm.
 fn robot() -> RobotDescription {
     let mut robot = RobotDescription {
         sections: 1,
@@ -29,7 +29,7 @@ fn robot() -> RobotDescription {
     robot
 }
 
-/// Cycle `cycle` of a daemon: it leads the bend to `u_rad` at `rate_rad_s`.
+/// Cycle `cycle` of a daemon, with the target bend `u_rad` at `rate_rad_s`.
 fn command(interface: Interface, cycle: u64, u_rad: f64, rate_rad_s: f64) -> Command {
     let release_ns = cycle * PERIOD_NS;
     let mut command = Command {
@@ -58,7 +58,7 @@ fn position(cycle: u64, u_rad: f64) -> Command {
     command(Interface::Position, cycle, u_rad, 0.0)
 }
 
-/// A driver that was started again while the robot was stopped, beside where it was commanded.
+// A driver restarted while the robot was stopped, beside its commanded position.
 #[test]
 fn a_first_position_that_is_not_where_the_robot_was_measured_is_refused() {
     let mut of_bends = Measurement {
@@ -78,11 +78,11 @@ fn a_first_position_that_is_not_where_the_robot_was_measured_is_refused() {
         let is_elsewhere = matches!(refused, Err(CommandRefusal::Elsewhere { at: 0, .. }));
         assert!(is_elsewhere, "{refused:?}");
         assert!(follower.position_at(PERIOD_NS).is_none(), "it holds");
-        // After the reset, beside what droop and offset make of it.
+        // After the reset, with a deviation due to droop and offset.
         follower
             .take(&position(2, 0.49), 2 * PERIOD_NS + 1)
             .unwrap();
-        // What follows is held to the speed, not to the measurement.
+        // Later positions are checked against the speed, not the measurement.
         follower.take(&position(3, 0.8), 3 * PERIOD_NS + 1).unwrap();
     }
 }
@@ -96,7 +96,7 @@ fn of(sender_id: u64, mut command: Command) -> Command {
     command
 }
 
-/// A follower that took `commands`, each a millisecond after its release.
+/// A follower that received `commands`, each one millisecond after its release.
 fn follower(interface: Interface, commands: &[Command]) -> CommandFollower {
     let mut follower = CommandFollower::new(&robot(), interface);
     for command in commands {
@@ -150,7 +150,7 @@ fn a_position_is_reached_at_its_target_time_and_never_passed() {
     for periods in [12.0, 13.0, 14.0, 1e6] {
         assert_eq!(at(&follower, periods), after);
     }
-    // What lies before the release is where it came from.
+    // Before the release, the position is that of the previous command.
     assert_eq!(at(&follower, 3.0), before);
     let mut last = before.0;
     for step in 0..1000 {
@@ -205,12 +205,12 @@ fn a_position_that_runs_out_on_its_way_stays_where_it_is() {
 
 #[test]
 fn lost_commands_make_no_move_faster_than_the_robot() {
-    // The bend limits one robot, a cable the other: 20 mm/s are 1.6 rad/s at 12.5 mm.
+    // The bend rate limits one robot, the cable speed the other: 20 mm/s are 1.6 rad/s at 12.5 mm.
     for (cable_speed_max_m_s, fastest_rad_s) in [(1.0, RATE_MAX_RAD_S), (0.02, 1.6)] {
         let mut follower = CommandFollower::new(&robot(), Interface::Position);
         follower.robot.cable_speed_max_m_s = cable_speed_max_m_s;
         take(&mut follower, &position(10, 0.2)).unwrap();
-        // Ten commands at the largest rate are lost, all but the last.
+        // Of ten commands at the largest rate, all but the last are lost.
         take(&mut follower, &position(20, 0.3)).unwrap();
         let period_s = 1e-9 * PERIOD_NS as f64;
         let step_rad = 0.1 * period_s * fastest_rad_s;
@@ -220,7 +220,7 @@ fn lost_commands_make_no_move_faster_than_the_robot() {
             assert!(bend >= last && bend - last <= step_rad * 1.000_01);
             last = bend;
         }
-        // It ran out on the way; the next one goes on from there.
+        // The command expired during the move; the next one continues from there.
         assert!((last - 0.2 - 3.0 * period_s * fastest_rad_s).abs() < 1e-6);
         take(&mut follower, &position(24, 0.3)).unwrap();
         assert_eq!(at(&follower, 24.0).0, last);
@@ -302,7 +302,7 @@ fn a_refused_command_changes_nothing_and_is_counted() {
 
 #[test]
 fn each_interface_is_held_to_its_own_limits() {
-    // Rates that a position driver does not obey, positions that a velocity driver does not.
+    // Rates that a position driver ignores, positions that a velocity driver ignores.
     let mut fast = position(10, 0.1);
     fast.bend_rate_rad_s[0] = 50.0;
     follower(Interface::Position, &[fast]);
@@ -321,11 +321,11 @@ fn a_position_beyond_a_limit_is_followed_only_on_its_way_back() {
         "{refusal}"
     );
     assert_eq!(bent.position_at(u64::MAX), None);
-    // Where the daemon holds a robot that was measured a little beyond.
+    // The position at which the daemon holds a robot measured slightly beyond its limit.
     take(&mut bent, &position(11, 2.84)).unwrap();
     take(&mut bent, &position(12, 2.86)).unwrap_err();
     take(&mut bent, &position(13, 2.83)).unwrap();
-    // It stands beyond the limits that it has from now on.
+    // From now on the robot is beyond its limits.
     bent.robot.section[0].bend_max_rad = 2.0;
     take(&mut bent, &position(14, 2.84)).unwrap_err();
     take(&mut bent, &position(15, 2.82)).unwrap();
@@ -343,7 +343,7 @@ fn a_position_beyond_a_limit_is_followed_only_on_its_way_back() {
 #[test]
 fn another_daemon_is_followed_when_the_old_one_has_run_out() {
     let mut follower = follower(Interface::Position, &[position(10, 0.2)]);
-    // Two at one time: the second one is refused, however it numbers.
+    // Two daemons at once: the second one is refused, whatever its sequence numbers.
     let refusal = take(&mut follower, &of(OTHER, position(11, 0.3))).unwrap_err();
     assert!(matches!(
         refusal,
@@ -352,14 +352,14 @@ fn another_daemon_is_followed_when_the_old_one_has_run_out() {
             present: DAEMON
         }
     ));
-    // A daemon that was started again begins its numbers anew.
+    // A restarted daemon starts its sequence numbers again.
     let mut first = of(OTHER, position(14, 0.201));
     (first.cycle, first.header.sequence) = (0, 1);
     take(&mut follower, &first).unwrap();
     assert_eq!(follower.sender_id(), Some(OTHER));
-    // It begins where the robot is measured, a little beside: the way there is a move, too.
+    // It begins at the measured position, slightly off: reaching it is a move, too.
     assert_eq!((at(&follower, 14.0).0, at(&follower, 15.0).0), (0.2, 0.201));
-    // What the old one left in the queue is late.
+    // Queued commands of the old daemon are late.
     let left = take(&mut follower, &position(13, 0.9)).unwrap_err();
     assert!(matches!(left, CommandRefusal::NotNewer { .. }));
 }

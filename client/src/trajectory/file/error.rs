@@ -3,14 +3,14 @@ use std::path::PathBuf;
 
 use super::MAGNITUDE_MAX;
 
-/// What is wrong with a reference file, and where.
+/// Problem in a reference file, with its location.
 #[derive(Debug)]
 pub struct TrajectoryFileError {
     /// The file.
     pub path: PathBuf,
-    /// Number of the line, from 1; none: it is about the whole file.
+    /// Number of the line, from 1; `None` for the whole file.
     pub line: Option<u64>,
-    /// What is wrong there.
+    /// The problem.
     pub problem: TrajectoryFileProblem,
 }
 
@@ -31,28 +31,28 @@ impl fmt::Display for TrajectoryFileError {
 
 impl core::error::Error for TrajectoryFileError {}
 
-/// What may be wrong in a reference file.
+/// Kind of problem in a reference file.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryFileProblem {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{0}")]
     Read(std::io::Error),
-    /// It is not CSV.
+    /// The file is not valid CSV.
     #[error("{0}")]
     Csv(String),
-    /// The header lacks this column.
+    /// This column is missing in the header.
     #[error("column {0} is missing; the header is t_s,x_m,y_m,z_m or t_s,x_m,y_m,z_m,qx,qy,qz,qw")]
     MissingColumn(&'static str),
-    /// The first line is no header.
+    /// The first line is not a header.
     #[error(
         "the header is missing: the first line contains numbers; add the header t_s,x_m,y_m,z_m or \
          t_s,x_m,y_m,z_m,qx,qy,qz,qw"
     )]
     NoHeader,
-    /// This stands between the columns, and not a comma.
+    /// Columns are separated by this character instead of a comma.
     #[error("columns are separated by {0:?}: use commas, and decimal points (0.9, not 0,9)")]
     Separator(char),
-    /// The last line does not end.
+    /// The last line has no line break.
     #[error(
         "the file ends within this line, in column {column}, at {text:?}, and may be truncated: write the file \
          again, or end the line with a line break"
@@ -60,23 +60,23 @@ pub enum TrajectoryFileProblem {
     Cut {
         /// Name or number of the column.
         column: String,
-        /// What stands there.
+        /// Text of the cell.
         text: String,
     },
-    /// The header names this column twice.
+    /// The header contains this column twice.
     #[error("column {0} is given more than once")]
     DuplicateColumn(String),
-    /// A cell is not a finite number, or too large.
+    /// A cell is not a finite number, or is too large.
     #[error(
         "{column} is {text:?}; it must be a finite number, at most {MAGNITUDE_MAX:e} either way"
     )]
     NotANumber {
         /// The column.
         column: &'static str,
-        /// What stands there.
+        /// Text of the cell.
         text: String,
     },
-    /// Time does not go forward.
+    /// Time does not increase.
     #[error(
         "t_s = {time_s} is not after {previous_s} of the previous row: times must increase by at least 1 µs"
     )]
@@ -86,10 +86,10 @@ pub enum TrajectoryFileProblem {
         /// Time in the row before \[s\].
         previous_s: f64,
     },
-    /// A quaternion has this length, and not 1.
+    /// A quaternion has this length instead of 1.
     #[error("the quaternion has length {0:.4}; it must be 1")]
     NotUnit(f64),
-    /// So many rows are nothing to follow.
+    /// The file has this number of rows, fewer than two.
     #[error("has {0} rows of data; it needs at least 2 below the header t_s,x_m,y_m,z_m")]
     TooShort(usize),
 }

@@ -1,4 +1,4 @@
-//! What a shell offers for a word that is being typed: robots that run, obstacles that are known, settings.
+//! Shell completion: running robots, known obstacles, settings.
 
 mod zsh;
 
@@ -13,20 +13,20 @@ use super::{Arguments, Target};
 use crate::known_obstacles::known;
 use crate::setting::Setting;
 
-/// How long the obstacles may take that a shell asks for.
+/// Timeout for the obstacles.
 const TIMEOUT: Duration = Duration::from_secs(1);
-/// Set by the scripts of the shells. A name of our own: a variable that is set for another program must not keep a stop
-/// from being sent.
+/// Variable set by the completion scripts. It has a name of its own, so that a variable set for another
+/// program does not prevent a stop.
 pub(crate) const VARIABLE: &str = "CDCRCTL_COMPLETE";
 
-/// The shells that are answered.
+/// The supported shells.
 pub(crate) const SHELLS: Shells = Shells(&[
     &clap_complete::env::Bash,
     &clap_complete::env::Fish,
     &zsh::Zsh,
 ]);
 
-/// Answers a shell and ends, if one asks.
+/// Answers a completion request of a shell and exits, if there is one.
 pub(crate) fn answer() {
     CompleteEnv::with_factory(Arguments::command)
         .var(VARIABLE)
@@ -43,7 +43,7 @@ pub(crate) fn robots() -> Vec<CompletionCandidate> {
     robots.into_iter().map(CompletionCandidate::new).collect()
 }
 
-/// Ids of the obstacles that the daemon knows.
+/// Ids of the obstacles known to the daemon.
 pub(crate) fn obstacle_ids() -> Vec<CompletionCandidate> {
     let connection = target().and_then(|target| target.connect().ok());
     let known = connection.and_then(|connection| known(&connection, TIMEOUT).ok());
@@ -52,7 +52,7 @@ pub(crate) fn obstacle_ids() -> Vec<CompletionCandidate> {
         .collect()
 }
 
-/// `KEY=`, and `KEY=WORD` where a setting is one of some words.
+/// `KEY=`, and `KEY=WORD` for a setting with words as values.
 pub(crate) fn changes(current: &OsStr) -> Vec<CompletionCandidate> {
     let current = current.to_string_lossy();
     changes_after(&typed_before(), &current)
@@ -62,7 +62,7 @@ pub(crate) fn changes(current: &OsStr) -> Vec<CompletionCandidate> {
 }
 
 fn changes_after(before: &[OsString], current: &str) -> Vec<String> {
-    // Bash takes a word apart at the equals sign.
+    // Bash splits a word at the equals sign.
     let before = before
         .strip_suffix(&[OsString::from("=")])
         .unwrap_or(before);
@@ -88,7 +88,7 @@ fn setting(key: &str) -> Option<Setting> {
     Setting::all().find(|setting| setting.key == key)
 }
 
-/// The daemon that the line means, as far as it is typed.
+/// The daemon chosen by the part of the line typed so far.
 fn target() -> Option<Target> {
     target_of(typed_before())
 }
@@ -104,7 +104,7 @@ fn target_of(mut words: Vec<OsString>) -> Option<Target> {
     Target::from_arg_matches(&matches).ok()
 }
 
-/// The words of the line that a shell asks about, up to the one that is being typed.
+/// The words of the line before the one that is being typed.
 fn typed_before() -> Vec<OsString> {
     let words = std::env::args_os().skip_while(|word| word != "--").skip(1);
     let mut words: Vec<_> = words.collect();
@@ -135,7 +135,7 @@ mod tests {
             offered("cdcrctl settings set", "seed="),
             Vec::<String>::new()
         );
-        // As bash passes it on.
+        // In the form passed by bash.
         assert_eq!(
             offered("cdcrctl settings set solver =", "g"),
             ["gauss-newton"]

@@ -10,7 +10,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::RequestKind;
 use nalgebra::Vector3;
 
-use super::record::{Rows, check_new, check_sensors, tell};
+use super::record::{Rows, check_new, check_sensors, print_rows};
 use super::resting::{Sensors, rests};
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
@@ -18,33 +18,35 @@ use crate::dry_run::{self, Demands, newest, robot_and_pose};
 use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, within};
 use crate::wait;
 
-/// Without bounds, so much of the bends and rates that the robot may.
+/// Default bounds as shares of the robot's limits: bends, rates.
 const ROBOT_SHARE: (f64, f64) = (0.9, 0.5);
-/// The ideal robot uses so much of the bounds at the most; the rest is for what the robot is beside its model.
+/// Share of the bounds that the ideal robot may use; the rest is for deviations of the real robot.
 const IDEAL_SHARE: f64 = 0.95;
-/// A path that takes too much is made smaller and slower so many times, each time by this at least.
+/// Attempts with a smaller and slower path, and the minimum reduction of each.
 const TRIES: u32 = 12;
 const SMALLER: f64 = 0.97;
-/// A round takes this long at least \[s\], and a path has so many of them at least: fewer do not reach every side of the robot.
+/// Minimum duration of a round \[s\], and minimum number of rounds: fewer do not reach all sides of the
+/// robot.
 const ROUND_MIN_S: f64 = 15.0;
 const ROUNDS_MIN: f64 = 1.0;
-/// Turns in a round across the robot, in both directions, and along it: no two alike, so that all meet in many ways.
+/// Frequencies per round: across the robot in two directions, and along it. They differ, so that many
+/// combinations occur.
 const TURNS: [f64; 3] = [1.0, 1.25, 1.55];
-/// The path swells and fades in this time \[s\], or a quarter of it.
+/// Time for fading in and out \[s\], or a quarter of the path if that is less.
 const FADE_S: f64 = 5.0;
-/// Of the length of the robot: how far the largest path goes to the side, how high its middle is, and how far it leaves that.
+/// Shares of the robot length: largest sideways motion, middle height, and height variation.
 const SIDE: f64 = 0.444;
 const MIDDLE: f64 = 0.556;
 const HEIGHT: f64 = 0.222;
-/// How long the end is kept, so that the tip comes to rest there \[s\].
+/// Time for which the end point is kept, so that the tip comes to rest there \[s\].
 const KEPT_S: f64 = 1.0;
-/// A robot with no larger bend is straight \[rad\]: home is where it began.
+/// A robot with smaller bends counts as straight \[rad\]: it started at home.
 const STRAIGHT_RAD: f64 = 0.02;
-/// How long the end may take.
+/// Timeout for the return at the end.
 const END: Duration = Duration::from_secs(60);
-/// A tip that is farther than this from where it began has not come back \[m\].
+/// A tip farther than this from its start has not returned \[m\].
 const BACK_M: f64 = 5e-3;
-/// Steps in which the length of the path is measured.
+/// Steps for measuring the length of the path.
 const STEPS: u32 = 10_000;
 
 pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Done> {
@@ -78,8 +80,8 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
     if done == Done::Interrupted {
         return Ok(done);
     }
-    tell(output, written, excitation.duration_s())?;
-    // Home is nearer to straight than the tip of a robot that is not its model can be sent.
+    print_rows(output, written, excitation.duration_s())?;
+    // Homing ends closer to straight than a tip reference can, for a robot that deviates from its model.
     let is_straight = excitation.begins_straight();
     let end = if is_straight {
         RequestKind::Home
@@ -102,7 +104,7 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
     Ok(done)
 }
 
-/// What the path may ask of the robot: what was asked for, and else a part of what the robot may.
+/// Bounds of the path: the options, or a share of the robot's limits.
 #[derive(Debug, Clone, Copy)]
 struct Bounds {
     bend_rad: f64,
@@ -170,7 +172,7 @@ fn plan(
     )
 }
 
-/// Fails where a section bends too far.
+/// Fails when a bend is beyond the bound.
 fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
     let pairs = record.present_rad.chunks(2).enumerate();
     for (section, pair) in pairs {
@@ -184,18 +186,18 @@ fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The tip goes to all sides, near and far, from rest to rest where it is.
+/// A path of the tip to all sides, near and far, that starts and ends at rest at the same point.
 struct Excitation {
     robot: Robot,
     start: Configuration,
     start_m: Vector3<f64>,
-    /// Where the tip is beside its bends at the beginning \[m\].
+    /// Offset of the tip from the model at the start \[m\].
     offset_m: Vector3<f64>,
     moving_s: f64,
-    /// 1: the largest.
+    /// Relative size, at most 1.
     size: f64,
     rounds: f64,
-    /// Of each direction at the beginning \[turns\].
+    /// Initial phase of each direction \[turns\].
     phases: [f64; 3],
 }
 
@@ -203,7 +205,7 @@ impl Excitation {
     fn new(record: &Telemetry, options: &ExciteOptions) -> anyhow::Result<Self> {
         let (robot, start) = robot_and_pose(record)?;
         let moving_s = options.record.duration.as_secs_f64();
-        // Multiples of an irrational number: no two seeds have the same.
+        // Multiples of an irrational number: different seeds have different phases.
         let golden = 0.618_033_988_749_895 * options.seed as f64;
         Ok(Self {
             start,
@@ -217,8 +219,8 @@ impl Excitation {
         })
     }
 
-    /// How far the tip may stay from the path \[m\]. That of one section has one distance from the base in each direction: measured beside its bends it cannot
-    /// be sent to all points, and need not, as it is the bends that tell.
+    /// Largest distance allowed between tip and path \[m\]. The tip of a single section is on a surface, so
+    /// with a tip offset it cannot reach all points. It need not, because the bends determine the result.
     fn missed_m(&self) -> f64 {
         let has_one_section = self.robot.section_count() == 1;
         MISSED_M + f64::from(u8::from(has_one_section)) * self.offset_m.norm()
@@ -231,7 +233,7 @@ impl Excitation {
             .all(|rad| rad.abs() < STRAIGHT_RAD)
     }
 
-    /// Where it is across the robot and along it, each from -1 to 1, and how much of that it has swollen to.
+    /// Displacement across and along the robot, each -1 to 1, and the amplitude of the fade.
     fn sway(&self, time_s: f64) -> ([f64; 3], f64) {
         let time_s = time_s.clamp(0.0, self.moving_s);
         let fade_s = FADE_S.min(0.25 * self.moving_s);
@@ -246,7 +248,7 @@ impl Excitation {
     fn tip_m(&self, time_s: f64) -> Vector3<f64> {
         let ([x, y, z], swell) = self.sway(time_s);
         if let [section] = self.robot.sections() {
-            // Its tip has one distance from the base in each direction.
+            // The tip of a single section is on a surface.
             let bend_rad = self.size * section.bend_max_rad * FRAC_1_SQRT_2;
             let mut bends = self.start;
             for (bend, sway) in bends.as_mut_slice().iter_mut().zip([x, y]) {

@@ -39,7 +39,7 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
     Ok(Done::Good)
 }
 
-/// A file of rows, of the robot of the configuration or of a daemon.
+/// Rows of a CSV file, with the robot of the configuration or of a daemon.
 fn of_rows(
     target: &Target,
     options: &GeometryOptions,
@@ -57,7 +57,7 @@ fn of_rows(
     Ok((robot, recording))
 }
 
-/// A recording of all that passed on the services: it says which robot it is of.
+/// A recording of all services, which contains the robot.
 fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, Recording)> {
     let (description, recording) = recorded::read(&options.file)?;
     let Some(config) = &options.config else {
@@ -75,7 +75,6 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
     Ok((robot, recording))
 }
 
-/// The robot of a daemon or recording.
 fn described(description: &RobotDescription) -> anyhow::Result<RobotParameters> {
     let robot = robot_of(description)?;
     Ok(RobotParameters {
@@ -85,7 +84,7 @@ fn described(description: &RobotDescription) -> anyhow::Result<RobotParameters> 
     })
 }
 
-/// The robot of a configuration file; a file without sections has those of the default.
+/// The robot of a configuration file; without sections, the default one.
 fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
     let name = path.display();
     let text = fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;

@@ -1,4 +1,4 @@
-//! Records what a robot measures, and finds which robot it is.
+//! Records measurements of a robot, and identifies its parameters.
 
 mod excite;
 mod geometry;

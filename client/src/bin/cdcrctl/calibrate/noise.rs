@@ -14,12 +14,12 @@ use crate::args::{Format, NoiseOptions, Target};
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
 
-/// Measurements that a standard deviation needs.
+/// Minimum number of measurements for a standard deviation.
 const LEAST: usize = 20;
-/// Of noise so many times as large a bend is taken for no motion in a million.
+/// Noise multiple for a threshold: noise exceeds it about once in a million measurements.
 const SAFE: f64 = 5.0;
 
-/// One sensor's numbers, each with its values, and when they were measured.
+/// The values of each number of a sensor, and the times of its measurements.
 #[derive(Default)]
 struct Sensor {
     values: Vec<Vec<f64>>,
@@ -31,7 +31,7 @@ struct Sensor {
 #[derive(Serialize)]
 struct SensorNoise {
     deviation_m: Vec<f64>,
-    /// Smallest step between two values of it.
+    /// Smallest step between two values.
     step_m: Vec<f64>,
     rate_hz: f64,
     age_ms: f64,
@@ -112,7 +112,7 @@ fn take(record: &Telemetry, cables: &mut Sensor, tip: &mut Sensor) {
 }
 
 impl Sensor {
-    /// Takes a measurement, if it is another than the last.
+    /// Adds a measurement, if it is newer than the last.
     fn take(&mut self, release_ns: u64, measured_ns: u64, numbers: &[f64]) {
         if measured_ns <= self.newest_ns {
             return;
@@ -146,11 +146,11 @@ fn deviation(values: &[f64]) -> f64 {
     (squares / (count - 1.0)).sqrt()
 }
 
-/// The smallest step between two of the values; 0: they are all the same.
+/// The smallest step between two of the values; 0 if all are equal.
 fn smallest_step(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
-    // Rounding is no step.
+    // Rounding is not a step.
     let smallest = steps
         .filter(|step| *step > 1e-12)
         .fold(f64::INFINITY, f64::min);
@@ -198,7 +198,7 @@ fn text(
     Ok(out)
 }
 
-/// The keys of the configuration that depend on it.
+/// Configuration keys that depend on the noise.
 fn fragment(
     cables: Option<&SensorNoise>,
     tip: Option<&SensorNoise>,
@@ -212,7 +212,7 @@ fn fragment(
     if let Some(cables) = cables {
         let sections = cables.deviation_m.chunks(3).zip(radii_m);
         let bends_rad = sections.map(|(section, radius_m)| {
-            // Three cables at 120 degrees: two thirds of their variance are in each component of the bend.
+            // Three cables at 120 degrees: each bend component has two thirds of their variance.
             let squares: f64 = section.iter().map(|m| m * m).sum();
             (squares / 3.0 / 1.5).sqrt() / radius_m
         });
@@ -230,7 +230,7 @@ fn fragment(
 mod tests {
     use super::*;
 
-    /// Counts of 0.1 mm around a length, every second release, 2 ms old.
+    // Counts of 0.1 mm around a length, every second release, 2 ms old.
     #[test]
     fn deviation_step_rate_and_age_are_found() {
         let (mut cables, mut tip) = (Sensor::default(), Sensor::default());

@@ -4,32 +4,32 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::limits::CABLES_MAX;
 
-/// Cables are remembered for so many records, for a tip that is measured later than they arrive.
+/// Number of cable measurements kept, for a tip measurement that arrives later.
 const REMEMBERED: usize = 200;
 
-/// A tip that was measured, and the cables as they were then.
+/// A tip measurement, and the cables at that time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pair {
-    /// Since the recording began \[s\].
+    /// Time since the recording began \[s\].
     pub(super) time_s: f64,
     pub(super) cable_length_m: [f64; CABLES_MAX],
     pub(super) tip_position_m: [f64; 3],
 }
 
-/// Makes pairs of cables and tips from records. What is measured as no number makes none.
+/// Makes pairs of cables and tips from records. Measurements that are not finite are skipped.
 #[derive(Debug)]
 pub(super) struct Pairs {
-    /// When the recording begins \[ns\].
+    /// Start of the recording \[ns\].
     start_ns: u64,
-    /// Cables and when they were measured \[ns\], oldest first.
+    /// Cables with the time of their measurement \[ns\], oldest first.
     seen: VecDeque<(u64, [f64; CABLES_MAX])>,
-    /// Tips that wait for cables that were measured after them.
+    /// Tips that wait for a later measurement of the cables.
     waiting: VecDeque<(u64, [f64; 3])>,
     newest_tip_ns: u64,
 }
 
 impl Pairs {
-    /// Of what is measured from the cycle of `first` on.
+    /// For measurements from the cycle of `first` on.
     pub(super) fn new(first: &Telemetry) -> Self {
         Self {
             start_ns: first.release_ns,
@@ -39,7 +39,7 @@ impl Pairs {
         }
     }
 
-    /// The next record; [`Self::next_pair`] then has what it completes.
+    /// Adds a record; [`Self::next_pair`] then returns the completed pairs.
     pub(super) fn take(&mut self, record: &Telemetry) {
         let measured = &record.measurement;
         let newest_ns = self.seen.back().map_or(0, |(newest_ns, _)| *newest_ns);
@@ -60,7 +60,7 @@ impl Pairs {
         }
     }
 
-    /// The oldest pair that was not handed out yet.
+    /// The oldest completed pair.
     pub(super) fn next_pair(&mut self) -> Option<Pair> {
         loop {
             let (tip_ns, tip_position_m) = *self.waiting.front()?;
@@ -78,7 +78,7 @@ impl Pairs {
         }
     }
 
-    /// The cables at a time between two measurements of them; none where that was too long ago.
+    /// Cables interpolated between two measurements; `None` when the time is before the kept measurements.
     fn lengths_at(&self, time_ns: u64) -> Option<[f64; CABLES_MAX]> {
         let after = self.seen.iter().position(|(ns, _)| *ns >= time_ns)?;
         let (after_ns, after_m) = self.seen[after];

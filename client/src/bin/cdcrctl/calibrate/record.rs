@@ -29,11 +29,11 @@ pub(super) fn run(target: &Target, options: &RecordOptions) -> anyhow::Result<Do
         bar.show_share(passed_ns as f64 / duration_ns as f64);
     }
     drop(bar);
-    tell(&options.output, rows.finish()?, passed_ns as f64 * 1e-9)?;
+    print_rows(&options.output, rows.finish()?, passed_ns as f64 * 1e-9)?;
     Ok(Done::Good)
 }
 
-/// Refuses a robot of which too little is measured.
+/// Refuses a robot without the required measurements.
 pub(super) fn check_sensors(sensors: Sensors) -> anyhow::Result<()> {
     ensure!(
         sensors.cables && sensors.tip,
@@ -43,8 +43,8 @@ pub(super) fn check_sensors(sensors: Sensors) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Says what was written in `passed_s`, and fails where that is nothing.
-pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()> {
+/// Prints the rows written in `passed_s`, and fails if there are none.
+pub(super) fn print_rows(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()> {
     let name = output.display();
     ensure!(rows > 0, "{name}: no row, because the tip was not measured");
     writeln!(
@@ -55,7 +55,7 @@ pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()
     Ok(())
 }
 
-/// Before anything is computed or moves: what was recorded before is kept.
+/// Refuses to overwrite a recording, before anything is computed or moves.
 pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
     let name = output.display();
     ensure!(
@@ -65,7 +65,7 @@ pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Rows of cables and tips, as they were at the time of the tip.
+/// Rows of tips, with the cables at the time of the tip.
 pub(super) struct Rows {
     out: csv::Writer<BufWriter<File>>,
     name: String,
@@ -75,7 +75,7 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// A new file, for what is measured from the cycle of `first` on.
+    /// Creates a file for measurements from the cycle of `first` on.
     pub(super) fn create(output: &Path, first: &Telemetry) -> anyhow::Result<Self> {
         check_sensors(Sensors::of(first))?;
         let cables = 3 * first.command.sections as usize;
@@ -122,7 +122,8 @@ mod tests {
 
     use super::*;
 
-    /// The tip is measured between two measurements of cables that move evenly, and arrives a cycle later. The last one is no number.
+    // The tip is measured between two measurements of evenly moving cables, and arrives a cycle later. The
+    // last one is NaN.
     #[test]
     fn cables_are_taken_at_the_time_of_the_tip() {
         let folder = Scratch::temporary().expect("a folder");
@@ -140,7 +141,7 @@ mod tests {
             record.measurement.kind = MeasurementKind::CableLengths.code();
             record.measurement.measured_ns = 5_000_000 * cycle;
             record.measurement.cable_length_m[1] = 0.1 * cycle as f64;
-            // Of 2 ms after the cables before, and of before the start in the first.
+            // 2 ms after the cables; in the first cycle before the start.
             record.tip_measured_ns = 5_000_000 * (cycle - 1) + 2_000_000;
             record.tip_measured_m[2] = if cycle == 5 { f64::NAN } else { cycle as f64 };
             rows.take(&record).expect("written");

@@ -12,10 +12,10 @@ use super::recording::Recording;
 use super::resting::Sensors;
 use crate::recording::file::{self, Recorded};
 
-/// What every MCAP file begins with.
+/// The first bytes of an MCAP file.
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 
-/// Whether a file is a recording (MCAP): by its name, or by what it begins with.
+/// Whether a file is a recording (MCAP), by its name or its first bytes.
 pub(super) fn is_recording(path: &Path) -> anyhow::Result<bool> {
     let cannot_read = || format!("cannot read {}", path.display());
     let mut begin = Vec::new();
@@ -25,7 +25,7 @@ pub(super) fn is_recording(path: &Path) -> anyhow::Result<bool> {
     Ok(begin == MAGIC || path.extension().is_some_and(|end| end == "mcap"))
 }
 
-/// The robot of a recording, and a row for each tip that was measured, with the cables at that time.
+/// The robot of a recording, and a row for each tip measurement, with the cables at that time.
 pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Recording)> {
     let name = path.display();
     let mut file = file::Recording::open(path)?;
@@ -41,13 +41,13 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Recording)>
     records.finish().with_context(|| name.to_string())
 }
 
-/// What the records of a recording say.
+/// Content of the records.
 struct Records {
     robot: RobotDescription,
     sensors: Sensors,
     pairs: Pairs,
     rows: Vec<CalibrationRow>,
-    /// Of the first row and the last \[s\].
+    /// Times of the first row and the last \[s\].
     ends_s: Option<(f64, f64)>,
 }
 

@@ -7,10 +7,10 @@ use cdcr_controller::calibration::CalibrationRow;
 use cdcr_controller::robot::CABLES_MAX;
 use nalgebra::{Quaternion, UnitQuaternion};
 
-/// No length is larger: what is, is in another unit.
+/// Largest magnitude of a length: a larger one has another unit.
 const MAGNITUDE_MAX: f64 = 4e9;
 
-/// The header of a recording of a robot with so many cables.
+/// Header of a recording of a robot with this number of cables.
 pub(super) fn header(cables: usize) -> Vec<String> {
     let cables = (1..=cables).map(|cable| format!("cable_{cable}_m"));
     let tip = ["x_m", "y_m", "z_m"].map(str::to_owned);
@@ -22,13 +22,13 @@ pub(super) fn header(cables: usize) -> Vec<String> {
 #[derive(Debug)]
 pub(super) struct Recording {
     pub(super) rows: Vec<CalibrationRow>,
-    /// From the first row to the last \[s\].
+    /// Time from the first row to the last \[s\].
     pub(super) duration_s: f64,
 }
 
 impl Recording {
-    /// Reads and checks a file of a robot with so many cables; `text` is all of it. Times and tips are those of a reference
-    /// file, with the cables beside them.
+    /// Parses and checks the text of a file of a robot with this number of cables. Times and tips have the
+    /// columns of a reference file, with the cables beside them.
     pub(super) fn parse(path: &Path, text: &str, cables: usize) -> anyhow::Result<Self> {
         let cables_m = cables_m(path, text, cables)?;
         let tips = FileTrajectory::parse(path, text)?;
@@ -56,7 +56,7 @@ fn cables_m(path: &Path, text: &str, cables: usize) -> anyhow::Result<Vec<[f64; 
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
-        // The reader takes a comment that the file ends with for a row.
+        // The CSV reader takes a comment at the end of the file for a row if no line break follows.
         .from_reader(text.as_bytes().chain(&b"\n"[..]));
     let header = reader.headers().with_context(|| name.to_string())?;
     let names = header
@@ -85,7 +85,7 @@ fn cables_m(path: &Path, text: &str, cables: usize) -> anyhow::Result<Vec<[f64; 
     Ok(rows)
 }
 
-/// Where in a row each cable stands.
+/// Column of each cable.
 fn cable_columns(names: &[String], cables: usize) -> anyhow::Result<Vec<usize>> {
     let found = names.iter().filter(|name| name.starts_with("cable_"));
     let found = found.count();
@@ -142,7 +142,7 @@ mod tests {
             ),
             (
                 format!("{HEADER}\n1,1,1,1,0,0,0\n1,1,1,1,0,0,0\n"),
-                "a.csv:3: t_s = 1 does not come after 1",
+                "a.csv:3: t_s = 1 is not after 1",
             ),
             (format!("{HEADER},qx\n"), "column qy is missing"),
             (

@@ -1,4 +1,4 @@
-//! What a calibration found, as text, JSON and configuration.
+//! The result of a calibration as text, JSON and configuration.
 
 use std::fmt::{Error, Write};
 use std::path::Path;
@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 
 use super::recording::Recording;
 
-/// From here on the residuals are errors of the model, and no noise.
+/// From here on the residuals are model errors rather than noise.
 const CORRELATED: f64 = 2.0;
 
-/// For people, with the configuration at the end.
+/// Text, with the configuration at the end.
 pub(super) fn text(
     path: &Path,
     robot: &RobotParameters,
@@ -102,7 +102,7 @@ fn parameter(out: &mut String, estimate: &Estimate) -> Result<(), Error> {
     writeln!(out, "{name:<36}{old:>14.4}{value:>14.4}{within:>14.4}")
 }
 
-/// What to think of it.
+/// Evaluation of the result.
 fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
     let noise = &found.noise;
     writeln!(

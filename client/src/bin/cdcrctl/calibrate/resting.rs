@@ -7,18 +7,17 @@ use cdcr_shared_types::codes::{MeasurementKind, Mode};
 
 use crate::standstill::Standstill;
 
-/// A robot that rests is seen to rest within this.
+/// Timeout for a resting robot to be detected at rest.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// After this long without a record the daemon counts as silent.
+/// Time without records after which the daemon counts as silent.
 const QUIET: Duration = Duration::from_secs(1);
 
-/// The next record of the daemon.
 pub(super) fn next(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry> {
     let record = telemetry.next_within(QUIET)?;
     record.context("the daemon has sent no telemetry for 1 s; see cdcrctl status")
 }
 
-/// A record of a robot that is held and measured to rest; refuses one that moves.
+/// A record of a robot that holds and is measured at rest; refuses a moving one.
 pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry> {
     let begun = Instant::now();
     let mut standstill = Standstill::default();

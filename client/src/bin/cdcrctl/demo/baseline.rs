@@ -10,15 +10,15 @@ use super::daemon::cdcrd;
 use crate::interrupt::Interrupt;
 use crate::spread::Spread;
 
-/// How long the loop runs, as its option.
+/// Duration of the loop, as a command-line option.
 const DURATION: &str = "1s";
-/// How long it may take in all: it ends by itself, and a machine that stalls needs longer.
+/// Timeout of the process: it ends by itself, but a stalling machine needs longer.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What the machine alone does to the loop of the demo's daemon: `cdcrd bare`, a moment before.
+/// The baseline: latencies of `cdcrd bare` right before the demo's daemon starts.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Baseline {
-    /// Time that its cycles cover \[s\].
+    /// Time covered by its cycles \[s\].
     pub(super) duration_s: f64,
     pub(super) cycles: u64,
     pub(super) late_starts: u64,
@@ -26,7 +26,7 @@ pub(super) struct Baseline {
     pub(super) deadline_misses: u64,
     pub(super) deadline_misses_per_s: f64,
     pub(super) skipped_periods: u64,
-    /// What made its cycles late, and how many; causes without a cycle are left out.
+    /// Late cycles by cause; causes without a cycle are omitted.
     pub(super) causes: BTreeMap<String, u64>,
     pub(super) wake_us: Spread,
 }
@@ -59,7 +59,7 @@ impl Baseline {
     pub(super) fn measure(config: &Path, interrupt: &Interrupt) -> anyhow::Result<Option<Self>> {
         let mut command = cdcrd("bare", config)?;
         command.args(["--duration", DURATION, "--format", "json"]);
-        // It meets nobody, so where does not matter.
+        // It has no clients, so the place is irrelevant.
         for name in ["CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"] {
             command.env_remove(name);
         }
@@ -104,7 +104,7 @@ impl From<BareSummary> for Baseline {
 pub(super) mod tests {
     use super::*;
 
-    /// As `cdcrd bare` writes it, for arithmetic and texts.
+    /// The output of `cdcrd bare`, for tests of arithmetic and texts.
     pub(in crate::demo) fn baseline(deadline_misses: u64, late_starts: u64) -> Baseline {
         let json = serde_json::json!({
             "period_ns": 5_000_000, "deadline_ns": 5_000_000, "late_start_ns": 1_000_000, "spin_ns": 0,

@@ -6,18 +6,18 @@ use serde::Serialize;
 
 use super::cycle::Cycle;
 
-/// How many deadline misses each cause made.
+/// Number of deadline misses per cause.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 #[serde(transparent)]
 pub(super) struct MissCauses {
-    /// By the words of the cause; every cause is there.
+    /// Counts by the text of the cause; every cause has an entry.
     counts: BTreeMap<&'static str, usize>,
-    /// Misses that the steal of the core explains.
+    /// Misses explained by steal.
     #[serde(skip)]
     stolen: usize,
 }
 
-/// The causes that the daemon put into its incidents, by cycle: it knows the steal, which the records do not.
+/// The causes in the daemon's incidents, by cycle: they include the steal, which records do not contain.
 #[derive(Debug, Default)]
 pub(super) struct IncidentCauses {
     cycles: HashMap<u64, IncidentCause>,
@@ -26,7 +26,7 @@ pub(super) struct IncidentCauses {
 #[derive(Debug)]
 struct IncidentCause {
     cause: LateCause,
-    /// The hypervisor had the core for at least half of the time by which the cycle was late.
+    /// The hypervisor used the core for at least half of the delay.
     is_stolen: bool,
 }
 
@@ -53,7 +53,7 @@ impl IncidentCauses {
 }
 
 impl MissCauses {
-    /// Counts the misses of `cycles` by the daemon's incidents, and without one by the cause in the record.
+    /// Counts the misses of `cycles` by the cause in the incident, otherwise by the one in the record.
     pub(super) fn new(cycles: &[Cycle], incidents: &IncidentCauses) -> Self {
         let known = LateCause::ALL
             .iter()
@@ -67,7 +67,7 @@ impl MissCauses {
         Self { counts, stolen }
     }
 
-    /// Misses in which the hypervisor had the core for at least half of the time by which the cycle was late.
+    /// Misses in which the hypervisor used the core for at least half of the delay.
     pub(super) fn stolen(&self) -> usize {
         self.stolen
     }
@@ -80,7 +80,7 @@ impl MissCauses {
         self.counts.values().sum()
     }
 
-    /// The causes that made misses, and how many, the most first.
+    /// The causes with misses and their counts, the most frequent first.
     pub(super) fn ranked(&self) -> Vec<(&'static str, usize)> {
         let made = self.counts.iter().filter(|(_, count)| **count > 0);
         let mut ranked: Vec<_> = made.map(|(cause, count)| (*cause, *count)).collect();
@@ -89,7 +89,7 @@ impl MissCauses {
     }
 }
 
-/// A miss is never in time: where no cause is recorded, that is what it is called.
+/// Text of a cause: for a miss, `None` means unknown rather than in time.
 fn words(cause: LateCause) -> &'static str {
     match cause {
         LateCause::None => "not recorded",

@@ -3,7 +3,7 @@ use std::fmt::Write;
 use cdcr_client::Spiral;
 use cdcr_controller::robot::RobotParameters;
 
-/// The demo's configuration: the paper's robot, simulated, that starts on the spiral.
+/// The demo's configuration: the paper's robot, simulated, with its initial tip on the spiral.
 pub(super) fn text(sections: usize, spiral: &Spiral) -> String {
     let mut text = String::from("# Written by cdcrctl demo.\n");
     for section in RobotParameters::paper(sections).sections {

@@ -8,18 +8,17 @@ use cdcr_shared_types::limits::COORDINATES_MAX;
 
 use crate::feed::distance_m;
 
-/// One cycle in which the daemon tracked the reference, as the report, the table and the pictures need
-/// it.
+/// The data of one tracking cycle for the report, the table and the pictures.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cycle {
     pub(super) number: u64,
     pub(super) release_ns: u64,
-    /// The release that the daemon slept for: lateness counts from here.
+    /// The release that was due: lateness counts from here.
     pub(super) due_ns: u64,
     /// Time of the release since the start of the curve \[s\].
     pub(super) time_s: f64,
     pub(super) tip_m: [f64; 3],
-    /// Where the curve exactly is at the release \[m\].
+    /// Exact point of the curve at the release \[m\].
     pub(super) exact_m: [f64; 3],
     pub(super) error_m: f64,
     pub(super) wake_us: f64,
@@ -27,7 +26,7 @@ pub(super) struct Cycle {
     pub(super) response_us: f64,
     pub(super) late_start: bool,
     pub(super) deadline_miss: bool,
-    /// What made it late, as its record says.
+    /// Cause of lateness in the record.
     pub(super) late_cause: LateCause,
     pub(super) skipped_periods: u32,
     bend_rad: [f64; COORDINATES_MAX],
@@ -39,8 +38,8 @@ pub(super) struct Cycle {
 }
 
 impl Cycle {
-    /// The cycle of a record, or `None` when the daemon did not track in it, or its release lies outside
-    /// the reference: the solves while it waits for the start are trivial.
+    /// The cycle of a record. `None` when the daemon did not track, or the release is outside the reference:
+    /// the solves before the start are trivial.
     pub(super) fn of(record: &Telemetry, spiral: &Spiral, start_ns: u64) -> Option<Self> {
         let inside = record.reference.state == ReferenceState::Inside.code();
         if record.mode != Mode::Tracking.code() || !inside {
@@ -122,7 +121,7 @@ fn header(sections: usize) -> Vec<String> {
     names
 }
 
-/// Writes one row for each cycle.
+/// Writes one row per cycle.
 pub(super) fn write_csv(path: &Path, cycles: &[Cycle], sections: usize) -> anyhow::Result<()> {
     let context = || format!("cannot write {}", path.display());
     let mut writer = csv::Writer::from_path(path).with_context(context)?;
@@ -145,7 +144,7 @@ fn between_us(from_ns: u64, to_ns: u64) -> f64 {
 pub(super) mod tests {
     use super::*;
 
-    /// A record of a daemon that tracks `offset_m` beside the spiral.
+    /// A record of a daemon that tracks the spiral with an error of `offset_m`.
     fn record(spiral: &Spiral, start_ns: u64, time_ns: u64, offset_m: f64) -> Telemetry {
         let release_ns = start_ns + time_ns;
         let [x, y, z] = spiral.position_m(time_ns as f64 * 1e-9);
@@ -174,7 +173,7 @@ pub(super) mod tests {
         (2.0 * t / 15.0, t)
     }
 
-    /// A run that never was, for arithmetic and pictures.
+    /// A synthetic run for tests of arithmetic and pictures.
     pub(in crate::demo) fn synthetic(count: u64) -> (Vec<Cycle>, Spiral) {
         let spiral = Spiral::for_sections(&[0.3; 3]);
         let cycle = |k: u64| {

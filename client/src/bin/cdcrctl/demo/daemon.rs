@@ -10,7 +10,7 @@ use cdcr_shared_types::codes::Mode;
 
 use crate::interrupt::Interrupt;
 
-/// How long the daemon may take to run.
+/// Timeout for the start of the daemon.
 const START_TIMEOUT: Duration = Duration::from_secs(10);
 const ROBOT: &str = "demo";
 
@@ -21,7 +21,8 @@ pub(super) fn write_configuration(place: &Place, text: &str) -> anyhow::Result<P
     Ok(file)
 }
 
-/// `cdcrd SUBCOMMAND` with this configuration, of the `cdcrd` that lies beside this program. Whatever ends us, SIGKILL too, ends it.
+/// `cdcrd SUBCOMMAND` with this configuration, from the folder of this program. It ends with this process,
+/// even after SIGKILL.
 pub(super) fn cdcrd(subcommand: &str, config: &Path) -> anyhow::Result<Command> {
     let mut command = Command::new(program("cdcrd")?);
     let ourselves = std::process::id().to_string();
@@ -30,9 +31,9 @@ pub(super) fn cdcrd(subcommand: &str, config: &Path) -> anyhow::Result<Command> 
     Ok(command)
 }
 
-/// A daemon of our own in a private place. Dropping it stops it and removes every trace.
+/// A daemon in a private place. Dropping it stops the daemon and removes all files.
 pub(super) struct DemoDaemon {
-    /// Before its place, which goes when it has ended.
+    /// Declared before its place, so that it ends first.
     process: Process,
     place: Place,
 }
@@ -72,19 +73,19 @@ impl DemoDaemon {
         )))
     }
 
-    /// What happened, with what the daemon wrote about it.
+    /// Appends the daemon's log to an error text.
     pub(super) fn explained(&self, what: &str) -> String {
         explained(what, &self.process.stderr())
     }
 
-    /// Ends the daemon and waits for it.
+    /// Stops the daemon and waits for its end.
     pub(super) fn stop(&mut self) -> anyhow::Result<()> {
         self.process.end()
     }
 }
 
-/// The error that a program ended with, as far as it wrote one into its log; then what happened, and the warnings
-/// before it. Lines of a good run are left out.
+/// The error that ended the program, if its log has one, then `what`, and the warnings before it. Normal log
+/// lines are omitted.
 fn explained(what: &str, log: &str) -> String {
     let lines = log.lines().filter(|line| !line.contains("Z  INFO "));
     let (warnings, error): (Vec<_>, Vec<_>) =

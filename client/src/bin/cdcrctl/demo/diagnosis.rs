@@ -8,42 +8,42 @@ use super::baseline::Baseline;
 use super::causes::MissCauses;
 use super::steal::Steal;
 
-/// What kept the loop from being punctual.
+/// The main cause of deadline misses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Limit {
     /// No deadline was missed.
     Nothing,
-    /// The hypervisor had the core.
+    /// The hypervisor used the core.
     Hypervisor,
-    /// The timer came late or the processor stood still, with the core free.
+    /// The timer was late or the processor stalled, with the core idle.
     Platform,
-    /// Another task had the core, in spite of real-time priority.
+    /// Another task used the core, despite real-time priority.
     OtherTask,
     /// The loop has no real-time priority.
     NoRealTime,
-    /// Memory was not there when it was used.
+    /// Page faults.
     PageFaults,
     /// The computation itself took too long.
     Cdcr,
-    /// Deadlines were missed, and no record says why.
+    /// Deadlines were missed for an unknown cause.
     Unknown,
 }
 
-/// What limits the loop on this machine, and what to do.
+/// What limits the loop on this machine, and the remedy.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Diagnosis {
     pub(super) limited_by: Limit,
     /// One sentence.
     pub(super) text: String,
     pub(super) next: Option<String>,
-    /// The command that grants real time, where it is missing.
+    /// Command that grants real-time priority, if that is missing.
     pub(super) grant: Option<&'static str>,
 }
 
 impl Diagnosis {
-    /// Evaluates a run by the causes of its misses, the bare loop before it, where there was one, and what it
-    /// lacks for real time.
+    /// Evaluates a run: the causes of its misses, the baseline if there is one, and the missing real-time
+    /// properties.
     pub(super) fn new(
         causes: &MissCauses,
         baseline: Option<&Baseline>,
@@ -77,7 +77,7 @@ fn limit(causes: &MissCauses, realtime_missing: u32) -> Limit {
     } else {
         Limit::NoRealTime
     };
-    // Of equal counts the last wins: cdcr does not blame others for as much as it did itself.
+    // For equal counts the last one wins: then cdcr itself is named rather than others.
     let parts = [
         (causes.count(LateCause::None), Limit::Unknown),
         (outside, platform),
@@ -132,7 +132,7 @@ fn sentence(
     }
 }
 
-/// What the loop without work did, as the end of a sentence.
+/// Result of the baseline, as the end of a sentence.
 fn bare_loop(baseline: &Baseline) -> String {
     let cycles = baseline.cycles;
     let did = match (baseline.deadline_misses, baseline.late_starts) {
@@ -143,8 +143,8 @@ fn bare_loop(baseline: &Baseline) -> String {
     format!("; a bare loop without work {did}")
 }
 
-/// The command that finds everything on this machine that is in the way of a punctual loop. It lies beside this
-/// program: a path that this program was started by leads to it, too.
+/// The command that examines this machine for causes of latency. It is in the folder of this program, with
+/// the path by which this program was started.
 fn doctor(started_as: &Path) -> String {
     let program = started_as.with_file_name("cdcrd");
     let program = program.display().to_string();
@@ -155,7 +155,8 @@ fn doctor(started_as: &Path) -> String {
     format!("{program} doctor")
 }
 
-/// The one command that grants real time to the shell that it runs in. Who is root and has it not is in a container.
+/// The command that grants real-time priority to the shell that runs it. If root lacks it, the process is in
+/// a container.
 fn grant(is_root: bool) -> &'static str {
     if is_root {
         "in a container: docker run --ulimit rtprio=90 --ulimit memlock=-1 ..."
@@ -201,7 +202,7 @@ mod tests {
             (&[], realtime::OFF, Limit::NoRealTime),
             (&[], realtime::LOCKED, Limit::Nothing),
             (&[Platform], 0, Limit::Platform),
-            // Both come from outside of the system.
+            // Both have causes outside the system.
             (&[Platform, Stall, Load], 0, Limit::Platform),
             (&[Platform, Load, Load], 0, Limit::OtherTask),
             (&[Load], realtime::FIFO, Limit::NoRealTime),

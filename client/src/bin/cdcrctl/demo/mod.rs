@@ -1,4 +1,4 @@
-//! Everything at once: a daemon of its own, the paper's spiral, and what came of it.
+//! The demo: a private daemon that tracks the paper's spiral, and a report.
 
 mod baseline;
 mod causes;
@@ -72,14 +72,15 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
-/// The bare loop, then a daemon that tracks the spiral; both end whatever happens. `None`: interrupted.
+/// Measures the baseline, then runs a daemon that tracks the spiral; both end in any case. `None`:
+/// interrupted.
 fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::Result<Option<Run>> {
     let place = Place::new()?;
     let config = daemon::write_configuration(&place, &config::text(sections, spiral))?;
     let baseline = match Baseline::measure(&config, interrupt) {
         Ok(Some(baseline)) => Ok(baseline),
         Ok(None) => return Ok(None),
-        // The robot is what the demo shows; the loop beside it only helps to explain.
+        // A failed baseline does not fail the demo: it only helps to explain the result.
         Err(cause) => Err(format!("{cause:#}")),
     };
     let mut daemon = DemoDaemon::start(place, &config)?;
@@ -88,7 +89,7 @@ fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::R
     };
     let run = feed(&connection, spiral, baseline, interrupt)
         .map_err(|cause| anyhow!(daemon.explained(&format!("{cause:#}"))));
-    // The client leaves before its daemon does, so that nothing of it stays behind.
+    // The client disconnects before the daemon ends, so that no files remain.
     drop(connection);
     daemon.stop()?;
     run
@@ -118,7 +119,7 @@ fn feed(
             FeedEvent::Progress(progress) => bar.show(&progress, None),
             _ => {}
         }
-        // More of them than the queue holds may come in five seconds.
+        // Five seconds may produce more incidents than the queue holds, so they are read here.
         while let Ok(Some(incident)) = incidents.try_next() {
             attributed.take(&incident);
         }

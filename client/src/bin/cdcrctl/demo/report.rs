@@ -11,14 +11,14 @@ use super::steal::Steal;
 use crate::args::DemoOptions;
 use crate::spread::Spread;
 
-/// Mean errors that the paper claims for 1, 2 and 3 sections \[mm\].
+/// Mean errors claimed in the paper for 1, 2 and 3 sections \[mm\].
 const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
 
 #[derive(Debug)]
 pub(super) struct Run {
-    /// Or why there is none.
+    /// The baseline, or the reason of its failure.
     pub(super) baseline: Result<Baseline, String>,
-    /// The cycles that tracked and whose release lay inside the reference.
+    /// The tracking cycles with a release inside the reference.
     pub(super) cycles: Vec<Cycle>,
     pub(super) incidents: IncidentCauses,
     pub(super) steal: Option<Steal>,
@@ -26,27 +26,27 @@ pub(super) struct Run {
     pub(super) lost_records: u64,
 }
 
-/// What the demo found. The fields are those of `--format json`, where they are explained: `cdcrctl demo --help`.
+/// Result of the demo. Its fields are those of `--format json`, explained in `cdcrctl demo --help`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct DemoReport {
     pub(super) sections: u32,
-    /// Cycles that tracked and whose release lay inside the reference: all below is counted over them.
+    /// Tracking cycles with a release inside the reference: the basis of all numbers below.
     pub(super) cycles: usize,
     pub(super) mean_error_mm: f64,
     pub(super) max_error_mm: f64,
     pub(super) deadline_misses: usize,
     pub(super) deadline_misses_per_s: f64,
     pub(super) misses_by_cause: MissCauses,
-    /// Those during which the hypervisor had the core for half of the delay or more.
+    /// Misses during which the hypervisor used the core for half of the delay or more.
     pub(super) misses_explained_by_steal: usize,
     pub(super) late_starts: usize,
     pub(super) late_starts_per_s: f64,
     pub(super) skipped_periods: u64,
-    /// `None` where the kernel does not tell.
+    /// `None` when the kernel does not report it.
     pub(super) steal: Option<Steal>,
-    /// `None` where the bare loop failed.
+    /// `None` when the baseline failed.
     pub(super) baseline: Option<Baseline>,
-    /// Why there is none.
+    /// Reason of that failure.
     pub(super) baseline_error: Option<String>,
     pub(super) verdict: Diagnosis,
     pub(super) realtime: bool,

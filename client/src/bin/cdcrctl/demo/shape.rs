@@ -13,13 +13,13 @@ pub(super) struct Backbone {
 }
 
 impl Backbone {
-    /// That of the paper's robot, which the demo controls.
+    /// For the paper's robot, which the demo controls.
     pub(super) fn new(sections: usize) -> anyhow::Result<Self> {
         let robot = Robot::new(&RobotParameters::paper(sections))?;
         Ok(Self { robot })
     }
 
-    /// Points on the backbone in a cycle, the base first and the tip last.
+    /// Points on the backbone in a cycle, base first and tip last.
     pub(super) fn points(&self, cycle: &Cycle) -> Vec<Position> {
         backbone(&self.robot, cycle.bend_rad(self.robot.section_count()))
     }
@@ -55,7 +55,7 @@ mod tests {
         let cycle = &cycles[899];
         let points = backbone.points(cycle);
         assert_eq!(points[0], [0.0; 3]);
-        // The tip of the synthetic run lies 0.2 nm beside the spiral.
+        // The tip of the synthetic run is 0.2 nm beside the spiral.
         let tip = points[points.len() - 1];
         assert!(distance_m(tip, cycle.tip_m) < 1e-9, "{tip:?}");
         let length: f64 = points

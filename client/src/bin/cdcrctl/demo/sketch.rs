@@ -8,26 +8,26 @@ use rustix::termios::tcgetwinsize;
 use crate::backbone::Position;
 use crate::picture::{Ink, SIDE, Scene, Signs, TOP, View, Window};
 
-/// Width of what is no terminal.
+/// Width of output that is not a terminal.
 const COLUMNS: usize = 80;
-/// Wider is not clearer.
+/// Maximum width: a wider sketch is not clearer.
 const COLUMNS_MAX: usize = 120;
-/// So wide, a view has room for its title.
+/// Minimum width of a view with its title.
 const VIEW_COLUMNS_MIN: usize = 38;
 const ROWS: usize = 20;
 const GAP: &str = "   ";
-/// Space around what is drawn, for the blob at the tip.
+/// Margin factor, for the marker at the tip.
 const AROUND: f64 = 1.05;
 
 #[derive(Debug)]
 pub(super) struct Sketch {
     pub(super) backbone: Vec<Position>,
     pub(super) reference: Vec<Position>,
-    /// When it looked so, since the start of the curve \[s\].
+    /// Time of this shape since the start of the curve \[s\].
     pub(super) time_s: f64,
 }
 
-/// Columns of the terminal at the standard output, or of a usual one.
+/// Columns of the terminal on standard output, or a default.
 pub(super) fn columns() -> usize {
     let terminal = tcgetwinsize(stdout()).map_or(0, |size| usize::from(size.ws_col));
     match terminal {
@@ -37,7 +37,7 @@ pub(super) fn columns() -> usize {
 }
 
 impl Sketch {
-    /// The robot from the side and from above, next to each other where `columns` allow it, with colours.
+    /// Views of the robot from the side and from above with colours, side by side if `columns` allow it.
     pub(super) fn text(&self, columns: usize) -> String {
         let beside = columns.saturating_sub(GAP.len()) / 2;
         let mut lines: Vec<String> = if beside >= VIEW_COLUMNS_MIN {
@@ -73,7 +73,7 @@ impl Sketch {
         lines
     }
 
-    /// So that all of it fits into a view of so many columns.
+    /// Window that fits everything into a view of `columns`.
     fn window(&self, view: View, columns: f64) -> Window {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for point in self.reference.iter().chain(&self.backbone) {
@@ -86,7 +86,7 @@ impl Sketch {
         let column_m = (across_m / columns).max(up_m / rows);
         Window {
             middle_m: core::array::from_fn(|i| f64::midpoint(low[i], high[i])),
-            // A single point has a scale, too.
+            // The minimum gives a single point a scale, too.
             size_m: (AROUND * column_m * columns.min(rows)).max(1e-3),
         }
     }
@@ -106,7 +106,7 @@ impl Sketch {
     }
 }
 
-/// The cells of a row, with a style for each stretch of one ink.
+/// The cells of a row, with a style for each run of one ink.
 fn styled(picture: &Buffer, row: Rect) -> String {
     let cells: Vec<_> = row.positions().map(|place| &picture[place]).collect();
     let stretches = cells.chunk_by(|a, b| a.fg == b.fg);
@@ -136,12 +136,12 @@ fn two_digits(mm: f64) -> String {
 mod tests {
     use super::*;
 
-    /// Without colours, and with blanks where there is no dot.
+    /// Without colours, and with blanks for empty Braille cells.
     fn plain(text: &str) -> String {
         anstream::adapter::strip_str(text).to_string()
     }
 
-    /// A straight robot of 1 m, and a reference round its tip.
+    /// A straight robot of 1 m, and a circular reference around its tip.
     fn sketch() -> Sketch {
         let angles = (0..200).map(|k| f64::from(k) * 0.0314);
         Sketch {
@@ -182,7 +182,7 @@ mod tests {
             side.push(is_inked(&half(line, 0)));
             top.push(is_inked(&half(line, 41)));
         }
-        // The tip is above, with the reference beside it; below it there is the backbone alone.
+        // The tip is at the top, with the reference beside it; below it there is only the backbone.
         assert!(side[..2].iter().any(|&count| count > 4), "{lines:#?}");
         assert!(
             side[2..ROWS - 1]

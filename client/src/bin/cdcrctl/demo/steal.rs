@@ -5,23 +5,23 @@ use std::time::Instant;
 use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
 use serde::Serialize;
 
-/// What the hypervisor took from the core of the loop while it ran.
+/// Time that the hypervisor took from the core of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct Steal {
-    /// Time taken \[s\], in steps of 0.01 s; of a loop that is not pinned the mean of all cores.
+    /// Stolen time \[s\], in steps of 0.01 s; without pinning, the mean of all cores.
     pub(super) steal_s: f64,
-    /// How long was looked \[s\].
+    /// Duration of the measurement \[s\].
     pub(super) window_s: f64,
 }
 
 impl fmt::Display for Steal {
-    /// To a hundredth of a second: a single tick of the counter may explain a miss.
+    // Two decimals: a single tick of the counter may explain a miss.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{:.2} of {:.1} s", self.steal_s, self.window_s)
     }
 }
 
-/// A reading of the steal counter, to be compared with a later one.
+/// A reading of the steal counter.
 #[derive(Debug)]
 pub(super) struct StealReading {
     core: Option<u32>,
@@ -30,7 +30,7 @@ pub(super) struct StealReading {
 }
 
 impl StealReading {
-    /// Reads the counter of `core`, or of all cores. `None` where the kernel has none.
+    /// Reads the counter of `core`, or of all cores. `None` when the kernel has none.
     pub(super) fn now(core: Option<u32>) -> Option<Self> {
         let text = fs::read_to_string("/proc/stat").ok()?;
         Some(Self {
@@ -40,7 +40,7 @@ impl StealReading {
         })
     }
 
-    /// What was taken since this reading.
+    /// Steal since this reading.
     pub(super) fn since(&self) -> Option<Steal> {
         let now = Self::now(self.core)?;
         Some(Steal {

@@ -55,7 +55,7 @@ pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error
     Ok(out)
 }
 
-/// Where releases got no command, the robot went on with the rates it had, and the error is not the controller's alone.
+/// Note on skipped periods: the robot kept its rates then, so the error is not the controller's alone.
 fn whose_error(skipped_periods: u64) -> String {
     match skipped_periods {
         0 => "the controller's share".to_owned(),
@@ -92,7 +92,7 @@ fn counts(out: &mut String, report: &DemoReport, status: &Status) -> Result<(), 
     )
 }
 
-/// What made the misses; without a miss, nothing.
+/// Causes of the misses; empty without a miss.
 fn causes(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     for (cause, count) in report.misses_by_cause.ranked() {
         write!(out, "{:<24}{count:>12}   {cause}", "  caused by")?;
@@ -105,7 +105,7 @@ fn causes(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     Ok(())
 }
 
-/// The loop of the daemon beside the same loop without work.
+/// The daemon's latencies beside the baseline.
 fn beside(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     let Some(bare) = &report.baseline else {
         let error = report.baseline_error.as_deref().unwrap_or_default();
@@ -148,7 +148,7 @@ fn verdict(out: &mut String, verdict: &Diagnosis) -> Result<(), Error> {
     }
 }
 
-/// The text in lines of at most [`WIDTH`].
+/// Wraps the text at [`WIDTH`].
 fn wrapped(text: &str) -> String {
     let mut lines = vec![String::new()];
     for word in text.split(' ') {

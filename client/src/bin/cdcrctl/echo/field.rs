@@ -1,9 +1,9 @@
-//! Fields of a message by their paths: names and numbers of elements, with points between.
+//! Fields of a message by path: names and element indices, separated by points.
 
 use anyhow::{Context, bail};
 use serde_json::{Map, Value};
 
-/// The value at `path`; null for an element that is not used.
+/// The value at `path`; null for an unused element.
 fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
     let mut value = message;
     for part in path.split('.') {
@@ -27,7 +27,7 @@ fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
     Ok(value)
 }
 
-/// The values at some paths, each under its path.
+/// The values at several paths, each under its path.
 pub(crate) fn of(message: &Value, paths: &[String]) -> anyhow::Result<Value> {
     let mut found = Map::new();
     for path in paths {
@@ -36,7 +36,7 @@ pub(crate) fn of(message: &Value, paths: &[String]) -> anyhow::Result<Value> {
     Ok(Value::Object(found))
 }
 
-/// The same as one line of text, with tabulators between.
+/// The values as one line of text, separated by tabs.
 pub(super) fn line(message: &Value, paths: &[String]) -> anyhow::Result<String> {
     let mut words = Vec::new();
     for path in paths {
@@ -48,7 +48,7 @@ pub(super) fn line(message: &Value, paths: &[String]) -> anyhow::Result<String> 
     Ok(words.join("\t"))
 }
 
-/// Without what is null, NaN and infinite numbers above all: a plotter has no point there. `None`: nothing is left.
+/// Removes null values, which include NaN and infinity: plotters cannot draw them. `None` if nothing is left.
 pub(crate) fn without_null(value: Value) -> Option<Value> {
     match value {
         Value::Null => None,
@@ -59,7 +59,7 @@ pub(crate) fn without_null(value: Value) -> Option<Value> {
                 .collect();
             (!left.is_empty()).then_some(Value::Object(left))
         }
-        // The place of an element is its name: what comes after a gap would move up.
+        // The index of an element is its name: without names, elements after a gap would shift.
         Value::Array(elements) if elements.iter().any(Value::is_null) => {
             let named = elements.into_iter().enumerate();
             let named = named.map(|(index, value)| (index.to_string(), value));

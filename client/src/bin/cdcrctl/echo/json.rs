@@ -1,4 +1,4 @@
-//! Every message as JSON: its list of fields, codes in words, only what is used of each array.
+//! Converts every message to JSON: its fields, codes as words, only the used part of each array.
 
 use cdcr_client::text;
 use cdcr_shared_types::message::{Array, Field, Meaning, Struct, Value as Part};
@@ -30,7 +30,7 @@ fn insert(object: &mut Map<String, Value>, field: &Field, part: Part<'_>, used: 
         }
         (_, part) => plain(part, used),
     };
-    // The length of the array has the plural.
+    // The field with the length of the array has the plural.
     let name = if field.name == "section" {
         "sections"
     } else {
@@ -39,7 +39,7 @@ fn insert(object: &mut Map<String, Value>, field: &Field, part: Part<'_>, used: 
     object.insert(name.to_owned(), value);
 }
 
-/// Limits and real time by the names of their bits, timing as a flag each.
+/// Limits and real-time properties by the names of their bits, timing as one flag each.
 fn insert_bits(object: &mut Map<String, Value>, name: &str, all: &[(u32, &str, &str)], bits: u32) {
     let set = all.iter().filter(|(bit, ..)| bits & bit != 0);
     let names: Vec<_> = set.map(|(_, name, _)| *name).collect();
@@ -70,7 +70,7 @@ pub(crate) fn text_of(bytes: &dyn Array) -> String {
     text(&bytes.collect::<Vec<_>>())
 }
 
-/// Numbers as they are, NaN and infinity as null; the first `used` elements of an array.
+/// Numbers, with null for NaN and infinity; the first `used` elements of an array.
 fn plain(part: Part<'_>, used: usize) -> Value {
     match part {
         Part::U8(number) => json!(number),

@@ -1,4 +1,4 @@
-//! One line of text for each message.
+//! Formats each message as one line of text.
 
 use cdcr_client::events;
 use cdcr_shared_types::codes::{
@@ -46,12 +46,12 @@ fn us(to_ns: u64, from_ns: u64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-3
 }
 
-/// A dash where there is nothing to tell.
+/// A dash for a missing value.
 fn or_dash(is_told: bool, text: String) -> String {
     if is_told { text } else { "-".to_owned() }
 }
 
-/// One decimal; a dash when the system does not tell it.
+/// One decimal; a dash when the system does not provide the value.
 fn known_text(record: &Telemetry, value: f64) -> String {
     or_dash(record.scheduling.known != 0, format!("{value:.1}"))
 }
@@ -63,17 +63,17 @@ fn solve_text(record: &Telemetry) -> String {
     or_dash(has_solved, format!("{solve_us:.1}"))
 }
 
-/// In mm; a dash when there is no reference to be off.
+/// In mm; a dash without a reference.
 fn error_text(error_m: f64) -> String {
     or_dash(error_m.is_finite(), format!("{:.3e}", 1e3 * error_m))
 }
 
-/// In mm; a dash when there is no obstacle.
+/// In mm; a dash without an obstacle.
 pub(crate) fn clearance_text(clearance_m: f64) -> String {
     or_dash(clearance_m.is_finite(), format!("{:.2}", 1e3 * clearance_m))
 }
 
-/// What made it late, which limits changed the command, and what was refused.
+/// Cause of lateness, limits that changed the command, and refusals.
 fn remarks(record: &Telemetry) -> String {
     let late = match LateCause::try_from(record.scheduling.late_cause) {
         Ok(LateCause::None) => String::new(),
@@ -100,7 +100,7 @@ pub(super) fn incident(incident: &Incident) -> String {
     incident_at(incident, incident.header.sent_ns)
 }
 
-/// As someone reads it at `now_ns`.
+/// The line at the time `now_ns`.
 pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
     let record = &incident.telemetry;
     let scheduling = &record.scheduling;
@@ -122,13 +122,13 @@ pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
     )
 }
 
-/// In ms; a dash when the system does not tell it.
+/// In ms; a dash when the system does not provide it.
 fn steal_text(incident: &Incident) -> String {
     let ms = incident.steal_ns as f64 * 1e-6;
     or_dash(incident.steal_window_ns > 0, format!("{ms:.0}"))
 }
 
-/// What was bad about a cycle.
+/// The reasons of an incident.
 fn troubles(record: &Telemetry) -> String {
     let flag = |bit: u32, text: &str| (record.timing_flags & bit != 0).then(|| text.to_owned());
     let skipped =
@@ -175,7 +175,7 @@ pub(super) fn status(status: &Status) -> String {
     )
 }
 
-/// A latency in µs; a dash when none was counted.
+/// A latency in µs; a dash when none was measured.
 pub(crate) fn latency_text(
     latency: &LatencySummary,
     value_ns: impl Fn(&LatencySummary) -> u64,
@@ -269,7 +269,7 @@ mod tests {
         );
     }
 
-    /// Characters up to the end of `part`, without the blanks that end it.
+    /// Characters up to the end of `part`, without trailing blanks.
     fn width_of(text: &str, part: &str) -> usize {
         let at = text.rfind(part).expect("it is there");
         text[..at + part.trim_end().len()].chars().count()

@@ -1,4 +1,4 @@
-//! Prints messages as they pass.
+//! Prints messages as they arrive.
 
 pub(crate) mod field;
 pub(crate) mod json;
@@ -15,35 +15,39 @@ use crate::Done;
 use crate::args::{EchoOptions, Format, Target, Topic};
 use crate::interrupt::Interrupt;
 
-/// After this long without a message, see whether the daemon still lives.
+/// Time without a message after which the liveness of the daemon is checked.
 const QUIET: Duration = Duration::from_secs(1);
-/// How often an interrupt is looked for.
-const LOOK: Duration = Duration::from_millis(100);
+/// Interval of the checks for an interrupt.
+const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
 
-/// How one kind of message is printed.
-pub(crate) struct Look<T> {
+/// Text format of one kind of message.
+pub(crate) struct LineFormat<T> {
     heading: &'static str,
     line: fn(&T) -> String,
 }
 
-/// What is done with the messages of a service.
+/// Handler for the messages of a service.
 pub(crate) trait Watch {
-    /// Until there is enough of them.
+    /// Handles messages until it has enough of them.
     fn watch<T: Message + Struct>(
         &self,
         connection: &Connection,
         stream: Stream<T>,
-        look: &Look<T>,
+        format: &LineFormat<T>,
     ) -> anyhow::Result<Done>;
 }
 
-/// Gives the messages of a topic to `watch`.
+/// Passes the messages of a topic to `watch`.
 pub(crate) fn watch(target: &Target, topic: Topic, watch: &impl Watch) -> anyhow::Result<Done> {
     let connection = &target.connect()?;
     macro_rules! shown {
         ($messages:ident, $heading:ident, $line:ident) => {{
             let (heading, line) = (line::$heading, line::$line);
-            watch.watch(connection, connection.$messages()?, &Look { heading, line })
+            watch.watch(
+                connection,
+                connection.$messages()?,
+                &LineFormat { heading, line },
+            )
         }};
     }
     match topic {
@@ -56,8 +60,8 @@ pub(crate) fn watch(target: &Target, topic: Topic, watch: &impl Watch) -> anyhow
     }
 }
 
-/// Gives each message to `take`, and `None` now and then where none comes, until that wants no more, or an
-/// interrupt.
+/// Passes each message to `take`, and `None` at intervals without messages, until `take` ends it or an
+/// interrupt arrives.
 pub(crate) fn each<T: Message>(
     connection: &Connection,
     stream: &mut Stream<T>,
@@ -66,7 +70,7 @@ pub(crate) fn each<T: Message>(
     let interrupt = Interrupt::catch()?;
     let mut heard = Instant::now();
     while !interrupt.is_raised() {
-        let message = stream.next_within(LOOK)?;
+        let message = stream.next_within(INTERRUPT_INTERVAL)?;
         if message.is_some() {
             heard = Instant::now();
         } else if heard.elapsed() > QUIET {
@@ -80,7 +84,7 @@ pub(crate) fn each<T: Message>(
     Ok(())
 }
 
-/// Gives so many messages to `take`, all of them without a count, at this rate \[Hz\] or less.
+/// Passes `count` messages to `take`, or all, at no more than this rate \[Hz\].
 pub(crate) fn paced<T: Message>(
     connection: &Connection,
     stream: &mut Stream<T>,
@@ -106,20 +110,20 @@ impl Watch for EchoOptions {
         &self,
         connection: &Connection,
         mut stream: Stream<T>,
-        look: &Look<T>,
+        format: &LineFormat<T>,
     ) -> anyhow::Result<Done> {
         let mut out = std::io::stdout().lock();
         let mut heading = None;
         match (self.format, &*self.field) {
-            (Format::Text, []) => writeln!(out, "{}", look.heading)?,
-            // Above the first message, which tells whether there are such fields.
+            (Format::Text, []) => writeln!(out, "{}", format.heading)?,
+            // Above the first message, which shows whether the fields exist.
             (Format::Text, fields) => heading = Some(fields.join("\t")),
             (Format::Json, _) => {}
         }
         let limits = (self.rate, self.count);
         paced(connection, &mut stream, limits, |message| {
             let shown = match (self.format, &*self.field) {
-                (Format::Text, []) => (look.line)(message),
+                (Format::Text, []) => (format.line)(message),
                 (Format::Text, fields) => field::line(&json::message(message), fields)?,
                 (Format::Json, []) => json::message(message).to_string(),
                 (Format::Json, fields) => field::of(&json::message(message), fields)?.to_string(),
@@ -143,7 +147,7 @@ fn warn_of_loss(service: Service, lost: u64) {
     }
 }
 
-/// Lets at most so many messages a second through.
+/// Limits the rate of messages.
 struct Pace {
     every: Duration,
     next: Option<Instant>,
@@ -151,7 +155,7 @@ struct Pace {
 
 impl Pace {
     pub(crate) fn new(rate_hz: Option<f64>) -> Self {
-        // Slower than once a day is once a day.
+        // The lowest rate is once a day.
         let period_s = rate_hz.map_or(0.0, |rate_hz| (1.0 / rate_hz).min(86_400.0));
         Self {
             every: Duration::from_secs_f64(period_s),
@@ -162,7 +166,7 @@ impl Pace {
     pub(crate) fn is_due(&mut self, now: Instant) -> bool {
         let due = self.next.is_none_or(|next| now >= next);
         if due {
-            // On a grid, so that the average rate is right; never a burst after a pause.
+            // On a grid, for a correct average rate; no burst after a pause.
             let on_grid = self.next.unwrap_or(now) + self.every;
             self.next = Some(on_grid.max(now + self.every / 2));
         }

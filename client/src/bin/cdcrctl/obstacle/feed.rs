@@ -1,4 +1,4 @@
-//! Obstacles that come from elsewhere: a file that describes a scene, or lines on the standard input.
+//! Obstacles from a scene file or from lines on the standard input.
 
 use std::io::{BufRead, Write};
 use std::path::Path;
@@ -16,15 +16,15 @@ use super::{TIMEOUT, accepted, check};
 use crate::Done;
 use crate::interrupt::Interrupt;
 
-/// How often an interrupt is looked for.
-const LOOK: Duration = Duration::from_millis(50);
-/// Lines that wait to be sent, at most: a faster writer waits.
+/// Interval of the checks for an interrupt.
+const INTERRUPT_INTERVAL: Duration = Duration::from_millis(50);
+/// Maximum number of queued lines: a faster writer waits.
 const WAITING: usize = 1024;
 
-/// What was read of the standard input: a change with the time at which it came, or what is wrong.
+/// A line of the standard input: a change with its arrival time, or an error.
 type Read = Result<Change, String>;
 
-/// Sends changes, and counts them.
+/// Sends changes and counts them.
 struct Feed {
     sender: ObstacleSender,
     telemetry: TelemetryStream,
@@ -32,7 +32,7 @@ struct Feed {
     known: u32,
 }
 
-/// `cdcrctl obstacle file PATH`: each change at its time. All of it is checked first.
+/// `cdcrctl obstacle file PATH`: sends each change at its time. The whole file is checked first.
 pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::Result<Done> {
     let name = path.display();
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
@@ -56,9 +56,9 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
             if interrupt.is_raised() {
                 return feed.end(Done::Interrupted);
             }
-            sleep(left.min(LOOK));
+            sleep(left.min(INTERRUPT_INTERVAL));
         }
-        // Where they were when the scene was written down is where they are when it is played.
+        // Positions in the scene hold at the time when it is played.
         let mut now = together.to_vec();
         for change in &mut now {
             change.stamp(monotonic_ns());
@@ -68,14 +68,14 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
     feed.end(Done::Good)
 }
 
-/// `cdcrctl obstacle stdin`: each line as it comes, those that wait together.
+/// `cdcrctl obstacle stdin`: sends each line as it arrives, queued lines together.
 pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> {
     let status = connection.status(TIMEOUT)?;
     let interrupt = Interrupt::catch()?;
     let mut feed = Feed::new(connection)?;
     let lines = read_lines();
     loop {
-        let first = match lines.recv_timeout(LOOK) {
+        let first = match lines.recv_timeout(INTERRUPT_INTERVAL) {
             Ok(first) => first,
             Err(RecvTimeoutError::Disconnected) => return feed.end(Done::Good),
             Err(RecvTimeoutError::Timeout) => {
@@ -112,7 +112,7 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
     }
 }
 
-/// Lines as a thread reads them, so that an interrupt or a daemon that goes is noticed meanwhile.
+/// Reads lines in a thread, so that an interrupt or the end of the daemon is noticed meanwhile.
 fn read_lines() -> Receiver<Read> {
     let (send, receive) = mpsc::sync_channel(WAITING);
     thread::spawn(move || {
@@ -144,7 +144,7 @@ impl Feed {
         })
     }
 
-    /// In their order, as few messages as that takes.
+    /// Sends the changes in order, in as few messages as possible.
     fn send(&mut self, changes: &[Change]) -> anyhow::Result<()> {
         let is_same = |one: &Change, next: &Change| {
             matches!((&one.what, &next.what), (What::Upsert(_), What::Upsert(_)))
@@ -182,9 +182,9 @@ impl Feed {
         Ok(())
     }
 
-    /// Fails where no cycle was heard of for a while and the daemon is gone.
+    /// Fails when no cycle has run for a while and the daemon is gone.
     fn check_daemon(&mut self, connection: &Connection) -> anyhow::Result<()> {
-        if self.telemetry.next_within(LOOK)?.is_none() {
+        if self.telemetry.next_within(INTERRUPT_INTERVAL)?.is_none() {
             connection.status(TIMEOUT)?;
         }
         Ok(())

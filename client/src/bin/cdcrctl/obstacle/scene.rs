@@ -1,19 +1,20 @@
-//! Obstacles as JSON: what `obstacle list --format json` prints, and what `obstacle file` and `obstacle stdin` take.
+//! Obstacles as JSON: the output of `obstacle list --format json` and the input of `obstacle file` and
+//! `obstacle stdin`.
 
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::ObstacleShape;
 use serde::Deserialize;
 use serde_json::Value;
 
-/// A time in a scene is a day at most \[s\].
+/// Largest time in a scene: a day \[s\].
 const TIME_MAX_S: f64 = 86_400.0;
 
 /// One change of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Change {
-    /// Of the line, or of the element of an array, from 1.
+    /// Number of the line or array element, from 1.
     pub(super) number: usize,
-    /// When, after the scene began \[s\].
+    /// Time since the start of the scene \[s\].
     pub(super) time_s: f64,
     pub(super) what: What,
 }
@@ -25,14 +26,14 @@ pub(super) enum What {
 }
 
 impl Change {
-    /// It holds at this time \[ns\].
+    /// Sets the time of the measurement \[ns\].
     pub(super) fn stamp(&mut self, measured_ns: u64) {
         if let What::Upsert(obstacle) = &mut self.what {
             obstacle.measured_ns = measured_ns;
         }
     }
 
-    /// The same, where it says nothing itself.
+    /// Sets the time of the measurement if it has none.
     pub(super) fn stamp_where_none(&mut self, measured_ns: u64) {
         if matches!(&self.what, What::Upsert(obstacle) if obstacle.measured_ns == 0) {
             self.stamp(measured_ns);
@@ -66,7 +67,7 @@ struct Removed {
     remove: Vec<u32>,
 }
 
-/// A whole scene: an object on each line, or an array of them. Times never fall.
+/// Parses a whole scene: an object per line, or an array. Times must not decrease.
 pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
     let changes: Vec<Change> = if text.trim_start().starts_with('[') {
         let all: Vec<Value> = serde_json::from_str(text).map_err(|cause| cause.to_string())?;
@@ -90,7 +91,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
     }
 }
 
-/// One line; `None`: it is empty.
+/// Parses one line; `None` if it is empty.
 pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, String> {
     if line.trim().is_empty() {
         return Ok(None);

@@ -14,7 +14,7 @@ use crate::Done;
 use crate::args::ConvertOptions;
 use crate::echo::json::text_of;
 
-/// A name, and what stands below it; nothing where that means nothing.
+/// Column name and value; an empty value means none.
 type Cell = (String, String);
 
 pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
@@ -42,7 +42,7 @@ pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
-/// Tables that are written, by their names.
+/// Output tables by name.
 struct Tables<'a> {
     folder: &'a Path,
     open: BTreeMap<&'static str, Table>,
@@ -104,7 +104,7 @@ impl<'a> Tables<'a> {
         }
     }
 
-    /// A row for each part; one alone with empty cells where there is none.
+    /// A row per part; a single row with empty cells if there is none.
     fn put_each<T: Struct + Default>(
         &mut self,
         name: &'static str,
@@ -140,7 +140,7 @@ impl<'a> Tables<'a> {
         Ok(())
     }
 
-    /// Where they are, and how many rows each has. None is left where not all are whole.
+    /// Paths and numbers of rows. Deletes all tables if one of them is incomplete.
     fn finish(mut self, are_whole: bool) -> io::Result<Vec<(PathBuf, u64)>> {
         let flushed = self
             .open
@@ -157,8 +157,8 @@ impl<'a> Tables<'a> {
     }
 }
 
-/// A message as one row: `command.mode`, `bend_rad[2]`. Lists that grow and shrink (plans, events, obstacles, points) are left out, so that
-/// each row has the same cells.
+/// A message as one row: `command.mode`, `bend_rad[2]`. Lists of variable length (plans, events, obstacles,
+/// points) are omitted, so that each row has the same cells.
 fn cells(message: &dyn Struct) -> Vec<Cell> {
     let mut paths = ["robot.sections", "telemetry.robot.sections"].iter();
     let sections = paths.find_map(|path| message.number(path));
@@ -193,7 +193,8 @@ fn add(
     });
 }
 
-/// Elements of an array that every message of a robot has. (A measurement before the first one says that it is of no section.)
+/// Number of array elements in every message of a robot. (A measurement before the first one has zero
+/// sections.)
 fn lasting(field: &Field, array: &dyn Array, sections: usize) -> usize {
     match field.used {
         None => array.count(),

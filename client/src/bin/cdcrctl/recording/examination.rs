@@ -2,13 +2,13 @@ use std::env;
 use std::io::Read;
 use std::process::{Child, Command, Stdio};
 
-/// `cdcrd doctor` at work: what the machine of a recording is like.
+/// A running `cdcrd doctor`, which examines the machine of a recording.
 pub(super) struct Examination {
     child: Child,
 }
 
 impl Examination {
-    /// Begins it, where `cdcrd` lies beside this program. It takes a second.
+    /// Starts it, if `cdcrd` is in the folder of this program. It takes a second.
     pub(super) fn begin() -> Option<Self> {
         let program = env::current_exe().ok()?.with_file_name("cdcrd");
         let mut command = Command::new(program);
@@ -21,7 +21,7 @@ impl Examination {
         Some(Self { child: child.ok()? })
     }
 
-    /// What it found; none where it has not ended, or not well.
+    /// Its output; `None` if it has not ended or has failed.
     pub(super) fn end(mut self) -> Option<Vec<u8>> {
         if matches!(self.child.try_wait(), Ok(None)) {
             let _ = self.child.kill();

@@ -14,10 +14,10 @@ use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Teleme
 use super::topic::{Topic, WIRE_TYPE};
 use crate::bar::Bar;
 
-/// What takes longer shows how far it is.
+/// Time after which progress is shown.
 const SHORT: Duration = Duration::from_secs(1);
 
-/// A message of ours.
+/// A message of this project.
 #[derive(Debug)]
 pub(crate) enum Recorded {
     Telemetry(Box<Telemetry>),
@@ -49,18 +49,18 @@ impl Recorded {
     }
 }
 
-/// A recording that is read from its beginning to its end; one chunk of it is in memory.
+/// A recording read from start to end, with one chunk in memory.
 pub(crate) struct Recording {
     path: PathBuf,
     reader: Reader<BufReader<Counted>>,
     all_bytes: u64,
     read_bytes: Rc<Cell<u64>>,
-    /// It ended in the middle.
+    /// Whether the file is truncated.
     is_cut: bool,
     progress: Option<Progress>,
 }
 
-/// How much of a file was read.
+/// Counts the bytes read from a file.
 struct Counted {
     file: File,
     read_bytes: Rc<Cell<u64>>,
@@ -74,16 +74,16 @@ impl Read for Counted {
     }
 }
 
-/// Tells on a terminal how far it is, when it has gone on for a while.
+/// Shows progress on a terminal after some time.
 struct Progress {
     begin: Instant,
-    /// What was read when it was last shown.
+    /// Bytes read when it was last shown.
     shown_bytes: u64,
     bar: Option<Bar>,
 }
 
 impl Progress {
-    fn look(&mut self, path: &Path, [read_bytes, all_bytes]: [u64; 2], elapsed: Duration) {
+    fn update(&mut self, path: &Path, [read_bytes, all_bytes]: [u64; 2], elapsed: Duration) {
         if read_bytes != self.shown_bytes && elapsed > SHORT {
             self.shown_bytes = read_bytes;
             let bar = self.bar.get_or_insert_with(|| {
@@ -121,7 +121,7 @@ impl Recording {
         })
     }
 
-    /// Of which nobody is told how far it is.
+    /// Disables the progress bar.
     pub(super) fn unseen(self) -> Self {
         Self {
             progress: None,
@@ -129,11 +129,11 @@ impl Recording {
         }
     }
 
-    /// The next item, whatever it is; none at the end, also where the file is cut.
+    /// The next item of any kind; `None` at the end, also of a truncated file.
     pub(super) fn next_item(&mut self) -> anyhow::Result<Option<Item<'_>>> {
         let read_of_all_bytes = self.read_of_all_bytes();
         if let Some(progress) = &mut self.progress {
-            progress.look(&self.path, read_of_all_bytes, progress.begin.elapsed());
+            progress.update(&self.path, read_of_all_bytes, progress.begin.elapsed());
         }
         let item = self.reader.next_item();
         if !matches!(item, Ok(Some(_))) {
@@ -152,7 +152,7 @@ impl Recording {
         }
     }
 
-    /// The next message of ours. What others have put into the file is passed over.
+    /// The next message of this project. Other content is skipped.
     pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
         loop {
             let name = self.path.display().to_string();
@@ -168,17 +168,17 @@ impl Recording {
         }
     }
 
-    /// How many bytes were read, of how many.
+    /// Bytes read, and the total.
     pub(super) fn read_of_all_bytes(&self) -> [u64; 2] {
         [self.read_bytes.get(), self.all_bytes]
     }
 
-    /// Whether it ended in the middle: known at the end.
+    /// Whether the file is truncated; known at its end.
     pub(super) fn is_cut(&self) -> bool {
         self.is_cut
     }
 
-    /// Says how to repair a recording that is cut.
+    /// Prints how to repair a truncated recording.
     pub(crate) fn warn_of_cut(&self) {
         if self.is_cut {
             let name = self.path.display();
@@ -189,7 +189,8 @@ impl Recording {
     }
 }
 
-/// The message, where it is one of ours. One of another version is an error that names both.
+/// The decoded message, if it is one of this project. A message of another version is an error that names
+/// both.
 fn decoded(message: &Message<'_>) -> anyhow::Result<Option<Recorded>> {
     let Some(topic) = Topic::of_schema(&message.channel.schema) else {
         return Ok(None);
@@ -227,7 +228,7 @@ mod tests {
                 shown_bytes: 0,
                 bar: None,
             };
-            progress.look(Path::new("run.mcap"), [50, 100], elapsed);
+            progress.update(Path::new("run.mcap"), [50, 100], elapsed);
             progress.bar.is_some()
         };
         assert!(!shows(SHORT) && shows(2 * SHORT));

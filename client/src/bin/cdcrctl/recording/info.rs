@@ -44,7 +44,7 @@ pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
-/// Copies what is whole into another file, which is ended as it should be. What is behind a damage is lost.
+/// Copies the intact part into another, complete file. Data after a damage is lost.
 fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done> {
     let mut recording = Recording::open(path)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -53,7 +53,7 @@ fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done
     let file = new_file(&other)?;
     let copied = copy(&mut recording, file, is_interrupted);
     if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
-        // Nothing is left where nothing was saved.
+        // If nothing was saved, no file remains.
         drop(std::fs::remove_file(&other));
     }
     let (messages, damage) = copied.with_context(|| format!("{name} was not created"))?;
@@ -79,7 +79,7 @@ fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done
     Ok(Done::Good)
 }
 
-/// The messages that were copied, and what ended them.
+/// The number of copied messages, and what ended the copy.
 fn copy(
     recording: &mut Recording,
     file: File,
@@ -123,7 +123,7 @@ fn copy(
     Ok((messages, damage))
 }
 
-/// Without a power of ten, unless nothing would be left of it.
+/// Fixed-point notation, except for values that would round to zero.
 fn millimetres(mm: f64) -> String {
     if mm >= 1e-3 {
         format!("{mm:.3}")
@@ -132,7 +132,7 @@ fn millimetres(mm: f64) -> String {
     }
 }
 
-/// What a recording holds.
+/// Content of a recording.
 #[derive(Debug, Default)]
 struct Seen {
     channels: BTreeMap<&'static str, Channel>,
@@ -142,9 +142,9 @@ struct Seen {
     deadline_misses: BTreeMap<u32, u64>,
     late_starts: u64,
     skipped_periods: u64,
-    /// Distance of tip and reference \[m\], and the cycle.
+    /// Largest distance of tip and reference \[m\], with its cycle.
     largest_error: Option<(f64, u64)>,
-    /// The same after each approach.
+    /// The same, without the approaches.
     largest_along: Option<(f64, u64)>,
     least_clearance: Option<(f64, u64)>,
     refused: u64,
@@ -155,7 +155,7 @@ struct Seen {
 struct Channel {
     #[serde(rename = "messages")]
     count: u64,
-    /// Numbers that are missing, and in how many places.
+    /// Missing sequence numbers, and the number of gaps.
     missing: u64,
     gaps: u64,
     #[serde(skip)]

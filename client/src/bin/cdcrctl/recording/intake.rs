@@ -1,7 +1,7 @@
-//! Takes what a daemon sends, in a thread of its own.
+//! Receives the messages of a daemon in a thread.
 //!
-//! A busy disk may make its writer wait for longer than the daemon's queues last: telemetry has 256 cycles there, a quarter of
-//! a second at 1 kHz, and the status two snapshots.
+//! A busy disk may block its writer for longer than the daemon's queues last: telemetry has 256 cycles, a
+//! quarter of a second at 1 kHz, and the status two messages.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,41 +16,41 @@ use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Teleme
 
 use crate::args::Target;
 
-/// How often the services are read. A client that sends one message leaves a few milliseconds later, and takes along what
-/// nobody has read.
+/// Interval at which the services are read. A client that sends one message leaves a few milliseconds later,
+/// and its unread message is lost.
 const READ_EVERY: Duration = Duration::from_millis(2);
-/// Readings that may wait: 4 s, at 1 kHz 60 MB.
+/// Maximum number of queued readings: 4 s, 60 MB at 1 kHz.
 const WAITING_MAX: usize = 2048;
-/// After this long without a cycle, see whether the daemon still lives.
+/// Time without a cycle after which the liveness of the daemon is checked.
 const QUIET: Duration = Duration::from_secs(1);
-/// iceoryx2 has large arrays on the stack.
+/// Stack size of the thread: iceoryx2 has large arrays on the stack.
 const STACK_BYTES: usize = 4 << 20;
 
-/// The thread, and what comes from it.
+/// The thread, and its readings.
 pub(super) struct Intake {
-    /// None once it has been ended for good.
+    /// `None` after the final end.
     readings: Option<Receiver<anyhow::Result<Reading>>>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// What came since the one before, oldest first.
+/// Messages since the previous reading, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Reading {
-    /// What was sent until then is here, or was in one before, but for one that is being sent.
+    /// All messages sent until this time are in this or an earlier reading, except one that is being sent.
     pub(super) until_ns: u64,
     pub(super) records: Vec<Telemetry>,
-    /// What their cycles took in is here, or was in one before.
+    /// Reference chunks. All messages that the cycles above gathered are in this or an earlier reading.
     pub(super) references: Vec<ReferenceChunk>,
     pub(super) obstacles: Vec<ObstacleUpdate>,
     pub(super) statuses: Vec<Status>,
     pub(super) incidents: Vec<Incident>,
-    /// Messages of each topic that never came, by the gaps in their numbers, since the beginning.
+    /// Lost messages of each topic since the start, from the gaps in their sequence numbers.
     pub(super) lost: [u64; Topic::ALL.len()],
 }
 
 impl Intake {
-    /// Begins to read, and gives the newest status, too.
+    /// Starts reading, and returns the newest status.
     pub(super) fn begin(target: &Target) -> anyhow::Result<(Self, Status)> {
         let (ready, is_ready) = channel();
         let (sender, readings) = sync_channel(WAITING_MAX);
@@ -76,13 +76,13 @@ impl Intake {
         Ok((intake, status))
     }
 
-    /// The next reading, every few milliseconds; `None` after the last one, or when the daemon has ended.
+    /// The next reading, every few milliseconds; `None` after the last one or the end of the daemon.
     pub(super) fn next(&self) -> anyhow::Result<Option<Reading>> {
         let next = self.readings.as_ref().map(Receiver::recv);
         next.and_then(Result::ok).transpose()
     }
 
-    /// What has passed until now is read once more.
+    /// Requests a last reading of all messages until now.
     pub(super) fn end(&self) {
         self.is_over.store(true, Ordering::Relaxed);
     }
@@ -91,7 +91,7 @@ impl Intake {
 impl Drop for Intake {
     fn drop(&mut self) {
         self.end();
-        // So that it does not wait for room.
+        // The thread must not wait for a free place in the queue.
         self.readings = None;
         if let Some(thread) = self.thread.take() {
             drop(thread.join());
@@ -99,7 +99,7 @@ impl Drop for Intake {
     }
 }
 
-/// Everything that is recorded, as it comes.
+/// All recorded services.
 struct Streams {
     connection: Connection,
     telemetry: Stream<Telemetry>,
@@ -113,7 +113,7 @@ impl Streams {
     fn open(target: &Target) -> anyhow::Result<(Self, Status)> {
         let connection = target.connect()?;
         let streams = Self {
-            // Before the telemetry: what a cycle took in must not be missing.
+            // Opened before the telemetry: all messages gathered by a recorded cycle must be received.
             references: connection.references()?,
             obstacles: connection.obstacle_updates()?,
             telemetry: connection.telemetry()?,
@@ -125,7 +125,7 @@ impl Streams {
         Ok((streams, status))
     }
 
-    /// Until it is over, nobody takes it, or the daemon has ended.
+    /// Reads until the end, until the receiver is gone, or until the daemon has ended.
     fn read_on(mut self, readings: &SyncSender<anyhow::Result<Reading>>, is_over: &AtomicBool) {
         let mut heard = Instant::now();
         loop {
@@ -149,7 +149,7 @@ impl Streams {
     fn read(&mut self) -> anyhow::Result<Reading> {
         Ok(Reading {
             until_ns: monotonic_ns(),
-            // What a cycle took in came before its record.
+            // The telemetry is read first: the messages that a cycle gathered were sent before its record.
             records: all(&mut self.telemetry)?,
             references: all(&mut self.references)?,
             obstacles: all(&mut self.obstacles)?,

@@ -3,16 +3,17 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-/// How a daemon was started, as far as the system tells it to this user: its configuration is on no service.
+/// The start of a daemon, as far as this user may read it from the system: no service contains its
+/// configuration.
 pub(super) struct Invocation {
     process: PathBuf,
     command_line: Vec<String>,
-    /// Its variables that begin with `CDCR_`; none for another user's daemon.
+    /// Environment variables that begin with `CDCR_`; `None` for another user's daemon.
     variables: Option<Map<String, Value>>,
 }
 
 impl Invocation {
-    /// Of the daemon with this process id; none in another container.
+    /// For the daemon with this process id; `None` in another container.
     pub(super) fn of(process_id: u32) -> Option<Self> {
         let process = PathBuf::from(format!("/proc/{process_id}"));
         let name = fs::read_to_string(process.join("comm")).ok()?;
@@ -35,10 +36,10 @@ impl Invocation {
         json!({"command_line": self.command_line, "variables": self.variables})
     }
 
-    /// The configuration file that it names, as it is now.
+    /// The present content of its configuration file.
     pub(super) fn configuration(&self) -> Option<Vec<u8>> {
         let file = self.file()?;
-        // A relative one is in the daemon's folder.
+        // A relative path refers to the working directory of the daemon.
         fs::read(self.process.join("cwd").join(file)).ok()
     }
 
@@ -57,7 +58,7 @@ impl Invocation {
     }
 }
 
-/// Words that end with a zero.
+/// Splits strings that end with a zero.
 fn words(bytes: &[u8]) -> Vec<String> {
     let words = bytes
         .split(|byte| *byte == 0)

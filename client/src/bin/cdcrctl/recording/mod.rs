@@ -1,4 +1,4 @@
-//! Recordings: MCAP files of all that passes on the services, and what is made of them.
+//! Recordings: MCAP files of all services, and their evaluation.
 
 pub(crate) mod convert;
 mod examination;
@@ -22,7 +22,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use cdcr_client::channels as topic;
 
-/// A file that was not there.
+/// Creates a file that must not exist yet.
 fn new_file(path: &Path) -> anyhow::Result<File> {
     let name = path.display();
     match File::create_new(path) {

@@ -23,11 +23,11 @@ use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
 use crate::trigger::Trigger;
 
-/// How often what was read goes to the file: what a recorder that is killed loses at most, beside what waits for the disk.
+/// Interval of the flushes: a killed recorder loses at most this, besides data that waits for the disk.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
-/// What was sent this long before the recording began may still be judged after it \[ns\].
+/// A message sent this long before the recording began may still get its outcome in it \[ns\].
 const JUDGED_WITHIN_NS: u64 = 100_000_000;
-/// Chunks and updates that are remembered until their outcome is told: the daemon takes in fewer at once.
+/// Chunks and updates kept until their outcome arrives: the daemon gathers fewer at once.
 const REMEMBERED: usize = 256;
 pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result<Done> {
     let around = options.around.map(|trigger| Around {
@@ -44,37 +44,37 @@ pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result
     record(target, task)
 }
 
-/// What is recorded, and how long.
+/// Options of a recording.
 pub(super) struct Task<'a> {
-    /// File to make; by default one named for robot and time.
+    /// Output file; by default named for robot and time.
     pub(super) output: Option<&'a Path>,
     pub(super) duration: Option<Duration>,
-    /// Only what is around this.
+    /// Restricts the recording to the time around a trigger.
     pub(super) around: Option<Around>,
     pub(super) watch: &'a mut dyn Watch,
 }
 
-/// Sees what is recorded as it comes.
+/// Observer of a running recording.
 pub(super) trait Watch {
-    /// A record; and what it fires, where the recording begins with it.
+    /// Gets a record, with the trigger if it fired and the recording begins.
     fn take(&mut self, record: &Telemetry, fires: Option<Trigger>) {
         if let Some(trigger) = fires {
             tell!("{trigger} in cycle {}", record.cycle);
         }
     }
 
-    /// A few hundred times a second; whether the recording shall end.
-    fn look(&mut self) -> anyhow::Result<bool> {
+    /// Called a few hundred times per second; returns whether to end the recording.
+    fn should_end(&mut self) -> anyhow::Result<bool> {
         Ok(false)
     }
 
-    /// Nothing more comes.
+    /// Called at the end.
     fn end(&mut self) {}
 }
 
 impl Watch for () {}
 
-/// A recording of what was before something and of what comes after.
+/// A recording around a trigger, with the time before it and after it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Around {
     pub(super) trigger: Trigger,
@@ -109,7 +109,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let name = path.display();
     let cannot_write = || format!("cannot write {name}");
     if task.around.is_some() && path.exists() {
-        // Told now and not after the wait.
+        // Reported now rather than after the wait for the trigger.
         bail!("{name} already exists");
     }
     let mut head = Head::new(robot, &status, offset_ns)?;
@@ -159,7 +159,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     recorder
         .finish(&ended, &lost, examination)
         .with_context(cannot_write)?;
-    tell(&path, counts, &ended, &lost)?;
+    print_summary(&path, counts, &ended, &lost)?;
     ensure!(
         path.exists(),
         "{name} was removed while it was recorded: nothing is left of it"
@@ -175,11 +175,11 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
 /// Why a recording ended.
 #[derive(Debug)]
 enum Ended {
-    /// Its time was over.
+    /// Its duration was reached.
     Asked,
-    /// By a signal.
+    /// A signal arrived, or the observer ended it.
     Interrupted,
-    /// The daemon ended, or another one follows.
+    /// The daemon ended, or another one replaced it.
     Daemon,
     /// The file cannot be written.
     Failed(io::Error),
@@ -194,8 +194,8 @@ fn is_full(cause: &io::Error) -> bool {
     matches!(cause.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
-/// What was recorded, on one line, and what is missing.
-fn tell(
+/// Prints a line with the recorded and the missing messages.
+fn print_summary(
     path: &Path,
     counts: [u64; CHANNELS],
     ended: &Ended,
@@ -218,26 +218,26 @@ fn tell(
     Ok(())
 }
 
-/// Takes what comes, and sees to it that nothing is missing.
+/// Writes the received messages, and counts missing ones.
 struct Recorder {
     sink: Sink,
     drawings: Drawings,
-    /// Messages of each drawn channel so far.
+    /// Number of messages of each drawn channel.
     drawn: [u32; Drawn::ALL.len()],
-    /// From `CLOCK_MONOTONIC` to the time since 1970 \[ns\].
+    /// Offset from `CLOCK_MONOTONIC` to the time since 1970 \[ns\].
     offset_ns: u64,
     begun_ns: u64,
-    /// The last instant that is recorded, where there is one, on the daemon's clock.
+    /// End of the recording on the daemon's clock, if it has one.
     ends_ns: Option<u64>,
-    /// The daemon.
+    /// Identity of the recorded daemon.
     sender_id: u64,
-    /// Sender and number of the newest chunks and updates.
+    /// Sender and sequence number of the newest chunks and updates.
     taken: VecDeque<(u64, u64)>,
-    /// Those that the daemon accepted and that never came here.
+    /// Messages of each topic that the daemon accepted and the recorder did not receive.
     missed: [u64; Topic::ALL.len()],
-    /// By the gaps in their numbers.
+    /// Messages of each topic missing in the sequence numbers.
     lost: [u64; Topic::ALL.len()],
-    /// The daemon told of a bad cycle.
+    /// Whether the daemon has reported an incident.
     had_incident: bool,
     before: Option<Box<Telemetry>>,
 }
@@ -260,12 +260,11 @@ impl Recorder {
         }
     }
 
-    /// Makes the file.
     fn begin(&mut self) -> anyhow::Result<io::Result<()>> {
         self.sink.begin(monotonic_ns() + self.offset_ns)
     }
 
-    /// Whether it happens with a record.
+    /// Whether the trigger fires with a record.
     fn fires(&mut self, trigger: Trigger, record: &Telemetry) -> bool {
         let before = self.before.replace(Box::new(*record));
         if trigger == Trigger::Incident {
@@ -274,7 +273,6 @@ impl Recorder {
         before.is_some_and(|before| trigger.fires(&before, record))
     }
 
-    /// Records until it ends.
     fn record(
         &mut self,
         intake: &Intake,
@@ -284,7 +282,7 @@ impl Recorder {
         let (mut flushed, mut ended) = (Instant::now(), None);
         self.ends_ns = task.duration.map(|all| self.begun_ns + nanoseconds(all));
         loop {
-            if ended.is_none() && (interrupt.is_raised() || task.watch.look()?) {
+            if ended.is_none() && (interrupt.is_raised() || task.watch.should_end()?) {
                 ended = Some(Ended::Interrupted);
                 intake.end();
             }
@@ -309,19 +307,20 @@ impl Recorder {
         }
     }
 
-    /// Whether an instant is after the time of the recording. A disk that makes it wait does not make it longer.
+    /// Whether a time is after the end of the recording. Waiting for the disk does not extend it.
     fn is_over(&self, at_ns: u64) -> bool {
         self.ends_ns.is_some_and(|ends_ns| at_ns > ends_ns)
     }
 
-    /// The records of the daemon that the recording is of; whether another one follows.
+    /// The records of the recorded daemon, and whether those of another daemon follow.
     fn of_our_daemon<'a>(&self, records: &'a [Telemetry]) -> (&'a [Telemetry], bool) {
         let is_other = |record: &Telemetry| record.header.sender_id != self.sender_id;
         let count = records.iter().position(is_other);
         (&records[..count.unwrap_or(records.len())], count.is_some())
     }
 
-    /// Writes what came. What a cycle took in stands before its record. The inner error is that of a full disk or the like.
+    /// Writes a reading: the messages that a cycle gathered come before its record. The inner error is an I/O
+    /// error such as a full disk.
     fn take_all(
         &mut self,
         reading: &Reading,
@@ -337,7 +336,7 @@ impl Recorder {
             if written.is_err() || self.is_over(record.header.sent_ns) {
                 break;
             }
-            self.miss(record);
+            self.count_missing(record);
             written = self.write(record).and_then(|()| self.draw(record));
             let waits_for = task.around.filter(|_| !self.sink.has_begun());
             let fires = waits_for.filter(|around| self.fires(around.trigger, record));
@@ -354,8 +353,8 @@ impl Recorder {
         messages.iter().try_for_each(|message| self.write(message))
     }
 
-    /// Counts what a cycle took in and is not here: its sender left before it was read, or the queue was full.
-    fn miss(&mut self, record: &Telemetry) {
+    /// Counts gathered messages that were not received: their sender left too early, or the queue was full.
+    fn count_missing(&mut self, record: &Telemetry) {
         let since_ns = self.begun_ns + JUDGED_WITHIN_NS;
         for event in events(record) {
             let topic = match EventKind::try_from(event.kind) {
@@ -370,7 +369,7 @@ impl Recorder {
         }
     }
 
-    /// Messages that never came, where there are any: by the gaps in their numbers, and by what the daemon tells of them.
+    /// Lost messages, if any, from the gaps in their sequence numbers and from the events of the daemon.
     fn lost(&self) -> Vec<(Topic, u64)> {
         let all = Topic::ALL.map(|topic| {
             let place = topic as usize;
@@ -382,7 +381,7 @@ impl Recorder {
     fn write<T: Recorded>(&mut self, message: &T) -> io::Result<()> {
         let header = message.header();
         if T::TOPIC == Topic::Incidents {
-            // Bad cycles that the daemon kept from before.
+            // Incidents kept by the daemon from before the recording.
             if header.sent_ns < self.begun_ns {
                 return Ok(());
             }
@@ -399,7 +398,7 @@ impl Recorder {
         self.sink.put(T::TOPIC as usize, stamp, bytes)
     }
 
-    /// What viewers draw of a record.
+    /// Writes the drawings of a record.
     fn draw(&mut self, record: &Telemetry) -> io::Result<()> {
         let drawings = self.drawings.of(record).map_err(io::Error::other)?;
         for Drawing { channel, data } in drawings {
@@ -421,7 +420,7 @@ impl Recorder {
         }
     }
 
-    /// Ends the file, also where there is hardly room left.
+    /// Completes the file, even when the disk is nearly full.
     fn finish(
         self,
         ended: &Ended,

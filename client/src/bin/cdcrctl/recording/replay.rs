@@ -48,7 +48,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     Ok(Done::Good)
 }
 
-/// What came of computing a recording again.
+/// Result of a recomputed recording.
 #[derive(Debug, Default)]
 struct Verified {
     cycles: u64,
@@ -56,7 +56,7 @@ struct Verified {
     solved: u64,
     without_reference: u64,
     different: u64,
-    /// With the file of its inputs.
+    /// The first difference, and the recording with the inputs of its cycle.
     first_difference: Option<(Difference, PathBuf)>,
     first_ns: Option<u64>,
     last_ns: u64,
@@ -70,7 +70,7 @@ fn verify(recording: &mut Recording, path: &Path) -> anyhow::Result<Verified> {
     Ok(verified)
 }
 
-/// Computes the cycles of a recording again, one after the other.
+/// Recomputes the cycles of a recording, one after the other.
 pub(super) fn each_cycle(
     recording: &mut Recording,
     mut take: impl FnMut(ReplayedCycle, &mut Replayer) -> anyhow::Result<()>,
@@ -121,7 +121,7 @@ impl Verified {
         Ok(())
     }
 
-    /// How much faster than the robot it went.
+    /// Speed relative to real time.
     fn speed(&self, took_s: f64) -> f64 {
         let first_ns = self.first_ns.unwrap_or(self.last_ns);
         (self.last_ns - first_ns) as f64 * 1e-9 / took_s
@@ -176,8 +176,8 @@ impl Verified {
     }
 }
 
-/// Saves one cycle with its inputs as a recording. The chunks about it become one whole reference: the first one begins it, and the
-/// record's events accept them all.
+/// Saves one cycle with its inputs as a recording. The reference chunks around it become a complete
+/// reference: the first one replaces, and the record's events accept all of them.
 fn save(
     record: &Telemetry,
     mut chunks: Vec<ReferenceChunk>,

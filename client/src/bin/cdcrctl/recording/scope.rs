@@ -17,10 +17,10 @@ use crate::top;
 use crate::trigger::Trigger;
 use screen::Screen;
 
-/// Columns of a chart, beside its numbers.
+/// Columns of a chart, without its numbers.
 const COLUMNS: usize = 64;
 const ROWS: usize = 5;
-/// Of the numbers beside a chart.
+/// Width of the numbers beside a chart.
 const LABEL_COLUMNS: usize = 13;
 
 pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Done> {
@@ -54,7 +54,7 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
     Ok(done)
 }
 
-/// What was seen, and where it is drawn.
+/// The records, and the screen.
 struct Scope {
     shot: Shot,
     on_terminal: bool,
@@ -70,7 +70,7 @@ impl Watch for Scope {
         self.shot.take(record, fires.is_some());
     }
 
-    fn look(&mut self) -> anyhow::Result<bool> {
+    fn should_end(&mut self) -> anyhow::Result<bool> {
         if !self.on_terminal {
             return Ok(false);
         }
@@ -88,7 +88,7 @@ impl Watch for Scope {
             Ok(false)
         };
         match is_quit() {
-            // Nobody can press a key any more.
+            // The terminal is closed: no key can be pressed any more.
             Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(true),
             quit => quit.context("the terminal"),
         }
@@ -99,7 +99,7 @@ impl Watch for Scope {
     }
 }
 
-/// A strip chart: name with unit, and the value of a record in that unit.
+/// A strip chart: its name with unit, and the value of a record in that unit.
 type Strip = (&'static str, fn(&Telemetry) -> f64);
 
 const STRIPS: [Strip; 4] = [
@@ -114,7 +114,7 @@ const STRIPS: [Strip; 4] = [
     }),
 ];
 
-/// One record, as the charts need it.
+/// The part of a record that the charts need.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
     release_ns: u64,
@@ -123,7 +123,7 @@ struct Sample {
     values: [f64; STRIPS.len()],
 }
 
-/// What was around the cycle that fired.
+/// The samples around the trigger.
 #[derive(Debug)]
 struct Shot {
     around: Around,
@@ -161,7 +161,7 @@ impl Shot {
         }
     }
 
-    /// A sentence, and a chart of each number.
+    /// A sentence, and a chart per strip.
     fn text(&self) -> String {
         let (Some(fired), Some(first), Some(last)) =
             (self.fired, self.samples.front(), self.samples.back())
@@ -196,7 +196,7 @@ impl Shot {
     }
 }
 
-/// The sentence alone where the charts would be wrapped.
+/// Only the sentence, if the charts would be wrapped.
 fn fitting(text: &str, columns: usize) -> &str {
     if columns <= LABEL_COLUMNS + COLUMNS {
         text.split_inclusive('\n').next().unwrap_or_default()
@@ -205,7 +205,7 @@ fn fitting(text: &str, columns: usize) -> &str {
     }
 }
 
-/// Nothing where it means nothing.
+/// Empty for a value that is not finite.
 fn number(value: f64) -> String {
     if value.is_finite() {
         format!("{value:.4}")
@@ -214,8 +214,8 @@ fn number(value: f64) -> String {
     }
 }
 
-/// One chart: the least to the largest value of each column, over the range of all, of which one number is told where it has no other.
-/// Columns without a number stay empty.
+/// One chart: the least to the largest value of each column, within the range of all. A constant value is
+/// printed once. Columns without values stay empty.
 fn strip(values: impl Iterator<Item = (usize, f64)>, fired: usize) -> Vec<String> {
     let mut columns: [Option<(f64, f64)>; COLUMNS] = [None; COLUMNS];
     for (column, value) in values.filter(|(_, value)| value.is_finite()) {
@@ -284,7 +284,7 @@ mod tests {
             "{text}"
         );
         assert_eq!(lines[1], "error [mm], 4.0000 at the line");
-        // From 2 mm to 6 mm, rising; the line stands in the middle where the value does not.
+        // From 2 mm to 6 mm, rising; the line of the trigger is in the middle column.
         assert!(
             lines[2].starts_with("      6.0000 ") && lines[2].ends_with('#'),
             "{text}"

@@ -12,12 +12,12 @@ use cdcr_shared_types::Status;
 use super::new_file;
 use super::topic::{Drawn, Topic};
 
-/// The channels of a file: those of the services, then those that viewers draw.
+/// Channels of a file: those of the services, then the drawn ones.
 pub(super) const CHANNELS: usize = Topic::ALL.len() + Drawn::ALL.len();
-/// What is kept in memory at most, whatever time that is.
+/// Maximum memory of the kept messages, whatever their time span.
 const RING_BYTES: usize = 64 << 20;
 
-/// What a file begins with.
+/// Metadata at the start of a file.
 pub(super) struct Head {
     channels: Vec<Channel>,
     about: BTreeMap<String, String>,
@@ -31,7 +31,7 @@ struct Attachment {
 }
 
 impl Head {
-    /// Of a recording of this daemon; `offset_ns` leads from `CLOCK_MONOTONIC` to the time since 1970.
+    /// For a recording of this daemon; `offset_ns` converts `CLOCK_MONOTONIC` to the time since 1970.
     pub(super) fn new(robot: &str, status: &Status, offset_ns: u64) -> anyhow::Result<Self> {
         let services = Topic::ALL.map(|topic| topic.channel(robot));
         let mut channels = services.into_iter().collect::<Result<Vec<_>, _>>()?;
@@ -68,14 +68,14 @@ fn library() -> String {
     concat!("cdcrctl ", env!("CARGO_PKG_VERSION")).to_owned()
 }
 
-/// A message on its way.
+/// A queued message.
 struct Held {
     channel: usize,
     stamp: Stamp,
     data: Vec<u8>,
 }
 
-/// The newest messages, no older than a time.
+/// The newest messages, limited by age.
 struct Ring {
     held: VecDeque<Held>,
     bytes: usize,
@@ -97,20 +97,20 @@ impl Ring {
     }
 }
 
-/// Where messages go: into memory until there is a file, then into that.
+/// Destination of the messages: memory until the file is created, then the file.
 pub(super) struct Sink {
     head: Head,
     ring: Ring,
     file: Option<(Writer<File>, Vec<u16>)>,
     path: PathBuf,
-    /// Messages of each channel that were given to the file.
+    /// Messages of each channel passed to the file.
     counts: [u64; CHANNELS],
-    /// Those of them that the last flush brought into it.
+    /// Messages of each channel at the last flush.
     pub(super) whole: [u64; CHANNELS],
 }
 
 impl Sink {
-    /// One that keeps what is not older than `kept` until [`begin`](Self::begin).
+    /// Keeps the messages of the last `kept` until [`begin`](Self::begin).
     pub(super) fn new(head: Head, path: &Path, kept: Duration) -> Self {
         Self {
             head,
@@ -126,7 +126,7 @@ impl Sink {
         }
     }
 
-    /// Makes the file, with all that was kept; the inner error is that of a full disk or the like.
+    /// Creates the file and writes the kept messages; the inner error is an I/O error such as a full disk.
     pub(super) fn begin(&mut self, unix_ns: u64) -> anyhow::Result<io::Result<()>> {
         let name = self.path.display();
         let file = new_file(&self.path)?;
@@ -162,7 +162,7 @@ impl Sink {
         self.file.is_some()
     }
 
-    /// Takes a message of a channel, by its place among all.
+    /// Adds a message to the channel with this index.
     pub(super) fn put(&mut self, channel: usize, stamp: Stamp, data: Vec<u8>) -> io::Result<()> {
         let Some((writer, ids)) = &mut self.file else {
             self.ring.push(Held {
@@ -177,7 +177,6 @@ impl Sink {
         Ok(())
     }
 
-    /// Writes what came since the last time.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         if let Some((writer, _)) = &mut self.file {
             writer.flush()?;
@@ -186,7 +185,8 @@ impl Sink {
         Ok(())
     }
 
-    /// Ends the file, where there is one, also where there is hardly room left. `about` and `attachment` come at its end.
+    /// Completes the file, if there is one, even when the disk is nearly full. `about` and `attachment` are
+    /// its last entries.
     pub(super) fn finish(
         self,
         is_good: bool,
@@ -218,7 +218,7 @@ impl Sink {
     }
 }
 
-/// Takes away what is half written, and ends what is whole.
+/// Removes the incomplete end, and completes the rest.
 fn cut(mut file: File, whole_bytes: u64) -> io::Result<()> {
     file.set_len(whole_bytes)?;
     file.seek(SeekFrom::Start(whole_bytes))?;

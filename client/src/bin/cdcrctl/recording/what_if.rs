@@ -11,7 +11,7 @@ use super::replay::each_cycle;
 use crate::Done;
 use crate::args::{Format, ReplayOptions};
 
-/// Compares what was commanded with what other settings would have commanded, each cycle for itself.
+/// Compares the recorded commands with those of other settings, each cycle separately.
 pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
     let mut recording = Recording::open(&options.file)?;
     let mut compared = Compared::default();
@@ -54,7 +54,7 @@ pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
 #[derive(Debug, Default)]
 struct Compared {
     cycles: u64,
-    /// Recorded solves that were ended by their budget of time. None of the others is.
+    /// Recorded solves ended by their time budget. The recomputed ones have no such limit.
     cut_short: u64,
     recorded: Solves,
     other: Solves,
@@ -62,7 +62,7 @@ struct Compared {
     tips_m: Apart,
 }
 
-/// What the solves of some settings did.
+/// Statistics of the solves with one group of settings.
 #[derive(Debug, Default, Serialize)]
 struct Solves {
     evaluations: u64,
@@ -78,7 +78,7 @@ impl Solves {
     }
 }
 
-/// How far two commands are apart.
+/// Differences between two commands.
 #[derive(Debug, Default)]
 struct Apart {
     sum: f64,

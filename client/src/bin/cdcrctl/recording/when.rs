@@ -2,7 +2,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::monotonic_ns;
 
-/// From `CLOCK_MONOTONIC` to the time since 1970 \[ns\]: as it is now, and the same for all stamps of a recording.
+/// Present offset from `CLOCK_MONOTONIC` to the time since 1970 \[ns\]: one value for all stamps of a
+/// recording.
 pub(super) fn unix_offset_ns() -> u64 {
     let unix_ns = |time: SystemTime| {
         time.duration_since(UNIX_EPOCH)
@@ -12,7 +13,7 @@ pub(super) fn unix_offset_ns() -> u64 {
     unix_ns(SystemTime::now()).saturating_sub(monotonic_ns())
 }
 
-/// Date and time in UTC, as in a file's name: `20260131-235959`.
+/// Date and time in UTC for a file name: `20260131-235959`.
 pub(super) fn date_time(unix_ns: u64) -> String {
     let time = UNIX_EPOCH + Duration::from_nanos(unix_ns);
     let text = humantime::format_rfc3339_seconds(time).to_string();

@@ -13,19 +13,19 @@ use super::STATUS_TIMEOUT;
 use crate::Done;
 use crate::setting::Setting;
 
-/// What a daemon without a file uses.
+/// Defaults of a daemon without a configuration file.
 const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
 
-/// As a rate weight has it that depends on the robot.
+/// Value of a rate weight that depends on the robot.
 const AUTO: &str = "auto";
 
-/// First line of a file that is made.
+/// First line of a new file.
 const HEAD: &str = "# Settings of cdcrd that differ from the defaults.\n";
 
-/// As many as Linux follows.
+/// Limit of Linux.
 const LINKS_MAX: usize = 40;
 
-/// Settings of the solver that differ from the defaults, as a configuration has them.
+/// Solver settings that differ from the defaults, as a configuration.
 pub(crate) fn configuration(settings: SolverSettings, status: &Status) -> anyhow::Result<String> {
     let (text, _) = merged("", settings, status)?;
     Ok(format!("{HEAD}{text}"))
@@ -67,7 +67,7 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
     Ok(Done::Good)
 }
 
-/// The configuration `text` with these settings, and what is new in it.
+/// The configuration `text` with these settings, and the changes.
 fn merged(
     text: &str,
     settings: SolverSettings,
@@ -79,7 +79,7 @@ fn merged(
     for setting in Setting::all() {
         let (table, key) = place(setting);
         let number = value(setting, settings)?;
-        // What the robot gave it, another one gets anew.
+        // A value derived from the robot is saved as such, because another robot needs another one.
         let is_auto = key == "rate_weight" && settings.rate_weight == status.rate_weight_auto;
         let value = if is_auto { AUTO.into() } else { number.clone() };
         let holds = |document: &DocumentMut| {
@@ -119,7 +119,7 @@ fn value(setting: Setting, settings: SolverSettings) -> anyhow::Result<Value> {
     })
 }
 
-/// A number as it is written, `1e-12` for instance.
+/// A number in its written form, for example `1e-12`.
 fn float(text: &str) -> anyhow::Result<Value> {
     let is_whole = text.parse::<i64>().is_ok();
     let text = if is_whole {
@@ -130,13 +130,13 @@ fn float(text: &str) -> anyhow::Result<Value> {
     Ok(text.parse()?)
 }
 
-/// Of a whole number, too.
+/// Numeric value, also of an integer.
 pub(crate) fn number_of(value: &Value) -> Option<f64> {
     let whole = value.as_integer().map(|whole| whole as f64);
     value.as_float().or(whole)
 }
 
-/// Whether two values mean the same: 1 and 1.0 do.
+/// Whether two values are numerically equal, as 1 and 1.0.
 fn is_same(one: &Value, other: &Value) -> bool {
     match (one.as_integer(), other.as_integer()) {
         (Some(one), Some(other)) => one == other,
@@ -147,7 +147,7 @@ fn is_same(one: &Value, other: &Value) -> bool {
     }
 }
 
-/// Sets a key. What stands around an old value, a comment for instance, stays.
+/// Sets a key. Text around an old value, such as a comment, is kept.
 fn put(document: &mut DocumentMut, table: &str, key: &str, mut value: Value) -> anyhow::Result<()> {
     let table = document
         .entry(table)
@@ -166,7 +166,7 @@ fn put(document: &mut DocumentMut, table: &str, key: &str, mut value: Value) -> 
     Ok(())
 }
 
-/// A device, a pipe or a folder is not replaced by a file.
+/// Refuses to replace a device, a pipe or a folder by a file.
 fn check_kind(file: &Path) -> anyhow::Result<()> {
     let is_other = fs::metadata(file).is_ok_and(|file| !file.is_file());
     ensure!(
@@ -177,7 +177,7 @@ fn check_kind(file: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Replaces a file as a whole, or not at all, or makes it where a link leads to. Its owner, group and mode stay.
+/// Replaces a file atomically, or creates it at the target of a link. Owner, group and mode are kept.
 fn replace(file: &Path, text: &str) -> anyhow::Result<()> {
     let file = behind_links(file)?;
     let mut name = file.file_name().unwrap_or_default().to_owned();
@@ -186,19 +186,19 @@ fn replace(file: &Path, text: &str) -> anyhow::Result<()> {
     let written = write_anew(&new, &file, text);
     let replaced = written.and_then(|()| Ok(fs::rename(&new, &file)?));
     if replaced.is_err() {
-        // It may never have been made.
+        // The new file may not exist.
         let _ = fs::remove_file(&new);
     }
     replaced
 }
 
-/// Where a file is, or would be made: as when it is opened, links are followed.
+/// Path after following all links, as on opening; the file need not exist.
 fn behind_links(file: &Path) -> io::Result<PathBuf> {
     let mut path = file.to_owned();
     for _ in 0..LINKS_MAX {
         match fs::read_link(&path) {
             Ok(next) => path = path.parent().unwrap_or(Path::new("")).join(next),
-            // It is no link, or it is not there.
+            // Not a link, or missing.
             Err(cause) if matches!(cause.kind(), ErrorKind::InvalidInput | ErrorKind::NotFound) => {
                 return Ok(path);
             }
@@ -236,7 +236,7 @@ mod tests {
     use super::*;
     use crate::setting::Change;
 
-    /// The defaults, changed.
+    /// The defaults with changes.
     fn settings(changes: &[&str]) -> SolverSettings {
         let defaults: DocumentMut = DEFAULTS.parse().expect("TOML");
         let mut settings = SolverSettings::default();
@@ -282,7 +282,7 @@ mod tests {
         );
     }
 
-    /// The 0 of an ideal robot would make another one rattle; what was set for that one stays.
+    // The 0 of an ideal robot would make another one rattle; a value set by the user is kept.
     #[test]
     fn a_rate_weight_that_depends_on_the_robot_is_saved_as_that() {
         let driver = "controller.rate_weight = 1e-7\n";

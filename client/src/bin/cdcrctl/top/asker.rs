@@ -1,4 +1,5 @@
-//! Asks the daemon for what a key means, each time in a thread of its own: neither the drawing nor a stop waits for another answer.
+//! Sends the requests of keys, each in its own thread: neither the screen nor a stop waits for another
+//! answer.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
@@ -8,14 +9,14 @@ use cdcr_shared_types::codes::RequestKind;
 
 use crate::{request, wait};
 
-/// What came of a request, in words.
+/// Outcome of a request as text.
 pub(super) type Answer = (RequestKind, Result<String, String>);
 
 #[derive(Debug)]
 pub(super) struct Asker {
     location: Location,
     robot: String,
-    /// Not answered yet; at most one of each kind.
+    /// Requests without an answer yet; at most one of each kind.
     asked: Vec<RequestKind>,
     sender: Sender<Answer>,
     answers: Receiver<Answer>,
@@ -33,7 +34,7 @@ impl Asker {
         }
     }
 
-    /// Asks, unless the same is being asked for.
+    /// Sends a request unless the same one is pending.
     pub(super) fn ask(&mut self, kind: RequestKind) {
         if self.asked.contains(&kind) {
             return;
@@ -43,13 +44,12 @@ impl Asker {
         let answers = self.sender.clone();
         thread::spawn(move || {
             let answer = request::ask(&location, &robot, kind);
-            let words = answer.map(|response| wait::words(kind, &response));
-            // Who asked may have gone.
+            let words = answer.map(|response| wait::outcome_text(kind, &response));
+            // The receiver may have been dropped.
             let _ = answers.send((kind, words.map_err(|error| format!("{error:#}"))));
         });
     }
 
-    /// The next answer, if one has come.
     pub(super) fn answer(&mut self) -> Option<Answer> {
         let answer = self.answers.try_recv().ok()?;
         self.asked.retain(|kind| *kind != answer.0);

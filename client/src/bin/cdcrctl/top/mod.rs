@@ -1,6 +1,6 @@
-//! `cdcrctl top`: the robot, its loop and what happens to both, live in a terminal.
+//! `cdcrctl top`: live view of the robot and its loop in a terminal.
 //!
-//! It reads telemetry and status as any client may, and asks as any client may.
+//! It reads telemetry and status, and sends requests, like any other client.
 
 mod asker;
 mod panels;
@@ -25,13 +25,13 @@ use asker::Asker;
 use panels::Screen;
 use seen::Seen;
 
-/// After this long without a record the daemon counts as silent.
+/// Time without records after which the daemon counts as silent.
 const QUIET: Duration = Duration::from_secs(1);
 const ZOOM_STEP: f64 = 1.25;
 const ZOOM_MAX: f64 = 50.0;
 const ZOOM_MIN: f64 = 0.25;
 
-/// What a key does.
+/// Action of a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Action {
     Ask(RequestKind),
@@ -65,12 +65,12 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
         heard: Instant::now(),
         silent: None,
     };
-    // From here on a panic gives the terminal back, too.
+    // From here on a panic restores the terminal, too.
     let mut terminal = ratatui::try_init().context("the terminal")?;
     let every = Duration::from_secs(1) / u32::from(options.rate);
     let watched = top.watch(&mut terminal, every, &interrupt);
     let restored = ratatui::try_restore().context("the terminal");
-    // One that was closed cannot be given back.
+    // A closed terminal cannot be restored; the first error is the relevant one.
     let done = watched?;
     restored.map(|()| done)
 }
@@ -80,7 +80,7 @@ struct Top<'a> {
     telemetry: TelemetryStream,
     asker: Asker,
     seen: Seen,
-    /// What was seen when the pause began.
+    /// State at the start of the pause.
     paused: Option<Box<Seen>>,
     zoom: f64,
     signs: Signs,
@@ -98,9 +98,9 @@ impl Top<'_> {
         let mut keys = Keys::default();
         loop {
             let begun = Instant::now();
-            self.listen()?;
+            self.read_messages()?;
             keys::drawn(terminal.draw(|frame| self.screen().draw(frame)))?;
-            // Each key at once, and the next picture when it is due.
+            // Handle each key at once, and draw when the next picture is due.
             loop {
                 let key = keys.next_within(every.saturating_sub(begun.elapsed()))?;
                 if interrupt.is_raised() {
@@ -120,8 +120,8 @@ impl Top<'_> {
         }
     }
 
-    /// Takes in what has come since the last picture.
-    fn listen(&mut self) -> anyhow::Result<()> {
+    /// Processes the messages since the last picture.
+    fn read_messages(&mut self) -> anyhow::Result<()> {
         while let Some(record) = self.telemetry.try_next()? {
             self.heard = Instant::now();
             self.silent = None;
@@ -140,7 +140,7 @@ impl Top<'_> {
             });
         }
         while let Some((kind, answer)) = self.asker.answer() {
-            self.seen.tell_of(kind, answer);
+            self.seen.add_answer(kind, answer);
         }
         Ok(())
     }
@@ -173,7 +173,7 @@ impl Top<'_> {
     }
 }
 
-/// Whether a key ends a program on a screen of its own.
+/// Whether a key ends a full-screen program.
 pub(crate) fn quits(key: &KeyEvent) -> bool {
     action(key) == Some(Action::Quit)
 }

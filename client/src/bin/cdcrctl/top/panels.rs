@@ -1,4 +1,4 @@
-//! What is on the screen: from what was seen to the cells of a terminal.
+//! Renders the observed state of the daemon into the cells of a terminal.
 
 use cdcr_client::{realtime_missing, text};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind, RobotLink};
@@ -15,16 +15,16 @@ use super::seen::Seen;
 use crate::echo::line::clearance_text;
 use crate::picture::{FRONT, SIDE, Signs, TOP};
 
-/// What all panels need.
+/// Minimum size for all panels.
 pub(super) const COLUMNS_MIN: u16 = 80;
 pub(super) const ROWS_MIN: u16 = 24;
 const HEADER_ROWS: u16 = 4;
 const CHARTS: u16 = 3;
-/// Name, percentiles and bars.
+/// Rows for the name, percentiles and bars.
 const CHART_ROWS: u16 = 3;
 const EVENTS_MIN: u16 = 3;
 
-/// For a terminal without Unicode.
+/// Bars for a terminal without Unicode.
 const ASCII_BARS: bar::Set<'_> = bar::Set {
     full: "#",
     seven_eighths: "#",
@@ -37,19 +37,19 @@ const ASCII_BARS: bar::Set<'_> = bar::Set {
     empty: " ",
 };
 
-/// What is shown, and how.
+/// Content of the screen, and its options.
 #[derive(Debug)]
 pub(super) struct Screen<'a> {
-    /// The newest.
+    /// The newest state.
     pub(super) live: &'a Seen,
-    /// What charts and picture show: the same, or what was when the pause began.
+    /// State in charts and picture: the newest one, or the one at the start of the pause.
     pub(super) shown: &'a Seen,
     pub(super) is_paused: bool,
     pub(super) zoom: f64,
     pub(super) signs: Signs,
-    /// Requests that are not answered yet.
+    /// Requests without an answer yet.
     pub(super) asked: &'a [RequestKind],
-    /// Why no records come, if none do.
+    /// Why no records arrive, if none do.
     pub(super) silent: Option<&'a str>,
 }
 
@@ -228,7 +228,7 @@ impl Screen<'_> {
             },
         );
         frame.render_widget(Line::from(words), numbers);
-        // The bars are whole numbers: in thousandths of the largest.
+        // Bars need integers: thousandths of the largest value.
         let most = percentiles.map_or(1.0, |of| of.max.max(f64::MIN_POSITIVE));
         let share = |value: f64| (1000.0 * value / most).round().clamp(0.0, 1000.0) as u64;
         let columns = recent.columns(usize::from(bars.width));
@@ -247,7 +247,7 @@ impl Screen<'_> {
         frame.render_widget(chart, bars);
     }
 
-    /// A line for each section: its bend, its cables, how far it is behind its command.
+    /// A line per section: bend, cables, following error.
     fn robot(&self) -> Vec<Line<'static>> {
         let Some(record) = &self.shown.record else {
             return Vec::new();
@@ -281,7 +281,7 @@ impl Screen<'_> {
         lines
     }
 
-    /// The newest, as many as fit; the last one is the newest.
+    /// The newest events that fit, the newest last.
     fn events(&self, rows: u16) -> Vec<Line<'static>> {
         let lines = &self.live.lines;
         let first = lines.len().saturating_sub(usize::from(rows));
@@ -356,7 +356,7 @@ fn bad() -> Style {
     Style::new().fg(Color::Red).add_modifier(Modifier::BOLD)
 }
 
-/// Of any size, in nine signs at most.
+/// Formats any magnitude in at most nine characters.
 fn four_digits(value: f64) -> String {
     match value.abs() {
         size if size >= 1000.0 => format!("{value:.0}"),

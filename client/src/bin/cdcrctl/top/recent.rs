@@ -1,4 +1,4 @@
-//! The newest values of one number, for a chart of bars and for percentiles.
+//! The newest values of a series, for a bar chart and percentiles.
 
 use std::collections::VecDeque;
 
@@ -6,15 +6,14 @@ use crate::spread::Spread;
 
 #[derive(Debug, Clone, Default)]
 pub(super) struct Recent {
-    /// Oldest first; NaN where there was none.
+    /// Oldest first; NaN for a missing value.
     values: VecDeque<f64>,
     kept: usize,
-    /// Values so far, also those that are forgotten.
+    /// Values so far, including those dropped.
     total: u64,
 }
 
 impl Recent {
-    /// Keeps the newest `kept` values.
     pub(super) fn new(kept: usize) -> Self {
         Self {
             kept,
@@ -22,7 +21,7 @@ impl Recent {
         }
     }
 
-    /// NaN: there is none now.
+    /// NaN is a missing value.
     pub(super) fn push(&mut self, value: f64) {
         if self.values.len() >= self.kept {
             self.values.pop_front();
@@ -31,14 +30,14 @@ impl Recent {
         self.total += 1;
     }
 
-    /// Of the values that are kept and finite.
+    /// Percentiles of the kept finite values.
     pub(super) fn percentiles(&self) -> Option<Spread> {
         let values = self.values.iter().copied();
         Spread::of(values.filter(|value| value.is_finite()))
     }
 
-    /// The largest value of each of `count` stretches of equal length, the newest last; None where there was none. A stretch begins with
-    /// the same values however often it is looked at, so that bars do not flicker.
+    /// The largest value of each of `count` stretches of equal length, the newest last; `None` for a stretch
+    /// without values. Stretches are aligned to the total count, so that bars do not flicker.
     pub(super) fn columns(&self, count: usize) -> Vec<Option<f64>> {
         let stretch = self.kept.div_ceil(count.max(1)).max(1);
         let mut columns = vec![None; count];

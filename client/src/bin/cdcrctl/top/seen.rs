@@ -1,4 +1,4 @@
-//! What `top` has seen of a daemon: the newest record and status, the last seconds of some numbers, and what happened.
+//! Observed state of a daemon for `top`: the newest record and status, recent series of numbers, and events.
 
 use std::collections::VecDeque;
 
@@ -13,21 +13,21 @@ use super::recent::Recent;
 use crate::backbone::{Position, backbone};
 use crate::picture::{Scene, Solid, Window};
 
-/// How long the numbers are kept \[s\].
+/// Length of the series \[s\].
 const KEPT_S: f64 = 10.0;
-/// Of tip and reference, one point in so much time \[s\].
+/// Interval between the kept points of tip and reference \[s\].
 const POINT_EVERY_S: f64 = 0.02;
 const POINTS_MAX: usize = 500;
 const LINES_MAX: usize = 200;
 
-/// Something that happened.
+/// An event.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Line {
-    /// Since the first record \[s\].
+    /// Time since the first record \[s\].
     pub(super) time_s: f64,
     pub(super) text: String,
     pub(super) is_bad: bool,
-    /// Of a late cycle.
+    /// Whether it reports a late cycle.
     is_late: bool,
 }
 
@@ -66,7 +66,7 @@ impl Seen {
         self.record = Some(Box::new(*record));
     }
 
-    /// The first record, or the first of another daemon.
+    /// Starts with the first record of a daemon.
     fn begin(&mut self, record: &Telemetry, is_next: bool) {
         let (lines, lost) = (std::mem::take(&mut self.lines), self.lost);
         let begun_ns = if is_next {
@@ -87,7 +87,7 @@ impl Seen {
             ..Self::default()
         };
         if is_next {
-            self.tell(record.release_ns, "another daemon started", true);
+            self.add_event(record.release_ns, "another daemon started", true);
         }
     }
 
@@ -95,26 +95,27 @@ impl Seen {
         let now_ns = record.release_ns;
         let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
         let mut found = happenings(record, before);
-        // The last of them.
+        // The report of lateness is the last event.
         let late = found.pop_if(|_| cause != LateCause::None);
         for Happening { text, level } in found {
-            self.tell(now_ns, text, level > Level::Info);
+            self.add_event(now_ns, text, level > Level::Info);
         }
         if lost > self.lost {
             let text = counted(lost - self.lost, "record") + " did not arrive here";
-            self.tell(now_ns, text, true);
+            self.add_event(now_ns, text, true);
             self.lost = lost;
         }
         if let Some(Happening { text, level }) = late {
             self.last_late = Some((now_ns, cause));
-            // One stands for those right before it, the newest or a worse one: where the machine stalls, they would leave no room for anything else.
+            // A late cycle replaces the one right before it, unless that is worse: on a stalling machine,
+            // late cycles would fill the list.
             let is_bad = level > Level::Info;
             match self.lines.back().map(|line| (line.is_late, line.is_bad)) {
                 Some((true, true)) if !is_bad => return,
                 Some((true, _)) => drop(self.lines.pop_back()),
                 _ => {}
             }
-            self.tell(now_ns, text, is_bad);
+            self.add_event(now_ns, text, is_bad);
             if let Some(line) = self.lines.back_mut() {
                 line.is_late = true;
             }
@@ -149,18 +150,18 @@ impl Seen {
         }
     }
 
-    /// What came of a key.
-    pub(super) fn tell_of(&mut self, kind: RequestKind, answer: Result<String, String>) {
+    /// Adds the answer to a request.
+    pub(super) fn add_answer(&mut self, kind: RequestKind, answer: Result<String, String>) {
         let now_ns = self
             .record
             .as_ref()
             .map_or(self.begun_ns, |record| record.release_ns);
         let is_bad = answer.is_err();
         let text = answer.unwrap_or_else(|error| format!("{kind}: {error}"));
-        self.tell(now_ns, text, is_bad);
+        self.add_event(now_ns, text, is_bad);
     }
 
-    fn tell(&mut self, now_ns: u64, text: impl Into<String>, is_bad: bool) {
+    fn add_event(&mut self, now_ns: u64, text: impl Into<String>, is_bad: bool) {
         if self.lines.len() == LINES_MAX {
             self.lines.pop_front();
         }
@@ -175,7 +176,7 @@ impl Seen {
         });
     }
 
-    /// Cycles a second, over the last second.
+    /// Cycles per second, over the last second.
     pub(super) fn rate_hz(&self) -> Option<f64> {
         let (first, last) = (self.releases_ns.front()?, self.releases_ns.back()?);
         let seconds = (last - first) as f64 * 1e-9;
@@ -214,7 +215,7 @@ impl Seen {
         }
     }
 
-    /// The whole robot with some space around, or a part of that around its tip.
+    /// Window with the whole robot and a margin, or a zoomed part around its tip.
     pub(super) fn window(&self, zoom: f64) -> Window {
         let record = self.record.as_ref();
         let length_m = record.map_or(1.0, |record| section_lengths_m(&record.robot).iter().sum());
@@ -296,7 +297,7 @@ mod tests {
     fn another_daemon_begins_anew_and_what_happened_stays() {
         let mut seen = Seen::default();
         (0..10).for_each(|cycle| seen.note(&record(cycle, 1), 0));
-        seen.tell_of(RequestKind::Hold, Err("refused\nremedy".to_owned()));
+        seen.add_answer(RequestKind::Hold, Err("refused\nremedy".to_owned()));
         seen.note(&record(20, 2), 0);
         let texts = texts(&seen);
         assert_eq!(

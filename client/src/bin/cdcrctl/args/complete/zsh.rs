@@ -5,13 +5,13 @@ use std::path::Path;
 use clap::Command;
 use clap_complete::env::{EnvCompleter, Zsh as OfClap};
 
-/// Zsh, with a script that leaves no space behind `KEY=`, and that may also lie in `$fpath`.
+/// Zsh, with a script that adds no space after `KEY=`, and that may also be in `$fpath`.
 #[derive(Debug)]
 pub(super) struct Zsh;
 
-/// Where the script of clap offers what is no folder.
+/// The place in clap's script that offers words other than folders.
 const OFFER: &str = "        [[ -n $other ]] && _describe -V 'values' other\n";
-/// What offers keys first, without a space.
+/// Offers keys first, without a space.
 const OFFER_KEYS: &str = r#"        local -a keys=("${(@M)other:#*=}")
         [[ -n $keys ]] && _describe -V 'values' keys -S ''
         other=("${(@)other:#*=}")
@@ -39,7 +39,7 @@ impl EnvCompleter for Zsh {
         let script = String::from_utf8_lossy(&script);
         let script = script.replace(OFFER, &format!("{OFFER_KEYS}{OFFER}"));
         write!(out, "{script}")?;
-        // From `$fpath` it is read when the program is completed for the first time.
+        // A script in `$fpath` is read at the first completion of the program.
         let call = format!("_clap_dynamic_completer_{}", name.replace('-', "_"));
         writeln!(out, "[[ $funcstack[1] = _{name} ]] && {call}")
     }

@@ -7,13 +7,14 @@ use super::write;
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 
-/// Errors below this are drawn here: a logarithm knows no zero \[mm\]. The marks of skipped periods are a decade below.
+/// Smaller errors are drawn here, because the axis is logarithmic \[mm\]. The marks of skipped periods are a
+/// decade below.
 const FLOOR_MM: f64 = 1e-13;
-/// Length of the dash that stands for one lone cycle \[s\].
+/// Length of the dash for an isolated cycle \[s\].
 const DASH_S: f64 = 0.001;
 
-/// Draws the tracking error over time, beside its mean and the paper's. The line breaks where cycles are
-/// missing; skipped periods have a mark.
+/// Draws the tracking error over time, with its mean and the paper's. The line is interrupted at missing
+/// cycles; skipped periods are marked.
 pub(in crate::demo) fn error(
     file: &Path,
     cycles: &[Cycle],
@@ -52,8 +53,7 @@ fn point(cycle: &Cycle) -> Point {
     (cycle.time_s, (1e3 * cycle.error_m).max(FLOOR_MM))
 }
 
-/// The curve, cut where the numbers of the cycles do not follow each other. A lone cycle
-/// is a short dash.
+/// The curve, split where cycle numbers are not consecutive. An isolated cycle becomes a short dash.
 fn pieces(cycles: &[Cycle]) -> Vec<Vec<Point>> {
     let runs = cycles.chunk_by(|a, b| b.number == a.number + 1);
     runs.map(|run| {
@@ -66,7 +66,7 @@ fn pieces(cycles: &[Cycle]) -> Vec<Vec<Point>> {
     .collect()
 }
 
-/// Times \[s\] of the skipped periods: the middle of each gap.
+/// Times of the skipped periods: the middle of each gap \[s\].
 fn skips_s(cycles: &[Cycle]) -> Vec<f64> {
     let before = std::iter::once(None).chain(cycles.iter().map(Some));
     let skips = before

@@ -16,7 +16,7 @@ use std::path::Path;
 use anyhow::Context;
 use cdcr_chart::Panel;
 
-/// Draws panels into a file, in rows of so many, each so high.
+/// Writes panels to a file; `size` is the number of columns and the height of a panel.
 fn write(file: &Path, size: (usize, u32), panels: &[Panel]) -> anyhow::Result<()> {
     let svg = cdcr_chart::svg(size, panels)?;
     fs::write(file, svg).with_context(|| format!("cannot write {}", file.display()))
@@ -34,7 +34,7 @@ mod tests {
     #[test]
     fn pictures_have_titles_axes_and_units() {
         let folder = Scratch::temporary().expect("a folder");
-        // Keep the pictures to look at them.
+        // Set this variable to keep the pictures for inspection.
         let folder = std::env::var_os("CDCR_KEEP_PICTURES")
             .map_or_else(|| folder.path().to_owned(), Into::into);
         let (cycles, spiral) = synthetic(994);

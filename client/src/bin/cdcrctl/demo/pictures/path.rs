@@ -8,7 +8,7 @@ use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 use crate::demo::shape::curve;
 
-/// Draws the tip's path over the exact curve, from above and from the side, in equal scale.
+/// Draws the path of the tip over the exact curve, from above and from the side, in equal scale.
 pub(in crate::demo) fn path(
     file: &Path,
     cycles: &[Cycle],

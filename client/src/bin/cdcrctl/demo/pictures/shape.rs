@@ -10,7 +10,7 @@ use crate::demo::shape::{Backbone, curve, moments};
 
 /// Time between two shapes \[s\].
 const STEP_S: f64 = 0.5;
-/// How much of its colour the first shape has; the last has all.
+/// Opacity of the first shape; the last one has 1.
 const FAINTEST: f64 = 0.25;
 
 /// Draws the backbone every half second over the exact curve, from the side and from above, in equal scale.

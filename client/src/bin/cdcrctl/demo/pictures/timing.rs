@@ -8,14 +8,14 @@ use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
 use crate::spread::Spread;
 
-/// Bars in each factor of ten.
+/// Bars per decade.
 const BARS_PER_DECADE: f64 = 10.0;
-/// Times below this are counted here: a logarithm knows no zero \[µs\].
+/// Smaller times are counted here, because the axis is logarithmic \[µs\].
 const FLOOR_US: f64 = 0.1;
-/// Below a single cycle, so that it has a bar.
+/// Lower end of the count axis: below 1, so that a single cycle has a bar.
 const LEAST: f64 = 0.7;
 
-/// Draws how often each latency came, in one scale of time for all three.
+/// Draws the histograms of the three latencies on one time scale.
 pub(in crate::demo) fn timing(
     file: &Path,
     cycles: &[Cycle],
@@ -45,9 +45,9 @@ pub(in crate::demo) fn timing(
     write(file, (1, 500), &[wake, solve, response])
 }
 
-/// Bars of equal width on the logarithmic axis that are not empty: both ends \[µs\], each with the count.
+/// Non-empty bars of equal width on the logarithmic axis: both ends \[µs\], each with the count.
 fn bars(values_us: impl Iterator<Item = f64>) -> Vec<[Point; 2]> {
-    // Powers of whole exponents are exact.
+    // Integer powers are exact.
     let edge_us = |index: usize| 10_f64.powf(index as f64 / BARS_PER_DECADE - 1.0);
     let mut counts: Vec<f64> = Vec::new();
     for value_us in values_us {

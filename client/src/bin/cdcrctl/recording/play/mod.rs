@@ -1,4 +1,4 @@
-//! Feeds the references and obstacles of a recording to a running daemon again.
+//! Feeds the references and obstacles of a recording to a running daemon.
 
 mod source;
 
@@ -27,12 +27,12 @@ use crate::interrupt::Interrupt;
 use crate::tip_error::TipError;
 use source::{Source, Step};
 
-/// References are sent so much earlier than they were: what this program may be late \[ns\].
+/// Time by which references are sent early: the tolerated lateness of this program \[ns\].
 const LEAD_NS: u64 = 300_000_000;
-/// So much of the recording is read ahead \[ns\]: the outcome of a message stands after it.
+/// Time by which the recording is read ahead \[ns\]: the outcome of a message follows the message.
 const READ_AHEAD_NS: u64 = 1_000_000_000;
 const TURN: Duration = Duration::from_millis(2);
-/// How long a status or a record is waited for.
+/// Timeout for a status or a record.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Done> {
@@ -51,7 +51,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     check_mode(&status)?;
     let mut player = Player::new(&connection, options.speed)?;
     let played = player.play(&mut source, &name, &interrupt);
-    // However it ended; the first error is the one that says why.
+    // Independent of the result; the first error is the relevant one.
     let held = connection.request(RequestKind::Hold);
     let removed = player.take_obstacles_away();
     let done = played?;
@@ -76,7 +76,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     )?;
     source.recording.warn_of_cut();
     if done == Done::Good {
-        player.error.tell(None)?;
+        player.error.print(None)?;
     }
     Ok(done)
 }
@@ -88,13 +88,13 @@ struct Player<'c> {
     feed: ReferenceFeed,
     obstacles: ObstacleSender,
     renewed_ns: u64,
-    /// When the recording begins again.
+    /// Start of the playback \[ns\].
     begin_ns: u64,
     speed: f64,
-    /// Number of the newest chunk that begins a reference, until it is accepted.
+    /// Sequence number of the newest chunk that begins a reference, until it is accepted.
     beginning: Option<u64>,
     has_reference: bool,
-    /// The recording tracks.
+    /// Whether the recorded daemon tracks.
     wants_tracking: bool,
     ids: BTreeSet<u32>,
     chunks: u64,
@@ -145,7 +145,7 @@ impl<'c> Player<'c> {
             while let Some(step) = source.due(played_ns, lead_ns) {
                 self.take(step)?;
             }
-            self.listen()?;
+            self.read_messages()?;
             self.renew()?;
             if source.is_over(played_ns) {
                 return Ok(Done::Good);
@@ -155,12 +155,12 @@ impl<'c> Player<'c> {
         }
     }
 
-    /// From the beginning of the recording to this time.
+    /// Recorded time since the start, at this time \[ns\].
     fn recorded_ns(&self, now_ns: u64) -> u64 {
         (now_ns.saturating_sub(self.begin_ns) as f64 * self.speed) as u64
     }
 
-    /// When something is that was so long after the beginning of the recording.
+    /// Time of playback for a recorded time since the start \[ns\].
     fn live_ns(&self, since_ns: i64) -> u64 {
         let since_ns = (since_ns as f64 / self.speed) as i64;
         self.begin_ns.saturating_add_signed(since_ns)
@@ -184,7 +184,7 @@ impl<'c> Player<'c> {
 
     fn send_chunk(&mut self, chunk: &ReferenceChunk, first_ns: u64) -> anyhow::Result<()> {
         let mode = ChunkMode::try_from(chunk.mode).unwrap_or_default();
-        // The rest of a reference whose beginning is not in the recording.
+        // The rest of a reference that began before the recording.
         if mode == ChunkMode::Append && self.chunks == 0 {
             return Ok(());
         }
@@ -233,7 +233,7 @@ impl<'c> Player<'c> {
         Ok(())
     }
 
-    /// Those that were sent.
+    /// Removes the obstacles that were sent.
     fn take_obstacles_away(&mut self) -> anyhow::Result<()> {
         let ids: Vec<_> = self.ids.iter().copied().collect();
         for ids in ids.chunks(cdcr_shared_types::limits::OBSTACLES_MAX) {
@@ -244,7 +244,7 @@ impl<'c> Player<'c> {
         Ok(())
     }
 
-    /// Asks for tracking where the recording tracks and the reference is there.
+    /// Requests tracking if the recorded daemon tracks and the reference was accepted.
     fn track(&mut self) -> anyhow::Result<()> {
         if self.wants_tracking && self.has_reference {
             self.connection.request(RequestKind::Track)?;
@@ -253,7 +253,7 @@ impl<'c> Player<'c> {
         Ok(())
     }
 
-    fn listen(&mut self) -> anyhow::Result<()> {
+    fn read_messages(&mut self) -> anyhow::Result<()> {
         while let Some(record) = self.telemetry.try_next()? {
             self.heard_ns = monotonic_ns();
             self.error.take(&record);
@@ -261,13 +261,13 @@ impl<'c> Player<'c> {
         }
         let silent_ns = monotonic_ns().saturating_sub(self.heard_ns);
         if silent_ns > TIMEOUT.as_nanos() as u64 {
-            // It says whether the daemon is gone.
+            // This fails when the daemon is gone.
             self.connection.status(TIMEOUT)?;
         }
         self.track()
     }
 
-    /// What became of what was sent.
+    /// Checks the outcomes of the sent messages.
     fn check_outcomes(&mut self, record: &Telemetry) -> anyhow::Result<()> {
         let sender_id = self.connection.sender_id();
         for event in events(record) {

@@ -7,7 +7,7 @@ use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
 use crate::recording::file::{Recorded, Recording};
 
-/// What is done again; with the time of the first cycle, where times are in it \[ns\].
+/// A replayed step, with the time of the first cycle where the step contains times \[ns\].
 #[derive(Debug)]
 pub(super) enum Step {
     Chunk(Box<ReferenceChunk>, u64),
@@ -16,17 +16,17 @@ pub(super) enum Step {
     Hold,
 }
 
-/// A recording as steps in the order of their times. What was refused is left out.
+/// A recording as steps in the order of their times, without refused messages.
 pub(super) struct Source {
     pub(super) recording: Recording,
     first: Option<First>,
-    /// Messages before the first cycle: their times count from it.
+    /// Messages before the first cycle: their times are relative to it.
     early: Vec<Recorded>,
-    /// By the time since the first cycle, and the order in the file: references, and all others.
+    /// Steps by the time since the first cycle and the order in the file: references, and all others.
     references: BTreeMap<(u64, u64), Step>,
     others: BTreeMap<(u64, u64), Step>,
     count: u64,
-    /// Of the newest cycle, since the first.
+    /// Time of the newest cycle since the first \[ns\].
     read_ns: u64,
     is_tracking: bool,
     is_ended: bool,
@@ -53,12 +53,12 @@ impl Source {
         }
     }
 
-    /// Of the first cycle.
+    /// Fingerprint in the first cycle.
     pub(super) fn robot_fingerprint(&self) -> Option<u64> {
         self.first.map(|first| first.fingerprint)
     }
 
-    /// Reads on until a cycle that is so long after the first.
+    /// Reads up to the first cycle at `since_ns` after the first one.
     pub(super) fn read_to(&mut self, since_ns: u64) -> anyhow::Result<()> {
         while !self.is_ended && (self.first.is_none() || self.read_ns < since_ns) {
             match self.recording.next_message()? {
@@ -69,7 +69,7 @@ impl Source {
         Ok(())
     }
 
-    /// The next step whose time has come; references are due `lead_ns` before theirs.
+    /// The next due step; references are due `lead_ns` early.
     pub(super) fn due(&mut self, since_ns: u64, lead_ns: u64) -> Option<Step> {
         let pop = |steps: &mut BTreeMap<(u64, u64), Step>, until_ns: u64| {
             let entry = steps.first_entry()?;
@@ -109,7 +109,7 @@ impl Source {
         }
     }
 
-    /// The first cycle: with the obstacles that it knew already.
+    /// Starts with the first cycle, and the obstacles that it knew.
     fn begin(&mut self, record: &Telemetry) {
         self.first = Some(First {
             release_ns: record.release_ns,
@@ -140,14 +140,14 @@ impl Source {
         if is_tracking && !self.is_tracking {
             self.insert(self.read_ns, Step::Track);
         }
-        // The end of a reference ends it again.
+        // At the end of a reference, the daemon leaves tracking by itself again.
         if self.is_tracking && !is_tracking && record.reason != Reason::ReferenceEnded.code() {
             self.insert(self.read_ns, Step::Hold);
         }
         self.is_tracking = is_tracking;
     }
 
-    /// Takes out what the daemon refused.
+    /// Removes a message that the daemon refused.
     fn refuse(&mut self, kind: u32, of: (u64, u64)) {
         if kind == EventKind::Reference.code() {
             self.references.retain(|_, step| match step {

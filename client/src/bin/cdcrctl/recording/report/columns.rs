@@ -1,11 +1,11 @@
-/// What stands for two stretches of time that follow each other.
+/// Data of a stretch of time that can be merged with the next one.
 pub(super) trait Merge {
-    /// Takes in the stretch after this one.
+    /// Merges the following stretch.
     fn merge(&mut self, later: Self);
 }
 
-/// Values in columns of equal time. A recording that needs more columns than there is room for gets columns twice as wide, again and
-/// again, so that one of any length takes the same memory and is read once.
+/// Values in columns of equal duration. When the recording needs more columns than `room`, their width
+/// doubles. So any recording takes the same memory and is read once.
 #[derive(Debug)]
 pub(super) struct Columns<T> {
     room: usize,
@@ -15,7 +15,7 @@ pub(super) struct Columns<T> {
 }
 
 impl<T: Merge> Columns<T> {
-    /// `room` columns (1 or more) from `first_ns` on, each `width_ns` wide for the time being.
+    /// `room` columns (1 or more) from `first_ns` on, with an initial width of `width_ns`.
     pub(super) fn new(room: usize, first_ns: u64, width_ns: u64) -> Self {
         Self {
             room,
@@ -25,7 +25,7 @@ impl<T: Merge> Columns<T> {
         }
     }
 
-    /// Takes in a value. One from before the first column counts for that.
+    /// Adds a value. A value before the first column is added to that column.
     pub(super) fn take(&mut self, time_ns: u64, value: T) {
         let since_ns = time_ns.saturating_sub(self.first_ns);
         while since_ns / self.width_ns >= self.room as u64 {
@@ -56,12 +56,11 @@ impl<T: Merge> Columns<T> {
         }
     }
 
-    /// Width of a column.
     pub(super) fn width_ns(&self) -> u64 {
         self.width_ns
     }
 
-    /// Those that are not empty, in order.
+    /// The columns with values, in order.
     pub(super) fn iter(&self) -> impl Iterator<Item = &T> {
         self.filled.iter().flatten()
     }

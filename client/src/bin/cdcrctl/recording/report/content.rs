@@ -17,22 +17,22 @@ use crate::tip_error::TipError;
 
 /// Columns of the curves: more than a screen has, and few enough for a page below 5 MB with six sections.
 const COLUMNS: usize = 4096;
-/// Columns of the obstacles, which take more room.
+/// Columns of the obstacles, which take more space.
 const SCENES: usize = 512;
-/// Late cycles that are listed, the worst ones.
+/// Maximum number of listed late cycles, the worst first.
 const WORST_MAX: usize = 50;
 
-/// What the page shows, gathered from the messages in one pass.
+/// Content of the page, collected from the messages in one pass.
 #[derive(Debug, Default)]
 pub(super) struct Content {
     cycles: Option<Cycles>,
     robot_name: String,
-    /// Whether it is simulated.
+    /// Kind of link: a driver, or simulated.
     link: &'static str,
     daemon: String,
 }
 
-/// From the first record on.
+/// Data of the cycles, from the first record on.
 #[derive(Debug)]
 struct Cycles {
     first: Box<Telemetry>,
@@ -46,26 +46,25 @@ struct Cycles {
     late_starts: u64,
     skipped_periods: u64,
     error: TipError,
-    /// \[m, s\]
+    /// Least clearance and its time \[m, s\].
     least_clearance: Option<(f64, f64)>,
     wake: Histogram,
     solve: Histogram,
     response: Histogram,
     happened: Happened,
-    /// By their response times \[ns\], the worst first.
+    /// Late cycles by response time \[ns\], the worst first.
     worst: Vec<(u64, Value)>,
 }
 
-/// One column.
 #[derive(Debug)]
 struct Sample {
-    /// Of its first cycle.
+    /// Time of its first cycle.
     time_s: f64,
     mode: u32,
     bend_rad: [f64; COORDINATES_MAX],
     tip_m: [f64; 3],
     reference_m: [f64; 3],
-    /// Of all its cycles: least and largest of each series; NaN where there is none.
+    /// Minimum and maximum of each series over its cycles; NaN for missing values.
     extremes: Vec<[f64; 2]>,
     misses: u32,
 }
@@ -79,7 +78,7 @@ impl Merge for Sample {
     }
 }
 
-/// The obstacles of the first cycle of a column.
+/// The obstacles in the first cycle of a column.
 #[derive(Debug)]
 struct Scene {
     time_s: f64,
@@ -115,10 +114,10 @@ impl Content {
         self.cycles.as_ref().map_or(0, |cycles| cycles.count)
     }
 
-    /// All of it, for the page's script; `file`: the name of the recording.
+    /// All content for the script of the page; `file` is the name of the recording.
     ///
     /// # Errors
-    /// Where there is no cycle.
+    /// When there is no cycle.
     pub(super) fn json(&self, recording: &Recording, file: &str) -> anyhow::Result<Value> {
         let cycles = self.cycles.as_ref();
         let cycles = cycles.with_context(|| format!("{file} contains no cycle"))?;
@@ -220,7 +219,7 @@ impl Cycles {
         }
     }
 
-    /// What is drawn over time, each time in the same order; NaN where there is none.
+    /// The curves over time, always in the same order; NaN for missing values.
     fn series(&self, record: &Telemetry) -> Vec<(String, f64)> {
         let is_tracking = record.mode == Mode::Tracking.code();
         let only = |is: bool, value: f64| {
@@ -309,7 +308,7 @@ impl Cycles {
         })
     }
 
-    /// The columns, as one list for each quantity.
+    /// The columns, as one list per quantity.
     fn curves(&self) -> Value {
         let coordinates = self.robot.coordinate_count();
         let all = |value: &dyn Fn(&Sample) -> Value| -> Value {
@@ -318,7 +317,7 @@ impl Cycles {
         let names = self.series(&self.first).into_iter().map(|(name, _)| name);
         let series = names.enumerate().map(|(k, name)| {
             let [low, high] = [0, 1].map(|end| all(&|sample| finite(sample.extremes[k][end])));
-            // One cycle a column: they are the same.
+            // With one cycle per column, both are equal.
             let ends = if low == high {
                 json!([high])
             } else {
@@ -339,7 +338,7 @@ impl Cycles {
         })
     }
 
-    /// The obstacles, each time that they are others: id, radius, one end, and of a capsule the other \[mm\].
+    /// The obstacles after each change: id, radius, one end, and for a capsule the other end \[mm\].
     fn scenes(&self) -> Value {
         let mut shown = Vec::<Value>::new();
         for scene in self.scenes.iter() {
@@ -360,7 +359,7 @@ impl Cycles {
     }
 }
 
-/// Wake-up latency, time of the solver, response time.
+/// Wake-up latency, solve time, response time.
 fn latencies_ns(record: &Telemetry) -> [u64; 3] {
     [
         record.start_ns.saturating_sub(record.due_ns),
@@ -369,7 +368,7 @@ fn latencies_ns(record: &Telemetry) -> [u64; 3] {
     ]
 }
 
-/// A number of five digits: as many as a picture shows. Null where there is none.
+/// Rounds to five digits, enough for a plot. Null for a value that is not finite.
 fn finite(value: f64) -> Value {
     let short = format!("{value:.4e}").parse::<f64>();
     short.map_or(Value::Null, |short| json!(short))
@@ -382,7 +381,7 @@ mod tests {
 
     use super::*;
 
-    /// A cycle of the largest robot among as many obstacles as there may be, all in motion.
+    /// A cycle of the largest robot with the maximum number of obstacles, all moving.
     fn record(cycle: u64) -> Telemetry {
         let mut record = Telemetry {
             cycle,
@@ -450,7 +449,7 @@ mod tests {
         assert_eq!(low.iter().filter(|mm| **mm == json!(-10.0)).count(), 1);
         assert!(high.iter().all(|mm| *mm == json!(20.0)));
         assert_eq!(json["least_clearance"], json!({"mm": -10.0, "t_s": 25.0}));
-        // None, and not zero.
+        // A missing value is null, not zero.
         assert_eq!(json["curves"]["series"]["error_mm"][0][0], Value::Null);
     }
 }

@@ -3,10 +3,10 @@ use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{InputEvent, SolverSettings, Telemetry};
 use serde_json::{Value, json};
 
-/// What is listed and marked on the axis of time; what comes after is counted. Half a megabyte of the page at most.
+/// Maximum number of listed and marked events; further ones are counted. At most half a megabyte of the page.
 const LISTED_MAX: usize = 4096;
 
-/// What happened to robot and daemon, in order.
+/// Events of robot and daemon, in order.
 #[derive(Debug, Default)]
 pub(super) struct Happened {
     listed: Vec<Value>,
@@ -14,7 +14,7 @@ pub(super) struct Happened {
     before: Option<Before>,
 }
 
-/// Of the cycle before.
+/// State of the previous cycle.
 #[derive(Debug)]
 struct Before {
     mode: (u32, u32),
@@ -25,7 +25,7 @@ struct Before {
 impl Happened {
     pub(super) fn take(&mut self, record: &Telemetry, time_s: f64) {
         for event in events(record) {
-            if let Some((kind, text)) = told(event) {
+            if let Some((kind, text)) = event_text(event) {
                 self.list(time_s, kind, &text);
             }
         }
@@ -67,17 +67,17 @@ impl Happened {
             .push(json!({"t_s": time_s, "kind": kind, "text": text}));
     }
 
-    /// The list, and how many are not in it.
+    /// The list, and the number of omitted events.
     pub(super) fn json(&self) -> (Value, u64) {
         (json!(self.listed), self.left_out)
     }
 }
 
-/// Kind and text of a request, and of what was refused.
-fn told(event: &InputEvent) -> Option<(&'static str, String)> {
+/// Kind and text of a request or of a refusal.
+fn event_text(event: &InputEvent) -> Option<(&'static str, String)> {
     let is_accepted = event.outcome == Outcome::Accepted.code();
     let is_request = event.kind == EventKind::Request.code();
-    // A lease is renewed all the time.
+    // Leases are renewed all the time.
     let leases = [RequestKind::AcquireLease, RequestKind::ReleaseLease].map(RequestKind::code);
     if is_accepted && (!is_request || leases.contains(&event.detail)) {
         return None;

@@ -1,12 +1,12 @@
 use serde_json::{Value, json};
 
-/// Bins of a decade, and decades from 1 µs on.
+/// Bins per decade, and number of decades from 1 µs on.
 const PER_DECADE: usize = 40;
 const DECADES: usize = 6;
 
 const BINS: usize = PER_DECADE * DECADES;
 
-/// How often which latency was: bins of equal ratio from 1 µs to 1 s, one for what is less and one for what is more.
+/// Histogram of a latency: bins of equal ratio from 1 µs to 1 s, one below and one above.
 #[derive(Debug)]
 pub(super) struct Histogram {
     bins: [u64; BINS + 2],
@@ -27,15 +27,15 @@ impl Default for Histogram {
 impl Histogram {
     pub(super) fn take(&mut self, latency_ns: u64) {
         let decades = (latency_ns as f64 * 1e-3).log10();
-        // Of zero, the logarithm is minus infinity: the first bin.
+        // The logarithm of zero is minus infinity: the first bin.
         let bin = (decades * PER_DECADE as f64 + 1.0).max(0.0) as usize;
         self.bins[bin.min(BINS + 1)] += 1;
         self.count += 1;
         self.max_ns = self.max_ns.max(latency_ns);
     }
 
-    /// The upper end of the bin in which the share `part` of all values ends \[µs\], and no more than the largest, which is the upper
-    /// end of the last bin.
+    /// The upper end of the bin with the percentile `part` \[µs\], limited to the largest value, which is the
+    /// upper end of the last bin.
     fn percentile_us(&self, part: f64) -> f64 {
         let wanted = (part * self.count as f64).ceil() as u64;
         let mut below = 0;

@@ -1,5 +1,5 @@
-//! A recording as one page of HTML that needs nothing else: figures, the robot in 3-D, curves, latencies, events. The page's script draws it
-//! all from one block of JSON.
+//! A recording as one self-contained HTML page: key figures, the robot in 3-D, curves, latencies, events. The
+//! script of the page draws everything from one block of JSON.
 
 mod columns;
 mod content;
@@ -36,7 +36,7 @@ pub(crate) fn run(options: &ReportOptions) -> anyhow::Result<Done> {
         "{name} is the recording itself: use another --output"
     );
     let data = content.json(&recording, &name.to_string())?;
-    // Nothing in it ends the block early.
+    // The data must not contain the end tag of the block.
     let data = serde_json::to_string(&data)?.replace('<', "\\u003c");
     let text = PAGE.replacen("{DATA}", &data, 1);
     let (head, tail) = text.rsplit_once("{SCRIPT}").unwrap_or((&text, ""));

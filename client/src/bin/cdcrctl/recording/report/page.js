@@ -1,5 +1,5 @@
 'use strict';
-// Draws the page from the block of JSON that cdcrctl put into it. Lengths are millimetres here, times seconds.
+// Draws the page from the block of JSON written by cdcrctl. Lengths are in millimetres, times in seconds.
 
 const data = JSON.parse(document.getElementById('data').textContent);
 const curves = data.curves;
@@ -31,7 +31,7 @@ function number(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
-// A percentile of a histogram, whose bins go from 1 µs to 1 s.
+// A percentile of a histogram with bins from 1 µs to 1 s.
 function percentile(us) {
   if (us <= 1) return '< 1';
   return us > 1e6 ? '> 1e6' : number(us, 3);
@@ -54,7 +54,7 @@ function key(colour, name, kind = '') {
   return { made, value };
 }
 
-// ---- one time for everything
+// ---- the time shown in all panels
 
 const watchers = [];
 let now_s = 0;
@@ -64,10 +64,10 @@ function go(time_s) {
   for (const watch of watchers) watch();
 }
 
-// Whether so much lies between two columns that a straight way between them is none of the robot.
+// Whether columns are so far apart that interpolation between them does not show the robot.
 const sparse = curves.width_s > 0.1;
 
-// Index of the column at or before a time, and how far it is to the next, 0 to 1.
+// Index of the column at or before a time, and the fraction towards the next, 0 to 1.
 function at(time_s) {
   let [low, high] = [0, times.length - 1];
   while (low < high) {
@@ -136,7 +136,7 @@ function panel(width, height, x, y, x_label) {
     svg.append(drawn('line', { class: 'grid', x1: box.left, x2: box.right, y1: sy(value), y2: sy(value) }));
     svg.append(drawn('text', { x: box.left - 6, y: sy(value) + 4, 'text-anchor': 'end' }, text));
   }
-  // What is drawn into it ends at its edges.
+  // The content is clipped at the edges.
   const clip = `clip-${clips++}`;
   const mask = drawn('clipPath', { id: clip });
   mask.append(drawn('rect', { x: box.left, y: box.top, width: box.right - box.left, height: box.bottom - box.top }));
@@ -146,12 +146,12 @@ function panel(width, height, x, y, x_label) {
   return { svg, inside, box, sx, sy };
 }
 
-// In the next frame: what changes sizes while sizes are observed is an error.
+// In the next frame, because changing sizes inside the observer is an error.
 function resized(holder, act) {
   new ResizeObserver(() => requestAnimationFrame(act)).observe(holder);
 }
 
-// What is drawn for the width that it has: once when the page is whole, before it is seen, and again when the width changes.
+// Functions that draw for the present width: called once when the page is complete, and on every resize.
 const fits = [];
 
 function fitted(holder, draw) {
@@ -188,7 +188,7 @@ function extent(names) {
   return [low, high];
 }
 
-// The path of a curve: of the columns in one pixel, the least and the largest value.
+// The path of a curve, with the minimum and maximum of the columns in one pixel.
 function curve(name, sx, sy, floor) {
   const [low, high] = [low_of(name), high_of(name)];
   const parts = [];
@@ -226,7 +226,7 @@ function curve(name, sx, sy, floor) {
 
 const COLOURS = ['var(--c1)', 'var(--c2)', 'var(--c3)', 'var(--c4)', 'var(--c5)', 'var(--c6)'];
 
-// A chart of series [{name, label}] with limits [{value, label}]; `range`: of the y axis.
+// A chart of series [{name, label}] with limits [{value, label}]; `range` is that of the y axis.
 function chart({ title, unit, series, limits = [], range, log = false, factor = 1, height = 190, less = 0 }) {
   const keys = series.map(({ label }, i) => key(COLOURS[i], label));
   const caption = element('figcaption', {}, element('b', {}, `${title} [${unit}]`), ...keys.map(({ made }) => made));
@@ -237,7 +237,7 @@ function chart({ title, unit, series, limits = [], range, log = false, factor = 
     const value = (shown) => sy(factor * shown - less);
     svg.setAttribute('aria-label', `${title} over time`);
     series.forEach(({ name }, i) => {
-      // What is less goes out of the chart.
+      // Smaller values are drawn outside of the chart.
       const floor = log ? 0.5 * low / factor : -Infinity;
       inside.append(drawn('path', { d: curve(name, sx, value, floor), style: `stroke: ${COLOURS[i]}` }));
     });
@@ -262,7 +262,7 @@ function chart({ title, unit, series, limits = [], range, log = false, factor = 
   return element('figure', {}, caption, holder);
 }
 
-// A line at the present time in a panel, whose clicks choose another.
+// Shows the present time as a line in a panel, and lets clicks select another.
 function tells_time(svg, box, sx) {
   const cursor = drawn('line', { class: 'now', y1: box.top, y2: box.bottom });
   svg.append(cursor);
@@ -273,7 +273,7 @@ function tells_time(svg, box, sx) {
   picks_time(svg, box);
 }
 
-// A click or a drag in a panel chooses the time.
+// Selects the time by a click or a drag in a panel.
 function picks_time(svg, box) {
   const choose = (event) => {
     const place = svg.getBoundingClientRect();
@@ -324,7 +324,7 @@ function summary() {
 
 // ---- the robot in 3-D
 
-// The way along the robot: for each section, points with their frames, base first.
+// The backbone: points with their frames for each section, base first.
 function backbone(bend_rad) {
   let frame = { p: [0, 0, 0], r: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] };
   const turn = (r, v) => r.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
@@ -355,7 +355,7 @@ function backbone(bend_rad) {
   });
 }
 
-// Obstacles at a time; one that is in the next scene, too, moves there evenly.
+// Obstacles at a time, interpolated to the next scene if they are in it, too.
 function solids(time_s) {
   const scenes = data.scenes;
   let k = scenes.length - 1;
@@ -368,12 +368,12 @@ function solids(time_s) {
     const here = other ? solid.map((value, i) => value + share * (other[i] - value)) : solid;
     const [, radius, ...ends_mm] = here;
     const start = ends_mm.slice(0, 3);
-    // A ball is a rod that is too short to be seen: one of no length would not be drawn.
+    // A sphere is drawn as a very short capsule, because one of zero length is not drawn.
     return { radius, start, end: ends_mm.length === 6 ? ends_mm.slice(3) : [start[0], start[1], start[2] + 0.01] };
   });
 }
 
-// How near the surfaces of an obstacle and of the body are.
+// Distance between the surfaces of an obstacle and of the body.
 function nearness(solid, robot) {
   const axis = solid.end.map((value, i) => value - solid.start[i]);
   const square = axis.reduce((sum, value) => sum + value * value, 0);
@@ -388,7 +388,7 @@ function nearness(solid, robot) {
   return least;
 }
 
-// The references, one after the other: between them there is none.
+// The references, one after the other, with gaps between them.
 const references = [[]];
 for (const point of curves.reference_mm) {
   if (point[0] !== null) references[references.length - 1].push(point);
@@ -418,7 +418,7 @@ function scene3d() {
     paint.lineCap = paint.lineJoin = 'round';
     const scale = view.zoom * Math.min(0.46 * width / (1.1 * far), 0.84 * height / (length_mm + 0.7 * far));
     const [ca, sa, ce, se] = [Math.cos(view.azimuth), Math.sin(view.azimuth), Math.cos(view.elevation), Math.sin(view.elevation)];
-    // Right, up and towards the reader.
+    // Right, up and towards the viewer.
     const project = (point) => {
       const [x, y, z] = point.map((value, i) => value - middle[i]);
       const [right, away] = [ca * x + sa * y, -sa * x + ca * y];
@@ -486,7 +486,7 @@ function scene3d() {
     });
   }
 
-  // A bar of a round length.
+  // A scale bar of a round length.
   function bar(scale, height) {
     const size = step(120 / scale, 1) / 2;
     paint.strokeStyle = paint.fillStyle = colour('--quiet');
@@ -498,7 +498,7 @@ function scene3d() {
     paint.fillText(`${number(size)} mm`, 16, height - 24);
   }
 
-  // A section: its body, discs that hold the cables, and the cables.
+  // A section: its body, the discs that guide the cables, and the cables.
   function body(items, points, part, style, { project, line, scale }) {
     const [thick, ring] = [2e3 * part.body_radius_m * scale, 1e3 * part.cable_radius_m];
     const around = ({ p, r }, angle, size) => p.map((value, i) => value + size * (r[i][0] * Math.cos(angle) + r[i][1] * Math.sin(angle)));
@@ -591,7 +591,7 @@ const VIEWS = [['from the side', 0, 2], ['from the front', 1, 2], ['from above',
 function path() {
   const all = curves.tip_mm.concat(...references);
   const bounds = [0, 1, 2].map((i) => all.reduce(([low, high], point) => [Math.min(low, point[i]), Math.max(high, point[i])], [Infinity, -Infinity]));
-  // One scale for all three.
+  // One scale for all three views.
   const half = 0.55 * Math.max(...bounds.map(([low, high]) => high - low), 1);
   const row = element('div', { class: 'row' });
   for (const [name, i, j] of VIEWS) {
@@ -638,7 +638,8 @@ function error_and_clearance() {
   if (high > -Infinity) {
     const values = high_of('error_mm').filter((value) => value !== null).sort((a, b) => a - b);
     const positive = values.filter((value) => value > 0);
-    // A few large values of the approach would flatten all others, and a few small ones stretch the axis.
+    // A linear axis would flatten all but the largest values of the approach; a few small values would
+    // stretch a logarithmic one.
     const log = high > 30 * values[values.length >> 1];
     const floor = Math.max(positive[positive.length >> 6], 1e-9);
     const range = log ? [10 ** Math.floor(Math.log10(floor)), 10 ** Math.ceil(Math.log10(1.05 * high))] : [0, 1.06 * high || 1];
@@ -663,7 +664,7 @@ function error_and_clearance() {
 function by_section(prefix, title, unit, label, limit) {
   const names = Object.keys(curves.series).filter((name) => name.startsWith(prefix + '.'));
   const [low, high] = extent(names);
-  // The limit is shown where the curves come near to it.
+  // The limit is shown if the curves come near to it.
   const near = limit && Math.max(-low, high) > 0.5 * limit;
   const range = padded(near ? [Math.min(low, -limit), Math.max(high, limit)] : [low, high], 1e-3);
   return data.sections.map((_, j) => {

@@ -1,4 +1,4 @@
-//! The charts of `scope` while it waits and while what comes after is recorded.
+//! The live charts of `scope`, before and after the trigger.
 
 use std::io;
 use std::time::{Duration, Instant};
@@ -16,15 +16,15 @@ use super::{STRIPS, Sample, Shot, number};
 use crate::picture::Signs;
 use crate::trigger::Trigger;
 
-/// Pictures a second: the records wait meanwhile.
+/// Interval of the pictures: records are not read while drawing.
 const EVERY: Duration = Duration::from_millis(66);
 const COLUMNS_MIN: u16 = 40;
-/// A row of names, one of modes, one of keys, and two for each chart.
+/// A row of names, one of modes, one of keys, and two per chart.
 const ROWS_MIN: u16 = 3 + 2 * STRIPS.len() as u16;
-/// Of the numbers beside a chart.
+/// Width of the numbers beside a chart.
 const LABEL_COLUMNS: u16 = 11;
 
-/// A terminal that is given back when it is dropped.
+/// A terminal that is restored on drop.
 #[derive(Debug)]
 pub(super) struct Screen {
     terminal: DefaultTerminal,
@@ -33,7 +33,7 @@ pub(super) struct Screen {
 }
 
 impl Screen {
-    /// From here on a panic gives the terminal back, too.
+    /// From here on a panic restores the terminal, too.
     pub(super) fn begin() -> anyhow::Result<Self> {
         Ok(Self {
             terminal: ratatui::try_init().context("the terminal")?,
@@ -42,7 +42,7 @@ impl Screen {
         })
     }
 
-    /// Draws what was seen, if the last picture is old enough.
+    /// Draws the records, if the last picture is old enough.
     pub(super) fn show(&mut self, shot: &Shot) -> io::Result<()> {
         if self.drawn.is_none_or(|drawn| drawn.elapsed() >= EVERY) {
             let signs = self.signs;
@@ -100,7 +100,7 @@ fn heading(shot: &Shot) -> Line<'static> {
     Line::styled(words, Style::new().fg(color).add_modifier(Modifier::BOLD))
 }
 
-/// Time from left to right: what fired, and the newest record until then, stands at 0.
+/// Time axis from left to right, with the trigger, or until then the newest record, at 0.
 struct Axis {
     zero_ns: u64,
     bounds_s: [f64; 2],
@@ -144,7 +144,7 @@ impl Axis {
         letters.into_iter().collect()
     }
 
-    /// Least and largest number of each column, as a way through both.
+    /// A polyline through the least and largest value of each column.
     fn way(&self, shot: &Shot, strip: usize) -> Vec<(f64, f64)> {
         let mut found: Vec<Option<[(f64, f64); 2]>> = vec![None; self.columns];
         for sample in &shot.samples {
@@ -166,7 +166,7 @@ impl Axis {
     }
 }
 
-/// Where the trigger lies, in the unit of its strip.
+/// The trigger level, in the unit of its strip.
 fn level(trigger: Trigger, strip: usize) -> Option<f64> {
     match (trigger, strip) {
         (Trigger::Error(m), 0) | (Trigger::Clearance(m), 1) => Some(1e3 * m),
@@ -193,7 +193,7 @@ fn chart(shot: &Shot, strip: usize, axis: &Axis, signs: Signs, frame: &mut Frame
     }
     let mut numbers = vec![Line::default(); usize::from(labels.height)];
     let last = numbers.len().saturating_sub(1);
-    // A number that does not change lies in the middle.
+    // A constant value is drawn in the middle.
     let places = if low < high { [last, 0] } else { [last / 2; 2] };
     for (place, number) in places.into_iter().zip([low, high]) {
         if let Some(line) = numbers.get_mut(place) {
@@ -276,11 +276,11 @@ mod tests {
             "{page}"
         );
         assert!(lines[1].starts_with("error [mm], now 2.9900"), "{page}");
-        // The level of the trigger, at the top of the chart, from one end to the other.
+        // The trigger level, at the top of the chart, over its whole width.
         let level = &lines[2][usize::from(LABEL_COLUMNS)..];
         assert!(lines[2].starts_with("    4.0000"), "{page}");
         assert!(level.matches('-').count() > 60, "{page}");
-        // Nothing is drawn right of the line in the middle.
+        // The right half of the chart is empty.
         let middle = usize::from(LABEL_COLUMNS) + 35;
         let right: String = lines[3..6]
             .iter()

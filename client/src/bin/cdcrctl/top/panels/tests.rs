@@ -5,7 +5,8 @@ use ratatui::backend::TestBackend;
 
 use super::*;
 
-/// Two seconds of a robot of three sections on its way along x, with an obstacle at its tip and one late cycle.
+/// Two seconds of a robot with three sections that moves along x, with an obstacle at its tip and one late
+/// cycle.
 fn seen() -> Seen {
     let mut robot = RobotDescription {
         sections: 3,
