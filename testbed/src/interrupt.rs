@@ -11,10 +11,10 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// How often a sleeper looks for a signal.
+/// Interval at which a sleeping thread checks for a signal.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// From now on a signal does not end the process but raises the flag, which every wait looks at.
+/// Installs signal handlers that set a flag instead of ending the process. Every wait checks the flag.
 pub fn catch() -> Result<()> {
     let flag = RAISED.get_or_init(Arc::default);
     for signal in [SIGINT, SIGTERM, SIGHUP] {
@@ -29,7 +29,7 @@ pub fn is_raised() -> bool {
         .is_some_and(|flag| flag.load(Ordering::Relaxed))
 }
 
-/// An error once a signal came, so that `?` leads out of any measurement.
+/// Fails after a signal, so that `?` leaves any measurement.
 pub fn check() -> Result<()> {
     if is_raised() {
         bail!("interrupted: nothing was written");

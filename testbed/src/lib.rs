@@ -1,13 +1,13 @@
-//! A daemon as a real process in a place of its own, and what it has to bear meanwhile.
+//! A daemon as a real process in a private place, and the load on the machine during a measurement.
 //!
-//! | module | is |
+//! | module | contents |
 //! |---|---|
-//! | [`subject`] | a daemon, its bare loop, cyclictest as processes; a reference that never ends |
-//! | [`load`] | what else the machine does meanwhile |
+//! | [`subject`] | daemon, bare loop and cyclictest as processes; an endless reference |
+//! | [`load`] | load on the machine and on the daemon |
 //! | [`system`] | cores, threads, counts of the kernel |
 //! | [`interrupt`] | signals end a measurement in order |
 //!
-//! Invariant: nothing here knows a benchmark or a format of results.
+//! Invariant: nothing here knows a benchmark or a result format.
 
 #![allow(
     missing_docs,

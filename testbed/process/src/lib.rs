@@ -1,6 +1,7 @@
-//! Other programs that run for us: what they say is kept, and none outlives us. Ours run in a private [`Place`].
+//! Child programs: their output is kept, and no program outlives this process. Daemons run in a private
+//! [`Place`].
 //!
-//! Invariant: nothing here knows a client, a robot or what is measured, so that the demo of `cdcrctl` can use it.
+//! Invariant: nothing here knows a client, a robot or a benchmark, so that the demo of `cdcrctl` can use it.
 
 #![allow(
     missing_docs,
@@ -26,29 +27,30 @@ use rustix::process::{
 
 pub use place::{PREFIX, Place, ROOT, in_public_memory};
 
-/// How often it is looked whether a program has ended.
+/// Interval between checks whether a program has ended.
 const LOOK: Duration = Duration::from_millis(20);
-/// How long a program may take to end in order.
+/// Time limit for a program to end after SIGTERM.
 const END_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A running program. Dropping it ends it, and removes what it wrote.
+/// A running program. Dropping it ends the program and removes its output files.
 #[derive(Debug)]
 pub struct Process {
     name: &'static str,
     child: Child,
-    /// How it ended, once it is known: then its id is no longer its own.
+    /// Exit status, once known: from then on another process may get the id.
     ended: Option<ExitStatus>,
     folder: Scratch,
 }
 
 impl Process {
-    /// Starts it, in a process group of its own: Ctrl-C reaches us alone, and we end it in order. What it
-    /// says goes into files, so that it never waits for a reader.
+    /// Starts the program in its own process group, so that Ctrl-C reaches only this process, which ends the
+    /// program in order. Output goes to files, so the program never waits for a reader.
     pub fn start(name: &'static str, command: Command) -> Result<Self> {
         Self::start_in(folder()?, name, command)
     }
 
-    /// The same with a folder that the command knows, and that is removed with the process.
+    /// As [`Self::start`], with a folder whose path is in the command. The folder is removed with the
+    /// process.
     pub fn start_in(folder: Scratch, name: &'static str, mut command: Command) -> Result<Self> {
         let file = |what: &str| File::create(folder.path().join(what)).context("its output");
         let child = command
@@ -74,12 +76,13 @@ impl Process {
         self.folder.path()
     }
 
-    /// Whether it has ended by itself; what is left of its group then is killed.
+    /// Whether the program has ended by itself. If so, kills the rest of its process group.
     pub fn has_ended(&mut self) -> Result<bool> {
         Ok(self.look()?.is_some())
     }
 
-    /// Waits until it ends by itself, or `check` fails, and hands over what it wrote to its standard output.
+    /// Waits until the program ends by itself, and returns its standard output. Fails after `limit` or when
+    /// `check` fails.
     pub fn wait(&mut self, limit: Duration, check: impl Fn() -> Result<()>) -> Result<String> {
         let Some(status) = self.ended_within(limit, check)? else {
             let seconds = limit.as_secs();
@@ -100,8 +103,8 @@ impl Process {
             .with_context(|| format!("what {} wrote", self.name))
     }
 
-    /// Asks it to end, and waits for it; kills it when it does not. What is left of its group when it has ended, also
-    /// by itself, is killed.
+    /// Ends the program with SIGTERM, or SIGKILL after the time limit. Also kills the rest of its process
+    /// group, even if the program ended by itself.
     pub fn end(&mut self) -> Result<()> {
         if self.has_ended()? {
             return Ok(());
@@ -112,7 +115,7 @@ impl Process {
         if self.ended_within(END_TIMEOUT, || Ok(()))?.is_some() {
             return Ok(());
         }
-        // Not yet waited for, so the id is still its own.
+        // The process has not been waited for, so the id is still its own.
         let _ = kill_process_group(process, Signal::KILL);
         self.child.kill()?;
         self.ended = Some(self.child.wait()?);
@@ -122,7 +125,7 @@ impl Process {
     }
 
     pub fn stderr_tail(&self) -> String {
-        // A program that reports an error on its standard output does so in few words.
+        // Some programs report errors on standard output.
         let words = match self.written(STDERR) {
             errors if errors.trim().is_empty() => self.written(STDOUT).chars().take(2000).collect(),
             errors => errors,
@@ -133,7 +136,7 @@ impl Process {
         }
     }
 
-    /// What it wrote to its standard error.
+    /// The standard error output.
     pub fn stderr(&self) -> String {
         self.written(STDERR)
     }
@@ -142,13 +145,13 @@ impl Process {
         fs::read_to_string(self.folder().join(file)).unwrap_or_default()
     }
 
-    /// How it ended, if it has; then nobody is left to end the rest of its group but us.
+    /// Exit status, if the program has ended. Kills the rest of its process group first.
     fn look(&mut self) -> Result<Option<ExitStatus>> {
         if self.ended.is_none() {
             let process = Pid::from_child(&self.child);
             let peek = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
             if waitid(WaitId::Pid(process), peek)?.is_some() {
-                // Not yet waited for, so the id is still its own.
+                // The process has not been waited for, so the id is still its own.
                 let _ = kill_process_group(process, Signal::KILL);
                 self.ended = self.child.try_wait()?;
             }
@@ -176,23 +179,24 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if let Err(error) = self.end() {
-            // Not by a macro, which panics where nobody reads it.
+            // `eprintln!` would panic when standard error is closed.
             let _ = writeln!(std::io::stderr(), "warning: {error:#}");
         }
     }
 }
 
-/// Files for its standard output and standard error.
+/// Names of the output files.
 const STDOUT: &str = "stdout";
 const STDERR: &str = "stderr";
 
-/// A folder for the files of a program.
+/// Creates a folder for the files of a program.
 pub fn folder() -> Result<Scratch> {
     Scratch::temporary()
         .context("a folder for temporary files: set TMPDIR to one that can be written")
 }
 
-/// A program of ours: in the folder of this one, or, for a test, in the folder above it.
+/// Path of a program of this project: in the folder of the current program or, for a test, in the folder
+/// above.
 pub fn program(name: &str) -> Result<PathBuf> {
     let ourselves =
         std::env::current_exe().context("cannot determine the folder of this program")?;
@@ -209,7 +213,7 @@ pub fn program(name: &str) -> Result<PathBuf> {
     })
 }
 
-/// Where a program lies that is found by its name, or none.
+/// Finds a program by its name in `PATH`.
 pub fn on_path(name: &str) -> Option<PathBuf> {
     let folders = std::env::var_os("PATH")?;
     std::env::split_paths(&folders)
@@ -217,7 +221,7 @@ pub fn on_path(name: &str) -> Option<PathBuf> {
         .find(|path| path.is_file())
 }
 
-/// A command that gets SIGTERM when the thread that starts it ends, whatever ends it. Where there is no
+/// A command whose process gets SIGTERM when the thread that starts it ends, for any reason. Without
 /// `setpriv` (util-linux), only dropping the [`Process`] ends it.
 pub fn that_ends_with_us(program: &Path) -> Command {
     match on_path("setpriv") {
@@ -292,7 +296,7 @@ mod tests {
         let left = process.wait(TIMEOUT, || Ok(())).unwrap();
         let stat = Path::new("/proc").join(left.trim()).join("stat");
         let deadline = Instant::now() + TIMEOUT;
-        // It is gone, or dead and not yet waited for by whoever has inherited it.
+        // The process is gone, or is a zombie that its new parent has not waited for.
         while fs::read_to_string(&stat).is_ok_and(|stat| !stat.contains(") Z ")) {
             assert!(Instant::now() < deadline, "{left} still runs");
             thread::sleep(LOOK);
@@ -306,7 +310,7 @@ mod tests {
             skip(Need::UtilLinux, "there is no setpriv");
             return;
         }
-        // The program, not its guard, is what the thread leaves behind.
+        // The thread returns the process instead of dropping it.
         let starter = thread::spawn(|| {
             let process = shell("echo on; exec sleep 100");
             until_it_speaks(&process);

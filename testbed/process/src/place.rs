@@ -1,5 +1,5 @@
-//! A private place: a folder in memory, and one for temporary files. Dropping it removes every trace. What a killed
-//! process left, the next one removes (`cdcr_scratch`).
+//! A private place: a folder in shared memory and a folder for temporary files. Dropping it removes both.
+//! What a killed process left is removed by the next process (`cdcr_scratch`).
 
 use std::fs::{self, File, OpenOptions};
 use std::os::unix::ffi::OsStrExt as _;
@@ -11,16 +11,16 @@ pub use cdcr_scratch::PREFIX;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::Location;
 
-/// What the name of a place's root folder ends with.
+/// Last part of the name of a place's root folder.
 pub const ROOT: &str = "root";
 
-/// A prefix and a folder that nobody else uses.
+/// A prefix and a folder that no other process uses.
 #[derive(Debug)]
 pub struct Place {
     location: Location,
     folder: Scratch,
-    /// A file in memory: held as long as its process lives, however that ends, as the folder's is. A process of another container may
-    /// see only one of them.
+    /// File in shared memory, locked until its process ends, like the folder. A process of another container
+    /// may see only one of the two locks.
     _lock: File,
 }
 
@@ -37,7 +37,8 @@ impl Place {
             let file = options.write(true).create(true).truncate(false).mode(0o600);
             let lock = file.open(&locked);
             let lock = lock.with_context(|| format!("cannot write {}", locked.display()))?;
-            // A process of the same number in another container may have it, or its sweep may have been faster.
+            // A process with the same id in another container may hold the lock, or its sweep may have
+            // removed the file.
             if lock.try_lock().is_ok() && locked.exists() {
                 return Ok(Self {
                     location,
@@ -52,12 +53,12 @@ impl Place {
         &self.location
     }
 
-    /// The folder of this place for temporary files.
+    /// Folder for temporary files.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// The files of this place that are mapped into memory.
+    /// Files that are mapped into memory.
     pub fn memory_files(&self) -> Vec<PathBuf> {
         self.location.memory_files()
     }
@@ -65,14 +66,14 @@ impl Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        // The root folder, also one that a test has given another name, and the lock.
+        // The lock, and the root folder even if a test has renamed it.
         for path in in_public_memory(self.location.prefix()) {
             let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(path));
         }
     }
 }
 
-/// What the folder in memory that is open to all has with names that begin with `prefix`.
+/// Entries of the public shared-memory folder whose names begin with `prefix`.
 pub fn in_public_memory(prefix: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(Location::MEMORY).into_iter().flatten();
     let paths = entries.flatten().map(|entry| entry.path());

@@ -1,7 +1,7 @@
-//! Private folders of tests and measurements. Dropping one removes it; what a killed process left, the first folder of the
-//! next process removes, and says so ([`sweep`]).
+//! Private folders for tests and measurements. Dropping one removes it. What a killed process left is removed
+//! and reported when the next process creates its first folder ([`sweep`]).
 //!
-//! Invariant: nothing here knows a daemon, a robot or iceoryx2, so that every crate can use it for its tests.
+//! Invariant: nothing here knows a daemon, a robot or iceoryx2, so that the tests of every crate can use it.
 
 mod sweep;
 
@@ -14,42 +14,43 @@ use tempfile::TempDir;
 
 pub use sweep::{PREFIX, sweep};
 
-/// The folder in memory that is open to all.
+/// The public folder in shared memory.
 pub const MEMORY: &str = "/dev/shm";
 
-/// The folder on a disk that is open to all.
+/// The public folder on a disk.
 const DISK: &str = "/var/tmp";
 
-/// A private folder, locked as long as its process lives. Dropping it removes it with all that is in it.
+/// A private folder, locked until its process ends. Dropping it removes the folder with its contents.
 #[derive(Debug)]
 pub struct Scratch {
     prefix: String,
     folder: TempDir,
-    /// A process of another container has no number here, but holds its lock.
+    /// The lock is visible to processes of other containers; the process id is not.
     _lock: File,
 }
 
 impl Scratch {
-    /// One in the folder for temporary files.
+    /// Creates a folder for temporary files.
     ///
     /// # Errors
-    /// That it cannot be made there.
+    /// When the folder cannot be created.
     pub fn temporary() -> io::Result<Self> {
         Self::new(&std::env::temp_dir())
     }
 
-    /// One in memory.
+    /// Creates a folder in shared memory.
     ///
     /// # Errors
-    /// That it cannot be made there.
+    /// When the folder cannot be created.
     pub fn in_memory() -> io::Result<Self> {
         Self::new(Path::new(MEMORY))
     }
 
-    /// One on a disk: where a test finds the programs that were built with it, or, where it may not write there, where files outlive a boot.
+    /// Creates a folder on a disk: beside the programs built with a test, otherwise in a public folder that
+    /// survives a reboot.
     ///
     /// # Errors
-    /// That it cannot be made there.
+    /// When the folder cannot be created.
     pub fn on_disk() -> io::Result<Self> {
         let built = sweep::folder_of_test_programs().map(|folder| Self::new(&folder));
         match built {
@@ -66,7 +67,8 @@ impl Scratch {
                 .prefix(&prefix)
                 .tempdir_in(parent)?;
             let lock = File::open(folder.path())?;
-            // A process of the same number in another container may have it, or its sweep may have been faster.
+            // A process with the same id in another container may hold the lock, or its sweep may have
+            // removed the folder.
             if lock.try_lock().is_ok() && folder.path().exists() {
                 return Ok(Self {
                     prefix,
@@ -77,30 +79,31 @@ impl Scratch {
         }
     }
 
-    /// The folder.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 
-    /// What its name begins with, and what the names of other files of its owner begin with, so that they are swept with it.
+    /// First part of the folder's name. Other files of the same owner begin with it, too, so that the sweep
+    /// finds them.
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 }
 
-/// A prefix that nobody else in this process has.
+/// A prefix that is unique in this process.
 fn fresh_prefix() -> String {
     static COUNT: AtomicU32 = AtomicU32::new(0);
     let number = COUNT.fetch_add(1, Ordering::Relaxed);
     format!("{PREFIX}{}_{number}_", std::process::id())
 }
 
-/// Where folders are made, and what killed processes left is looked for.
+/// Folders in which private folders are created and swept.
 fn parents() -> Vec<PathBuf> {
     let open_to_all = [MEMORY.into(), std::env::temp_dir(), DISK.into()];
     let mut parents: Vec<PathBuf> = open_to_all.into();
     parents.extend(sweep::folder_of_test_programs());
-    // One folder may have two names.
+    // Two paths may lead to the same folder.
     let mut parents: Vec<PathBuf> = parents.iter().flat_map(fs::canonicalize).collect();
     parents.sort();
     parents.dedup();

@@ -1,8 +1,8 @@
-//! What a killed measurement or test run left behind: its folders and files in memory, in the folder for temporary files and on a
-//! disk, and the programs that a test ran there.
+//! Removes what a killed measurement or test run left: folders and files in shared memory, among the
+//! temporary files and on a disk, and the programs that a test ran there.
 //!
-//! Everybody may write to these folders: only what belongs to this user and has a name of ours is opened or removed, no
-//! link is followed, nothing is waited for.
+//! These folders are writable for everyone. Therefore the sweep touches only files of this user with the
+//! project's prefix, follows no link and never blocks.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::Write as _;
@@ -15,27 +15,28 @@ use std::time::{Duration, Instant};
 use rustix::fs::OFlags;
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
-/// What the names of all that is swept begin with. The number of the process follows, and a number that it counts.
+/// Prefix of the names of all swept files. The process id and a counter follow.
 pub const PREFIX: &str = "cdcrbed_";
 
-/// How long a killed program may take to end: it writes its files until then.
+/// Time limit for a killed program to end; until then it may write files.
 const END_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Sweeps when a process asks for it the first time, and says on standard error what was there.
+/// Sweeps at the first call in a process, and reports the removed files on standard error.
 pub(super) fn sweep_once() {
     static SWEPT: Once = Once::new();
     SWEPT.call_once(|| {
         for line in sweep() {
-            // Not by a macro: the test harness hides what the macros print in a test that passes.
+            // Without a macro: the test harness hides the output of macros in tests that pass.
             let line = format!("swept: {line}, left by a program that was killed\n");
             let _ = std::io::stderr().write_all(line.as_bytes());
         }
     });
 }
 
-/// Ends the programs and removes the files of this user whose test process is gone. Returns what they were.
+/// Ends the programs and removes the files of this user whose test process has ended. Returns a description
+/// of each.
 ///
-/// A process number that was given to another process since keeps its files.
+/// Files remain when another process has got the process id since.
 pub fn sweep() -> Vec<String> {
     let mut swept = end_programs();
     let parents = super::parents();
@@ -44,7 +45,7 @@ pub fn sweep() -> Vec<String> {
         .into_iter()
         .filter(|path| is_abandoned(name(path)) && is_ours(path));
     let found: Vec<PathBuf> = found.collect();
-    // The names of the places of which somebody holds a part locked: a process of another container has no number here.
+    // Places with a locked part are in use, even by a process of another container, whose id is unknown here.
     let locked = found.iter().filter(|path| is_locked(path));
     let used: Vec<&[u8]> = locked.filter_map(|path| place_of(name(path))).collect();
     for path in &found {
@@ -60,14 +61,14 @@ fn name(path: &Path) -> &[u8] {
     path.file_name().unwrap_or_default().as_bytes()
 }
 
-/// The name of the place that a file belongs to: process and number, up to the third underscore.
+/// The place's part of a file name, up to the third underscore: prefix, process id and counter.
 fn place_of(name: &[u8]) -> Option<&[u8]> {
     let mut underscores = name.iter().enumerate().filter(|(_, byte)| **byte == b'_');
     let (end, _) = underscores.nth(2)?;
     name.starts_with(PREFIX.as_bytes()).then(|| &name[..=end])
 }
 
-/// Neither a link nor a pipe.
+/// Opens a file without following links or waiting for a pipe.
 fn open(path: &Path) -> std::io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let mut options = OpenOptions::new();
@@ -76,12 +77,12 @@ fn open(path: &Path) -> std::io::Result<File> {
 }
 
 fn is_locked(path: &Path) -> bool {
-    // Shared, so that two sweeps at a time do not take each other for the place's process.
+    // Shared, so that concurrent sweeps do not mistake each other for the owner of the place.
     let lock = open(path).map(|file| file.try_lock_shared());
     matches!(lock, Ok(Err(TryLockError::WouldBlock)))
 }
 
-/// The programs first, because they would go on writing files.
+/// Runs before files are removed, because the programs would go on writing files.
 fn end_programs() -> Vec<String> {
     let mut ended = Vec::new();
     let Some(programs) = folder_of_test_programs() else {
@@ -91,7 +92,7 @@ fn end_programs() -> Vec<String> {
         let Some(id) = number(process.file_name().unwrap_or_default().as_bytes()) else {
             continue;
         };
-        // Another user's environment cannot be read, except by root.
+        // Only root can read the environment of another user's process.
         let environment = fs::read(process.join("environ")).unwrap_or_default();
         let is_abandoned = environment
             .split(|byte| *byte == 0)
@@ -111,7 +112,7 @@ fn end_programs() -> Vec<String> {
     ended
 }
 
-/// Waits until a process has ended; one that nobody waited for has no program any more.
+/// Waits until a process has ended. A zombie counts as ended: it has no executable.
 fn wait_for_end(process: &Path) {
     let end = Instant::now() + END_TIMEOUT;
     while fs::read_link(process.join("exe")).is_ok() && Instant::now() < end {
@@ -119,7 +120,7 @@ fn wait_for_end(process: &Path) {
     }
 }
 
-/// Where a test finds the programs that were built with it: the folder above its own, `target/<profile>/deps`. None of any
+/// Folder of the programs that were built with a test: the parent of `target/<profile>/deps`. `None` for any
 /// other program, whose daemons end with it.
 pub(super) fn folder_of_test_programs() -> Option<PathBuf> {
     let test = std::env::current_exe().ok()?;
@@ -127,14 +128,14 @@ pub(super) fn folder_of_test_programs() -> Option<PathBuf> {
     folder.parent().map(Path::to_owned)
 }
 
-/// Whether it runs one of these programs, and no test: nobody else's process has its end here, whatever its environment
-/// says.
+/// Whether a process runs one of these programs, and is not a test. No other process is ended, whatever its
+/// environment contains.
 fn runs_from(programs: &Path, process: &Path) -> bool {
     let program = fs::read_link(process.join("exe")).unwrap_or_default();
     program.starts_with(programs) && !program.starts_with(programs.join("deps"))
 }
 
-/// Whether process numbers mean the same to it and to us: a container counts its own.
+/// Whether a process has the PID namespace of this process; a container has its own.
 fn is_beside_us(process: &Path) -> bool {
     let of = |process: &Path| fs::read_link(process.join("ns/pid")).ok();
     let ours = of(Path::new("/proc/self"));
@@ -146,7 +147,7 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
     entries.map(|entry| entry.path()).collect()
 }
 
-/// Whether this is a name of a place whose process is gone.
+/// Whether `name` belongs to a place whose process has ended.
 fn is_abandoned(name: &[u8]) -> bool {
     let Some(rest) = name.strip_prefix(PREFIX.as_bytes()) else {
         return false;
@@ -166,9 +167,9 @@ fn is_ours(path: &Path) -> bool {
         .is_ok_and(|file| file.uid() == geteuid().as_raw())
 }
 
-/// Removes a file, or a folder with all that is in it, unless somebody locked it.
+/// Removes a file, or a folder with its contents, unless a process holds its lock.
 fn remove(path: &Path) -> bool {
-    // Held until it is gone, so that its process, if it has just begun, makes another.
+    // The lock is held during the removal, so that a new process of this name creates another folder.
     open(path).is_ok_and(|file| {
         file.try_lock().is_ok()
             && (fs::remove_file(path).is_ok() || fs::remove_dir_all(path).is_ok())
@@ -187,22 +188,23 @@ mod tests {
     use super::*;
     use crate::{MEMORY, Scratch};
 
-    /// Tells the test that is started again as a program of its own that it is to be killed.
+    /// Marks the second run of a test program, which is to be killed.
     const VICTIM: &str = "CDCR_TEST_VICTIM";
 
-    /// One sweep at a time: while one removes a folder, another takes it for one in use. That of the first folder is over.
+    /// Serialises the sweeps of the tests: a sweep takes a folder that another one removes for a folder in
+    /// use. The sweep of the first folder runs before.
     fn alone() -> MutexGuard<'static, ()> {
         static ONE: Mutex<()> = Mutex::new(());
         sweep_once();
         ONE.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What files of a process are called.
+    /// Prefix of the files of a process.
     fn prefix_of(process: u32) -> String {
         format!("{PREFIX}{process}_0_")
     }
 
-    /// A process that waits for its input to end.
+    /// Starts a process that waits for the end of its input.
     fn waiting(program: &Path, prefix: &str) -> Child {
         let mut command = Command::new(program);
         command.env("CDCR_PREFIX", prefix).stdin(Stdio::piped());
@@ -216,7 +218,7 @@ mod tests {
             let folders = makers.map(|make| make().unwrap());
             for folder in &folders {
                 fs::write(folder.path().join("file"), "").unwrap();
-                // Not by a macro, which the test harness hides.
+                // Without a macro: the test harness would hide the line.
                 let line = format!("has {}\n", folder.path().display());
                 std::io::stdout().write_all(line.as_bytes()).unwrap();
             }
@@ -266,9 +268,9 @@ mod tests {
         let program = built.path().join("cat");
         fs::copy("/bin/cat", &program).unwrap();
         let mut program = waiting(&program, &prefix);
-        // What somebody else runs with a variable that was left over in a shell.
+        // A process of another program, with a variable left over in its shell.
         let mut foreign = waiting(Path::new("cat"), &prefix);
-        // A program that begins has no environment yet.
+        // A new process has no environment yet.
         for child in [&program, &foreign] {
             let environment = PathBuf::from(format!("/proc/{}/environ", child.id()));
             while !String::from_utf8_lossy(&fs::read(&environment).unwrap()).contains(&prefix) {
@@ -298,7 +300,7 @@ mod tests {
             skip(Need::Root, "a folder of another user");
             return;
         }
-        // No system has so many processes.
+        // Larger than any process id.
         let prefix = prefix_of(4_000_000_003);
         for parent in crate::parents() {
             let folder = parent.join(format!("{prefix}folder"));
@@ -313,7 +315,7 @@ mod tests {
         }
     }
 
-    /// As of a process of another container: its number means nothing here.
+    /// A locked file stands for a process of another container, whose id is unknown here.
     #[test]
     fn what_is_locked_is_not_swept() {
         let _alone = alone();
@@ -351,7 +353,7 @@ mod tests {
 
     #[test]
     fn only_names_of_ours_are_swept() {
-        // No system has so many processes.
+        // Larger than any process id.
         let gone = 4_000_000_000_u32;
         assert!(is_abandoned(prefix_of(gone).as_bytes()));
         for name in [

@@ -1,7 +1,7 @@
-//! A thread that writes a file of bounded size, and reads it.
+//! A thread that writes and reads a file of bounded size.
 //!
-//! After each sync the system is advised to forget what it keeps of the file in memory, so that the reading reads the
-//! disk. It may not follow, and where the file lies in memory there is no disk.
+//! After each sync the kernel is advised to drop the file's pages, so that reads come from the disk. The
+//! kernel may ignore the advice, and in a memory file system there is no disk.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -14,11 +14,11 @@ use super::Done;
 use super::task::Signals;
 
 const BLOCK_BYTES: usize = 1 << 20;
-/// Blocks of the file; then it begins again at its start.
+/// Blocks of the file; after them, writing restarts at the beginning.
 const BLOCKS: u64 = 64;
 const SYNC_EVERY: u64 = 4;
 
-/// Writes until the end. The file has no name, so nothing is left of it, however we end.
+/// Writes and reads until the load ends. The file has no name, so nothing is left of it in any case.
 pub(super) fn write_and_read(signals: &Signals) -> Result<Done> {
     let file = nameless()?;
     let mut block = vec![0_u8; BLOCK_BYTES];
@@ -34,7 +34,7 @@ pub(super) fn write_and_read(signals: &Signals) -> Result<Done> {
         if turn.is_multiple_of(SYNC_EVERY) {
             file.sync_data()
                 .context("the file of the load cannot be synced")?;
-            // It is an advice: without it the page cache is read.
+            // Only advice: without it, reads come from the page cache.
             let _ = fadvise(&file, 0, None, Advice::DontNeed);
             done.written_bytes += SYNC_EVERY * BLOCK_BYTES as u64;
             done.read_bytes += read(&file, turn, &mut block)?;
@@ -43,7 +43,7 @@ pub(super) fn write_and_read(signals: &Signals) -> Result<Done> {
     Ok(done)
 }
 
-/// Reads as much as was written since the last sync, from another part of the file where there is one.
+/// Reads as much as was written since the last sync, from another part of the file if there is one.
 fn read(file: &File, turn: u64, block: &mut [u8]) -> Result<u64> {
     let written = turn.min(BLOCKS);
     for step in 0..SYNC_EVERY {
@@ -54,7 +54,8 @@ fn read(file: &File, turn: u64, block: &mut [u8]) -> Result<u64> {
     Ok(SYNC_EVERY * block.len() as u64)
 }
 
-/// In the folder that the user names, or where the system keeps larger files; `/tmp` is often memory.
+/// Creates the file in the user's `TMPDIR`, or in the folder for large temporary files; `/tmp` is often
+/// memory.
 fn nameless() -> Result<File> {
     let asked = std::env::var_os("TMPDIR").is_some();
     let on_disk = (!asked).then(|| tempfile::tempfile_in(Path::new("/var/tmp")).ok());

@@ -1,20 +1,20 @@
-//! What a load did.
+//! Work done by a load.
 
 use derive_more::AddAssign;
 use serde::Serialize;
 
 use super::Load;
 
-/// Counts of a load from its start to its end: the proof that it was there, and how strong.
+/// Counts of a load from start to end: evidence that it ran, and how strongly.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, AddAssign)]
 pub struct Done {
-    /// How long the load worked, from when all of its threads worked to its end: with it, counts are rates \[s\].
-    /// Of one thread, zero.
+    /// Time from the moment when all threads worked until the end \[s\], for rates. Zero in the counts of one
+    /// thread.
     pub seconds: f64,
-    /// Rounds of 100 000 steps that the spinning threads made.
+    /// Rounds of 100 000 steps by all computing threads.
     pub spins: u64,
     pub copied_bytes: u64,
-    /// Bytes that were written to a file and synced.
+    /// Bytes written to a file and synced.
     pub written_bytes: u64,
     pub read_bytes: u64,
     pub clients: u64,
@@ -25,7 +25,7 @@ pub struct Done {
 }
 
 impl Done {
-    /// What should have come of this load and did not: names of counts that are zero.
+    /// Names of the counts that this load should have raised and that are zero.
     pub fn missing(&self, load: Load) -> Vec<&'static str> {
         let counts = self.of(load).into_iter();
         counts

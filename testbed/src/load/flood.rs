@@ -15,16 +15,16 @@ use super::task::Signals;
 use crate::subject::ROBOT;
 
 const PERIOD: Duration = Duration::from_micros(100);
-/// Half of it in tests, one of which waits for it.
+/// Half in tests, because one test waits for it.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 5 } else { 10 });
-/// Obstacles of the flood. A few: what is to be measured is what messages cost, and not a crowded scene, which
-/// costs the solver and the guard about 0.3 µs for each obstacle, wherever it is.
+/// Number of obstacles in the flood. Small, because the load measures the cost of messages, not of a crowded
+/// scene: each obstacle costs the solver and the guard about 0.3 µs at any distance.
 const OBSTACLES: u32 = 4;
-/// From the base of the robot \[m\]: out of reach of any.
+/// Distance from the robot's base \[m\], out of reach of every robot.
 const AWAY_M: f64 = 50.0;
 
-/// Reference chunks of a client that holds no lease: the daemon refuses those that it looks at, and the rest
-/// overflows its queue.
+/// Sends reference chunks without the lease. The daemon refuses those that it reads; the rest overflows its
+/// queue.
 pub(super) fn references(target: &Location, signals: &Signals) -> Result<Done> {
     let mut done = Done::default();
     let Some(connection) = connect(target, signals)? else {
@@ -50,8 +50,8 @@ pub(super) fn references(target: &Location, signals: &Signals) -> Result<Done> {
     Ok(done)
 }
 
-/// Obstacle updates: the daemon takes in what its queue and its gather hold, and the rest overflows; the robot
-/// cannot come near, so the solver has no more to do.
+/// Sends obstacle updates. The daemon accepts what its queue and its gather hold; the rest overflows. The
+/// obstacles are out of reach, so they add no work to the solver.
 pub(super) fn obstacles(target: &Location, signals: &Signals) -> Result<Done> {
     let mut done = Done::default();
     let Some(connection) = connect(target, signals)? else {
@@ -81,13 +81,13 @@ fn ball(turn: u32) -> Obstacle {
         radius_m: 0.02,
         velocity_m_s: [0.1, 0.0, 0.0],
         measured_ns: monotonic_ns(),
-        // What is not sent again is soon forgotten.
+        // Short, so that the obstacles expire soon after the flood.
         lifetime_ns: 200_000_000,
         ..Obstacle::default()
     }
 }
 
-/// None when the load ends before. On a machine that is busy with the rest of the load it may take some tries.
+/// Connects, with several attempts on a busy machine. `None` when the load ends first.
 fn connect(target: &Location, signals: &Signals) -> Result<Option<Connection>> {
     let deadline = Instant::now() + CONNECT_TIMEOUT;
     while !signals.is_ending() {

@@ -1,4 +1,4 @@
-//! Threads that keep caches and memory busy.
+//! Threads that load caches and memory.
 
 use std::hint::black_box;
 
@@ -6,23 +6,23 @@ use super::Done;
 use super::task::Signals;
 
 const MEBIBYTE: usize = 1 << 20;
-/// Far more than a shared cache holds, from one buffer to the other.
+/// Size of a buffer, far larger than a shared cache.
 const BUFFER_BYTES: usize = 64 * MEBIBYTE;
-/// Of all source buffers, and of all others, on a machine with many cores.
+/// Upper bound for all source buffers together, and for all destination buffers, on a machine with many
+/// cores.
 const TOGETHER_BYTES: usize = 512 * MEBIBYTE;
-/// Copied between two looks whether it is over.
+/// Bytes copied between two checks for the end.
 const PIECE_BYTES: usize = MEBIBYTE;
 
-/// Size of each of the two buffers of one of so many threads. The caches that they share are too small for
-/// all of them together in any case.
+/// Size of each of the two buffers of a thread. The buffers of all threads always exceed the shared caches.
 pub(super) fn buffer_bytes(threads: usize) -> usize {
     let share = TOGETHER_BYTES / threads.max(1);
     share.clamp(PIECE_BYTES, BUFFER_BYTES) / PIECE_BYTES * PIECE_BYTES
 }
 
-/// Copies one buffer into the other, piece by piece, there and back, until the end.
+/// Copies one buffer into the other and back, piece by piece, until the load ends.
 pub(super) fn copy(bytes: usize, signals: &Signals) -> Done {
-    // Not zeros: the system would map them all to one page.
+    // Not zero: the kernel would map all zero pages to one page.
     let (mut from, mut to) = (vec![1_u8; bytes], vec![2_u8; bytes]);
     signals.works();
     let mut done = Done::default();

@@ -1,12 +1,12 @@
-//! The noise beside which a loop is measured, of threads with ordinary priority.
+//! Background load during a measurement, on threads of ordinary priority.
 //!
-//! | module | is |
+//! | module | contents |
 //! |---|---|
-//! | `task` | one thread of a load, and what it does |
-//! | [`mod@done`] | what the load did: the proof that it was there |
+//! | `task` | one thread of a load, and its work |
+//! | [`mod@done`] | work done by the load: evidence that it ran |
 //! | `processor`, `memory`, `disk` | loads without a daemon |
 //! | `visitors`, `flood` | loads on a daemon |
-//! | `stress_ng` | the program of others |
+//! | `stress_ng` | the external program stress-ng |
 
 mod disk;
 pub mod done;
@@ -33,7 +33,7 @@ use crate::system::thread::pin;
 pub use done::Done;
 use task::{Signals, Task};
 
-/// How long the threads of a load may take until all of them work.
+/// Time limit until all threads of a load work.
 const START_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// What else runs while a loop is measured.
@@ -63,7 +63,7 @@ pub enum Load {
 }
 
 impl Load {
-    /// All that need no other program.
+    /// All loads that need no other program.
     pub const OWN: [Self; 8] = [
         Self::None,
         Self::Cpu,
@@ -75,7 +75,7 @@ impl Load {
         Self::CpuEverywhere,
     ];
 
-    /// As on the command line and in JSON.
+    /// The name on the command line and in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -94,7 +94,7 @@ impl Load {
         matches!(self, Self::Clients | Self::Flood | Self::All)
     }
 
-    /// Whether it can be had here.
+    /// Fails, with the reason, when this machine cannot run the load.
     pub fn is_available(self) -> Result<()> {
         match self {
             Self::StressNg => stress_ng::program().map(|_| ()),
@@ -103,20 +103,19 @@ impl Load {
     }
 }
 
-/// A load that runs. Dropping it ends it.
+/// A running load. Dropping it ends the load.
 #[derive(Debug)]
 pub struct Running {
     load: Load,
     signals: Arc<Signals>,
     threads: Vec<(&'static str, JoinHandle<Done>)>,
-    /// When all of its threads worked.
+    /// Time from which all threads worked.
     ready: Option<Instant>,
 }
 
 impl Running {
-    /// Starts it, and waits until every one of its threads works. To be called from a thread of ordinary
-    /// priority, which the threads inherit. `target` is the daemon of a load that [needs
-    /// one](Load::needs_daemon).
+    /// Starts the load and waits until all of its threads work. Call it from a thread of ordinary priority,
+    /// which the threads inherit. `target`: the daemon for a load that [needs one](Load::needs_daemon).
     pub fn start(load: Load, cores: &Cores, target: Option<&Location>) -> Result<Self> {
         let tasks = task::tasks(load, cores, target)?;
         let count = tasks.len();
@@ -140,7 +139,7 @@ impl Running {
         Ok(running)
     }
 
-    /// Why one of its threads ended too early, if one did: then the load is not what its name says.
+    /// The error of a thread that ended too early; the load is then invalid.
     pub fn failure(&self) -> Option<anyhow::Error> {
         if let Some(failure) = self.signals.failure() {
             return Some(anyhow!("{failure}"));
@@ -149,7 +148,7 @@ impl Running {
         ended.map(|(name, _)| anyhow!("the load {name} ended by itself"))
     }
 
-    /// Ends it, and says what it did.
+    /// Ends the load and returns its counts.
     pub fn stop(mut self) -> Result<Done> {
         let done = self.end()?;
         let missing = done.missing(self.load);
@@ -208,7 +207,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // Whoever only drops it is on the way out with an error of its own.
+        // A load is only dropped without `stop` on the path of another error.
         let _ = self.end();
     }
 }

@@ -5,10 +5,10 @@ use std::hint::black_box;
 use super::Done;
 use super::task::Signals;
 
-/// Steps between two looks whether it is over.
+/// Steps between two checks for the end.
 const STEPS: u64 = 100_000;
 
-/// Computes until the end: integers, in registers.
+/// Computes with integers in registers until the load ends.
 pub(super) fn spin(signals: &Signals) -> Done {
     signals.works();
     let mut done = Done::default();

@@ -1,15 +1,15 @@
-//! Work at a rate.
+//! Work at a fixed rate.
 
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
-/// So much that is late is made up for.
+/// Longest delay that is caught up.
 const MADE_UP: Duration = Duration::from_millis(100);
 
-/// Does `work` every `period` until the end. What is late is made up for, so that the rate is kept; but not
-/// what a stall, or too little of the processor, took beyond 100 ms.
+/// Calls `work` every `period` until the end. Delays up to 100 ms are caught up, so that the rate is kept;
+/// longer ones (a stall, a lack of processor time) are skipped.
 pub fn every(
     period: Duration,
     is_ending: impl Fn() -> bool,
@@ -51,7 +51,7 @@ mod tests {
             },
         );
         assert!(result.is_ok());
-        // Never ahead of its rate: the 21st turn is due after 20 periods.
+        // Never ahead of the rate: turn 21 is due after 20 periods.
         assert!(begin.elapsed() >= 20 * period);
     }
 

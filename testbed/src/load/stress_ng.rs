@@ -1,4 +1,4 @@
-//! stress-ng: the load that others measure with.
+//! The common load generator stress-ng.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use super::task::Signals;
 use crate::system::cores::Cores;
 use cdcr_process::{Process, folder, on_path, that_ends_with_us};
 
-/// How often the end of the load is looked for.
+/// Interval between checks for the end of the load.
 const LOOK: Duration = Duration::from_millis(20);
 
 pub(super) fn program() -> Result<PathBuf> {
@@ -23,8 +23,8 @@ pub(super) fn program() -> Result<PathBuf> {
     )
 }
 
-/// Lets it run until the end. The calling thread, and so all that stress-ng starts, keeps off the real-time
-/// core; stress-ng ends with the calling thread.
+/// Runs stress-ng until the load ends. It inherits the calling thread's affinity, which excludes the
+/// real-time core, and ends with that thread.
 pub(super) fn run(cores: &Cores, signals: &Signals) -> Result<Done> {
     cores.stay_off();
     let folder = folder()?;
@@ -75,7 +75,7 @@ fn command(cores: &Cores, folder: &Path, counts: &Path) -> Result<Command> {
     Ok(command)
 }
 
-/// The sum of the lines `bogo-ops: 1234`, one for each kind of stress.
+/// Sum of the lines `bogo-ops: 1234`, one for each kind of stress.
 fn operations_in(yaml: &str) -> u64 {
     let lines = yaml
         .lines()

@@ -1,4 +1,4 @@
-//! What the threads of a load do, and where.
+//! The threads of a load: work and core.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -12,15 +12,15 @@ use crate::system::cores::Cores;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Task {
     pub(super) job: Job,
-    /// The core that it is pinned to; none: it sees to that itself.
+    /// Core of the thread; `None` if the job sets its own affinity.
     pub(super) core: Option<usize>,
 }
 
-/// What a thread does until the load ends.
+/// Work of a thread until the load ends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Job {
     Spin,
-    /// Copies a buffer of so many bytes into another.
+    /// Copies a buffer of `bytes` bytes into another.
     Copy {
         bytes: usize,
     },
@@ -32,7 +32,7 @@ pub(super) enum Job {
 }
 
 impl Job {
-    /// Name of the thread: at most 15 bytes.
+    /// Name of the thread, at most 15 bytes.
     pub(super) fn name(&self) -> &'static str {
         match self {
             Self::Spin => "spin",
@@ -58,7 +58,7 @@ impl Job {
     }
 }
 
-/// What the threads of a load tell each other.
+/// State shared by the threads of a load.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
     ending: AtomicBool,
@@ -75,7 +75,7 @@ impl Signals {
         self.ending.load(Ordering::Relaxed)
     }
 
-    /// The calling thread works from now on; to be said once.
+    /// Called once by each thread when it begins to work.
     pub(super) fn works(&self) {
         self.ready.fetch_add(1, Ordering::Relaxed);
     }
@@ -134,7 +134,7 @@ pub(super) fn tasks(load: Load, cores: &Cores, target: Option<&Location>) -> Res
     })
 }
 
-/// One after the other over the cores, and again from the first.
+/// Assigns the jobs to the cores in turn.
 fn spread(jobs: Vec<Job>, cores: &[usize]) -> Vec<Task> {
     let cores = cores.iter().copied().cycle();
     let tasks = jobs.into_iter().zip(cores);

@@ -16,7 +16,7 @@ fn daemon(cores: &Cores) -> Daemon {
     Daemon::start(&Launch::patient(None).placed(cores, false), cores).unwrap()
 }
 
-/// Runs a load for a moment, a longer one where the machine stalls: until each of its counts has moved.
+/// Runs a load until each of its counts has risen: a moment, longer when the machine stalls.
 fn prove(load: Load, cores: &Cores, target: Option<&Location>) -> Done {
     let mut moment = MOMENT;
     loop {
@@ -70,7 +70,7 @@ fn loads_on_a_daemon_do_their_work_and_leave_nothing() {
     daemon.stop().unwrap();
 }
 
-/// The daemon, which lives, removes what only it can remove when it looks the next time.
+/// Files that only the running daemon can remove go at its next check.
 fn nothing_new(daemon: &Daemon, before: &BTreeSet<PathBuf>) {
     let deadline = Instant::now() + TIMEOUT;
     loop {
@@ -84,7 +84,7 @@ fn nothing_new(daemon: &Daemon, before: &BTreeSet<PathBuf>) {
     }
 }
 
-/// All that a daemon and its clients have in shared memory and in their folder.
+/// All files of a daemon and its clients in shared memory and in their folder.
 fn files(daemon: &Daemon) -> BTreeSet<PathBuf> {
     let mut files = BTreeSet::from_iter(daemon.place().memory_files());
     collect(daemon.location().root(), &mut files);
@@ -92,7 +92,7 @@ fn files(daemon: &Daemon) -> BTreeSet<PathBuf> {
 }
 
 fn collect(folder: &Path, files: &mut BTreeSet<PathBuf>) {
-    // What vanishes meanwhile is no leftover.
+    // A file that vanishes during the listing is not left over.
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
         if path.is_dir() {
@@ -115,7 +115,7 @@ fn the_flood_is_refused_or_far_away_as_it_should_be() {
             refused += u32::from(outcome == Outcome::NoLease);
         }
         (EventKind::Obstacles, Outcome::Accepted) => accepted += 1,
-        // After a stall that is longer than their lifetime.
+        // After a stall longer than the lifetime of the obstacles.
         (EventKind::Obstacles, Outcome::InThePast) => {}
         other => panic!("{other:?}"),
     });
@@ -123,7 +123,7 @@ fn the_flood_is_refused_or_far_away_as_it_should_be() {
     assert!(refused > 0 && accepted > 0, "{refused} {accepted}");
 }
 
-/// Looks at what the daemon says of the flood, until it knows half of the obstacles.
+/// Passes on the events in the daemon's records until it knows half of the obstacles.
 fn watch(connection: &Connection, mut take: impl FnMut(EventKind, Outcome)) {
     let mut telemetry = connection.telemetry().unwrap();
     let deadline = Instant::now() + TIMEOUT;
@@ -180,6 +180,6 @@ fn a_dropped_load_ends() {
     let running = Running::start(Load::Cpu, &cores, None).unwrap();
     let signals = Arc::clone(&running.signals);
     drop(running);
-    // Nobody else holds it: the threads are gone.
+    // The only owner: the threads have ended.
     assert_eq!(Arc::strong_count(&signals), 1);
 }

@@ -10,18 +10,18 @@ use super::rate::every;
 use super::task::Signals;
 use crate::subject::ROBOT;
 
-/// Threads that come and go. One alone comes ten times a second: to connect is to wait for a status.
+/// Number of threads. One thread manages ten visits a second, because connecting waits for a status message.
 pub(super) const COMERS: u32 = 5;
-/// Of one thread; 30 clients a second in all.
+/// Period of one thread; together 30 clients a second.
 const PERIOD: Duration = Duration::from_micros(COMERS as u64 * 33_333);
 
-/// Comes and goes until the end; every other time it opens the telemetry. A machine that stalls may cost a
-/// client its connection: that is counted, and no failure.
+/// Connects and disconnects until the load ends; every second visit opens the telemetry. A connection that
+/// fails on a stalled machine is counted and is not an error.
 pub(super) fn come_and_go(target: &Location, signals: &Signals) -> Done {
     let mut done = Done::default();
     let mut turn = 0_u64;
     signals.works();
-    // It never fails.
+    // The closure never fails.
     let _ = every(
         PERIOD,
         || signals.is_ending(),

@@ -1,4 +1,4 @@
-//! Asks, and looks for the answer without a sleep in between: the connection of the library looks each
+//! A client for requests that polls for the answer without sleeping; the client library polls once a
 //! millisecond.
 
 use anyhow::{Context, Result, ensure};
@@ -9,7 +9,7 @@ use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, Node};
 
-/// Generous: machines stall.
+/// Long, because machines stall.
 const ANSWER_TIMEOUT_NS: u64 = 20_000_000_000;
 
 #[derive(Debug)]
@@ -48,8 +48,8 @@ impl Answer {
 }
 
 impl Asker {
-    /// Opens the service that the daemon of `robot` made. It asks in the name of `sender_id`, which a lease is bound
-    /// to.
+    /// Opens the request service of the daemon of `robot`. Requests carry `sender_id`, to which the lease is
+    /// bound.
     pub fn open(location: &Location, robot: &str, sender_id: u64) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
         let node = node.context("a node of iceoryx2")?;
@@ -72,12 +72,12 @@ impl Asker {
         })
     }
 
-    /// When the request was sent that has no answer yet.
+    /// Time at which the pending request was sent.
     pub fn waits_since_ns(&self) -> Option<u64> {
         self.waiting.as_ref().map(|asked| asked.header.sent_ns)
     }
 
-    /// Sends a request; one at a time. Its sequence and stamp.
+    /// Sends a request, one at a time. Returns its sequence number and time stamp.
     pub fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
         ensure!(
             self.waiting.is_none(),

@@ -1,4 +1,4 @@
-//! The bare loop: the daemon's cycle thread without any work, as a process of its own.
+//! The bare loop: the daemon's cycle thread without any work, as a separate process.
 
 use std::process::Command;
 use std::time::Duration;
@@ -13,10 +13,10 @@ use crate::interrupt;
 use crate::system::cores::Cores;
 use cdcr_process::Process;
 
-/// What start, end and a slow machine may add to the duration.
+/// Allowance for start, end and a slow machine, beyond the duration.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// A running bare loop. Dropping it ends it.
+/// A running bare loop. Dropping it ends the process.
 #[derive(Debug)]
 pub struct Baseline {
     process: Process,
@@ -50,7 +50,7 @@ fn command(launch: &Launch, duration: Duration) -> Result<Command> {
     Ok(command)
 }
 
-/// A line of `cdcrd bare --format csv`; of the columns only those that are used.
+/// The columns used from a line of `cdcrd bare --format csv`.
 #[derive(Deserialize)]
 struct Row {
     due_ns: u64,
@@ -59,7 +59,7 @@ struct Row {
     skipped_periods: u32,
     late_start: u8,
     deadline_miss: u8,
-    /// Empty where the kernel does not tell.
+    /// Empty where the kernel does not count it.
     run_delay_ns: Option<u64>,
     cause: u32,
 }

@@ -1,4 +1,4 @@
-//! cyclictest of the rt-tests: what others measure wake-ups with.
+//! cyclictest of rt-tests, the common tool for wake-up latencies.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,10 +10,10 @@ use rustix::thread::{sched_getaffinity, sched_setaffinity};
 
 use cdcr_process::{Process, on_path, that_ends_with_us};
 
-/// What start, end and a slow machine may add to the duration.
+/// Allowance for start, end and a slow machine, beyond the duration.
 const TIMEOUT: Duration = Duration::from_secs(30);
-/// Its main thread prints what there is and then looks for the end, so cycles that come in between are never
-/// printed. So much longer than asked for it runs, for a main thread that is held up just there.
+/// Extra run time. The main thread of cyclictest prints, then checks for the end, so cycles in between are
+/// never printed. The extra cycles replace them, even when the main thread is delayed there.
 const SPARE: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -22,17 +22,17 @@ pub struct Cyclictest {
 }
 
 impl Cyclictest {
-    /// The one on the path, if there is one.
+    /// Finds the program in `PATH`.
     pub fn find() -> Option<Self> {
         let program = on_path("cyclictest")?;
         Some(Self { program })
     }
 
-    /// Starts one thread on `core` that sleeps to `cycles` releases, `period` apart, with `SCHED_FIFO` at
-    /// `priority`, or without; memory locked, `clock_nanosleep` to an absolute time. To be called from a
-    /// thread that outlives it.
+    /// Starts one thread on `core` with `cycles` releases, one every `period`, with `SCHED_FIFO` at
+    /// `priority` if there is one. Memory is locked; the thread sleeps with absolute `clock_nanosleep`. Call
+    /// it from a thread that outlives the process.
     ///
-    /// It refuses to run, also without a priority, for a user who may not have real-time threads.
+    /// For a user without the right to real-time threads, cyclictest refuses to run, even without a priority.
     pub fn start(
         &self,
         period: Duration,
@@ -62,7 +62,7 @@ impl Cyclictest {
     }
 }
 
-/// One thread (`-t 1`) with every latency (`-v`) in nanoseconds (`-N`).
+/// One thread (`-t 1`), every latency (`-v`) in nanoseconds (`-N`).
 fn arguments(period: Duration, priority: Option<u8>, core: usize, cycles: u64) -> Vec<String> {
     let mut arguments = vec![
         "-t1".to_owned(),
@@ -80,13 +80,13 @@ fn arguments(period: Duration, priority: Option<u8>, core: usize, cycles: u64) -
     arguments
 }
 
-/// A core that this thread may use, beside this one: for the thread of cyclictest that prints.
+/// Another core that this thread may use, for the printing thread of cyclictest.
 fn another(core: usize) -> Option<usize> {
     let ids = core_affinity::get_core_ids()?;
     ids.iter().map(|id| id.id).find(|id| *id != core)
 }
 
-/// Runs `start` with this core allowed, too: cyclictest uses only cores that it was started with.
+/// Calls `start` with `core` added to the affinity: cyclictest uses only the cores that it inherits.
 fn with_core<R>(core: usize, start: impl FnOnce() -> R) -> R {
     let before = sched_getaffinity(None);
     if let Ok(mut allowed) = before {
@@ -127,7 +127,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It removes this file itself, unless it was killed.
+        // cyclictest removes this file itself unless it is killed.
         let _ = self.process.end();
         let _ = fs::remove_file(format!("/dev/shm/cyclictest{}", self.process.id()));
     }
@@ -138,7 +138,8 @@ pub struct Latencies {
     pub histogram_ns: Histogram<u64>,
     pub each_ns: Vec<u64>,
     pub cycles: u64,
-    /// Releases without a cycle: it sleeps on to the first release that is still ahead, as the daemon does.
+    /// Releases without a cycle: after a late wake-up, cyclictest sleeps until the next future release, as
+    /// the daemon does.
     pub skipped_periods: u64,
     period: Duration,
 }
@@ -153,7 +154,7 @@ impl Latencies {
         Ok(Self {
             histogram_ns,
             cycles: each_ns.len() as u64,
-            // The release that it woke up for had passed by so many periods.
+            // Number of whole periods by which a wake-up missed its release.
             skipped_periods: each_ns
                 .iter()
                 .map(|latency_ns| latency_ns / period_ns)
@@ -163,7 +164,7 @@ impl Latencies {
         })
     }
 
-    /// Without its first cycles: those of the warm-up, which cyclictest itself cannot leave out.
+    /// Removes the warm-up cycles at the beginning, which cyclictest cannot exclude itself.
     pub fn without_first(mut self, cycles: u64) -> Result<Self> {
         ensure!(
             cycles < self.cycles,
@@ -173,7 +174,7 @@ impl Latencies {
         Self::of(self.each_ns.split_off(cycles as usize), self.period)
     }
 
-    /// Cycles that woke up later than this.
+    /// Number of cycles with a larger latency.
     pub fn later_than(&self, limit_ns: u64) -> u64 {
         let late = self
             .each_ns
@@ -183,8 +184,8 @@ impl Latencies {
     }
 }
 
-/// The lines `thread: cycle: latency` among all that `-v` prints. A cycle that is not the next one shows
-/// that we read something else.
+/// Parses the lines `thread: cycle: latency` in the output of `-v`. A wrong cycle number shows that the
+/// output has another format.
 fn latencies_in(printed: &str) -> Result<Vec<u64>> {
     let mut each_ns = Vec::new();
     for line in printed.lines() {
@@ -264,7 +265,7 @@ mod tests {
         };
         let cores = Cores::find().unwrap();
         for priority in [Some(80), None] {
-            // From a thread like that of a measurement, which keeps off the core.
+            // From a thread that excludes the core, as in a measurement.
             cores.stay_off();
             let running = cyclictest
                 .start(PERIOD, priority, cores.realtime, 200)

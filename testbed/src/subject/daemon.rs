@@ -1,4 +1,4 @@
-//! A daemon that is measured: the real `cdcrd`, started as a process.
+//! The measured daemon: the real `cdcrd`, started as a process.
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -16,8 +16,8 @@ use super::{ROBOT, TIMEOUT};
 use crate::interrupt;
 use crate::system::cores::Cores;
 
-/// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
-/// not stop the robot, make it hold for want of inputs, or end the lease of its reference.
+/// Configuration keys that a measurement needs: on a machine that stalls, the robot must not stop or hold for
+/// lack of inputs, nor may the lease of the reference expire.
 pub const PATIENT: [(&str, &str); 3] = [
     ("link.command_valid_ms", "100"),
     ("cycle.miss_limit", "1000000"),
@@ -26,14 +26,14 @@ pub const PATIENT: [(&str, &str); 3] = [
 
 #[derive(Debug, Clone, Default)]
 pub struct Launch {
-    /// Its configuration file; none: the default.
+    /// Configuration file; `None` for the default.
     pub config: Option<PathBuf>,
-    /// Keys that are set beside it, later ones win.
+    /// Keys set in addition to the file; later ones win.
     pub settings: Vec<(String, String)>,
 }
 
 impl Launch {
-    /// The default, or the file, with [`PATIENT`].
+    /// The default or the given file, with [`PATIENT`].
     pub fn patient(config: Option<PathBuf>) -> Self {
         let launch = Self {
             config,
@@ -44,14 +44,14 @@ impl Launch {
             .fold(launch, |launch, (key, value)| launch.with(key, value))
     }
 
-    /// The same with this key, like `cycle.period_ms`.
+    /// Sets one more key, like `cycle.period_ms`.
     #[must_use]
     pub fn with(mut self, key: &str, value: impl Display) -> Self {
         self.settings.push((key.to_owned(), value.to_string()));
         self
     }
 
-    /// The same on the real-time core of `cores`, or without any real time.
+    /// Places the daemon on the real-time core of `cores`, or switches real time off.
     #[must_use]
     pub fn placed(self, cores: &Cores, realtime: bool) -> Self {
         let mode = if realtime { "prefer" } else { "off" };
@@ -59,7 +59,7 @@ impl Launch {
             .with("realtime.core", cores.realtime)
     }
 
-    /// `cdcrd SUBCOMMAND` with this configuration, whatever the environment says.
+    /// `cdcrd SUBCOMMAND` with this configuration, independent of the environment.
     pub fn command(&self, subcommand: &str) -> Result<Command> {
         let mut command = Command::new(program("cdcrd")?);
         for (name, _) in std::env::vars_os() {
@@ -67,7 +67,7 @@ impl Launch {
                 command.env_remove(name);
             }
         }
-        // A service manager that watches us shall hear nothing of our daemons.
+        // A service manager of the bench must get no messages of the daemon.
         for name in ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"] {
             command.env_remove(name);
         }
@@ -81,7 +81,7 @@ impl Launch {
         Ok(command)
     }
 
-    /// The same of a subcommand that runs on: whatever ends us, SIGKILL too, ends it.
+    /// For a subcommand that keeps running: its process ends when this process ends, even by SIGKILL.
     pub(super) fn command_that_ends_with_us(&self, subcommand: &str) -> Result<Command> {
         let mut command = self.command(subcommand)?;
         command.args(["--end-with-parent", &std::process::id().to_string()]);
@@ -89,22 +89,22 @@ impl Launch {
     }
 }
 
-/// A running daemon. Dropping it stops it and removes every trace.
+/// A running daemon. Dropping it stops the daemon and removes all of its files.
 #[derive(Debug)]
 pub struct Daemon {
-    /// Before its place, which goes when it has ended.
+    /// Declared before the place, so that the process ends before its files are removed.
     process: Process,
     place: Place,
     pub launch: Launch,
 }
 
 impl Daemon {
-    /// Starts one and waits until it controls its robot. To be called from a thread that outlives it.
+    /// Starts a daemon and waits until it controls its robot. Call it from a thread that outlives the daemon.
     pub fn start(launch: &Launch, cores: &Cores) -> Result<Self> {
         Self::start_with(launch, cores, |_| ())?.when_ready()
     }
 
-    /// Starts one and waits for nothing. `change` has a last look at its command.
+    /// Starts a daemon without waiting. `change` may modify the command.
     pub fn start_with(
         launch: &Launch,
         cores: &Cores,
@@ -124,7 +124,7 @@ impl Daemon {
         })
     }
 
-    /// Waits until it controls its robot, or, with a driver, waits for a first measurement.
+    /// Waits until the daemon controls its robot or, with a driver, waits for a first measurement.
     pub fn when_ready(mut self) -> Result<Self> {
         let deadline = Instant::now() + TIMEOUT;
         let mut last = "it did not start to control its robot".to_owned();

@@ -1,4 +1,4 @@
-//! What is measured: a daemon as a real process, in a place of its own.
+//! The measured programs: a daemon as a real process in a private place, and the programs beside it.
 
 pub mod asker;
 pub mod baseline;
@@ -12,23 +12,23 @@ use cdcr_shared_types::codes::LateCause;
 
 pub const ROBOT: &str = "bench";
 
-/// How long a daemon, or whatever else is measured, may take to do what it is asked for: to control its robot, to send a status, to
-/// follow, to answer. On a machine that stalls it may wait for the processor.
+/// Time limit for a measured program to react: to control its robot, send a status, follow or answer. Long,
+/// because on a machine that stalls the program may wait for the processor.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// One cycle of whatever was measured, in the terms of its release.
+/// One cycle of a measured program, relative to its release.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cycle {
-    /// The release that it slept for \[ns, `CLOCK_MONOTONIC`\].
+    /// Release that the cycle slept for \[ns, `CLOCK_MONOTONIC`\].
     pub due_ns: u64,
     pub wake_ns: u64,
-    /// From there to the hand-over of its command \[ns\].
+    /// Response time: from the release to the hand-over of the command \[ns\].
     pub response_ns: u64,
     pub late_start: bool,
     pub deadline_miss: bool,
     pub skipped_periods: u32,
-    /// What made it late, or made it skip.
+    /// Cause of a late start, miss or skip.
     pub cause: LateCause,
-    /// How long its thread waited for the core since the cycle before \[ns\].
+    /// Time that the thread waited for the core since the cycle before \[ns\].
     pub run_delay_ns: u64,
 }

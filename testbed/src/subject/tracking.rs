@@ -1,4 +1,4 @@
-//! Work for a daemon: a reference that never ends, fed by a thread of its own.
+//! Work for a daemon: an endless reference, fed by a separate thread.
 
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
@@ -17,14 +17,14 @@ use super::TIMEOUT;
 use crate::interrupt;
 use crate::system::thread::pin;
 
-/// How the error begins when the robot does not begin to follow.
+/// First words of the error when the robot does not begin to follow.
 pub const DOES_NOT_FOLLOW: &str = "the robot does not follow the reference";
-/// Longer than any measurement, and as long as a fed curve may be \[s\].
+/// Longer than any measurement, and the longest duration of a fed curve \[s\].
 const FOR_EVER_S: f64 = 86_400.0;
-/// What a stall of the machine may take of the reference without any effect.
+/// Longest stall of the machine that the reference bridges without any effect.
 const AHEAD: Duration = Duration::from_secs(3);
 
-/// The paper's spiral, there and back again: smooth, within reach, without an end.
+/// The paper's spiral, forwards and backwards: smooth, within reach, endless.
 struct ThereAndBack {
     spiral: Spiral,
 }
@@ -39,14 +39,14 @@ impl Trajectory for ThereAndBack {
     }
 
     fn position_m(&self, time_s: f64) -> [f64; 3] {
-        // At its fastest it moves at π/4 of the paper's speed.
+        // At its fastest, it moves at π/4 of the paper's speed.
         let whole_s = self.spiral.duration_s;
         let phase = PI * time_s / (2.0 * whole_s);
         self.spiral.position_m(0.5 * whole_s * (1.0 - phase.cos()))
     }
 }
 
-/// A robot that follows a reference, until it is dropped. It holds the lease.
+/// A robot that follows a reference until this value is dropped. Holds the lease.
 #[derive(Debug)]
 pub struct Tracking {
     ending: Arc<AtomicBool>,
@@ -54,7 +54,7 @@ pub struct Tracking {
 }
 
 impl Tracking {
-    /// Begins to feed from a thread on `core`, and waits until the robot follows.
+    /// Starts to feed from a thread on `core`, and waits until the robot follows.
     pub fn start(location: &Location, core: usize) -> Result<Self> {
         let ending = Arc::new(AtomicBool::new(false));
         let follows = Arc::new(AtomicBool::new(false));

@@ -1,19 +1,19 @@
-//! Which core is measured, and which ones make the noise.
+//! The measured core, and the cores of the load.
 
 use anyhow::{Context, Result};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cores {
-    /// The core of the daemon's real-time threads: the last one, as the daemon itself would choose.
+    /// Core of the daemon's real-time threads: the last one, which is also the daemon's own default.
     pub realtime: usize,
-    /// The cores of clients and loads: all others, or the same one where there is no other.
+    /// Cores of clients and loads: all others, or the same core if there is no other.
     pub others: Vec<usize>,
     all: CpuSet,
 }
 
 impl Cores {
-    /// Those that this process may use. To be asked before any of its threads is pinned.
+    /// The cores that this process may use. Call it before any thread of the process is pinned.
     pub fn find() -> Result<Self> {
         let ids = core_affinity::get_core_ids().context("the system does not report its cores")?;
         let mut ids: Vec<usize> = ids.iter().map(|core| core.id).collect();
@@ -30,7 +30,7 @@ impl Cores {
         })
     }
 
-    /// Whether client and loads have to share the core of the daemon.
+    /// Whether client and loads share the daemon's core.
     pub fn is_alone(&self) -> bool {
         self.others.contains(&self.realtime)
     }
@@ -39,7 +39,7 @@ impl Cores {
         self.others[0]
     }
 
-    /// The same for processes that shall never run on the real-time core.
+    /// The same for processes that must never run on the real-time core.
     #[must_use]
     pub fn without_realtime(&self) -> Self {
         let mut all = CpuSet::new();
@@ -52,17 +52,17 @@ impl Cores {
         }
     }
 
-    /// Keeps the calling thread, and those that it starts from now on, off the real-time core.
+    /// Excludes the real-time core for the calling thread and the threads that it starts later.
     pub fn stay_off(&self) {
         let mut allowed = CpuSet::new();
         for core in &self.others {
             allowed.set(*core);
         }
-        // Refused: it may use all cores, and gets in the way only when it has work to do.
+        // When refused, the thread may use all cores, and delays the daemon only when it has work.
         let _ = sched_setaffinity(None, &allowed);
     }
 
-    /// Runs `start` with all cores allowed, so that a process that it starts may choose among them.
+    /// Calls `start` with all cores allowed, so that the process that it starts may choose its cores.
     pub fn with_all<R>(&self, start: impl FnOnce() -> R) -> R {
         let before = sched_getaffinity(None);
         let _ = sched_setaffinity(None, &self.all);

@@ -1,4 +1,4 @@
-//! What the kernel counts: time of threads on and off their core, time that the hypervisor took.
+//! Counts of the kernel: time of threads on the core and waiting for it, time taken by the hypervisor.
 
 use std::fs;
 use std::path::Path;
@@ -6,17 +6,17 @@ use std::time::Duration;
 
 use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
 
-/// One thread of a process, as the kernel counts it since its start.
+/// Kernel counts of one thread since its start.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThreadCounts {
     pub id: u32,
     pub name: String,
     pub on_core_ns: u64,
-    /// Time that it was ready and another had the core \[ns\].
+    /// Time that the thread was ready while another one had the core \[ns\].
     pub run_delay_ns: u64,
 }
 
-/// All threads of a process; those that end meanwhile are left out. Empty where the kernel does not count
+/// All threads of a process, without those that end during the call. Empty if the kernel does not count
 /// (`CONFIG_SCHED_INFO`).
 pub fn threads(process: u32) -> Vec<ThreadCounts> {
     let folder = format!("/proc/{process}/task");
@@ -43,8 +43,8 @@ fn thread(folder: &Path) -> Option<ThreadCounts> {
     })
 }
 
-/// Share of one core that the threads of this name used between two counts of one process, so long after each
-/// other. A thread that came in between counts from its start; one that ended counts no more.
+/// Share of one core that the threads of this name used between two counts of a process. A new thread counts
+/// from its start; an ended one is left out.
 pub fn core_share(
     before: &[ThreadCounts],
     after: &[ThreadCounts],
@@ -61,8 +61,8 @@ pub fn core_share(
     all_ns as f64 / passed.as_nanos().max(1) as f64
 }
 
-/// Time that the hypervisor has kept this core from the machine since its start \[ms\], in steps of a tick
-/// of 10 ms. None where the kernel does not count it.
+/// Time that the hypervisor has withheld this core since the start of the machine \[ms\], in ticks of 10 ms.
+/// `None` if the kernel does not count it.
 pub fn steal_ms(core: usize) -> Option<f64> {
     let stat = fs::read_to_string("/proc/stat").ok()?;
     let (_, ticks) = core_ticks(&stat).find(|(of, _)| *of == Some(core))?;
@@ -88,7 +88,7 @@ mod tests {
             thread(1, "a", 400),
             thread(2, "b", 1000),
             thread(3, "a", 200),
-            // Another thread that got the id of one that ended.
+            // Another thread with the id of an ended one.
             thread(4, "d", 10),
         ];
         let share = |name| core_share(&before, &after, name, Duration::from_micros(1));

@@ -1,4 +1,4 @@
-//! What the system offers to a measurement: cores, priorities, clocks, counts.
+//! Operating-system facilities for measurements: cores, priorities, clocks, counts.
 
 pub mod cores;
 pub mod counts;
