@@ -1,4 +1,4 @@
-//! Times of the kernels, and of one solve of each solver. Quick rather than fine: a second for each.
+//! Times of the kernels and of one solve of each solver. One second each: fast rather than precise.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use cdcr_controller::robot::{
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use nalgebra::Vector3;
 
-/// A robot, bent a little differently in every section.
+/// A robot with a slightly different bend in each section.
 fn bent(sections: usize) -> (Robot, Configuration) {
     let angles: Vec<[f64; 2]> = (0..sections).map(|j| [0.7, 1.1 * j as f64]).collect();
     let robot = Robot::new(&RobotParameters::paper(sections)).expect("the paper's robot");
@@ -72,7 +72,7 @@ fn solve(criterion: &mut Criterion) {
         let closed = ClosedLoop::new(&scene, settings).expect("legal settings");
         group.bench_function(solver.name(), |bencher| {
             bencher.iter(|| {
-                // The same start each time: a solve without a plan.
+                // The same start each time: a solve without a previous plan.
                 nmpc.forget_plan();
                 nmpc.solve(black_box(&closed.input()), &mut Budget::unlimited())
             });

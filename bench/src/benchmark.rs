@@ -1,4 +1,4 @@
-//! What every benchmark is: options, about how long it takes, and a run from the options to a dataset.
+//! The interface of a benchmark: options, expected duration, and a run that returns a dataset.
 
 use std::path::PathBuf;
 
@@ -8,20 +8,20 @@ use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
 
-/// The options of a benchmark, which are those of its command line.
+/// Options of a benchmark; they are its command-line arguments.
 pub trait Benchmark: clap::Args + Send + 'static {
-    /// Becomes what `all` asks for, from the options of an empty command line.
+    /// Changes the defaults to the options for the report of `all`.
     fn for_report(&mut self) {}
 
-    /// Becomes a look that proves little.
+    /// Changes the options to a short run, whose numbers prove little.
     fn quicken(&mut self);
 
-    /// Whether the command line asks for that.
+    /// Whether the command line has `--quick`.
     fn is_quick(&self) -> bool {
         false
     }
 
-    /// What `all` asks for.
+    /// The options for the report of `all`.
     fn of_report(quick: bool) -> Self {
         let mut options: Self = defaults();
         if quick {
@@ -32,12 +32,12 @@ pub trait Benchmark: clap::Args + Send + 'static {
         options
     }
 
-    /// Refuses what makes no sense.
+    /// Rejects invalid combinations.
     fn check(&self) -> Result<()> {
         Ok(())
     }
 
-    /// What a command line asks for.
+    /// The checked options of a command line.
     fn resolved(mut self) -> Result<Self> {
         self.check()?;
         if self.is_quick() {
@@ -57,15 +57,15 @@ pub trait Benchmark: clap::Args + Send + 'static {
     fn run(&self, progress: &mut Progress) -> Result<Dataset>;
 }
 
-/// The options of a command line without any.
+/// The options of an empty command line.
 pub fn defaults<A: clap::Args>() -> A {
     let command = A::augment_args(clap::Command::new("defaults"));
     let matches = command.get_matches_from(["defaults"]);
     A::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// The same daemon with another period \[ms\]. Inputs are gathered and late starts counted as by default, where the period
-/// is not too short for that: the gather must fit between two cycles.
+/// The same daemon with another period \[ms\]. Gather lead and late-start limit keep their defaults unless
+/// the period is too short: the gather must fit between two cycles.
 pub(crate) fn with_period(launch: Launch, period_ms: f64) -> Launch {
     launch
         .with("cycle.period_ms", period_ms)

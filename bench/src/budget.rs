@@ -1,8 +1,8 @@
-//! Whether a solve keeps its budget: how much later than it the solve ends, and that its plan is never
-//! worse than the warm start.
+//! Budget of a solve: how much later than its budget it ends, and whether its plan is ever worse than the
+//! warm start.
 //!
-//! Before each solve the same budget is waited for without any work. What that loop is late by is the
-//! machine's; the rest is the solver's.
+//! Before each solve, a loop without work waits for the same budget. Its delay is that of the machine; the
+//! rest is the solver's.
 
 use std::time::{Duration, Instant};
 
@@ -26,7 +26,7 @@ use crate::study::{self, Case};
 
 pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 
-/// What a solve takes beside its budget and the wait before it, about \[s\].
+/// Time around a solve, beyond its budget and the wait before it, approximate \[s\].
 const AROUND_S: f64 = 3e-4;
 const WAYS: usize = 3;
 
@@ -115,7 +115,7 @@ impl Benchmark for BudgetOptions {
     }
 }
 
-/// Twice the budget: once without work.
+/// Twice the budget: the wait without work, then the solve.
 fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
     solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
 }
@@ -142,11 +142,11 @@ struct Way {
     name: &'static str,
     scene: Scene,
     settings: NmpcSettings,
-    /// Commands that lead along the curve, the same for every budget.
+    /// Commands along the curve, the same for every budget.
     commands: Vec<BendRates>,
 }
 
-/// The cases: the default, the paper's swarm for an orientation of the tip, and many particles and steps
+/// The cases: the default, the paper's swarm with an orientation of the tip, and many particles and steps
 /// among obstacles.
 fn ways() -> Result<Vec<Way>> {
     let default = Size::paper(Task::Spiral { sections: 3 }, Solver::KpsoRefined);
@@ -174,8 +174,8 @@ impl Way {
         })
     }
 
-    /// Solves along the way with this budget. Every solve has another seed and starts from zero rates, so
-    /// that work is left; the way begins anew at its end.
+    /// Solves along the curve with this budget. Every solve has another seed and starts from zero rates, so
+    /// that work is left. At its end the curve restarts.
     fn measure(&self, budget_us: u64, solves: u64) -> Result<Value> {
         let budget = Duration::from_micros(budget_us);
         let mut nmpc = Nmpc::new(self.scene.robot.clone(), self.scene.period_s, self.settings)?;
@@ -212,10 +212,10 @@ impl Way {
             "case": name,
             "budget_us": budget_us,
             "solves": solves,
-            // Solves that the budget ended; the others had nothing left to do.
+            // Solves ended by the budget; the others had finished.
             "ended_by_budget": ended_by_budget,
             "ended_by_budget_share": ended_by_budget as f64 / solves as f64,
-            // How much later than the budget a solve ended, and the loop without work.
+            // Time beyond the budget, of the solve and of the loop without work.
             "over_us": Quantiles::of(&over_ns),
             "bare_over_us": Quantiles::of(&bare_over_ns),
             // Solves whose plan costs more than the warm start.
@@ -224,7 +224,7 @@ impl Way {
     }
 }
 
-/// Asks the budget until it is spent, and does nothing else.
+/// Polls the budget until it is spent, without work.
 fn wait(budget: Duration) -> Duration {
     let begin = Instant::now();
     let mut is_spent = || begin.elapsed() >= budget;

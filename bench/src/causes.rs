@@ -1,10 +1,10 @@
-//! Late cycles by what made them late.
+//! Late cycles by cause.
 
 use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::LateCause::{self, Compute, Load, PageFault, Platform, Stall};
 use serde::{Serialize, Serializer};
 
-/// Of each cause but none its key in results, and its words.
+/// Key in results and words of each cause except `None`.
 const NAMES: [(LateCause, &str, &str); LateCause::COUNT - 1] = [
     (Platform, "platform", "platform"),
     (Load, "load", "another task"),
@@ -21,7 +21,7 @@ impl Causes {
         Self(statistics.causes)
     }
 
-    /// One of which nothing is known stood still in the middle of a computation, as far as anybody can tell.
+    /// Counts a cycle. A cycle without a known cause counts as a stall.
     pub fn count(&mut self, cause: LateCause) {
         let cause = if cause == LateCause::None {
             Stall
@@ -35,7 +35,7 @@ impl Causes {
         self.0[cause.code() as usize]
     }
 
-    /// Those that are ours: the computation took too long, or a page of memory was not there.
+    /// Causes within the daemon: a computation that took too long, or a page fault.
     pub fn own(&self) -> u64 {
         self.of(PageFault) + self.of(Compute)
     }
@@ -44,7 +44,7 @@ impl Causes {
         NAMES.iter().map(|(cause, ..)| self.of(*cause)).sum()
     }
 
-    /// Without those that did not happen.
+    /// Text of the causes that occurred.
     pub fn words(self) -> String {
         let there = NAMES.iter().filter(|(cause, ..)| self.of(*cause) > 0);
         let words = there.map(|(cause, _, words)| format!("{} {words}", self.of(*cause)));

@@ -1,4 +1,4 @@
-//! What the charts of results have beside those of `cdcr_chart`.
+//! Plots of benchmark results, on top of `cdcr_chart`.
 
 use anyhow::Result;
 pub(crate) use cdcr_chart::{
@@ -11,10 +11,10 @@ use serde_json::Value;
 
 use crate::dataset::{Plot, number};
 
-/// Shorter times are drawn here \[µs\].
+/// Shorter times are drawn at this value \[µs\].
 const SHORTEST_US: f64 = 0.1;
 
-/// Draws panels in rows of so many, each so high: see [`cdcr_chart::svg`].
+/// Draws panels; `size` holds the panels per row and their height: see [`cdcr_chart::svg`].
 pub(crate) fn plot(
     name: &'static str,
     caption: &'static str,
@@ -25,7 +25,7 @@ pub(crate) fn plot(
     Ok(Plot { name, caption, svg })
 }
 
-/// One number of each row over another one; rows that lack one of them are left out.
+/// Points of one number over another, one for each row that has both.
 pub(crate) fn of_rows<'a>(
     label: &str,
     rows: impl IntoIterator<Item = &'a Value>,
@@ -39,7 +39,7 @@ pub(crate) fn of_rows<'a>(
     Curve::line(label, points.collect(), colour)
 }
 
-/// For each time \[µs\] the share of all that were longer: a step for each bucket of the histogram.
+/// Share of longer times over each time \[µs\], with one step for each bucket of the histogram.
 pub(crate) fn longer(times_ns: &Histogram<u64>) -> Vec<Point> {
     let total = times_ns.len();
     let mut left = total;

@@ -23,7 +23,7 @@ use cdcr_bench::solver::SolverOptions;
 use cdcr_testbed::interrupt;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 
-/// Where a report goes that would take results from an older one.
+/// Subfolder for a report that would replace results of an older one.
 const ASIDE: &str = "partial";
 
 const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
@@ -60,7 +60,7 @@ enum Command {
     Peer(PeerOptions),
 }
 
-/// Declares the benchmarks: what each is, its name, its options, what stands below its help.
+/// Declares the benchmarks: description, name, options, and the text after the help.
 macro_rules! benchmarks {
     ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal: $options:ty, $help:expr;)+) => {
         #[derive(Debug, Subcommand)]
@@ -92,7 +92,7 @@ macro_rules! benchmarks {
     };
 }
 
-// In the order in which they are run: those of real time come first, while the machine is quiet.
+// In the order of execution: real-time benchmarks first, while the machine is quiet.
 benchmarks! {
     /// Measure deadline misses and latencies of the daemon under named loads, next to a bare loop in the same run.
     Deadline = "deadline": DeadlineOptions, DEADLINE_HELP;
@@ -196,7 +196,7 @@ struct CompareArguments {
     fail_on_worse: bool,
 }
 
-/// Carries the command line out.
+/// Runs the command line.
 pub(crate) fn run() -> Result<()> {
     let (command, matches) = (Cli::command(), Cli::command().get_matches());
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
@@ -210,8 +210,8 @@ pub(crate) fn run() -> Result<()> {
 }
 
 impl Output {
-    /// Runs one benchmark with its progress, and delivers its result. A folder that cannot be made costs no minutes, and
-    /// Ctrl-C ends the measurement in order.
+    /// Runs one benchmark with its progress and writes its result. The folder is checked before the
+    /// measurement, and Ctrl-C ends the measurement in order.
     fn measure(&self, asked: impl Benchmark, start: &Start) -> Result<()> {
         interrupt::catch()?;
         self.out.as_deref().map_or(Ok(()), make)?;
@@ -219,7 +219,7 @@ impl Output {
         let mut progress = Progress::new(options.expected_s());
         let dataset = options.run(&mut progress)?;
         drop(progress);
-        // Kept before it is printed: whoever reads may close the pipe.
+        // Written before printing, because the reader may close the pipe.
         if let Some(folder) = &self.out {
             keep(&start.bundle_of(&dataset)?, folder)?;
         }
@@ -237,14 +237,14 @@ impl Output {
 }
 
 impl AllArguments {
-    /// Of those that were asked for; of all when none was named.
+    /// Plans of the named benchmarks, or of all when none is named.
     fn plans(&self) -> Vec<Plan> {
         let is_asked = |name: &&Name| self.only.is_empty() || self.only.contains(name);
         let asked = Name::value_variants().iter().filter(is_asked);
         asked.map(|name| name.plan(self)).collect()
     }
 
-    /// About how long it takes \[s\].
+    /// Expected duration \[s\].
     fn expected_s(&self) -> f64 {
         self.plans().iter().map(|plan| plan.expected_s).sum()
     }
@@ -276,7 +276,7 @@ impl AllArguments {
         Ok(())
     }
 
-    /// The folder itself, unless it holds a report with results that this one lacks.
+    /// The output folder itself, unless it holds a report with results that this one lacks.
     fn folder(&self, report: &BenchReport) -> Result<PathBuf> {
         let older = fs::read_to_string(self.out.join("report.json")).unwrap_or_default();
         let lost = report.would_lose(&older);
@@ -313,7 +313,7 @@ impl CompareArguments {
     }
 }
 
-/// Writes all files, and tells so beside the result and not in it.
+/// Writes all files, and reports that on standard error.
 fn keep(bundle: &Bundle, folder: &Path) -> Result<()> {
     bundle.write(folder)?;
     writeln!(
@@ -325,7 +325,7 @@ fn keep(bundle: &Bundle, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Writes to the standard output. A reader that closed it, like `head`, has seen enough.
+/// Writes to standard output. A reader that closes the pipe, like `head`, is not an error.
 fn show(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),

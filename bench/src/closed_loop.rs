@@ -1,4 +1,4 @@
-//! One robot tracking one curve, cycle by cycle, as fast as it computes.
+//! One robot tracking one curve, cycle by cycle, as fast as it can be computed.
 
 use std::time::{Duration, Instant};
 
@@ -14,9 +14,10 @@ use nalgebra::Vector3;
 
 use crate::scene::Scene;
 
-/// The ideal robot before a scene, and the safety checks of its commands, around whatever solves. The solver sees the exact
-/// curve at each step of its horizon. No command is lost, and the robot stops at once: the clearance guard certifies each command for one period, where a
-/// daemon certifies three and a ramp.
+/// The ideal robot in a scene, with the safety checks of its commands, around any solver. The solver gets the
+/// exact curve at each step of its horizon. No command is lost, and the robot stops at once. Therefore the
+/// clearance guard certifies each command for one period, whereas a daemon certifies three periods and a
+/// ramp.
 #[derive(Deref, DerefMut)]
 pub struct ClosedLoop<'a> {
     scene: &'a Scene,
@@ -32,7 +33,7 @@ pub struct Sample {
     pub tip: Pose,
     pub configuration: Configuration,
     pub rates: BendRates,
-    /// Clearance of the whole body then \[m\]; infinite without obstacles.
+    /// Clearance of the whole body at that time \[m\]; infinite without obstacles.
     pub clearance_m: f64,
     pub solve_ns: u64,
 }
@@ -68,7 +69,7 @@ impl<'a> ClosedLoop<'a> {
         self.inner.cycle() >= self.scene.cycles
     }
 
-    /// What the cycle before this one led to.
+    /// Sample of the state that the previous cycle led to.
     pub fn sample(&self, solve_time: Duration) -> Sample {
         let configuration = *self.inner.configuration();
         Sample {
@@ -83,7 +84,7 @@ impl<'a> ClosedLoop<'a> {
     }
 }
 
-/// A point of a reference that is inside its curve, without an orientation.
+/// A point inside a reference, without an orientation.
 pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     ReferenceSample {
         state: ReferenceState::Inside,
@@ -92,7 +93,7 @@ pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     }
 }
 
-/// What ends a solve.
+/// Condition that ends a solve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
     Never,
@@ -100,7 +101,7 @@ pub enum End {
     AfterQuanta(u32),
 }
 
-/// Solves, and tells how long that took.
+/// Solves, and returns the duration, too.
 pub fn timed_solve(
     nmpc: &mut Nmpc,
     input: &SolveInput,
@@ -117,7 +118,7 @@ pub fn timed_solve(
     (rates, report, begin.elapsed())
 }
 
-/// Runs the scene with one controller and tells of every cycle.
+/// Runs the scene with one controller and returns a sample for every cycle.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
     let mut closed = ClosedLoop::new(scene, settings)?;
@@ -130,7 +131,7 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     Ok(samples)
 }
 
-/// What a plan costs, found without a budget: a short solve may not even have evaluated its warm start.
+/// Evaluates the cost of a plan without a budget; a short solve may not even have evaluated its warm start.
 pub struct PlanEvaluator(Nmpc);
 
 impl PlanEvaluator {

@@ -1,8 +1,9 @@
-//! What changed between two runs beyond the noise of their rounds.
+//! Changes between two runs beyond the noise of their rounds.
 //!
-//! The rounds of a run are taken in turns with its baselines, so their range shows what the machine does to a
-//! number that nobody touched. A number is called changed when the ranges of the two runs are apart and their
-//! medians differ by more than [`LEAST_CHANGE_PERCENT`]. Numbers with one value in each run are told apart.
+//! The rounds of a run alternate with its baselines, so their range shows the influence of the machine on an
+//! unchanged number. A number is classified as changed when the ranges of the two runs do not overlap and
+//! their medians differ by more than [`LEAST_CHANGE_PERCENT`]. Numbers with one value in each run are listed
+//! separately.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -24,13 +25,13 @@ use ChangeClass::{
     Worse,
 };
 
-/// Rounds that each run needs: with fewer, two ranges are apart too often by chance.
+/// Rounds that each run needs: with fewer, two ranges are too often disjoint by chance.
 const ROUNDS_MIN: usize = 3;
-/// A smaller change of the median is of no account, however small the spread \[%\].
+/// Smaller changes of the median are ignored, however small the spread \[%\].
 pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
-/// Chance has a spread of its own: so many more may get worse.
+/// Numbers that may get worse in addition, because the number of chance changes varies, too.
 const WORSE_MARGIN: usize = 2;
-/// More names than this are not listed.
+/// Longest list of names.
 const NAMES_MAX: usize = 12;
 const OTHER_MACHINE: &str = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
                              each run measured itself, can";
@@ -49,7 +50,7 @@ const COLUMNS: [Column; 9] = [
 ];
 
 named! {
-    /// What became of a number. One value: each run has a single one, and no chance can be told.
+    /// Classification of a number. `OneValue…`: each run has a single value, so chance cannot be estimated.
     pub enum ChangeClass {
         Worse = "worse",
         Better = "better",
@@ -61,11 +62,11 @@ named! {
     }
 }
 
-/// What the comparison needs of a result, of one benchmark or of all.
+/// The parts of a result that the comparison needs, of one benchmark or of all.
 #[derive(Debug, Clone, Deserialize)]
 pub struct Input {
     pub environment: Environment,
-    /// What was asked for; none in a file of an older version.
+    /// Options of the run; `None` in a file of an older version.
     pub options: Option<RunOptions>,
     pub metrics: Vec<Metric>,
 }
@@ -82,7 +83,7 @@ impl Input {
         })
     }
 
-    /// By name and unit: another unit is another number.
+    /// Metrics by name and unit; a number with another unit is another number.
     fn named(&self) -> BTreeMap<(&str, &str), &Metric> {
         let metrics = self.metrics.iter();
         let known = metrics.filter(|metric| !metric.rounds.is_empty());
@@ -97,9 +98,9 @@ pub struct Comparison {
     pub before: Environment,
     pub after: Environment,
     pub warnings: Vec<String>,
-    /// Every number that both runs have: changed ones first, the worst of them before the others.
+    /// Every number that both runs have: changed ones first, worst on top.
     pub metrics: Vec<Change>,
-    /// Numbers that would be called changed if nothing had changed, on average.
+    /// Expected count of numbers classified as changed if nothing has changed.
     pub changed_by_chance: f64,
     pub only_before: Vec<String>,
     pub only_after: Vec<String>,
@@ -134,10 +135,10 @@ impl Comparison {
         }
     }
 
-    /// How many numbers may get worse before more than chance is behind it: half of those that chance alone
-    /// calls changed, rounded up, and two more.
+    /// How many numbers may get worse by chance: half of `changed_by_chance`, rounded up, plus a margin of
+    /// two.
     pub fn worse_by_chance(&self) -> usize {
-        // Chance calls as many better as worse.
+        // By chance, as many numbers get better as worse.
         (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
     }
 
@@ -146,7 +147,7 @@ impl Comparison {
         verdicts.filter(|found| *found == verdict).count()
     }
 
-    /// Numbers that changed in a table, all others as counts.
+    /// A table of the changed numbers, and counts of the others.
     pub fn text(&self) -> Result<String> {
         let (before, after) = (self.before.run(), self.after.run());
         let mut text = format!("before: {before}\nafter:  {after}\n");
@@ -213,19 +214,19 @@ pub struct Change {
     better: Better,
     before: Value,
     after: Value,
-    /// Of the median \[%\]; none from zero.
+    /// Change of the median \[%\]; `None` from zero.
     #[serde(rename = "change_percent")]
     percent: Option<f64>,
     pub verdict: ChangeClass,
-    /// When the rounds of the two runs are apart: how probable that is if nothing changed.
+    /// Probability that the rounds are disjoint by chance, if they are disjoint.
     chance: Option<f64>,
-    /// How probable it is that this number is called changed though nothing changed.
+    /// Probability that this number is classified as changed although nothing has changed.
     #[serde(skip)]
     false_alarm: f64,
 }
 
 impl Change {
-    /// Of a number that both runs measured at least once.
+    /// `None` unless both runs measured the number at least once.
     fn of(old: &Metric, new: &Metric) -> Option<Self> {
         let (before, after) = (old.median()?, new.median()?);
         let [old_range, new_range] = [old, new].map(|metric| range(metric.rounds.iter().copied()));
@@ -261,11 +262,11 @@ impl Change {
     }
 }
 
-/// Probability that so many values of one source before and after lie apart: 2 · n! · m! / (n + m)!, the two-sided
-/// rank test at its extreme.
+/// Probability that `before` and `after` values of one source are disjoint: 2 · n! · m! / (n + m)!, the
+/// extreme case of the two-sided rank test.
 fn chance_apart([before, after]: [usize; 2]) -> f64 {
     let ways = binomial((before + after) as u64, after as u64);
-    // With none on one side, and for one value each, they are always apart.
+    // Limited for an empty side and for one value each, which are always disjoint.
     (2.0 / ways).min(1.0)
 }
 
@@ -283,13 +284,13 @@ mod tests {
             (Lower, high, low, Improved),
             (Higher, low, high, Improved),
             (Higher, high, low, Worse),
-            // Ranges that touch; a change of 2 %, though the rounds are apart.
+            // Ranges that touch; then a change of 2 % with disjoint rounds.
             (Lower, low, &[3.0, 4.0, 5.0], WithinNoise),
             (Lower, &[100.0, 100.1, 100.2], &[101.9, 102.0, 102.05], WithinNoise),
-            // From zero every change counts.
+            // From zero, every change counts.
             (Lower, &[0.0, 0.0, 0.0], &[4.0, 5.0, 6.0], Worse),
             (Lower, &[0.0, 0.0, 0.0], &[0.0, 0.0, 0.0], WithinNoise),
-            // Two rounds prove nothing, and single values nothing of chance.
+            // Too few rounds; then single values, without an estimate of chance.
             (Lower, &[1.0, 1.0], &[9.0, 9.0, 9.0], TooFewRounds),
             (Lower, &[1.0], &[9.0, 9.0, 9.0], TooFewRounds),
             (Lower, &[100.0], &[102.0], OneValueAlike),

@@ -1,7 +1,7 @@
-//! What every benchmark hands over: rows under columns, plots, single numbers, raw latencies.
+//! Result of a benchmark: rows under columns, plots, single numbers, raw latencies.
 //!
-//! A row is whatever serde makes an object of. Text, Markdown, CSV and JSON of it are made here and nowhere
-//! else; a column names the value that it shows by the keys that lead to it, joined by `_`, as CSV does.
+//! A row is anything that serde serialises as an object. Only this module formats it as text, Markdown, CSV
+//! and JSON. A column names its value by the keys that lead to it, joined by `_`, as in CSV.
 
 mod column;
 
@@ -18,39 +18,39 @@ pub use column::{Column, fixed, percent, plain, power, shorted, signed, word};
 use crate::metric::{Better, Metric, median};
 use crate::study::Rounds;
 
-/// The result of one benchmark: for people, for programs, and for the next run to be compared with.
+/// The result of one benchmark, for people, for programs and for comparison with the next run.
 #[derive(Default)]
 pub struct Dataset {
-    /// Name of the command, and of the files.
+    /// Name of the command and of the files.
     pub name: &'static str,
     pub heading: &'static str,
-    /// What was done and how to read it: paragraphs of HTML.
+    /// Method and reading guide: paragraphs of HTML.
     pub explanation: &'static str,
-    /// What must not be overlooked, in a sentence.
+    /// The most important remark, one sentence.
     pub note: String,
-    /// Whether the note warns, of a failure or of numbers that prove nothing.
+    /// Whether the note is a warning about a failure or about meaningless numbers.
     pub warns: bool,
-    /// Keys of the JSON beside those of the sheets.
+    /// Keys of the JSON in addition to those of the sheets.
     pub facts: Map<String, Value>,
-    /// The most important first.
+    /// The most important sheet first.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
     pub metrics: Vec<Metric>,
-    /// All latencies that were measured, so that others can compute other percentiles.
+    /// All measured latencies, from which other percentiles can be computed.
     pub recordings: Vec<Recording>,
 }
 
-/// What a benchmark measures in each of its rounds, as a table.
+/// A table of what a benchmark measures in each round.
 pub struct RoundTable {
     pub key: &'static str,
     pub file: &'static str,
     pub title: &'static str,
     pub columns: &'static [Column],
-    /// What the rounds count together: see [`together`].
+    /// Keys of counts that are added over the rounds: see [`together`].
     pub counts: &'static [&'static str],
-    /// A name, a unit and the key of a row: see [`Dataset::compare`].
+    /// Name, unit and row key of each number: see [`Dataset::compare`].
     pub numbers: &'static [(&'static str, &'static str, &'static str)],
-    /// Begin of the names of a row's numbers: see `filled`.
+    /// Prefix of the names of a row's numbers: see `filled`.
     pub path: &'static str,
 }
 
@@ -62,9 +62,9 @@ pub struct Plot {
 
 #[derive(Debug, Clone)]
 pub struct Recording {
-    /// What was measured where: words joined by dots, like `none.daemon.response`.
+    /// What was measured: words joined by dots, like `none.daemon.response`.
     pub tag: String,
-    /// When it began, after the start of the run \[s\].
+    /// Start of the recording after the start of the run \[s\].
     pub start_s: f64,
     pub duration_s: f64,
     pub histogram_ns: Histogram<u64>,
@@ -80,12 +80,12 @@ impl Dataset {
         }
     }
 
-    /// Adds a number of which less is better; nothing where no round measured it.
+    /// Adds a number of which less is better; nothing if no round measured it.
     pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
         self.add(Metric::new(name, unit, Better::Lower, rounds));
     }
 
-    /// The same of which more is better.
+    /// Adds a number of which more is better.
     pub fn higher(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
         self.add(Metric::new(name, unit, Better::Higher, rounds));
     }
@@ -95,8 +95,8 @@ impl Dataset {
             .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
     }
 
-    /// Adds numbers of the same rounds, less of which is better: each a name, a unit, and the key of a row. A share
-    /// in % is told so.
+    /// Adds numbers of the same rounds of which less is better: name, unit and row key of each. Shares with
+    /// the unit % are scaled by 100.
     pub fn compare(&mut self, path: &str, rounds: &[Value], numbers: &[(&str, &str, &str)]) {
         for (name, unit, key) in numbers {
             let factor = if *unit == "%" { 100.0 } else { 1.0 };
@@ -105,8 +105,8 @@ impl Dataset {
         }
     }
 
-    /// Adds a table of rows that every round measured in the same order, see [`together`], and the numbers of each row; nothing
-    /// when it was not measured.
+    /// Adds a table whose rows every round measured in the same order, see [`together`], and the numbers of
+    /// each row. Adds nothing without measurements.
     pub(crate) fn add_rounds(&mut self, table: &RoundTable, found: &Rounds) {
         let mut rows = Vec::new();
         for of_row in by_rows(found.of(table.key)) {
@@ -165,7 +165,7 @@ impl Dataset {
     }
 }
 
-/// Rows, and who gets them in which form.
+/// Rows and their output formats.
 #[derive(Debug)]
 pub struct Sheet {
     key: Option<&'static str>,
@@ -176,7 +176,7 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// Shows rows to people as a table, unless it has no title. The columns of a CSV begin with these.
+    /// Rows for a table, unless the title is empty. The columns also begin the CSV.
     pub fn of(title: &str, columns: &[Column], rows: Vec<Value>) -> Self {
         Self {
             key: None,
@@ -187,14 +187,14 @@ impl Sheet {
         }
     }
 
-    /// Puts the rows into the JSON, under this key.
+    /// Adds the rows to the JSON under this key.
     #[must_use]
     pub fn key(mut self, key: &'static str) -> Self {
         self.key = Some(key);
         self
     }
 
-    /// Puts them into a CSV of this name, without its ending.
+    /// Writes the rows to a CSV of this name, given without extension.
     #[must_use]
     pub fn file(mut self, name: &'static str) -> Self {
         self.file = Some(name);
@@ -231,7 +231,7 @@ impl Sheet {
         text
     }
 
-    /// For a page on the web, or a document of the project.
+    /// Markdown for a web page or a document of the project.
     pub fn markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
         let heads = self.columns.iter().map(|c| c.head.to_owned());
@@ -244,11 +244,12 @@ impl Sheet {
         title + &line(heads.collect()) + &line(marks.collect()) + &body
     }
 
-    /// Every value of the rows: those that the table shows first, in its order.
+    /// Every value of the rows, beginning with the columns of the table.
     fn csv(&self) -> Result<String> {
         let rows: Vec<_> = self.rows.iter().map(flat).collect();
         let keys: BTreeSet<&String> = rows.iter().flat_map(BTreeMap::keys).collect();
-        // What is missing in all rows has a column, but an object that is missing in one has those that others give it.
+        // A key that is null in all rows gets a column. An object that is null in some rows gets the columns
+        // of its fields.
         let is_object = |key: &str| {
             let fields = format!("{key}_");
             keys.iter().any(|other| other.starts_with(&fields))
@@ -278,14 +279,14 @@ impl Sheet {
     }
 }
 
-/// Of rounds that have the same rows, each row in all of them.
+/// Transposes rounds with the same rows: for each row, its values in all rounds.
 pub(crate) fn by_rows(rounds: &[Vec<Value>]) -> Vec<Vec<Value>> {
     let count = rounds.first().map_or(0, Vec::len);
     let of_row = |index: usize| rounds.iter().map(|rows| rows[index].clone()).collect();
     (0..count).map(of_row).collect()
 }
 
-/// A name with the values of a row in the place of their keys, which stand in braces.
+/// Replaces the keys in braces in a name by the values of a row.
 pub(crate) fn filled(name: &'static str, row: &Value) -> String {
     let values = flat(row);
     let parts = name.split(['{', '}']).enumerate();
@@ -296,7 +297,7 @@ pub(crate) fn filled(name: &'static str, row: &Value) -> String {
     parts.map(part).collect()
 }
 
-/// The number under a key, as CSV joins it; none where it is missing.
+/// The number under a key, joined as in CSV; `None` if missing.
 pub fn number(row: &Value, key: &str) -> Option<f64> {
     flat(row).get(key)?.as_f64()
 }
@@ -306,9 +307,9 @@ pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> 
     rounds.iter().filter_map(move |row| number(row, key))
 }
 
-/// Rounds as one row: what these keys count is summed up, an object of counts field by field; of other numbers it is the
-/// median, but the least of `min…` and the largest of `max…` and `below…`. Numbers and texts that are the same in all rounds stay; other
-/// texts, and lists, are left out.
+/// Merges rounds into one row. Counts under the given keys are added, objects of counts field by field. Other
+/// numbers become their median, but `min…` the smallest, `max…` and `below…` the largest. Numbers and texts
+/// that are equal in all rounds stay; other texts, and lists, are left out.
 pub fn together(rounds: &[Value], counts: &[&str]) -> Value {
     merged(rounds, &|key| counts.contains(&key))
 }
@@ -342,7 +343,7 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
     Value::Object(keys.into_iter().filter_map(of_key).collect())
 }
 
-/// The fields of several objects in one; later ones win.
+/// Merges the fields of several objects; later ones win.
 pub fn joined<const N: usize>(objects: [Value; N]) -> Value {
     let mut all = Map::new();
     for object in objects {
@@ -353,7 +354,7 @@ pub fn joined<const N: usize>(objects: [Value; N]) -> Value {
     Value::Object(all)
 }
 
-/// What JSON nests, under one name. A list stays one value.
+/// Flattens nested JSON objects into joined names. A list stays one value.
 pub(crate) fn flat(row: &Value) -> BTreeMap<String, Value> {
     fn add(name: &str, value: &Value, values: &mut BTreeMap<String, Value>) {
         let Value::Object(fields) = value else {
@@ -412,7 +413,7 @@ mod tests {
         let rounds = [(1.0, 3, 9.0), (4.0, 4, 2.0), (2.0, 5, 5.0)].map(|(time, count, most)| {
             json!({ "us": { "p50": time, "max": most, "min": most }, "count": count, "of": { "a": count }, "size": count, "word": "a", "none": null })
         });
-        // A whole number is a count only where it is declared.
+        // A whole number is only a count if it is declared as one.
         let expected = json!({
             "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "of": { "a": 12 }, "size": 4.0, "word": "a", "none": null,
         });

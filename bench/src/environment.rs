@@ -1,6 +1,6 @@
-//! The machine that a result comes from: without it no figure can be compared with another's.
+//! The machine of a result, without which its numbers cannot be compared with others.
 //!
-//! Invariant: nothing here names the machine, its user or a folder of it.
+//! Invariant: nothing here contains the name of the machine, its user or one of its folders.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,11 +15,11 @@ use crate::dataset::{Sheet, flat, word};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 
-/// Capability `CAP_IPC_LOCK`, its bit in `CapEff` (capabilities(7)).
+/// Bit of the capability `CAP_IPC_LOCK` in `CapEff` (capabilities(7)).
 const CAP_IPC_LOCK: u32 = 14;
-/// Words of the kernel's command line that keep others off a core.
+/// Words of the kernel's command line that isolate a core.
 const ISOLATING: [&str; 3] = ["isolcpus=", "nohz_full=", "rcu_nocbs="];
-/// Properties of the machine that move absolute times.
+/// Properties of the machine that affect absolute times.
 const MOVING: [&str; 11] = [
     "debug build",
     "hypervisor",
@@ -34,13 +34,13 @@ const MOVING: [&str; 11] = [
     "virtual machine",
 ];
 
-/// The machine at the start of a run. What it does not tell is null.
+/// The machine at the start of a run. Unavailable properties are null.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Environment(Map<String, Value>);
 
 impl Environment {
-    /// This machine now. To be asked before any thread of this process is pinned.
+    /// Reads the properties of this machine. Call it before any thread of this process is pinned.
     pub fn find() -> Result<Self> {
         let root = Root(PathBuf::from("/"));
         let mut found = Self::of(&root, &Cores::find()?, may_be_realtime());
@@ -52,23 +52,24 @@ impl Environment {
         let number = |text: Option<String>| first_number(&text?);
         let memory_kib = number(root.field("proc/meminfo", "MemTotal"));
         let all = json!({
-            // When the run began, in UTC, like `2026-11-21T12:00:00Z`.
+            // Start of the run in UTC, like `2026-11-21T12:00:00Z`.
             "started_utc": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
             "cdcr_version": env!("CARGO_PKG_VERSION"),
-            // Commit of the working copy in the current folder, when that is ours; `+` for changes beside it.
+            // Commit of the working copy in the current folder if it is this project; `+` for uncommitted
+            // changes.
             "commit": null,
-            // Built without optimisation: times of such a program say nothing.
+            // Built without optimisation: its times are meaningless.
             "debug_build": cfg!(debug_assertions),
-            // As it is seen from the core that is measured.
+            // Seen from the measured core.
             "processor": root.processor(cores.realtime),
-            // Whether a hypervisor may halt the cores at any time, as the processor tells.
+            // Whether the processor reports a hypervisor, which may halt the cores at any time.
             "virtual_machine": root.is_virtual(),
             "hypervisor": root.hypervisor(),
             "kernel": root.kernel(),
             "memory_mb": memory_kib.map(|kib| (kib * 1024.0 / 1e6) as u64),
-            // Of the last minute before the start; 1 is one busy core.
+            // Average of the last minute before the start; 1 is one busy core.
             "load_average": number(root.read("proc/loadavg")),
-            // Threads with SCHED_FIFO, and as much locked memory as it likes.
+            // Threads with SCHED_FIFO, and unlimited locked memory.
             "privileges": { "realtime": realtime, "lock_memory": root.may_lock() },
             "cores": { "realtime": cores.realtime, "others": cores.others },
         });
@@ -100,7 +101,8 @@ impl Environment {
         Sheet::of("The machine", &columns, rows.collect())
     }
 
-    /// What differs between two machines and moves absolute times. An older file may lack a property.
+    /// Properties that differ between two machines and affect absolute times. An older file may lack a
+    /// property.
     pub(crate) fn differing(&self, other: &Self) -> Vec<(&'static str, Value, Value)> {
         let empty = [json!(null), json!(""), json!(false), json!(0), json!([])];
         let mut both = Vec::from(MOVING.map(|name| (name, self.value(name), other.value(name))));
@@ -113,7 +115,7 @@ impl Environment {
         format!("{model}, kernel {release}")
     }
 
-    /// What a figure needs beside it at least: processor, kernel, right to real time.
+    /// The minimal description for a number: processor, kernel, real-time rights.
     pub fn line(&self) -> String {
         let realtime = if self.is_realtime() {
             "granted"
@@ -137,14 +139,14 @@ impl Environment {
     }
 }
 
-/// The folder below which the kernel's files are read; a test has its own.
+/// The root folder of the kernel's files; a test has its own.
 struct Root(PathBuf);
 
 impl Root {
-    /// The text of a file without the space around it; none where it cannot be read, or is empty.
+    /// Trimmed text of a file; `None` if unreadable or empty.
     fn read(&self, file: &str) -> Option<String> {
         let text = std::fs::read(self.0.join(file)).ok()?;
-        // Texts of firmware end with a zero.
+        // Firmware texts end with a zero byte.
         let text = String::from_utf8_lossy(&text);
         let text = text.trim_matches(|c: char| c.is_whitespace() || c == '\0');
         (!text.is_empty()).then(|| text.to_owned())
@@ -155,25 +157,25 @@ impl Root {
         Some(field(&self.read(file)?, key)?.to_owned())
     }
 
-    /// The kernel and what it was told that matters to a punctual loop.
+    /// The kernel, and its options that affect punctuality.
     fn kernel(&self) -> Value {
         let own = |name: &str| self.read(&format!("proc/sys/kernel/{name}"));
         let number = |name| own(name).and_then(|text| text.parse::<i64>().ok());
-        // Number of the build and what it was built with.
+        // Build number and compiler.
         let version = own("version").unwrap_or_default();
         let command_line = self.read("proc/cmdline").unwrap_or_default();
         let isolates = |word: &&str| ISOLATING.iter().any(|name| word.starts_with(name));
         json!({
             "release": own("osrelease").unwrap_or_default(),
-            // `PREEMPT_RT`, or the word of the version, with the mode where it can be chosen.
+            // `PREEMPT_RT` or the word of the version, with the mode where it can be selected.
             "preemption": self.preemption(&version),
             "version": version,
-            // `isolcpus`, `nohz_full` and `rcu_nocbs` of its command line; all else there is left out.
+            // `isolcpus`, `nohz_full` and `rcu_nocbs` of the command line; the rest is left out.
             "isolation": command_line.split_ascii_whitespace().filter(isolates).collect::<Vec<_>>(),
             "clock_source": self.read("sys/devices/system/clocksource/clocksource0/current_clocksource"),
             // Transparent huge pages: `always`, `madvise` or `never`.
             "huge_pages": chosen(self.read("sys/kernel/mm/transparent_hugepage/enabled"), ['[', ']']),
-            // Time that real-time threads may have of each period; -1: all of it.
+            // Limit on the time of real-time threads in each period; -1: none.
             "rt_runtime_us": number("sched_rt_runtime_us"),
             "rt_period_us": number("sched_rt_period_us"),
         })
@@ -185,7 +187,7 @@ impl Root {
         }
         let mut words = version.split_ascii_whitespace();
         let word = words.find(|word| word.starts_with("PREEMPT"))?;
-        // Only root may look.
+        // Readable by root only.
         let mode = chosen(self.read("sys/kernel/debug/sched/preempt"), ['(', ')']);
         Some(mode.map_or(word.to_owned(), |mode| format!("{word} ({mode})")))
     }
@@ -195,7 +197,7 @@ impl Root {
         let field = |key| self.field("proc/cpuinfo", key);
         let model = field("model name").or_else(|| field("Model"));
         let model = model.or_else(|| self.read("proc/device-tree/model"));
-        // Of the core, like `L1 Data 32K`.
+        // Caches of the core, like `L1 Data 32K`.
         let cache = |index: usize| {
             let words = ["level", "type", "size"]
                 .map(|name| self.read(&format!("{folder}/cache/index{index}/{name}")));
@@ -214,14 +216,15 @@ impl Root {
         })
     }
 
-    /// Whether the processor says that a hypervisor runs it; none where processors have no such flag.
+    /// Whether the processor reports a hypervisor; `None` for processors without such a flag.
     fn is_virtual(&self) -> Option<bool> {
         let flags = self.field("proc/cpuinfo", "flags")?;
         let mut flags = flags.split_ascii_whitespace();
         Some(flags.any(|flag| flag == "hypervisor"))
     }
 
-    /// Name of the hypervisor; none on a machine that is not virtual, or does not tell: there it would be its maker.
+    /// Name of the hypervisor. `None` unless the machine reports to be virtual, because the file would hold
+    /// its manufacturer.
     fn hypervisor(&self) -> Option<String> {
         let is_virtual = self.is_virtual();
         let firmware = || {
@@ -234,7 +237,7 @@ impl Root {
         name.filter(|_| is_virtual != Some(false))
     }
 
-    /// As the capability and the limit of the process say.
+    /// By the capability and the resource limit of the process.
     fn may_lock(&self) -> bool {
         use rustix::process::{Resource, getrlimit};
         let capabilities = self.field("proc/self/status", "CapEff");
@@ -244,7 +247,7 @@ impl Root {
     }
 }
 
-/// The value of the first line `key : value`, unless it is empty.
+/// The value of the first line `key : value`, unless empty.
 pub(crate) fn field<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     let mut lines = text.lines().filter_map(|line| line.split_once(':'));
     let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
@@ -255,18 +258,17 @@ pub(crate) fn first_number(text: &str) -> Option<f64> {
     text.split_ascii_whitespace().next()?.parse().ok()
 }
 
-/// The word in brackets of a text that lists what could be chosen.
+/// The word in brackets in a list of choices.
 fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
     let text = text?;
     let (_, rest) = text.split_once(brackets[0])?;
     Some(rest.split_once(brackets[1])?.0.to_owned())
 }
 
-/// The commit, with a `+` when files were changed since; none where there is no git or no working copy of
-/// this project.
+/// The commit, with a `+` for changed files; `None` without git or outside a working copy of this project.
 fn commit() -> Option<String> {
     let git = |arguments: &str| {
-        // It only looks.
+        // Read-only.
         let arguments = ["--no-optional-locks"]
             .into_iter()
             .chain(arguments.split(' '));
@@ -290,7 +292,7 @@ mod tests {
 
     use super::*;
 
-    /// What is told of a machine with these files.
+    /// The environment of a machine with these files.
     fn machine(files: &[(&str, &str)]) -> Environment {
         let folder = Scratch::temporary().expect("a folder");
         for (name, text) in files {
@@ -340,7 +342,7 @@ mod tests {
             ("privileges lock memory", json!(true)),
             ("kernel release", json!("6.12.0")),
             ("kernel preemption", json!("PREEMPT_DYNAMIC (full)")),
-            // Nothing else of the command line.
+            // No other options of the command line.
             ("kernel isolation", json!(["isolcpus=1", "rcu_nocbs=1"])),
             ("kernel rt runtime us", json!(950_000)),
             ("kernel huge pages", json!("madvise")),
@@ -351,7 +353,7 @@ mod tests {
             ("virtual machine", json!(true)),
             ("hypervisor", json!("Cloud large")),
         ]);
-        // A real machine with a real-time kernel.
+        // A physical machine with a real-time kernel.
         let real = machine(&[
             ("proc/cpuinfo", "flags : fpu avx\n"),
             ("sys/class/dmi/id/sys_vendor", "Maker\n"),
@@ -384,7 +386,7 @@ mod tests {
 
         let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let folder = std::env::current_dir().expect("a folder");
-        // A host that is called like a word of the description cannot be told from it.
+        // Skipped if the host name is a word of the description.
         assert!(
             host.trim().len() <= 4 || !json.contains(host.trim()),
             "{json}"

@@ -1,4 +1,4 @@
-//! Which of the paper's simulations, with which solver and which settings.
+//! The paper's simulations, each with a solver and its settings.
 
 use anyhow::Result;
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
@@ -8,27 +8,27 @@ use serde::Serialize;
 use crate::named::named;
 use crate::scene::Scene;
 
-/// Limits on the rates of the line \[rad/s\]. The paper names none.
+/// Limits on the rates of the line \[rad/s\]; not in the paper.
 pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
 /// The paper's bound on |Θ| and |Ψ| \[rad\].
 pub const LINE_TILT_MAX_RAD: f64 = 1e-2;
-/// Safe distances of the circle \[m\]. The paper names none.
+/// Safe distances of the circle \[m\]; not in the paper.
 pub const CIRCLE_DISTANCES_M: [f64; 3] = [0.01, 0.02, 0.04];
 /// Swarm of the line: particles and iterations, as in the paper.
 const LINE_SWARM: (u32, u32) = (15, 70);
 /// Weight of the tilt on the line \[per rad²\], beside 1 per m² of position.
 const LINE_ORIENTATION_WEIGHT: f64 = 0.1;
-/// Tilt that costs nothing on the line \[rad\]: none, though the paper allows 10⁻². The line can be drawn
-/// with a vertical tip, and a penalty that begins at the bound would let the bound be passed.
+/// Tilt without cost on the line \[rad\]. Zero, although the paper allows 10⁻²: a vertical tip is possible,
+/// and a penalty that begins at the bound would allow the tip to exceed it.
 const LINE_TOLERANCE_RAD: f64 = 0.0;
-/// Steps of the circle: 0.1 s, in which the detour begins before the obstacle is reached.
+/// Steps of the circle: 0.1 s, enough to begin the detour before the obstacle.
 const CIRCLE_HORIZON: u32 = 20;
-/// Control blocks of the circle; 0: one for each step. Fewer cannot hold the circle between them, and
-/// leave more than the rounding of its constants.
+/// Control blocks of the circle; 0: one for each step. Fewer cannot follow the circle between them, and leave
+/// a larger error than its rounded constants.
 const CIRCLE_BLOCKS: u32 = 0;
 
-/// Gauss-Newton steps on the circle: with the default of 3 a cycle ends before it has converged, and the
-/// detour is up to a tenth wider.
+/// Gauss-Newton steps on the circle. With the default of 3, a cycle ends before convergence, and the detour
+/// is up to a tenth wider.
 const CIRCLE_REFINEMENTS: u32 = 6;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,7 +126,7 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    /// In the coordinates that are the default.
+    /// An experiment in the default coordinates.
     pub fn new(task: Task, solver: Solver) -> Self {
         Self {
             task,
@@ -135,8 +135,8 @@ impl Experiment {
         }
     }
 
-    /// All that are run. The circle only in bend vectors: it starts straight, where bend angles have no
-    /// direction, and twenty steps of them have many local minima.
+    /// All experiments. The circle only in bend vectors: it starts straight, where bend angles have no
+    /// direction, and its twenty steps have many local minima in angles.
     pub fn all() -> Vec<Self> {
         let both = [Coordinates::BendVector, Coordinates::BendAngles];
         let mut all = Vec::new();
@@ -157,7 +157,7 @@ impl Experiment {
         all
     }
 
-    /// The paper's parameters; what it does not name is the project's default or a constant of this file.
+    /// The paper's parameters, completed by the project's defaults and the constants of this file.
     pub fn settings(&self) -> NmpcSettings {
         let base = self.solver.of(NmpcSettings {
             coordinates: self.coordinates,

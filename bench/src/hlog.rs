@@ -1,7 +1,7 @@
-//! Raw latencies in the log format of HDR histograms, which others can read: whoever doubts a percentile
-//! computes it again.
+//! Raw latencies in the log format of HDR histograms, so that percentiles can be recomputed by other
+//! programs.
 //!
-//! A value is in nanoseconds; the column of the largest value, which is for people, in microseconds.
+//! Values are in nanoseconds, except the readable column of the largest value, in microseconds.
 
 use std::time::{Duration, SystemTime};
 
@@ -11,15 +11,15 @@ use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
 
 use crate::dataset::Recording;
 
-/// From the recorded nanoseconds to the microseconds of the column for people.
+/// From recorded nanoseconds to the microseconds of the readable column.
 const NS_PER_US: f64 = 1e3;
 
-/// The log of one benchmark, whose run began at `started`; none when it recorded nothing.
+/// The log of one benchmark whose run began at `started`; `None` without recordings.
 pub fn log(started: SystemTime, recordings: &[Recording]) -> Result<Option<String>> {
     if recordings.is_empty() {
         return Ok(None);
     }
-    // The format wants the intervals in the order of their begin.
+    // The format requires the intervals in the order of their start.
     let mut ordered: Vec<&Recording> = recordings.iter().collect();
     ordered.sort_by(|one, other| one.start_s.total_cmp(&other.start_s));
     let (mut bytes, mut serializer) = (Vec::new(), V2DeflateSerializer::new());

@@ -1,29 +1,29 @@
-//! `cdcr-bench`: what controller and daemon reach, measured.
+//! `cdcr-bench`: benchmarks of the controller and the daemon.
 //!
-//! | module | is |
+//! | module | contents |
 //! |---|---|
-//! | [`deadline`] | does the daemon keep its deadlines, under which load, beside a bare loop |
-//! | [`latency`] | how long from something that is sent to its effect |
+//! | [`deadline`] | deadline misses of the daemon under named loads, next to a bare loop |
+//! | [`latency`] | time from a message to its effect |
 //! | [`rate`] | the shortest period that holds |
-//! | [`footprint`] | what a daemon takes: cores, memory, files, time to start |
-//! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
+//! | [`footprint`] | resources of a daemon: cores, memory, files, start-up time |
+//! | [`quality`] | effect of solve time, swarm and horizon |
 //! | [`paper`], [`experiment`], [`simulation`], [`mod@plots`] | the paper's simulations |
-//! | [`solver`] | solve times on every path, and how they grow |
-//! | [`robustness`] | how far robots that are not their model are from the reference |
-//! | [`budget`] | what a solve does with its budget, and how late it ends |
+//! | [`solver`] | solve times on every SIMD path, and their growth |
+//! | [`robustness`] | tracking errors of robots that differ from their model |
+//! | [`budget`] | use of the budget of a solve, and delay of its end |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
-//! | `watcher` | a client that sees every command of a daemon come |
-//! | [`progress`] | how far a run is |
-//! | [`benchmark`] | what every benchmark is: options, about how long it takes, a run |
-//! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
+//! | `watcher` | a client that receives every command of a daemon |
+//! | [`progress`] | progress of a run |
+//! | [`benchmark`] | interface of a benchmark: options, expected duration, run |
+//! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | result of a benchmark, in every format |
 //! | [`report`], `chart`, [`hlog`] | results as documents and one page, plots, raw latencies |
-//! | [`environment`], [`run_options`] | the machine that a result comes from, and what was asked for |
-//! | `study` | cases that are measured in turns, round by round |
-//! | [`compare`] | what changed between two runs beyond noise |
+//! | [`environment`], [`run_options`] | machine and options of a result |
+//! | `study` | cases that are measured in turn, round by round |
+//! | [`compare`] | changes between two runs beyond noise |
 //!
-//! `deadline`, `latency`, `rate` and `footprint` measure the program `cdcrd` as a process, with real time where it is
-//! granted. All others run the controller in this process, without a daemon and without real time: a time there
-//! says how long a solve takes on this machine, back to back, nothing else.
+//! `deadline`, `latency`, `rate` and `footprint` measure the program `cdcrd` as a process, with real time
+//! where it is granted. All others run the controller in this process, without a daemon and without real
+//! time. Their times only show the duration of back-to-back solves on this machine.
 
 #![allow(
     missing_docs,

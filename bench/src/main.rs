@@ -1,4 +1,4 @@
-//! `cdcr-bench`: the program. Everything that measures is in the library.
+//! `cdcr-bench`: the program. All measurements are in the library.
 
 mod cli;
 

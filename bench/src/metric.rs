@@ -1,17 +1,17 @@
-//! Single numbers with the spread of their rounds: what two runs are compared by.
+//! Single numbers with the spread of their rounds, for the comparison of two runs.
 
 use serde::{Deserialize, Serialize};
 use statrs::statistics::{Data, OrderStatistics as _};
 
-/// One number that a benchmark measured once in each of its rounds.
+/// One number that a benchmark measured once in each round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metric {
-    /// What it is: words joined by slashes, like `deadline/none/daemon/response_p99`. The same in every run.
+    /// Words joined by slashes, like `deadline/none/daemon/response_p99`. The same in every run.
     pub name: String,
     /// Its unit, like `µs`; empty for a ratio.
     pub unit: String,
     pub better: Better,
-    /// Its value in each round; finite.
+    /// The finite value of each round.
     pub rounds: Vec<f64>,
 }
 
@@ -38,19 +38,19 @@ impl Metric {
         }
     }
 
-    /// The median of its rounds; none without rounds.
+    /// Median of the rounds; `None` without rounds.
     pub fn median(&self) -> Option<f64> {
         median(self.rounds.iter().copied())
     }
 }
 
-/// The median; of an even count the mean of the middle two; none of nothing. The values must be finite.
+/// Median; of an even count, the mean of the middle two. `None` if empty. The values must be finite.
 pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     let values: Vec<f64> = values.into_iter().collect();
     (!values.is_empty()).then(|| Data::new(values).median())
 }
 
-/// Smallest and largest; none of nothing.
+/// Smallest and largest value; `None` if empty.
 pub fn range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     let ends = values.into_iter().map(|value| (value, value));
     ends.reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))

@@ -1,6 +1,6 @@
-//! Enums whose variants have one name each: in tables, in JSON, in the names of numbers.
+//! Enums whose variants have one name in tables, JSON and the names of numbers.
 
-/// Declares an enum, the list of its variants and their names at once.
+/// Declares an enum, the list of its variants and their names.
 macro_rules! named {
     ($(#[$meta:meta])* $vis:vis enum $type:ident { $($(#[$inner:meta])* $variant:ident = $name:literal,)+ }) => {
         $(#[$meta])*

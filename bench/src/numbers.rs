@@ -1,4 +1,4 @@
-//! Random numbers that a seed repeats on every machine.
+//! Random numbers, reproducible from a seed on every machine.
 
 use cdcr_controller::optimizer::cycle_seed;
 

@@ -1,4 +1,4 @@
-//! The paper's simulations as a result.
+//! The paper's simulations as a benchmark.
 
 use anyhow::Result;
 use serde_json::Value;
@@ -37,7 +37,7 @@ const CIRCLE: [Column; 5] = [
     plain("seeds", "seeds"),
 ];
 
-/// What stands before and after the columns of each simulation.
+/// Columns before and after those of each simulation.
 const BEFORE: [Column; 2] = [word("solver", "solver"), word("coordinates", "coordinates")];
 const AFTER: [Column; 4] = [
     fixed("mean µs", "solve_us_mean", 2),
@@ -47,7 +47,7 @@ const AFTER: [Column; 4] = [
 ];
 
 impl Benchmark for Effort {
-    /// Errors say nothing then.
+    /// The errors of such a short run are meaningless.
     fn quicken(&mut self) {
         (self.seeds, self.cycles_max) = (1, 50);
     }
@@ -101,7 +101,7 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
         ],
         ..Dataset::default()
     };
-    // The seeds stand for rounds: what depends on the swarm's luck is its spread.
+    // The seeds serve as rounds: results that depend on the random swarm get their spread from them.
     let numbers = [
         ("mean_error", "mm", "mean_error_mm"),
         ("solve_p50", "µs", "solve_p50_us"),
@@ -116,7 +116,7 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
     Ok(dataset)
 }
 
-/// Begin of the names of its numbers: see [`filled`].
+/// Prefix of the names of the numbers: see [`filled`].
 fn path(outcome: &Outcome) -> &'static str {
     match outcome.experiment.task {
         Task::Spiral { .. } => "paper/spiral-{sections}/{coordinates}/{solver}",

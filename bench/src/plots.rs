@@ -17,24 +17,24 @@ use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};
 use view::{backbone, ball, path, reference};
 
-/// A section bent by less than this has no direction to speak of \[rad\].
+/// Smallest bend with a meaningful direction \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
-/// Errors below this are drawn here: a logarithm knows no zero \[mm\].
+/// Smaller errors are drawn at this value, because the scale is logarithmic \[mm\].
 const ERRORS: Scale = Scale::Log { floor: 1e-14 };
 const BROWN: RGBColor = RGBColor(120, 80, 40);
 const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
 const PALE_COLOURS: [RGBColor; 3] = [SKY, YELLOW, PURPLE];
-/// Shapes of the robot that are drawn of the line.
+/// Number of drawn robot shapes on the line.
 const SHAPES: usize = 6;
 
-/// Rates of angles are drawn up to this: a spike where a section is nearly straight would flatten all else \[rad/s\].
+/// Limit of drawn angle rates: a spike at a nearly straight section would flatten all other values \[rad/s\].
 const ANGLE_RATE_MAX_RAD_S: f64 = 10.0;
-/// Clearances beyond the safe distance are drawn up to this \[mm\].
+/// Limit of drawn clearances beyond the safe distance \[mm\].
 const CLEARANCE_MAX_MM: f64 = 2.0;
-/// The least share of the cycles that is drawn.
+/// Smallest drawn share of the cycles.
 const SHARES: f64 = 1e-3;
 
-/// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
+/// All plots: spiral, line and circle. The outcomes must contain every drawn experiment.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let drawn = Task::all()
         .into_iter()
@@ -54,7 +54,7 @@ pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
         .collect()
 }
 
-/// Name, caption, how many panels beside each other and how high, the panels.
+/// Name, caption, panels per row and their height, the panels.
 type Figure = (&'static str, &'static str, (usize, u32), Vec<Panel>);
 
 #[rustfmt::skip]
@@ -122,7 +122,7 @@ fn over_time(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     samples.iter().map(|s| (s.time_s, value(s))).collect()
 }
 
-/// For each value the share of the samples that are above it, or equal.
+/// For each value, the share of samples that are equal or larger.
 fn exceeded(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     let mut values: Vec<f64> = samples.iter().map(value).collect();
     values.retain(|value| *value > 0.0);
@@ -138,7 +138,7 @@ fn timed(title: String, y: &'static str, scale: Scale, curves: Vec<Curve>) -> Pa
     Panel::new(title, ["time [s]", y], scale, curves)
 }
 
-/// One simulation: with every solver, and that of `kpso-refined`.
+/// One simulation, with every solver and with `kpso-refined`.
 struct Drawn<'a> {
     title: String,
     all: Vec<&'a Outcome>,
@@ -199,18 +199,18 @@ impl<'a> Drawn<'a> {
         timed(self.title.clone(), "error [mm]", ERRORS, curves)
     }
 
-    /// Over linear axes, with its part of all that this simulation is drawn of in the title.
+    /// A panel with linear axes, titled with the simulation and `part`.
     fn linear(&self, part: &str, y: &'static str, curves: Vec<Curve>) -> Panel {
         timed(format!("{}{part}", self.title), y, Scale::Linear, curves)
     }
 
     fn distances(&self) -> Panel {
-        // The first is broad, as the next often lies upon it.
+        // The first curve is broad, because the next one often covers it.
         let widths = [9, 3, 3, 3];
         self.shares("error is larger than [mm]", widths, Sample::error_mm, None)
     }
 
-    /// In what share of the cycles a value of each solver is larger than so much.
+    /// Share of the cycles in which a value exceeds each threshold, for each solver.
     fn shares(
         &self,
         x: &'static str,
@@ -247,7 +247,7 @@ impl<'a> Drawn<'a> {
         ]
     }
 
-    /// What is commanded, rates of the bend vectors, and the same in the paper's angles.
+    /// The commanded rates: of the bend vectors, and of the paper's angles.
     fn controls(&self) -> [Panel; 2] {
         let samples = self.samples();
         let (mut vectors, mut angles) = (Vec::new(), Vec::new());
@@ -269,7 +269,7 @@ impl<'a> Drawn<'a> {
         ]
     }
 
-    /// How far the lengths of all cables are from those at the straight robot.
+    /// Change of all cable lengths from the straight robot.
     fn cables(&self) -> Panel {
         let colours = [COLOURS, PALE_COLOURS, [DARK, GREY, BROWN]];
         let robot = &self.run.scene.robot;
@@ -285,14 +285,15 @@ impl<'a> Drawn<'a> {
         self.linear("", "change of length [mm]", curves.collect())
     }
 
-    /// How many solves of each solver took longer than so much, the paper's mean, and the period.
+    /// Share of solves that took longer than each time, for each solver, with the paper's mean and the
+    /// period.
     fn times(&self) -> Panel {
         let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
         let period_ms = 1e3 * self.run.scene.period_s;
         let at = |label, ms: f64, colour| {
             Curve::upright(format!("{label} {ms} ms"), 1e3 * ms, SHARES, colour)
         };
-        // Of the spiral with two sections they are the same.
+        // Equal for the spiral with two sections.
         let marks = [
             at("paper's mean", mean_ms, GREY).width(10),
             at("period", period_ms, DARK),
@@ -345,7 +346,7 @@ fn between(from: RGBColor, to: RGBColor, index: usize) -> RGBColor {
     RGBColor(mix(from.0, to.0), mix(from.1, to.1), mix(from.2, to.2))
 }
 
-/// The rates of θ and φ that the command makes at the sample.
+/// Rates of θ and φ caused by the command at the sample.
 fn angle_rates(sample: &Sample, j: usize) -> [f64; 2] {
     let ([u, v], [du, dv]) = (sample.configuration.section(j), sample.rates.section(j));
     let square = (u * u + v * v).max(f64::MIN_POSITIVE);
@@ -429,7 +430,7 @@ fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
     view.panel(title, curves)
 }
 
-/// Over time of each circle, by its safe distance \[m\].
+/// A value of each circle over time, by safe distance \[m\].
 fn of_detours(
     tasks: &[&Drawn<'_>],
     value: impl Fn(&Sample, f64) -> f64,
@@ -450,7 +451,7 @@ fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
     timed(title, "error [mm]", scale, curves)
 }
 
-/// Below zero, the body is nearer than the safe distance.
+/// Negative where the body is nearer than the safe distance.
 fn circle_clearance(tasks: &[&Drawn<'_>]) -> Panel {
     let spare_mm = |sample: &Sample, distance_m| 1e3 * (sample.clearance_m - distance_m);
     let curves = of_detours(tasks, |sample, m| spare_mm(sample, m).min(CLEARANCE_MAX_MM));

@@ -1,18 +1,18 @@
-//! How far a long measurement is, and how long it still takes.
+//! Progress of a long measurement, and its remaining time.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Where there is no terminal, a line at most this often.
+/// Shortest interval between lines without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// Counts the seconds of a measurement whose length is known. A bar on a terminal, a line now and then
-/// elsewhere, both on the standard error.
+/// Progress of a measurement of known duration, in seconds: a bar on a terminal, otherwise occasional lines,
+/// both on standard error.
 #[derive(Debug)]
 pub struct Progress {
-    /// What all of it belongs to now, in front of every word.
+    /// The current part, a prefix of every message.
     part: String,
     total_s: f64,
     done_s: f64,
@@ -22,12 +22,12 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// A measurement that takes about `total_s` \[s\].
+    /// A measurement of about `total_s` \[s\].
     pub fn new(total_s: f64) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
             let template = "{bar:24} {percent:>3} %, {eta} left: {msg}";
             let bar = ProgressBar::new(milliseconds(total_s));
-            // A stretch may take minutes: the time that is left goes on meanwhile.
+            // A stretch may take minutes; the remaining time is updated meanwhile.
             bar.enable_steady_tick(Duration::from_millis(500));
             match ProgressStyle::with_template(template) {
                 Ok(style) => bar.with_style(style),
@@ -50,11 +50,11 @@ impl Progress {
         progress
     }
 
-    /// Which of several measurements begins now, and how long it and those after it take \[s\].
+    /// Begins one of several measurements; `left_s` is the duration of this and all later ones \[s\].
     pub fn begin_part(&mut self, part: &str, left_s: f64) {
         self.expect(self.done_s + left_s - self.total_s);
         self.part = format!("{part}: ");
-        // Each part is told, however short the one before was.
+        // Each part is printed, however short the previous one was.
         self.last_line = None;
         self.begin("begins");
     }
@@ -67,7 +67,7 @@ impl Progress {
         }
     }
 
-    /// So much of the measurement is done \[s\].
+    /// Adds completed time of the measurement \[s\].
     pub fn advance(&mut self, seconds: f64) {
         self.done_s += seconds;
         if let Some(bar) = &self.bar {
@@ -75,7 +75,7 @@ impl Progress {
         }
     }
 
-    /// So much takes longer, or shorter, than was thought \[s\].
+    /// Changes the expected duration by `more_s`, which may be negative \[s\].
     pub fn expect(&mut self, more_s: f64) {
         self.total_s = (self.total_s + more_s).max(self.done_s);
         if let Some(bar) = &self.bar {
@@ -90,7 +90,7 @@ impl Progress {
         }
         self.last_line = Some(Instant::now());
         let percent = 100.0 * (self.done_s / self.total_s.max(1e-9)).min(1.0);
-        // What was counted goes by the clock of the measurement; what surrounds it takes time, too.
+        // Completed time counts measurement only; the work around it takes time, too.
         let slower = match self.done_s {
             0.0 => 1.0,
             done_s => self.begun.elapsed().as_secs_f64() / done_s,

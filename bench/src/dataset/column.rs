@@ -1,4 +1,4 @@
-//! A column: which value of a row it shows, and how.
+//! A column: the key of its value in a row, and its format.
 
 use std::collections::BTreeMap;
 
@@ -13,10 +13,10 @@ pub struct Column {
 
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Show {
-    /// On the left of its column; everything else on the right.
+    /// Left-aligned; all other formats are right-aligned.
     Word,
     Plain,
-    /// Three digits, as far as they say something.
+    /// Three to four digits without trailing zeros; whole numbers in full.
     Short,
     Fixed(usize),
     Signed,
@@ -60,7 +60,7 @@ impl Column {
     }
 }
 
-/// Declares a function for each way to show a value: from the head of a column and the key of its values.
+/// Declares a constructor for each format, with the head of the column and the key of its values.
 macro_rules! columns {
     ($($name:ident($($digits:ident)?) = $show:expr;)+) => {
         $(pub const fn $name(head: &'static str, key: &'static str $(, $digits: usize)?) -> Column {
@@ -79,7 +79,7 @@ columns! {
     percent(digits) = Show::Percent(digits);
 }
 
-/// Three digits, as far as they say something.
+/// Three to four digits without trailing zeros; whole numbers below 10⁶ in full.
 fn short(value: f64) -> String {
     let digits = match value.abs() {
         _ if value == value.round() && value.abs() < 1e6 => 0,

@@ -1,8 +1,8 @@
-//! Deadline misses and latencies of the daemon beside what the machine can do, under named loads.
+//! Deadline misses and latencies of the daemon under named loads, next to a baseline of the machine.
 //!
-//! A round runs, for every load, a bare loop, the daemon, and cyclictest where it is installed, one after the
-//! other; the next round begins with another of them. So what the machine does of itself meets all of them
-//! alike, and the spread of the rounds says how far a difference can be believed.
+//! For every load, a round runs the bare loop, the daemon and, if installed, cyclictest, one after the other.
+//! The next round begins with another of them. Therefore disturbances of the machine affect all of them
+//! equally, and the spread of the rounds shows which differences are significant.
 
 mod report;
 mod stretch;
@@ -30,16 +30,16 @@ use crate::system::thread::may_be_realtime;
 use report::{Cases, Key};
 use stretch::Runner;
 
-/// What is not counted at the beginning of a stretch: memory is mapped, caches fill.
+/// Uncounted time at the beginning of a stretch, in which memory is mapped and caches fill.
 pub const WARM_UP: Duration = Duration::from_secs(1);
-/// What a stretch takes beside its cycles and its warm-up \[s\]: processes start and end.
+/// Start and end of the processes of a stretch \[s\].
 const AROUND_S: f64 = 1.2;
 
 named! {
     pub enum Setup {
         /// `SCHED_FIFO`, a core of their own, locked memory.
         Realtime = "realtime",
-        /// None of it: what an ordinary process gets.
+        /// An ordinary process without real time.
         Ordinary = "ordinary",
     }
 }
@@ -84,7 +84,7 @@ impl DeadlineOptions {
         self.duration / self.rounds.max(1)
     }
 
-    /// What a round measures, in this order: another subject comes first in each round.
+    /// Keys of a round in the order of measurement: each round begins with another subject.
     fn stretches(&self, runner: &Runner<'_>, is_realtime: bool, round: u32) -> Vec<Key> {
         let mut keys = Vec::new();
         for setup in Setup::ALL {
@@ -104,7 +104,7 @@ impl DeadlineOptions {
         keys
     }
 
-    /// The loads of a set-up; none when it is not measured.
+    /// The loads of a set-up; empty if the set-up is not measured.
     fn loads(&self, setup: Setup) -> Vec<Load> {
         let usual: &[Load] = match (setup, self.setup, self.quick) {
             (Setup::Realtime, Setups::Ordinary, _) | (Setup::Ordinary, Setups::Realtime, _) => {
@@ -174,8 +174,8 @@ impl Benchmark for DeadlineOptions {
                 let what = format!("round {round} of {}, load {names}", self.rounds);
                 progress.begin(&what);
                 let start = Instant::now();
-                // One that fails is measured once more: a machine may stall for longer than a process can bear, and half
-                // an hour of measurements is not to be lost by that. It is told.
+                // A failed stretch is repeated once, and the failure is reported. A long stall must not
+                // discard half an hour of measurements.
                 let measure = || runner.run(key.subject, key.load, key.setup);
                 let tally = measure().or_else(|failure| {
                     interrupt::check()?;

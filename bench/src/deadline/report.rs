@@ -1,4 +1,4 @@
-//! What `deadline` found, as rows, plots and single numbers.
+//! Results of `deadline` as rows, plots and single numbers.
 
 use std::collections::BTreeMap;
 use std::slice;
@@ -20,10 +20,10 @@ use crate::load::Load;
 use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, pooled};
 
-/// The least share of the cycles that is drawn.
+/// Smallest drawn share of the cycles.
 const SHARES: f64 = 1e-5;
 
-/// Two counts of misses differ when chance alone would make such a difference less often than this.
+/// Significance level of a difference between two counts of misses.
 const SIGNIFICANCE: f64 = 0.05;
 
 const EXPLANATION: &str = include_str!("deadline.html");
@@ -124,7 +124,7 @@ impl Key {
     }
 }
 
-/// All rounds of one subject under one load: a row and the latencies of each.
+/// All rounds of one subject under one load: a row and the latencies of each round.
 #[derive(Default)]
 pub(super) struct Case {
     rounds: Vec<Value>,
@@ -134,7 +134,7 @@ pub(super) struct Case {
 pub(super) type Cases = BTreeMap<Key, Case>;
 
 impl Case {
-    /// Adds a round of which this is known beside what was measured.
+    /// Adds a round: `of_round` holds what is known beside the measurement.
     pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) {
         let times = times_json(&tally.times);
         let mut row = joined([key.json(), of_round, tally.counts, times]);
@@ -147,12 +147,12 @@ impl Case {
         each(&self.rounds, key).reduce(|sum, value| sum + value)
     }
 
-    /// A time of all rounds.
+    /// One of the times, over all rounds.
     fn pooled(&self, time: usize) -> Result<Histogram<u64>> {
         pooled(self.times.iter().map(|times| &times[time]))
     }
 
-    /// All rounds together, their medians, and the rounds themselves.
+    /// The row of all rounds together, their medians, and the rounds themselves.
     fn row(&self, key: Key, times: &Times) -> Value {
         let mut all = together(&self.rounds, &COUNTED);
         for of_a_round in ["round", "start_s", "load_did"] {
@@ -183,7 +183,7 @@ fn time_rows(key: Key, times: &Times) -> Vec<Value> {
     measured.map(row).collect()
 }
 
-/// Misses of the deadline, and releases that were due: cycles that ran, and those that were skipped.
+/// Deadline misses, and due releases: executed and skipped cycles.
 fn misses(rounds: &[Value]) -> (u64, u64) {
     let count = |key| each(rounds, key).sum::<f64>() as u64;
     let due = count("cycles") + count("skipped_periods");
@@ -194,29 +194,29 @@ fn per_million((misses, due): (u64, u64)) -> f64 {
     1e6 * misses as f64 / due.max(1) as f64
 }
 
-/// The probability that chance alone gives the daemon at least its part of the misses of both, each given as misses and
-/// due cycles: the conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31, 1940). 1 when the
-/// daemon missed nothing.
+/// Probability that chance alone gives the daemon at least its part of the misses of both, each given as
+/// misses and due cycles. Conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31,
+/// 1940). 1 when the daemon missed nothing.
 pub fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
     let (misses, due) = (ours.0 + theirs.0, ours.1 + theirs.1);
     if ours.0 == 0 || due == 0 {
         return 1.0;
     }
     let share = ours.1 as f64 / due as f64;
-    // At least so many is more than one less.
+    // P(X ≥ n) = P(X > n - 1).
     Binomial::new(share, misses).map_or(1.0, |all| all.sf(ours.0 - 1))
 }
 
-/// One number of each round of `above` over that of the same round of `below`; rounds in which one of them lacks it are
-/// left out. Both wake up early and spin to the release (`realtime.spin_us`):
-/// a start within a microsecond of it is punctual and counts as one, so that no clock reading is divided by another.
+/// Ratio of one number in each round of `above` to that in the same round of `below`, if both have it. Both
+/// subjects wake up early and spin until the release (`realtime.spin_us`). Starts within a microsecond of the
+/// release count as one microsecond, so that no ratio depends on a clock reading.
 fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
     let pairs = above.rounds.iter().zip(&below.rounds);
     let ratio = |(above, below)| Some(number(above, key)?.max(1.0) / number(below, key)?.max(1.0));
     pairs.filter_map(ratio).collect()
 }
 
-/// The daemon beside the bare loop, and beside itself without a load.
+/// Compares the daemon with the bare loop, and with the daemon without a load.
 fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     let of = |load, subject| {
         cases.get(&Key {
@@ -240,12 +240,12 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
         "load": key.load,
         "set_up": key.setup,
         "realtime": key.setup == Setup::Realtime,
-        // Wake-up of the daemon over that of the bare loop: median of the rounds, and their range.
+        // Wake-up latency of the daemon over that of the bare loop: median and range of the rounds.
         "wake_p50": middle(&wake_p50),
         "wake_p99": middle(&wake_p99),
         "wake_p50_range": ends(&wake_p50),
         "wake_p99_range": ends(&wake_p99),
-        // Per million cycles that were due; negative: the daemon missed less often.
+        // Per million due cycles; negative when the daemon missed less often.
         "misses_beyond_bare": per_million(ours) - per_million(theirs),
         "misses_p_value": p_value,
         "misses_more": p_value < SIGNIFICANCE,
@@ -329,7 +329,7 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     Ok(dataset)
 }
 
-/// Of each load: how many wake-ups, or commands in the client's hands, were later than so much.
+/// One panel for each load: share of wake-ups, or of commands received by the client, over their lateness.
 fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Result<Vec<Panel>> {
     let keys = cases.keys().filter(|key| key.setup == setup);
     let mut loads: Vec<Load> = keys.map(|key| key.load).collect();
@@ -350,7 +350,7 @@ fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Result<Vec<Panel>> {
                 curves.push(Curve::line(label, longer(&case.pooled(time)?), colour));
             }
         }
-        // A daemon's deadline is its period, unless its configuration says otherwise.
+        // The deadline of a daemon is its period unless configured otherwise.
         curves.push(Curve::upright("period", period_us, SHARES, DARK).width(2));
         let axes = ["later than, µs after the release", "share of the cycles"];
         let scale = Scale::LogLog { floor: SHARES };
@@ -372,13 +372,13 @@ mod tests {
     fn as_many_misses_as_the_bare_loop_are_no_difference() {
         for (ours, theirs, expected) in [
             ((0, 1000), (9, 1000), 1.0),
-            // One of one: half of the time.
+            // One of one: probability 1/2.
             ((1, 1000), (0, 1000), 0.5),
             // Five of five: (1/2)^5.
             ((5, 1000), (0, 1000), 1.0 / 32.0),
             // At least 3 of 4: (4 + 1) / 16.
             ((3, 1000), (1, 1000), 5.0 / 16.0),
-            // Twice the cycles may have twice the misses: at least 1 of 1 with 2/3.
+            // With twice the cycles, a miss is the daemon's with probability 2/3: at least 1 of 1.
             ((1, 2000), (0, 1000), 2.0 / 3.0),
         ] {
             assert!(

@@ -1,4 +1,4 @@
-//! One stretch of one subject under one load: started, warmed up, measured, ended.
+//! One stretch of one subject under one load: start, warm-up, measurement, end.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -26,16 +26,17 @@ use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
 use crate::watcher::{Seen, Watcher, on_client_core};
 
-/// Priority of whatever is measured with real time: that of the daemon's cycle thread, whatever its configuration says.
+/// Real-time priority of every subject: that of the daemon's cycle thread, independent of the configuration.
 const CYCLE_PRIORITY: u8 = 80;
-/// How long before a release the client wakes up \[ns\]: about what a late wake-up takes. A quarter of shorter periods.
+/// Time by which the client wakes up before a release \[ns\], about the length of a late wake-up. At most a
+/// quarter of the period.
 const EARLY_NS: u64 = 100_000;
-/// How long the last records and incidents may take to arrive \[ns\]: the daemon's reporter is late where the machine stalls.
+/// Time limit for the last records and incidents \[ns\]: the daemon's reporter is late on a stalled machine.
 const LAST_NS: u64 = 300_000_000;
 
 named! {
     pub enum Subject {
-        /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
+        /// The daemon's cycle thread without work: `cdcrd bare`.
         Bare = "bare",
         Daemon = "daemon",
         /// cyclictest of rt-tests, with the daemon's period and priority.
@@ -53,7 +54,7 @@ pub(super) struct Runner<'a> {
 }
 
 impl<'a> Runner<'a> {
-    /// On these cores. A daemon is started once, to see that the configuration is good and to learn its period.
+    /// Starts a daemon once, to check the configuration and to read its period.
     pub(super) fn new(options: &'a DeadlineOptions, cores: Cores) -> Result<Self> {
         let daemon = Daemon::start(&launch(options), &cores)?;
         let connection = daemon.connect()?;
@@ -71,8 +72,7 @@ impl<'a> Runner<'a> {
         })
     }
 
-    /// How what is measured is started. With real time means with all of it: whoever lacks a part is refused, and
-    /// not called real-time.
+    /// Launch of a subject. Real time means all of its parts: a subject that lacks one is refused.
     fn launch(&self, setup: Setup) -> Launch {
         let launch = launch(self.options).placed(&self.cores, setup == Setup::Realtime);
         match setup {
@@ -95,8 +95,8 @@ impl<'a> Runner<'a> {
         subjects
     }
 
-    /// What the subject came to, with what the load did meanwhile, its warm-up included. The clients of a load
-    /// need a daemon: where none is measured, they get a decoy that keeps off the core that is.
+    /// Measures the subject under the load. The counts of the load include the warm-up. A load with clients
+    /// needs a daemon: if the subject is none, the load gets a decoy daemon off the measured core.
     pub(super) fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Tally> {
         let decoy = || {
             Daemon::start(
@@ -150,7 +150,7 @@ impl<'a> Runner<'a> {
             let cycles = bare.wait()?;
             let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
             let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
-            // As the client sees the daemon: a stall over the end of the warm-up counts, with all that it skipped.
+            // As for the daemon: a stall across the end of the warm-up counts, with all skipped periods.
             let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
             Tally::of(&cycles[warm..], false)
         })
@@ -169,8 +169,8 @@ impl<'a> Runner<'a> {
         })
     }
 
-    /// Sees every command of a daemon come, after a warm-up. With real time it goes before every load on its core, so that what is
-    /// measured is the daemon and not how the load shares a core with its client.
+    /// Receives every command of a daemon after a warm-up. With real time, this client has priority over the
+    /// loads on its core. Therefore the result does not depend on how the core is shared.
     fn observe(&self, location: &Location, setup: Setup) -> Result<Tally> {
         let mut watcher = Watcher::open(location, EARLY_NS)?;
         let mut incidents = watcher.connection.incidents()?;
@@ -179,10 +179,10 @@ impl<'a> Runner<'a> {
         watcher.watch_until(begin_ns)?;
         let (lost_before, before_ms) = (watcher.lost(), self.stolen_ms(setup));
         let mut records = Vec::new();
-        // The incidents know more than the records: what the hypervisor took from the core.
+        // Incidents have more information than records: the time taken by the hypervisor.
         let mut causes = HashMap::new();
         let mut watch_until = |until_ns: u64| {
-            // Only between releases: whatever is done while a command is looked for makes it late.
+            // Only between releases: other work while waiting for a command would delay its receipt.
             while watcher.watch(until_ns)? {
                 let seen = watcher.seen.drain(..).map(|seen| Record::of(&seen));
                 records.extend(seen.filter(|it| (begin_ns..end_ns).contains(&it.cycle.due_ns)));
@@ -205,7 +205,7 @@ impl<'a> Runner<'a> {
         Ok(tally)
     }
 
-    /// A tally with what the hypervisor took meanwhile.
+    /// Measures a tally, with the time taken by the hypervisor meanwhile.
     fn with_steal(&self, setup: Setup, measure: impl FnOnce() -> Result<Tally>) -> Result<Tally> {
         let before_ms = self.stolen_ms(setup);
         let mut tally = measure()?;
@@ -213,8 +213,8 @@ impl<'a> Runner<'a> {
         Ok(tally)
     }
 
-    /// What the hypervisor has taken since the start of the machine from the real-time core, in as far as it is counted
-    /// \[ms\]; without real time from all, because the threads are where the system puts them.
+    /// Time that the hypervisor has taken from the real-time core since the start of the machine \[ms\], if
+    /// counted. Without real time, from all cores, because the threads may run on any of them.
     fn stolen_ms(&self, setup: Setup) -> f64 {
         let own = self.cores.realtime;
         let others = self.cores.others.iter().copied();
@@ -224,7 +224,7 @@ impl<'a> Runner<'a> {
 }
 
 fn launch(options: &DeadlineOptions) -> Launch {
-    // A driver is not there: the robot is simulated, whatever the configuration says.
+    // There is no driver, so the robot is simulated, whatever the configuration says.
     let launch = Launch::patient(options.config.clone())
         .with("link.kind", "simulated")
         .with("realtime.cycle_priority", CYCLE_PRIORITY);
@@ -234,13 +234,13 @@ fn launch(options: &DeadlineOptions) -> Launch {
     }
 }
 
-/// What is kept of a daemon's cycle.
+/// Data kept of a daemon's cycle.
 struct Record {
     number: u64,
     cycle: Cycle,
     tracking: bool,
     budget_spent: bool,
-    /// From the release to the command in the client's hands.
+    /// Time from the release to the receipt of the command by the client.
     command_ns: Option<u64>,
 }
 

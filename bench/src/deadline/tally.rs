@@ -1,4 +1,4 @@
-//! What one stretch of cycles comes to: counts, causes and latencies.
+//! Result of one stretch of cycles: counts, causes and latencies.
 
 use anyhow::Result;
 use cdcr_shared_types::codes::LateCause;
@@ -11,22 +11,22 @@ use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
-// The times of a cycle, all from the release that was due but for compute: start to hand-over of the command. Response ends
-// with the hand-over, command in the client's hands.
+// Indices of the times of a cycle. All begin at the due release except compute, which lasts from start to
+// hand-over. Response ends with the hand-over, command with its receipt by the client.
 pub(super) const WAKE: usize = 0;
 const COMPUTE: usize = 1;
 const RESPONSE: usize = 2;
 pub(super) const COMMAND: usize = 3;
 pub(super) const TIME_NAMES: [&str; 4] = ["wake", "compute", "response", "command"];
 
-/// All latencies \[ns\]; empty for what has no such time.
+/// All latencies \[ns\]; empty where the subject has no such time.
 pub(super) type Times = [Histogram<u64>; 4];
 
 pub(super) fn empty_times() -> Result<Times> {
     Ok([histogram()?, histogram()?, histogram()?, histogram()?])
 }
 
-/// Of each time five numbers \[µs\], under its name with the unit; null for those that were not measured.
+/// Five quantiles \[µs\] of each time, under its name with the unit; null if not measured.
 pub(super) fn times_json(times: &Times) -> Value {
     let named = TIME_NAMES.iter().zip(times);
     let quantiles = named.map(|(name, times)| (format!("{name}_us"), json!(Quantiles::of(times))));
@@ -39,8 +39,8 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// With these counts; null is what a subject does not tell: cyclictest tells neither why it was late nor how long it waited for
-    /// its core, and only a daemon has clients.
+    /// Adds null for unavailable counts. cyclictest reports neither causes nor the wait for its core, and
+    /// only a daemon has clients.
     fn new(counts: Value, times: Times) -> Self {
         let untold = json!({
             "own_misses": null, "causes": null, "run_delay_ms": null,
@@ -50,13 +50,13 @@ impl Tally {
         Self { counts, times }
     }
 
-    /// Of cycles; `computes` says whether what they handed over was computed.
+    /// Tally of cycles; `computes` says whether the handed-over commands were computed.
     pub(super) fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
         let (mut times, mut causes) = (empty_times()?, Causes::default());
         let mut after_miss = false;
         for cycle in cycles {
             let is_late = cycle.late_start || cycle.deadline_miss;
-            // A punctual cycle whose releases the one before took has nothing to answer for.
+            // A punctual cycle after a miss does not count: its skipped releases belong to the miss.
             if is_late || (cycle.skipped_periods > 0 && !after_miss) {
                 causes.count(cycle.cause);
             }
@@ -74,19 +74,20 @@ impl Tally {
             "cycles": cycles.len(),
             "late_starts": count(|cycle| cycle.late_start),
             "deadline_misses": count(|cycle| cycle.deadline_miss),
-            // Those that are ours: the computation took too long, or a page was missing.
+            // Misses caused by the daemon: a computation that took too long, or a page fault.
             "own_misses": count(|cycle| {
                 cycle.deadline_miss && matches!(cycle.cause, LateCause::Compute | LateCause::PageFault)
             }),
             "skipped_periods": sum(|cycle| cycle.skipped_periods.into()),
             "causes": causes,
-            // Time that the thread was ready and another had the core.
+            // Time that the thread was ready while another one had the core.
             "run_delay_ms": sum(|cycle| cycle.run_delay_ns) as f64 * 1e-6,
         });
         Ok(Self::new(counts, times))
     }
 
-    /// Of what cyclictest tells: a wake-up later than the deadline is a miss, later than the limit a late start.
+    /// Tally of cyclictest: a wake-up later than `deadline_ns` is a miss, one later than `late_ns` a late
+    /// start.
     pub(super) fn of_cyclictest(
         latencies: &Latencies,
         deadline_ns: u64,
@@ -130,7 +131,7 @@ mod tests {
             cycle(20, 5200, LateCause::PageFault),
             cycle(2000, 2040, LateCause::Load),
             cycle(30, 9000, LateCause::Stall),
-            // Punctual again; the cycle before took its releases.
+            // Punctual again; the cycle before consumed its releases.
             cycle(20, 50, LateCause::Stall),
         ];
         cycles[6].skipped_periods = 1;

@@ -1,4 +1,4 @@
-//! One daemon from its start to its end: how long the start takes, what it takes then, idle and tracking.
+//! Resources of one daemon from start to end: start-up times, then usage idle and tracking.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,15 +24,14 @@ use crate::system::cores::Cores;
 use crate::system::counts::{core_share, threads};
 
 pub(super) const MB: f64 = 1e6;
-/// Between a change and what is measured after it.
+/// Pause between a change and the next measurement.
 const SETTLE: Duration = Duration::from_millis(500);
-/// The pause of a client between two looks whether there is a daemon.
+/// Interval at which a client polls for a daemon.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
-/// Those of the real-time core.
+/// Threads of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
-/// Starts a daemon that a client looks for from the beginning, measures how long that takes from the start of the
-/// process, and ends it.
+/// Measures the start-up times of a daemon, with a client that polls for it from the start of the process.
 pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     let (daemon, begin_ns, manager) = start(launch, cores)?;
     let deadline = Instant::now() + TIMEOUT;
@@ -52,19 +51,20 @@ pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     daemon.stop()?;
     let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
     Ok(json!({
-        // To the first release of its grid.
+        // To the first release of the grid.
         "first_release_ms": since_ms(status.origin_ns + status.period_ns),
-        // To what it tells a service manager after its first good cycle (`READY=1`).
+        // To the message to a service manager after the first good cycle (`READY=1`).
         "ready_ms": since_ms(ready_ns),
-        // To the first record in the hands of a client that pauses for a millisecond between two looks for the daemon.
+        // To the receipt of the first record by a client that polls every millisecond.
         "first_record_ms": since_ms(record_ns),
     }))
 }
 
-/// When `READY=1` came \[ns\], heard in a thread of its own: a look of a client may last longer than what is measured.
+/// Time of `READY=1` \[ns\], received on a separate thread: one poll of a client may last longer than the
+/// measured time.
 type Manager = JoinHandle<Result<Option<u64>>>;
 
-/// Starts a daemon under a service manager, and tells when its start began \[ns\].
+/// Starts a daemon under a service manager, and returns the time before the start \[ns\].
 fn start(launch: &Launch, cores: &Cores) -> Result<(Daemon, u64, Manager)> {
     let folder = Scratch::temporary().context("a folder for temporary files")?;
     let path = folder.path().join("notify");
@@ -93,7 +93,7 @@ fn late(daemon: &Daemon, missing: &str) -> String {
     format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 
-/// When `READY=1` came \[ns\]; none within the time that a daemon may take.
+/// Time of `READY=1` \[ns\]; `None` after the time limit.
 fn hear_ready(socket: &UnixDatagram) -> Result<Option<u64>> {
     let deadline = Instant::now() + TIMEOUT;
     let mut message = [0; 4096];
@@ -114,8 +114,8 @@ fn says_ready(message: &[u8]) -> bool {
     lines.any(|line| line == b"READY=1")
 }
 
-/// Starts a daemon that no client disturbs before it is measured for so long, idle, then tracking. What was measured, under the
-/// keys of the quantities.
+/// Starts a daemon without clients and measures its usage: idle, then tracking. Returns the quantities by
+/// key.
 pub(super) fn usage(
     launch: &Launch,
     cores: &Cores,
@@ -140,7 +140,7 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     let before_tracking = memory()?;
     let tracking = watch(daemon, tracking)?;
     let after_tracking = memory()?;
-    // Those of the tracking client are among them.
+    // Includes the files of the tracking client.
     let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
     let (root_files, _) = files(&[daemon.location().root().to_owned()]);
     let status = daemon.connect()?.status(TIMEOUT)?;
@@ -156,7 +156,7 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
         let idle_percent = idle.get(name).unwrap_or(&0.0);
         threads[name] = json!({ "idle_percent": idle_percent, "tracking_percent": percent });
     }
-    // Switched off, it is not asked for either.
+    // A daemon with real time switched off does not request locked memory.
     let is_locked = status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0;
     Ok(json!({
         "core_tracking_percent": core(&tracking),
@@ -182,15 +182,15 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     }))
 }
 
-/// Share of a core that each thread used \[%\].
+/// Share of a core used by each thread \[%\].
 type Shares = BTreeMap<String, f64>;
 
-/// None where the kernel does not count what threads use.
+/// `None` where the kernel does not count the time of threads.
 fn sum<'a>(percents: impl Iterator<Item = &'a f64>) -> Option<f64> {
     percents.copied().reduce(|sum, percent| sum + percent)
 }
 
-/// In the time to come. Threads of one name are added up.
+/// Measures for `length`. Threads with the same name are added.
 fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
     let (before, begin) = (threads(daemon.id()), Instant::now());
     interrupt::sleep(length)?;
@@ -201,9 +201,9 @@ fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
 }
 
 struct Memory {
-    /// `/proc/PID/status`. `VmLck` is counted by address range: more than what is resident.
+    /// `/proc/PID/status`. `VmLck` counts address ranges: more than the resident memory.
     status: String,
-    /// Since its start.
+    /// Since the start of the process.
     page_faults: u64,
 }
 
@@ -219,7 +219,7 @@ impl Memory {
         })
     }
 
-    /// A value that the kernel gives in units of 1024 bytes (proc(5)).
+    /// A value that the kernel reports in units of 1024 bytes (proc(5)).
     fn mb(&self, key: &str) -> Result<f64> {
         let kib = first_number(field(&self.status, key).unwrap_or_default());
         let kib = kib.with_context(|| format!("/proc/PID/status has no {key}"))?;
@@ -227,7 +227,8 @@ impl Memory {
     }
 }
 
-/// The 10th and 12th number of `/proc/PID/stat`, minor and major. The 2nd is a name in brackets that may hold anything.
+/// Sum of fields 10 and 12 of `/proc/PID/stat`: minor and major faults. Field 2 is a name in brackets with
+/// arbitrary characters.
 fn faults_in(stat: &str) -> Option<u64> {
     let behind_name = &stat[stat.rfind(')')? + 1..];
     let mut numbers = behind_name.split_ascii_whitespace().skip(7).step_by(2);
@@ -235,8 +236,7 @@ fn faults_in(stat: &str) -> Option<u64> {
     Some(next()? + next()?)
 }
 
-/// How many files these are, folders searched, and what is really there of them \[bytes\]: pages that nobody touched
-/// take nothing.
+/// Number of files, folders searched, and their size in memory \[bytes\]; untouched pages take none.
 fn files(paths: &[PathBuf]) -> (u64, u64) {
     let within = |path: &Path| {
         let entries = fs::read_dir(path).into_iter().flatten().flatten();

@@ -1,9 +1,9 @@
-//! What a daemon takes: cores, memory, files, time to start.
+//! Resources of a daemon: cores, memory, files, start-up time.
 //!
-//! Each round starts a daemon with its defaults (200 Hz, three sections) for the times of its start, and a second
-//! one: its memory is read when it says that it is ready, before any client connects; then it is measured without
-//! a client, then while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
-//! from `/proc/PID/status`.
+//! Each round starts a daemon with its defaults (200 Hz, three sections) for the start-up times, and a second
+//! one for the usage. Memory of the second is read at `READY=1`, before any client connects. Then the daemon
+//! is measured without a client, then while it tracks. All counts are the kernel's: core time from
+//! `/proc/PID/task/TID/schedstat`, memory from `/proc/PID/status`.
 
 mod daemon;
 
@@ -25,21 +25,21 @@ use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 use daemon::MB;
 
-/// Share of the time of tracking that is measured without a client, too.
+/// Duration of the measurement without a client, as a share of that with tracking.
 const IDLE_SHARE: f64 = 0.4;
-/// What start, begin of tracking, warm-up and end take, about \[s\].
+/// Approximate time for start, begin of tracking, warm-up and end \[s\].
 const AROUND_S: f64 = 2.3;
-/// Shorter than this the kernel's counts say little.
+/// Shortest duration for meaningful kernel counts.
 const LEAST: Duration = Duration::from_millis(100);
 const MOST: Duration = Duration::from_secs(3600);
 
-/// Unit of what is or is not: 1 is yes, 0 no.
+/// Unit of a boolean: 1 is yes, 0 no.
 const YES_NO: &str = "yes/no";
 
 const EXPLANATION: &str = include_str!("footprint.html");
 
-/// All that is measured: what, its key with the unit at its end, the unit, and what it may be at most; the figures with
-/// a target first.
+/// All quantities: description, key ending in the unit, unit, and upper limit. Those with a target come
+/// first.
 #[rustfmt::skip]
 const QUANTITIES: [(&str, &str, &str, Option<f64>); 22] = [
     ("real-time core, tracking", "core_tracking_percent", "%", Some(3.0)),
@@ -243,7 +243,7 @@ fn threads(rounds: &[Value]) -> Vec<Value> {
     threads
 }
 
-/// Names and sizes of our programs, with their debug information, as they were built.
+/// Names and sizes of the programs, as built, with debug information.
 fn programs() -> Vec<Value> {
     let row = |name| {
         let bytes = std::fs::metadata(program(name).ok()?).ok()?.len();
@@ -297,7 +297,7 @@ mod tests {
             assert_eq!((found, &row["reached"]), (numbers, &reached), "{key}");
         };
         says("core_tracking_percent", [2.5, 1.5, 9.5], json!(true));
-        // 4096 bytes came while tracking: that is not none.
+        // 4096 bytes were added while tracking: the target is zero.
         says("growth_kb", [4.096; 3], json!(false));
         says("page_faults", [0.0; 3], json!(true));
         says("peak_mb", [1.0; 3], json!(null));

@@ -1,8 +1,8 @@
-//! What iceoryx2 itself takes between two processes on two cores: nothing runs but a thread here that sends
-//! and looks, and one there that looks and answers.
+//! Latency of iceoryx2 alone between two processes on two cores: a thread that sends and polls, and a peer
+//! that polls and answers.
 //!
-//! The peer is this program again, as a hidden command. Neither sleeps while it waits, and neither has a
-//! real-time priority: a real-time thread that never sleeps is halted by the system.
+//! The peer is this program with a hidden command. Neither side sleeps while it waits, and neither has a
+//! real-time priority: the kernel throttles a real-time thread that never sleeps.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
     })
 }
 
-/// Starts the peer of a measurement. To be called from a thread that outlives it.
+/// Starts the peer. Call it from a thread that outlives the peer.
 fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
     let mut command = process::Command::new(program("cdcr-bench")?);
     command
@@ -85,10 +85,10 @@ pub struct PeerOptions {
     shares: bool,
 }
 
-/// The peer: answers until it is told to end, or its parent has ended. To be called from the main thread.
+/// The peer: answers until SIGTERM or the end of its parent. Call it from the main thread.
 pub fn peer(options: &PeerOptions) -> Result<()> {
-    // The parent asks it to end, and so does the kernel when the parent has ended: twice is no hurry. Caught before
-    // the kernel is asked, so that no signal finds the peer without a handler.
+    // SIGTERM may come twice, from the parent and from the kernel when the parent has ended. The handler is
+    // installed before the kernel's signal is requested.
     let ends = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGTERM, Arc::clone(&ends)).context("signals")?;
     set_parent_process_death_signal(Some(Signal::TERM)).context("to end with the parent")?;
@@ -96,7 +96,7 @@ pub fn peer(options: &PeerOptions) -> Result<()> {
     ensure!(!is_orphan(), "the parent has ended");
     pin(options.core);
     let answered = answer(options, &ends);
-    // Whoever would have cleaned up is gone. A root that is no [`Place`]'s is left alone.
+    // The parent can no longer clean up. Only a root folder of a [`Place`] is removed.
     if is_orphan() && is_root_of_place(&options.root) {
         let _ = fs::remove_dir_all(&options.root);
     }
@@ -116,7 +116,7 @@ fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
     let there = services.there.subscriber_builder().create()?;
     let back = services.back.publisher_builder().create()?;
     let control = services.control.server_builder().create()?;
-    // Asked at each look: on a crowded core that it shares, each look may be a turn of all others after the one before.
+    // Checked in each iteration: on a shared, crowded core, every other thread may run in between.
     while !ends.load(Ordering::Relaxed) {
         if let Some(sample) = there.receive().context("the peer cannot hear")? {
             let mut message = *sample.payload();
@@ -171,7 +171,7 @@ struct Near {
 }
 
 impl Near {
-    /// Opens the ports and waits for those of the peer: what is sent before they are there is lost.
+    /// Opens the ports and waits for those of the peer, because earlier messages would be lost.
     fn open(location: &Location, shares: bool) -> Result<Self> {
         let services = Services::open(location)?;
         let near = Self {
@@ -197,7 +197,7 @@ impl Near {
         Ok(near)
     }
 
-    /// Looks until `look` finds something, without a rest.
+    /// Polls without a pause until `look` returns a value.
     fn wait_for<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<(T, u64)> {
         let begin = Instant::now();
         while begin.elapsed() < TIMEOUT {
@@ -216,7 +216,7 @@ impl Near {
         interrupt::check()
     }
 
-    /// Carries `once` out again and again, with a pause in between; what counts of it is recorded.
+    /// Repeats `once` with a pause in between, and records the iterations after the warm-up.
     fn repeat<const N: usize>(
         &self,
         samples: usize,
@@ -228,7 +228,7 @@ impl Near {
             for (leg, since_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
                 round.record(leg, received_ns - since_ns);
             }
-            // Without a sleep, as a thread does that is awake when a message comes.
+            // Without a sleep, like a thread that is awake when a message comes.
             while monotonic_ns() < received_ns + GAP_NS {
                 self.pause()?;
             }

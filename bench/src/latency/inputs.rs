@@ -1,7 +1,7 @@
-//! Something is sent → the first command that uses it, or the answer to it, is in the client's hands.
+//! Latency from sending a message until the client receives the first command that uses it, or its answer.
 //!
-//! The exchange answers a renewal of the lease in the gather that takes it; the cycle decides a request
-//! about the mode, and the exchange answers it after the command of that cycle has left.
+//! The exchange answers a renewal of the lease in the gather that takes it. The cycle decides a request about
+//! the mode, and the exchange answers it after the command of that cycle has left.
 
 use std::collections::HashMap;
 
@@ -18,24 +18,24 @@ use super::{early_ns, scene};
 use crate::metric::median;
 use crate::watcher::{Seen, Watcher};
 
-/// So many of each kind are sent before one counts: ports map memory, caches fill.
+/// Messages of each kind before the first one counts: ports map memory, caches fill.
 pub(super) const WARM_UP: usize = 10;
-/// Records from which the lead of the gather is learned.
+/// Records from which the lead of the gather is estimated.
 const LEAD_RECORDS: usize = 20;
-/// So many messages may be without an effect, beside as many as count.
+/// Messages without an effect that are tolerated in addition to the samples.
 const SPARE: usize = 500;
-/// Fractional part of the golden ratio: its multiples fill the circle more evenly than those of any other
-/// number, however many of them are taken.
+/// Fractional part of the golden ratio: its multiples cover the circle more evenly than those of any other
+/// number, for every count.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Moments that are spread evenly over the period.
+/// Times that are spread evenly over the period.
 #[derive(Default)]
 pub(super) struct Phases {
     taken: u32,
 }
 
 impl Phases {
-    /// The next one, as a part of `period_ns`.
+    /// The next time, as a part of `period_ns`.
     pub(super) fn next_ns(&mut self, period_ns: u64) -> u64 {
         self.taken += 1;
         ((f64::from(self.taken) * GOLDEN).fract() * period_ns as f64) as u64
@@ -45,10 +45,10 @@ impl Phases {
 pub(super) enum Source {
     /// A reference chunk that replaces the one before.
     Reference(ReferenceFeed),
-    /// A small sphere that nobody comes near to.
+    /// A small sphere out of the robot's reach.
     Obstacle(ObstacleSender),
     Measurement(Box<Driver>),
-    /// A request that changes nothing while the robot follows: to renew the lease, or to track.
+    /// A request without an effect while the robot follows: to renew the lease, or to track.
     Request(RequestKind),
 }
 
@@ -67,7 +67,7 @@ impl Source {
         matches!(self, Self::Request(_))
     }
 
-    /// Sends the message number `index`. What a record knows it by, and its stamp.
+    /// Sends message number `index`. Returns its identification in a record, and its time stamp.
     pub(super) fn send(&self, index: usize, watcher: &mut Watcher) -> Result<(u64, u64)> {
         let length_m = scene::length_m(watcher);
         let header = match self {
@@ -96,13 +96,13 @@ impl Source {
         Ok((header.sequence, header.sent_ns))
     }
 
-    /// What the record says was taken of this source: what it knows it by, the gather that took it, the outcome.
+    /// Messages of this source in the record: identification, gather that took it, outcome.
     fn taken(&self, sender_id: u64, record: &Telemetry) -> Vec<(u64, u64, u32)> {
         let (kind, request) = match self {
             Self::Reference(_) => (EventKind::Reference, None),
             Self::Obstacle(_) => (EventKind::Obstacles, None),
             Self::Request(kind) => (EventKind::Request, Some(*kind)),
-            // The measurement that the record's cycle used for the first time.
+            // The measurement that the record's cycle was the first to use.
             Self::Measurement(_) if record.measurement_state == MeasurementState::Used.code() => {
                 let (measured_ns, outcome) = (record.measurement.measured_ns, Outcome::Accepted);
                 return vec![(measured_ns, record.gather_ns, outcome.code())];
@@ -127,7 +127,7 @@ impl Source {
     }
 }
 
-/// One source, and what became of what it sent.
+/// One source, and its messages.
 struct Line {
     source: Source,
     sent: HashMap<u64, Sent>,
@@ -154,7 +154,7 @@ impl Line {
         Ok(())
     }
 
-    /// Records what a cycle says of the messages of this line.
+    /// Evaluates the effects of a cycle on the messages of this line.
     fn take(&mut self, cycle: &Seen, sender_id: u64, round: &mut Round) -> Result<()> {
         for (key, gather_ns, outcome) in self.source.taken(sender_id, &cycle.record) {
             let Some(sent) = self.sent.remove(&key) else {
@@ -181,7 +181,7 @@ impl Line {
             } else {
                 cycle.received_ns
             };
-            // A command that never came, because the client was away too long, is no latency.
+            // Without its command, because the client was away too long, there is no latency.
             let Some(received_ns) = received_ns else {
                 round.without_command += u64::from(!is_request);
                 continue;
@@ -198,8 +198,8 @@ impl Line {
     }
 }
 
-/// Sends from each source in turn, at phases spread over the period, until `samples` of each count; requests one at a time.
-/// `lead_ns` before a release the daemon gathers.
+/// Sends from each source in turn, at phases spread over the period, until each has `samples`. Requests are
+/// sent one at a time. `lead_ns`: time from the gather to the release.
 pub(super) fn measure(
     watcher: &mut Watcher,
     lead_ns: u64,
@@ -209,13 +209,13 @@ pub(super) fn measure(
 ) -> Result<()> {
     watcher.before_ns = early_ns(watcher);
     if sources.iter().any(Source::is_request) {
-        // An answer may come as soon as the inputs are gathered.
+        // An answer may come right after the gather.
         watcher.before_ns += lead_ns;
     }
     let is_simulated = sources
         .iter()
         .all(|source| matches!(source, Source::Reference(_) | Source::Obstacle(_)));
-    // Periods from one message to the next: of every source one in each second period; an answer takes two.
+    // Periods between two messages: each source sends in every second period; an answer takes two.
     let gap = if is_simulated { 1 } else { 2 };
     let line = |source| Line {
         source,
@@ -231,7 +231,7 @@ pub(super) fn measure(
         let phase_ns = phases.next_ns(watcher.status.period_ns);
         let due_ns = watcher.release_ns(cycle) + phase_ns;
         let until_ns = |is_waiting| if is_waiting { u64::MAX } else { due_ns };
-        // Only between releases: whatever is done while a command is looked for makes it late.
+        // Only between releases: other work while waiting for a command would delay its receipt.
         while watcher.watch(until_ns(watcher.waits_for_answer()))? {
             take(watcher, &mut lines, is_simulated, round)?;
         }
@@ -247,7 +247,7 @@ pub(super) fn measure(
     )
 }
 
-/// What came, said of the messages of all lines.
+/// Passes on answers and records to the lines.
 fn take(
     watcher: &mut Watcher,
     lines: &mut [Line],
@@ -288,8 +288,8 @@ fn record_command(cycle: &Seen, round: &mut Round) {
     }
 }
 
-/// The daemon does not tell how long before a release it gathers; its records do. The median: a single gather
-/// may be late, and a single cycle may sleep for an old release.
+/// Estimates the lead of the gather from records, because the status does not contain it. The median, because
+/// a single gather may be late and a single cycle may sleep for an old release.
 pub(super) fn learn_lead_ns(watcher: &mut Watcher) -> Result<u64> {
     for _ in 0..LEAD_RECORDS {
         watcher.watch_release()?;
@@ -299,8 +299,8 @@ pub(super) fn learn_lead_ns(watcher: &mut Watcher) -> Result<u64> {
     Ok(median(leads_ns).unwrap_or(0.0) as u64)
 }
 
-/// How long before the release that its cycle slept for a record's inputs were gathered; an old gather says
-/// nothing.
+/// Time from the gather of a record's inputs to the release that its cycle slept for; `None` for stale
+/// inputs.
 fn lead_ns(record: &Telemetry) -> Option<u64> {
     let is_fresh = record.timing_flags & timing::STALE_INPUTS == 0;
     let lead_ns = record.due_ns.saturating_sub(record.gather_ns);

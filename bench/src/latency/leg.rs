@@ -1,4 +1,4 @@
-//! The ways that are timed, each from one stamp to another.
+//! The measured legs, each from one time stamp to another.
 
 use crate::named::named;
 
@@ -10,7 +10,7 @@ const HANDS: &str = "command in the client's hands";
 const FIRST: &str = "first command that uses it in the client's hands";
 const ANSWER: &str = "answer in the client's hands";
 
-/// Each leg with its name, the stamp that it begins with and the one that it ends with.
+/// Each leg: name, start stamp, end stamp.
 macro_rules! legs {
     ($($leg:ident = $name:literal: $from:expr => $to:expr;)+) => {
         named! { pub enum Leg { $($leg = $name,)+ } }
@@ -25,8 +25,8 @@ macro_rules! legs {
     };
 }
 
-// `bare`: two processes and iceoryx2, nothing else. `grid` is the part of a way that waits for the grid, `machinery` the
-// rest. A renewal of the lease is answered by the exchange, a request to track by the cycle.
+// `bare` is iceoryx2 alone between two processes. `grid` is the wait for the grid, `machinery` the rest. The
+// exchange answers a renewal of the lease, the cycle a request to track.
 legs! {
     BareOneWay = "bare.one_way": "stamp in the answer, read before it is sent" => "answer received";
     BareRoundTrip = "bare.round_trip": "before a message is sent" => "answer received";
@@ -59,13 +59,13 @@ legs! {
 }
 
 impl Leg {
-    /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
-    /// that two runs cannot differ in it.
+    /// Whether the leg is only the wait for the grid. By design it is spread evenly over a period, so two
+    /// runs cannot differ in it.
     pub fn is_grid(self) -> bool {
         matches!(self.name().split_once('.'), Some((_, "grid")))
     }
 
-    /// This whole, and what follows it in the list: its part that waits for the grid, and the machinery.
+    /// A whole leg and the two that follow it in the list: its wait for the grid, and the machinery.
     pub(super) fn with_parts(self) -> [Self; 3] {
         [0, 1, 2].map(|part| Self::ALL[self as usize + part])
     }

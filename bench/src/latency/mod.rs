@@ -1,11 +1,11 @@
-//! How long messages take: into the daemon, through it, and back into a client's hands.
+//! Latency of messages into the daemon, through it and back to a client.
 //!
-//! [`baseline`] is iceoryx2 alone, between two processes; `inputs` what is sent, or asked, until its effect; `stops` a
-//! stop until zero rates. [`Leg`] says from which stamp to which each way is timed.
+//! [`baseline`] measures iceoryx2 alone between two processes; `inputs` the time from a message or request to
+//! its effect; `stops` that from a stop to zero rates. [`Leg`] defines the stamps of each leg.
 //!
-//! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,
-//! by design. Each way is therefore told whole, and in two parts: `grid`, until the gather that takes it
-//! begins, and `machinery`, from there on.
+//! Every message waits for the next gather, shortly before a release: half a period on average, by design.
+//! Therefore each latency is reported as a whole and in two parts: `grid`, until the gather that takes the
+//! message begins, and `machinery`, the rest.
 
 pub mod baseline;
 
@@ -37,16 +37,16 @@ pub use leg::Leg;
 pub use report::STOP_MARGIN_US;
 use round::Round;
 
-/// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
+/// Ratio of stops to samples in a round: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
-/// What a stop takes, with the way to its speed \[s\].
+/// Duration of a stop, including the acceleration before it \[s\].
 const STOP_S: f64 = 0.25;
-/// Messages of the bare measurement for each sample: they are fast.
+/// Messages of the bare measurement for each sample; they are fast.
 const BARE_PER_SAMPLE: usize = 8;
-/// What a daemon takes to start and to end \[s\].
+/// Time for a daemon to start and to end \[s\].
 const AROUND_S: f64 = 1.0;
 const PERIOD_S: f64 = 5e-3;
-/// The client is awake this long before what it waits for \[ns\]; on a short period a quarter of that.
+/// Time by which the client wakes up early \[ns\]; on a short period, a quarter of the period.
 const EARLY_NS: u64 = 200_000;
 
 #[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
@@ -86,7 +86,8 @@ impl LatencyOptions {
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
-            // A machine that stalls is no broken sensor: the driver measures where the newest command that it has leads.
+            // A stall of the machine is not a sensor failure. The driver measures the target of its newest
+            // command.
             .with("link.measurement_timeout_ms", "10000.0")
             .with("safety.measurement_jump_rad", "1000.0")
             .with("safety.measurement_frozen_rad", "1000.0")
@@ -150,17 +151,17 @@ impl Benchmark for LatencyOptions {
 
 const BARE: &str = "iceoryx2 alone";
 const SIMULATED: &str = "simulated";
-/// The parts of a round: iceoryx2 alone, and daemons by their `link.kind`.
+/// The parts of a round: iceoryx2 alone, then daemons by their `link.kind`.
 const PARTS: [&str; 3] = [BARE, SIMULATED, "driver"];
 
-/// How long the parts of a round take, about \[s\].
+/// Approximate duration of each part of a round \[s\].
 fn seconds(options: &LatencyOptions) -> [f64; 3] {
     let period = options.period.map(|period| period.as_secs_f64());
     let samples_s = (options.samples() + inputs::WARM_UP) as f64 * period.unwrap_or(PERIOD_S);
     let stops_s = STOP_S * options.stops() as f64;
     [
         baseline::expected_s(options.bare()),
-        // References and obstacles share their periods; requests are of two kinds.
+        // References and obstacles share their periods; there are two kinds of requests.
         AROUND_S + (2.0 + 4.0) * samples_s + stops_s,
         AROUND_S + 2.0 * samples_s,
     ]
@@ -177,7 +178,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// Starts a daemon, and measures it on the client's core, before every ordinary thread if the system grants that.
+    /// Measures a daemon from the client's core, with priority over ordinary threads if the system grants it.
     fn with_daemon(&self, link: &str, round: &mut Round, told: &mut OfDaemon) -> Result<()> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
@@ -259,13 +260,13 @@ impl Bench<'_> {
     }
 }
 
-/// What the daemons told of themselves, and how their client did.
+/// Facts reported by the daemons, and the state of their client.
 #[derive(Default)]
 struct OfDaemon {
     period_us: f64,
-    /// How long before a release the daemon gathers, as its records show \[µs\].
+    /// Time from gather to release, from the daemon's records \[µs\].
     gather_lead_us: f64,
-    /// Whether one of them lacked real time.
+    /// Whether one of the daemons lacked real time.
     refused: bool,
     looks: Looks,
 }
@@ -286,7 +287,7 @@ mod tests {
 
     use super::*;
 
-    /// The part of the time in which this thread had a core during `work`.
+    /// Share of the time of `work` in which this thread had a core.
     fn share_of_core<R>(work: impl FnOnce() -> R) -> (f64, R) {
         let now_s = |clock| {
             let now = clock_gettime(clock);
@@ -305,7 +306,7 @@ mod tests {
         let launch = LatencyOptions::of_report(true).launch("driver", &cores, false);
         let daemon = Daemon::start(&launch, &cores).expect("a daemon");
         let mut watcher = Watcher::open(daemon.location(), EARLY_NS).expect("a client");
-        // Before a first measurement there is no command.
+        // Without a first measurement there is no command.
         let end_ns = monotonic_ns() + 300_000_000;
         let (share, watched) = share_of_core(|| watcher.watch_until(end_ns));
         watched.expect("records");

@@ -1,4 +1,4 @@
-//! What a run found about each leg, as rows, plots and single numbers.
+//! Results of each leg as rows, plots and single numbers.
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
@@ -15,12 +15,12 @@ use crate::dataset::{
 use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, pooled};
 
-/// What may be added to a period from a stop to zero rates \[µs\].
+/// Time that a stop may take beyond one period until zero rates \[µs\].
 pub const STOP_MARGIN_US: f64 = 100.0;
-/// Values without which a 99th percentile is no more than the largest of them.
+/// Values needed for a 99th percentile: with fewer it is just the largest value.
 const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
-/// The least share of the samples that is drawn.
+/// Smallest drawn share of the samples.
 const SHARES: f64 = 1e-4;
 
 const EXPLANATION: &str = include_str!("latency.html");
@@ -72,7 +72,7 @@ const UNMEASURED_COLUMNS: [Column; 4] = [
     ),
 ];
 
-/// What is drawn together: the legs of a panel.
+/// The legs of each panel.
 #[rustfmt::skip]
 const PANELS: [(&str, &[Leg]); 4] = [
     ("Commands beside iceoryx2 alone",
@@ -86,7 +86,7 @@ const PANELS: [(&str, &[Leg]); 4] = [
         &[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]),
 ];
 
-/// Of all rounds, under this title, with how they were measured.
+/// The dataset of all rounds under this title; `setting` describes the measurement.
 pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
     let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
     let heading = "Latency: how long messages take";
@@ -159,7 +159,7 @@ fn round_rows(leg: Leg, rounds: &[Round]) -> Vec<Value> {
     rounds.iter().enumerate().filter_map(row).collect()
 }
 
-/// All rounds together; none without samples.
+/// The row of all rounds together; `None` without samples.
 fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
     let all = of_all(leg, rounds)?;
     let (from, to) = leg.definition();
@@ -179,7 +179,7 @@ fn of_all(leg: Leg, rounds: &[Round]) -> Result<Histogram<u64>> {
     pooled(rounds.iter().map(|round| &round.leg(leg).histogram_ns))
 }
 
-/// The medians of one leg over those of another.
+/// Ratios of the medians of two legs.
 fn ratio(dataset: &mut Dataset, (leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
     let p50 = |round: &Round, leg| Some(Quantiles::of(&round.leg(leg).histogram_ns)?.p50);
     let of_round = |round: &Round| Some(p50(round, leg)? / p50(round, to)?);
@@ -191,7 +191,7 @@ fn ratio(dataset: &mut Dataset, (leg, to): (Leg, Leg), rounds: &[Round]) -> Opti
     Some(row)
 }
 
-/// For people: without the percentiles of fewer values than they need.
+/// The row for people, without percentiles of too few values.
 fn shown(row: &Value) -> Value {
     let mut shown = row.clone();
     for (times, key, count, least) in [
@@ -206,7 +206,7 @@ fn shown(row: &Value) -> Value {
     shown
 }
 
-/// A bound that a leg shall keep at the 99th percentile; of too few values nothing is known.
+/// An upper limit for the 99th percentile of a leg; unknown with too few values.
 fn target(row: &Value, limit_us: f64) -> Value {
     let p99_us = number(&shown(row), "latency_us_p99");
     let kept = p99_us.map(|p99_us| p99_us <= limit_us);
@@ -238,7 +238,7 @@ fn panels(rounds: &[Round], limit_us: f64) -> Result<Vec<Panel>> {
 mod tests {
     use super::*;
 
-    /// A round in which every leg takes 1 to 100 µs, times `factor`, and every stop `stop_us`.
+    /// A round in which every leg takes 1 to 100 µs times `factor`, and every stop `stop_us`.
     fn round(factor: u64, stop_us: u64) -> Round {
         let mut round = Round::new(0).expect("bounds");
         for leg in Leg::ALL {

@@ -1,4 +1,4 @@
-//! What one round measured.
+//! Measurements of one round.
 
 use anyhow::Result;
 use cdcr_client::monotonic_ns;
@@ -8,15 +8,15 @@ use crate::dataset::Recording;
 use crate::quantiles::histogram;
 
 pub(super) struct Round {
-    /// Stops that could not be judged: a record or a command is missing, or the robot was hardly moving.
+    /// Stops without a result: a record or command is missing, or the robot was hardly moving.
     pub(super) spoilt_stops: u64,
-    /// Samples whose command never was in the client's hands, because the client was away too long.
+    /// Samples whose command the client did not receive, because it was away too long.
     pub(super) without_command: u64,
     began_ns: u64,
     legs: Vec<Recording>,
 }
 
-/// When something was sent, taken in and answered \[ns, `CLOCK_MONOTONIC`\].
+/// Times at which a message was sent, gathered and answered \[ns, `CLOCK_MONOTONIC`\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 pub(super) struct Passage {
@@ -26,7 +26,7 @@ pub(super) struct Passage {
 }
 
 impl Round {
-    /// An empty one of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
+    /// An empty round of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
     pub(super) fn new(began_ns: u64) -> Result<Self> {
         let empty = |leg: Leg| {
             Ok(Recording {
@@ -48,7 +48,7 @@ impl Round {
         &self.legs[leg as usize]
     }
 
-    /// Adds a latency; one longer than a minute counts as a minute.
+    /// Adds a latency, limited to one minute.
     pub(super) fn record(&mut self, leg: Leg, latency_ns: u64) {
         let now_s = monotonic_ns().saturating_sub(self.began_ns) as f64 * 1e-9;
         let recording = &mut self.legs[leg as usize];
@@ -59,7 +59,7 @@ impl Round {
         recording.histogram_ns.saturating_record(latency_ns);
     }
 
-    /// Adds a whole way and its two parts. A message that came while its gather was under way did not wait.
+    /// Adds a whole leg and its two parts. A message that came during its gather did not wait.
     pub(super) fn record_way(&mut self, whole: Leg, passage: &Passage) {
         let whole_ns = passage.received_ns.saturating_sub(passage.sent_ns);
         let grid_ns = passage

@@ -1,4 +1,4 @@
-//! The references that the client sends: far enough ahead that no stall makes them late.
+//! References of the client, sent far enough ahead that no stall makes them late.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -13,14 +13,14 @@ use crate::interrupt;
 use crate::subject::TIMEOUT;
 use crate::watcher::Watcher;
 
-/// When a reference begins after it was sent \[ns\]: until then its first point counts.
+/// Time from sending to the begin of a reference \[ns\]; until then its first point applies.
 const BEGINS_NS: u64 = 500_000_000;
-/// How often the robot is asked to follow the reference.
+/// Interval between requests to follow the reference.
 const ASK_AGAIN: Duration = Duration::from_millis(5);
-/// When it ends: longer than any measurement \[ns\].
+/// End of a reference, later than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
 
-/// Sends a new reference that stays at one place.
+/// Sends a new reference that stays at one position.
 pub(super) fn send(feed: &ReferenceFeed, position_m: [f64; 3]) -> Result<Header> {
     let now_ns = monotonic_ns();
     let point = |after_ns: u64| ReferencePoint {
@@ -36,20 +36,20 @@ pub(super) fn length_m(watcher: &Watcher) -> f64 {
     section_lengths_m(&watcher.status.robot).iter().sum()
 }
 
-/// Places on a small circle, one after the other, for a robot of this length: it always has a little to do.
+/// Positions on a small circle in turn, scaled to the robot's length: the robot always has some work.
 pub(super) fn on_circle(index: usize, length_m: f64) -> [f64; 3] {
     let (sin, cos) = (0.1 * index as f64).sin_cos();
     [0.2 * length_m * cos, 0.2 * length_m * sin, 0.7 * length_m]
 }
 
-/// A place far to one side, or to the other.
+/// A position far to one side, alternating.
 pub(super) fn aside(index: usize, length_m: f64) -> [f64; 3] {
     let side = if index.is_multiple_of(2) { 0.4 } else { -0.4 };
     [side * length_m, 0.1 * length_m, 0.5 * length_m]
 }
 
-/// Takes the lease and lets the robot follow. One behind a driver is measured meanwhile: the daemon takes silence for a
-/// fault, and knows and holds the robot only once it was measured.
+/// Takes the lease and starts tracking. With a driver, measurements are sent meanwhile: the daemon needs one
+/// before it holds the robot, and takes silence for a fault.
 pub(super) fn follow(watcher: &mut Watcher, driver: Option<&Source>) -> Result<ReferenceFeed> {
     let measure = |watcher: &mut Watcher| -> Result<()> {
         interrupt::check()?;
@@ -60,7 +60,7 @@ pub(super) fn follow(watcher: &mut Watcher, driver: Option<&Source>) -> Result<R
         let in_time = Instant::now() < deadline;
         ensure!(in_time, "the daemon does not see the robot of its driver");
         measure(watcher)?;
-        // With real time it goes before the thread that sends the status.
+        // With real time, this thread has priority over the thread that sends the status.
         thread::sleep(ASK_AGAIN);
     }
     watcher.connection.request(RequestKind::AcquireLease)?;

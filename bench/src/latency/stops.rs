@@ -1,9 +1,9 @@
-//! A stop is sent → zero rates.
+//! Latency from a stop request to zero rates.
 //!
-//! The robot is sent to one far place after another and stopped at speed. A stop is taken by a gather, the
-//! cycle of that gather is the first of mode stopped, and from it on the fastest rate shrinks by
-//! deceleration · T in each cycle: a speed of n steps is zero in the n-th command. The ramp, which is the
-//! robot's and not the daemon's, is n - 1 periods.
+//! The robot is sent from one far position to another and stopped at speed. A gather takes the stop, and the
+//! cycle of that gather is the first in mode stopped. From that cycle on, the fastest rate decreases by
+//! deceleration · T in each cycle, so a speed of n steps is zero in the n-th command. The ramp of n - 1
+//! periods belongs to the robot, not to the daemon.
 
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
@@ -16,24 +16,25 @@ use super::round::{Passage, Round};
 use super::{early_ns, scene};
 use crate::watcher::{Seen, Watcher};
 
-/// How fast the rates shrink: a stop from the largest rate of the default robot takes 20 cycles of 5 ms.
+/// Deceleration of the rates: a stop from the largest rate of the default robot takes 20 cycles of 5 ms.
 pub(super) const DECELERATION_RAD_S2: f64 = 20.0;
-/// A robot is at speed at this part of its largest rate.
+/// A robot is at speed from this share of its largest rate on.
 const AT_SPEED: f64 = 0.4;
 const WARM_UP: usize = 1;
-/// A robot that is not at speed after so many releases is sent elsewhere.
+/// Releases after which a robot below that speed is sent elsewhere.
 const SPEED_UP_MAX: u32 = 100;
-/// Releases that it may take from there to rest: it needs 15 to 40. A machine may stall.
+/// Releases from there to rest: 15 to 40 are needed, more on a machine that stalls.
 const REST_MAX: u32 = 1000;
 
 impl Seen {
-    /// Of the fastest component of its command.
+    /// Fastest component of the command.
     fn speed_rad_s(&self) -> f64 {
         largest(&self.record.command.bend_rate_rad_s)
     }
 }
 
-/// Stops the robot until `samples` stops count. A stop is spoilt when records are missing, or the robot was hardly moving.
+/// Stops the robot until `samples` stops count. A stop without a result has missing records, or the robot was
+/// hardly moving.
 pub(super) fn measure(
     watcher: &mut Watcher,
     feed: &ReferenceFeed,
@@ -46,9 +47,9 @@ pub(super) fn measure(
     watcher.begin()?;
     for number in 0.. {
         scene::send(feed, scene::aside(number, length_m))?;
-        // Refused to a robot that follows already: it goes on to the new reference.
+        // Rejected if the robot is tracking already; it then follows the new reference.
         ask(watcher, RequestKind::Reset, Outcome::WrongMode)?;
-        // It came so late that the chunk was not there, or no longer ahead.
+        // The request was so late that the chunk was missing, or no longer in the future.
         if ask(watcher, RequestKind::Track, Outcome::NoReference)? != Outcome::Accepted {
             continue;
         }
@@ -74,7 +75,7 @@ pub(super) fn measure(
     Ok(())
 }
 
-/// Asks for something, and waits for the answer: accepted, or refused for the reason that is expected.
+/// Sends a request and waits for the answer: accepted, or rejected for the `expected` reason.
 fn ask(watcher: &mut Watcher, kind: RequestKind, expected: Outcome) -> Result<Outcome> {
     watcher.ask(kind)?;
     while watcher.waits_for_answer() {
@@ -88,7 +89,7 @@ fn ask(watcher: &mut Watcher, kind: RequestKind, expected: Outcome) -> Result<Ou
     Ok(Outcome::Accepted)
 }
 
-/// The records until the next command is there.
+/// The records up to the next command.
 fn release(watcher: &mut Watcher) -> Result<Vec<Seen>> {
     watcher.watch_release()?;
     let seen = std::mem::take(&mut watcher.seen);
@@ -113,7 +114,7 @@ fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
             return Ok(None);
         }
         let seen = release(watcher)?.into_iter();
-        // Records come later than answers: the first ones may be of the stop before.
+        // Records come later than answers: the first ones may belong to the stop before.
         records.extend(seen.filter(|seen| seen.is_in(Mode::Tracking)));
     }
     watcher.watch_until(monotonic_ns() + phases.next_ns(watcher.status.period_ns))?;
@@ -134,9 +135,9 @@ fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stopped {
     first: Passage,
-    /// From sending to the first zero rates handed over, less the ramp \[ns\].
+    /// Time from sending to the hand-over of the first zero rates, less the ramp \[ns\].
     zero_handover_ns: u64,
-    /// The same until the client has them \[ns\].
+    /// The same until the client has received them \[ns\].
     zero_command_ns: u64,
 }
 
@@ -148,8 +149,8 @@ impl Stopped {
     }
 }
 
-/// From the records of one stop, the last of which is at rest. None when one is missing, a command never
-/// came, or the robot was hardly moving any more.
+/// Evaluates the records of one stop, the last of which is at rest. `None` if a record or command is missing,
+/// or if the robot was hardly moving.
 fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     let at = records.iter().position(|kept| kept.is_in(Mode::Stopped))?;
     let (first, before) = (&records[at], records.get(at.checked_sub(1)?)?);
@@ -171,7 +172,7 @@ fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     }
     let mut stopped = records[at..].iter();
     let rest = stopped.find(|kept| kept.speed_rad_s() == 0.0)?;
-    // Rounding must not make a step more of a speed that is a whole number of them.
+    // Rounding must not add a step to a speed that is a whole number of steps.
     let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * period_ns;
     let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
     Some(Stopped {
@@ -185,7 +186,7 @@ fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     })
 }
 
-/// The largest of some rates, without their signs \[rad/s\].
+/// Largest absolute rate \[rad/s\].
 fn largest(rates_rad_s: &[f64]) -> f64 {
     rates_rad_s
         .iter()

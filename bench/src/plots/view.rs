@@ -1,4 +1,4 @@
-//! What is seen of samples and robots in a projection.
+//! Projections of samples and robots.
 
 use cdcr_controller::robot::{Configuration, Robot};
 use nalgebra::Vector3;
