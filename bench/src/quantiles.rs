@@ -1,4 +1,4 @@
-//! The five numbers that stand for a distribution of latencies, and the histogram that they are read from.
+//! Five quantiles of a latency distribution, and the histogram that they are read from.
 
 use anyhow::{Context, Result};
 use cdcr_shared_types::LatencySummary;
@@ -25,7 +25,7 @@ impl Quantiles {
         })
     }
 
-    /// As a daemon tells them; none when it counted nothing.
+    /// From a daemon's statistics; `None` without counted values.
     pub fn reported(summary: &LatencySummary) -> Option<Self> {
         let us = |time_ns: u64| time_ns as f64 * 1e-3;
         (summary.count > 0).then(|| Self {
@@ -42,12 +42,12 @@ pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
     times_ns.value_at_quantile(quantile) as f64 * 1e-3
 }
 
-/// Times from 1 ns to a minute, three digits.
+/// Range from 1 ns to one minute, three digits.
 pub fn histogram() -> Result<Histogram<u64>> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
 }
 
-/// All of them together.
+/// All histograms added.
 pub fn pooled<'a>(all: impl IntoIterator<Item = &'a Histogram<u64>>) -> Result<Histogram<u64>> {
     let mut sum = histogram()?;
     for times_ns in all {

@@ -1,4 +1,4 @@
-//! Results as documents: one benchmark, or all of them, as text, JSON, CSV, plots, a page and raw histograms.
+//! Results of one or all benchmarks as documents: text, JSON, CSV, plots, a page and raw histograms.
 
 mod page;
 mod targets;
@@ -22,14 +22,14 @@ use crate::metric::Metric;
 use crate::progress::Progress;
 use crate::run_options::RunOptions;
 
-/// Said of a report of `--quick`.
+/// Note in a report of `--quick`.
 const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
-/// Objects of a report that are no result of a benchmark.
+/// Keys of a report that are not results of a benchmark.
 const NO_RESULTS: [&str; 4] = ["environment", "extent", "options", "took_s"];
 
-/// When a run began, on what machine, and what it was asked for.
+/// Start time, machine and options of a run.
 #[derive(Debug, Clone)]
 pub struct Start {
     pub time: SystemTime,
@@ -38,7 +38,7 @@ pub struct Start {
 }
 
 impl Start {
-    /// Now. To be asked before any thread of this process is pinned.
+    /// The present state. Call it before any thread of this process is pinned.
     pub fn now(options: RunOptions) -> Result<Self> {
         Ok(Self {
             time: SystemTime::now(),
@@ -56,7 +56,7 @@ impl Start {
         }
     }
 
-    /// With a line feed at the end.
+    /// JSON text ending in a line feed.
     fn json(&self, mut keys: Map<String, Value>, metrics: &[Metric]) -> Result<String> {
         keys.insert("environment".to_owned(), json!(self.environment));
         keys.insert("options".to_owned(), json!(self.options));
@@ -68,7 +68,7 @@ impl Start {
         self.json(dataset.json(), &dataset.metrics)
     }
 
-    /// One result in all its forms.
+    /// One result in all formats.
     pub fn bundle_of(&self, dataset: &Dataset) -> Result<Bundle> {
         let (name, machine) = (dataset.name, self.machine());
         let mut bundle = Bundle::new(name, self.json_of(dataset)?);
@@ -78,7 +78,7 @@ impl Start {
     }
 }
 
-/// Files by their name, which may have a folder in front.
+/// File contents by name, which may contain a folder.
 #[derive(Debug)]
 pub struct Bundle(pub BTreeMap<String, String>);
 
@@ -122,8 +122,8 @@ impl Bundle {
         Ok(())
     }
 
-    /// Writes all files into `folder`, which is made if it does not exist. They are written beside their place
-    /// first, and take it once all are complete: a disk that is full leaves the older files alone.
+    /// Writes all files into `folder`, which is created if needed. The files are first written to a temporary
+    /// folder and moved when all are complete, so that a full disk leaves older files unchanged.
     pub fn write(&self, folder: &Path) -> Result<()> {
         make(folder)?;
         let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
@@ -184,7 +184,7 @@ impl Plan {
         }
     }
 
-    /// In a thread of its own: cores and priorities that it takes end with it.
+    /// Runs in a separate thread, whose core and priority settings end with it.
     fn carry_out(self, progress: &mut Progress) -> Part {
         let (started, begin) = (SystemTime::now(), Instant::now());
         let run = self.run;
@@ -202,7 +202,7 @@ impl Plan {
     }
 }
 
-/// Runs benchmarks. One that fails is part of the report and does not keep the others from running.
+/// Runs benchmarks. A failed benchmark is part of the report and does not stop the others.
 pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
     let mut left_s: f64 = plans.iter().map(|plan| plan.expected_s).sum();
     let mut parts = Vec::new();
@@ -241,7 +241,7 @@ impl BenchReport {
         parts.filter_map(|part| Some((part.name, part.result.as_ref().err()?.as_str())))
     }
 
-    /// What each benchmark found, under its name; of one that failed the key `error`.
+    /// Results of each benchmark under its name; a failed one has the key `error`.
     fn results(&self) -> Map<String, Value> {
         let result = |part: &Part| match &part.result {
             Ok(dataset) => (part.name.to_owned(), dataset.json().into()),
@@ -255,8 +255,8 @@ impl BenchReport {
         metrics.cloned().collect()
     }
 
-    /// What was asked of the project, and what was found: without rows when nothing of it was measured, with a note when
-    /// that was not under the conditions of the figures.
+    /// The project's targets and the measured values. Without rows if none was measured; with a note if the
+    /// conditions of the targets were not met.
     fn targets(&self) -> Dataset {
         let mut parts = self.parts.iter();
         let has_any = parts.any(|part| targets::JUDGED.contains(&part.name));
@@ -275,7 +275,7 @@ impl BenchReport {
         }
     }
 
-    /// What stands before the results: machine, targets, what failed.
+    /// The sections before the results: machine, targets, failures.
     fn front(&self) -> Vec<Dataset> {
         let mut front = vec![self.start.machine(), self.targets()];
         front.retain(|dataset| dataset.tables().next().is_some() || !dataset.note.is_empty());
@@ -332,7 +332,8 @@ impl BenchReport {
         Ok(bundle)
     }
 
-    /// Which benchmarks, of today or not, have a result in an older `report.json` and none in this one, by name.
+    /// Names of benchmarks with a result in an older `report.json` and none in this one, including benchmarks
+    /// that no longer exist.
     pub fn would_lose(&self, older: &str) -> Vec<String> {
         let older: Map<String, Value> = serde_json::from_str(older).unwrap_or_default();
         let was_there = |name: &str, value: &Value| {
@@ -342,7 +343,7 @@ impl BenchReport {
         let mut lost = Vec::from_iter(older);
         lost.retain(|(name, value)| was_there(name, value) && !is_here(name));
         let mut lost: Vec<String> = lost.into_iter().map(|(name, _)| name).collect();
-        // Whether a map of JSON is sorted depends on what else is built.
+        // The order of JSON keys depends on the features of other crates in the build.
         lost.sort_unstable();
         lost
     }

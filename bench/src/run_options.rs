@@ -1,4 +1,4 @@
-//! What a run was asked for: two runs that were asked for different things are no measure of each other.
+//! Options of a run: runs with different options cannot be compared.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hasher};
@@ -8,13 +8,13 @@ use clap::ArgMatches;
 use clap::parser::ValueSource;
 use serde::{Deserialize, Serialize};
 
-/// The command and the options of a command line, by name.
+/// Command and options of a command line, by name.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RunOptions(BTreeMap<String, String>);
 
 impl RunOptions {
-    /// What was given on a command line of this program, but for where and how the result is written.
+    /// The given options of this program, except those for the place and format of the result.
     pub fn of(command: &clap::Command, matches: &ArgMatches) -> Self {
         let mut options = BTreeMap::new();
         let Some((name, matches)) = matches.subcommand() else {
@@ -35,7 +35,7 @@ impl RunOptions {
             }
             let values = matches.get_raw(id).into_iter().flatten();
             let text = |value: &std::ffi::OsStr| match long {
-                // The content of a file is told, not its place.
+                // The content of the file instead of its path.
                 "config" => hash(Path::new(value)),
                 _ => value.to_string_lossy().into_owned(),
             };
@@ -47,7 +47,7 @@ impl RunOptions {
         Self(options)
     }
 
-    /// Names and values of the options that differ, `none` where an option was not given.
+    /// Names and values of the options that differ; `none` where an option was not given.
     pub fn differing<'a>(&'a self, other: &'a Self) -> Vec<(&'a str, &'a str, &'a str)> {
         let value = |options: &'a Self, name| options.0.get(name).map_or("none", String::as_str);
         let names: BTreeSet<&String> = self.0.keys().chain(other.0.keys()).collect();
@@ -58,7 +58,7 @@ impl RunOptions {
     }
 }
 
-/// Of the text of a file, in hexadecimal digits.
+/// Hash of the text of a file, in hexadecimal digits.
 fn hash(file: &Path) -> String {
     let Ok(text) = std::fs::read(file) else {
         return "not readable".to_owned();
@@ -94,7 +94,7 @@ mod tests {
         let other = of("--load none,cpu");
         assert_eq!(one.differing(&other), [("rounds", "3", "none")]);
 
-        // A configuration is known by its text and not by its place.
+        // Configurations are compared by content, not by path.
         let folder = Scratch::temporary().expect("a folder");
         let with = |name: &str, text: &str| {
             let file = folder.path().join(name);

@@ -1,4 +1,4 @@
-//! What is simulated: a robot, the curve that its tip shall follow, and what stands in the way.
+//! Simulated scenes: a robot, the curve for its tip, and obstacles.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -10,17 +10,17 @@ use nalgebra::Vector3;
 pub const PERIOD_S: f64 = 0.005;
 pub const SPIRAL_SAMPLES: u64 = 994;
 pub const LINE_SAMPLES: u64 = 510;
-/// Samples of the circle: one turn, and 0.7 s in which the straight robot comes to it.
+/// Samples of the circle: one turn, and 0.7 s in which the straight robot approaches it.
 pub const CIRCLE_SAMPLES: u64 = 1400;
-/// How much longer than the samples a curve lasts \[s\]: the longest horizon is 50 steps.
+/// Duration of a curve beyond the samples \[s\]: the longest horizon is 50 steps.
 const BEYOND_S: f64 = 1.0;
 
 pub struct Scene {
     pub robot: Robot,
     pub start: Configuration,
-    /// The curve; its time 0 is the first release, and it lasts longer than the samples.
+    /// The curve. Time 0 is the first release; it lasts longer than the samples.
     pub curve: Box<dyn Trajectory + Send>,
-    /// What the body keeps away from, where it is at time 0; it moves on at its velocity.
+    /// Obstacles at time 0; each moves at its velocity.
     pub obstacles: Vec<Obstacle>,
     pub cycles: u64,
     pub period_s: f64,
@@ -40,8 +40,8 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The paper's simulation 2 (Eq. 9): the line of three sections from the straight robot, its tip axis
-    /// along z, with this limit on the rates.
+    /// The paper's simulation 2 (Eq. 9): the line of three sections from the straight robot, tip axis along
+    /// z, with this limit on the rates.
     pub fn line(rate_max_rad_s: f64) -> Result<Self> {
         let mut parameters = RobotParameters::paper(3);
         for section in &mut parameters.sections {
@@ -55,8 +55,8 @@ impl Scene {
         Self::from_straight(&parameters, curve, LINE_SAMPLES)
     }
 
-    /// The paper's simulation 3: the circle of one section from the straight robot, and a point on it at
-    /// t = π/2. Body and point have no radius, so clearance is the distance from the backbone.
+    /// The paper's simulation 3: the circle of one section from the straight robot, and a point on it at t =
+    /// π/2. Body and point have no radius, so clearance is the distance from the backbone.
     pub fn circle() -> Result<Self> {
         let mut parameters = RobotParameters::paper(1);
         parameters.sections[0].body_radius_m = 0.0;

@@ -1,4 +1,4 @@
-//! One experiment, run with several seeds, and the row that sums it up.
+//! One experiment, run with several seeds, and its row.
 
 use anyhow::{Context, Result};
 use cdcr_controller::nmpc::NmpcSettings;
@@ -14,18 +14,18 @@ use crate::metric::median;
 use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
 
-/// The approach ends when the error first falls below this \[mm\]: the printed constants of the circle
+/// The approach ends when the error first falls below this value \[mm\]. The printed constants of the circle
 /// are rounded and leave 7.2e-3 mm.
 const ARRIVED_MM: f64 = 0.02;
 /// The detour is where the reference is nearer to the obstacle than this many safe distances.
 const DETOUR_DISTANCES: f64 = 2.0;
 
-/// What moving a particle over a step takes in a whole simulation, about \[s\].
+/// Approximate time per particle and step over a whole simulation \[s\].
 const WORK_S: f64 = 2.5e-4;
-/// Cycles of a whole simulation, about.
+/// Approximate number of cycles of a whole simulation.
 const CYCLES: u64 = 1000;
 
-/// An experiment, its row, its first run for the figures, and what came of each seed.
+/// An experiment, its row, its first run for the plots, and the results of each seed.
 pub struct Outcome {
     pub experiment: Experiment,
     pub scene: Scene,
@@ -46,7 +46,7 @@ pub struct Effort {
     pub cycles_max: u64,
 }
 
-/// Seeds with which `kpso-refined` draws the circle at least, so that its clearance says something.
+/// Least number of seeds of `kpso-refined` on the circle, for a meaningful clearance.
 const CLEARANCE_SEEDS: u32 = 20;
 
 impl Effort {
@@ -57,7 +57,7 @@ impl Effort {
         }
     }
 
-    /// What a run takes, about, by the particles that it moves over steps \[s\].
+    /// Expected duration of a run, from its particles and steps \[s\].
     pub(crate) fn run_s(&self, experiment: &Experiment) -> f64 {
         let settings = experiment.settings();
         let swarm = match experiment.solver {
@@ -69,7 +69,8 @@ impl Effort {
     }
 }
 
-/// Keeps the first run whole, and of every other one what its row says: a thousand seeds take no more memory than one.
+/// Keeps the first run whole, and only the row data of the others, so that memory does not grow with the
+/// number of seeds.
 pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
     let (mut first, mut runs, mut solve_ns) = (None, Vec::new(), histogram()?);
@@ -130,7 +131,7 @@ fn run_row(task: Task, scene: &Scene, samples: &[Sample]) -> Value {
     joined([common, own])
 }
 
-/// All seeds: medians of what is a mean, the worst of what is an extreme.
+/// All seeds: medians of mean values, the worst of extreme values.
 fn row(experiment: &Experiment, scene: &Scene, runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
     let (settings, task) = (experiment.settings(), experiment.task);
     let mean = json!({ "mean": solve_ns.mean() * 1e-3 });
@@ -151,7 +152,7 @@ fn row(experiment: &Experiment, scene: &Scene, runs: &[Value], solve_ns: &Histog
         Task::Spiral { .. } => json!({}),
         Task::Line { rate_limit_rad_s } => json!({ "rate_limit_rad_s": rate_limit_rad_s }),
         Task::Circle { safe_distance_m } => {
-            // Null when a run has no such sample.
+            // `None` if a run has no such sample.
             let of_all = |key| {
                 let known: Vec<f64> = each(runs, key).collect();
                 (known.len() == runs.len()).then_some(known)
@@ -170,8 +171,9 @@ fn row(experiment: &Experiment, scene: &Scene, runs: &[Value], solve_ns: &Histog
     joined([all, common, own])
 }
 
-/// Of a run around an obstacle, after the approach: the mean error outside the detour, and the largest one \[mm\]; none
-/// when no sample is there. A sample is the distance of its reference from the obstacle \[m\] and its error \[mm\].
+/// For a run around an obstacle, after the approach: mean error outside the detour, and largest error \[mm\];
+/// `None` without such samples. A sample is the distance of its reference from the obstacle \[m\] and its
+/// error \[mm\].
 fn errors_mm(
     samples: impl Iterator<Item = (f64, f64)> + Clone,
     safe_distance_m: f64,
@@ -200,7 +202,8 @@ mod tests {
     #[test]
     fn approach_and_detour_are_left_out_of_the_mean_and_only_the_approach_of_the_peak() {
         let errors = |samples: &[(f64, f64)]| errors_mm(samples.iter().copied(), 0.01);
-        // The third is above the threshold again: the approach is over all the same. The next two are the detour.
+        // The third error is above the threshold again, but the approach is over. The next two are the
+        // detour.
         let whole = [
             (0.1, 100.0),
             (0.09, 0.01),

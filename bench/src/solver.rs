@@ -1,8 +1,9 @@
-//! How long a solve takes, and how that grows with sections, steps, particles, iterations and obstacles,
-//! on every path of this processor; how long the estimate takes before it, and the safety checks after it among many obstacles.
+//! Solve time on every SIMD path of this processor, and its growth with sections, steps, particles,
+//! iterations and obstacles. Also the time of the estimate before a solve, and of the safety checks after it
+//! among many obstacles.
 //!
-//! All paths give the same bits, so in each cycle every path solves the same problem, one after the
-//! other, and the speed-up is a ratio of times that were measured side by side.
+//! All paths give the same bits. Therefore in each cycle every path solves the same problem, one after the
+//! other, and the speed-up is a ratio of times measured side by side.
 
 pub mod estimate;
 pub mod growth;
@@ -29,21 +30,21 @@ use crate::scene::Scene;
 use crate::study::{self, Case};
 
 const CYCLES_MAX: u64 = 400;
-/// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay
-/// within reach and beside its way.
+/// Cycles of a case with obstacles: in the first second the robot bends little, so that all obstacles stay
+/// within reach and off its path.
 const OBSTACLE_CYCLES_MAX: u64 = 200;
-/// Time of one size, about, unless `CYCLES_MIN` take longer.
+/// Approximate time of one size, unless `CYCLES_MIN` take longer.
 const SIZE_TIME: Duration = Duration::from_millis(1200);
-/// Cycles at the start of a case that are not counted.
+/// Uncounted cycles at the start of a case.
 const WARM_UP: u64 = 10;
 const CYCLES_MIN: u64 = 2 * WARM_UP;
 const OBSTACLE_RADIUS_M: f64 = 0.01;
-/// What the obstacles leave between themselves and the straight body, beyond the safe distance \[m\]: so
-/// little that each is within reach, so much that the robot can do its task.
+/// Gap between the obstacles and the straight body, beyond the safe distance \[m\]: small enough that each is
+/// within reach, large enough for the robot to do its task.
 const OBSTACLE_GAP_M: f64 = 0.016;
 const CAPSULE_LENGTH_M: f64 = 0.03;
 
-/// Time of one size, about \[s\].
+/// Approximate time of one size \[s\].
 const SIZE_S: f64 = 1.0;
 
 const EXPLANATION: &str = include_str!("solver/solver.html");
@@ -138,7 +139,7 @@ impl Benchmark for SolverOptions {
         ] {
             dataset.add_rounds(table, &found);
         }
-        // The paper's size stands in every series.
+        // The paper's size is part of every series.
         let metrics = &mut dataset.metrics;
         metrics.sort_by(|one, other| one.name.cmp(&other.name));
         metrics.dedup_by(|one, other| one.name == other.name);
@@ -165,7 +166,7 @@ const TABLE: RoundTable = RoundTable {
     path: "solver/{solver}/{path}/{curve}/{sections}-sections-{horizon}-steps-{swarm}x{iterations}-{obstacles}-obstacles",
 };
 
-/// The median of every solver on the fastest path beside the sections of the robot.
+/// The median of every solver on the fastest path over the number of sections.
 fn panel(cases: &[Value]) -> Panel {
     let colours = [PURPLE, GREEN, BLUE, ORANGE];
     let curves = Solver::ALL
@@ -192,7 +193,7 @@ pub struct Size {
     pub obstacles: usize,
 }
 
-/// The sizes that are measured: the paper's, and from there one thing at a time.
+/// The measured sizes: the paper's, and variations of one quantity at a time.
 pub fn sizes() -> Vec<Size> {
     let base = Size::paper(Task::Spiral { sections: 3 }, Solver::Kpso);
     let refined = Size::paper(base.task, Solver::KpsoRefined);
@@ -307,7 +308,7 @@ fn measure(size: &Size) -> Result<Vec<Value>> {
     let case = |((path, _, times), own_us): (&(Simd, Nmpc, _), &f64)| {
         json!({
             "solver": size.solver,
-            // The line asks for an orientation.
+            // The line includes an orientation.
             "curve": size.task.name(),
             "path": path,
             "sections": scene.robot.section_count(),
@@ -341,7 +342,8 @@ mod tests {
             };
             let scene = size.scene().expect("a scene");
             let settings = size.settings;
-            // What the solver itself looks at: all that moves within the horizon at the limit of the rates.
+            // The obstacles that the solver considers: all that move within the horizon, with the body at its
+            // rate limits.
             let horizon_s = f64::from(settings.horizon_steps) * scene.period_s;
             let change_rad = SQRT_2 * scene.robot.sections()[0].rate_max_rad_s * horizon_s;
             let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);

@@ -1,4 +1,5 @@
-//! A study: cases that are measured in turns, round by round. What disturbs the machine for a while disturbs one round.
+//! A study: cases measured in turn, round by round. A temporary disturbance of the machine affects only one
+//! round.
 
 use std::collections::BTreeMap;
 
@@ -9,11 +10,11 @@ use crate::interrupt;
 use crate::progress::Progress;
 
 pub(crate) struct Case<'a> {
-    /// Key of the table that its rows belong to.
+    /// Key of the table of its rows.
     pub(crate) table: &'static str,
     pub(crate) what: String,
     pub(crate) expected_s: f64,
-    /// The rows of a round.
+    /// Returns the rows of a round.
     pub(crate) measure: Box<dyn Fn(u32) -> Result<Vec<Value>> + 'a>,
 }
 
@@ -22,7 +23,7 @@ pub(crate) struct Case<'a> {
 pub(crate) struct Rounds(BTreeMap<&'static str, Vec<Vec<Value>>>);
 
 impl Rounds {
-    /// Empty when nothing of that table was measured.
+    /// Empty if nothing of that table was measured.
     pub(crate) fn of(&self, table: &str) -> &[Vec<Value>] {
         self.0.get(table).map_or(&[], Vec::as_slice)
     }

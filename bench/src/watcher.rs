@@ -1,9 +1,10 @@
-//! A client that has every command in its hands as soon as it is there, as a driver of a robot would.
+//! A client that receives every command as soon as it is there, like the driver of a robot.
 //!
-//! It sleeps until shortly before each release, looks for the command until it is there, and sleeps again: it is awake
-//! when the command comes, and does not hold its core all the time. Where commands stay away, it rests between its looks:
-//! with real time it goes before the daemon's reporter, whose records it waits for. Whatever else is done, to send and to ask, happens
-//! on the same thread in between, so that no second thread is in the way.
+//! It sleeps until shortly before each release, polls for the command, and sleeps again. Therefore it is
+//! awake when the command comes, without occupying its core all the time. While commands are missing, it
+//! pauses between polls: with real time, it has priority over the daemon's reporter, whose records it waits
+//! for. All other work, sending and asking, is done between releases on the same thread, so that no second
+//! thread interferes.
 
 use std::collections::VecDeque;
 use std::thread;
@@ -20,15 +21,16 @@ use crate::subject::asker::{Answer, Asker};
 use crate::system::cores::Cores;
 use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
 
-/// So long after the release it looks for an answer without a rest \[ns\]: a thread that never rests is halted.
+/// Time after the release during which it polls for an answer without a pause \[ns\]. Limited, because the
+/// kernel throttles a real-time thread that never sleeps.
 const RESTLESS_NS: u64 = 500_000;
 const REST_NS: u64 = 20_000;
-/// Commands that are remembered until their telemetry comes.
+/// Commands kept until their telemetry comes.
 const REMEMBERED: usize = 1024;
-/// How long a daemon may send no record \[ns\].
+/// Longest time without a record of the daemon \[ns\].
 const SILENCE_NS: u64 = 2_000_000_000;
 
-/// A cycle, and when its command was in the client's hands; none when it never was.
+/// A cycle, and when its command was received; `None` if it was not.
 #[derive(Debug, Clone)]
 pub(crate) struct Seen {
     pub(crate) record: Box<Telemetry>,
@@ -44,25 +46,25 @@ impl Seen {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
 pub(crate) struct Looks {
     all: u64,
-    /// The command was there before its first look.
+    /// Commands that were there before the first poll.
     late: u64,
 }
 
 pub(crate) struct Watcher {
     pub(crate) connection: Connection,
     pub(crate) status: Status,
-    /// How long before each release it wakes up \[ns\].
+    /// Time by which it wakes up before each release \[ns\].
     pub(crate) before_ns: u64,
     pub(crate) looks: Looks,
-    /// What came since somebody took it.
+    /// Cycles that have not been taken yet.
     pub(crate) seen: Vec<Seen>,
     pub(crate) answers: Vec<Answer>,
     pub(crate) newest: Option<Command>,
-    /// Who asks, once somebody has to.
+    /// Client for requests, opened at the first one.
     asker: Option<Asker>,
     commands: CommandStream,
     telemetry: TelemetryStream,
-    /// The release that is watched next, and whether it is looked for already.
+    /// The watched release, and whether polling for it has begun.
     next: u64,
     is_awake: bool,
     received: VecDeque<(u64, u64)>,
@@ -70,7 +72,7 @@ pub(crate) struct Watcher {
 }
 
 impl Watcher {
-    /// Connects. To be called on the thread that watches.
+    /// Connects. Call it on the thread that watches.
     pub(crate) fn open(location: &Location, early_ns: u64) -> Result<Self> {
         let connection = Connection::open_within(location, ROBOT, TIMEOUT)?;
         let status = connection.status(TIMEOUT)?;
@@ -102,7 +104,7 @@ impl Watcher {
         time_ns.saturating_sub(self.status.origin_ns) / self.status.period_ns
     }
 
-    /// Records that never came.
+    /// Number of lost records.
     pub(crate) fn lost(&self) -> u64 {
         self.telemetry.lost()
     }
@@ -112,7 +114,7 @@ impl Watcher {
         Ok(())
     }
 
-    /// Sends a request; one at a time. Its sequence and stamp.
+    /// Sends a request, one at a time. Returns its sequence number and time stamp.
     pub(crate) fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
         self.asker.as_mut().context("nobody asks")?.ask(kind)
     }
@@ -125,7 +127,7 @@ impl Watcher {
         self.asker.as_ref()?.waits_since_ns()
     }
 
-    /// Begins anew: what came while nobody watched is no measurement.
+    /// Starts anew, and discards what came while nothing was watched.
     pub(crate) fn begin(&mut self) -> Result<()> {
         while self.telemetry.try_next()?.is_some() {}
         self.receive()?;
@@ -142,13 +144,13 @@ impl Watcher {
         Ok(())
     }
 
-    /// Watches until the command of the next release is there.
+    /// Watches until the next release is over.
     pub(crate) fn watch_release(&mut self) -> Result<()> {
         while !self.watch(u64::MAX)? {}
         Ok(())
     }
 
-    /// Watches one release. Whether it is over; not when this time came before.
+    /// Watches one release until `time_ns` at most. Returns whether the release is over.
     pub(crate) fn watch(&mut self, time_ns: u64) -> Result<bool> {
         interrupt::check()?;
         let release_ns = self.release_ns(self.next);
@@ -173,8 +175,8 @@ impl Watcher {
         self.is_awake = false;
     }
 
-    /// Looks for the command of a release, and for the answer that the gather before it can have given, until both are there
-    /// or it is time for the next.
+    /// Polls for the command of a release, and for the answer of the gather before it, until both are there
+    /// or the next release is near.
     fn catch(&mut self, release_ns: u64, time_ns: u64) -> Result<bool> {
         let next_wake_ns = release_ns + self.status.period_ns - self.before_ns;
         if !self.is_awake {
@@ -188,7 +190,7 @@ impl Watcher {
             if let Some(asker) = &mut self.asker {
                 self.answers.extend(asker.look()?);
             }
-            // The gather may come late, and take what was sent until shortly before the release.
+            // A late gather may take messages sent until shortly before the release.
             let sent_ns = self.waits_since_ns();
             let has_all = sent_ns.is_none_or(|sent_ns| sent_ns >= release_ns);
             if (is_there && has_all) || now_ns + REST_NS >= next_wake_ns {
@@ -204,13 +206,13 @@ impl Watcher {
         }
     }
 
-    /// Whether the command of the release before came, so that the next is expected.
+    /// Whether the command of the previous release came, so that the next one is expected.
     fn has_command_before(&self) -> bool {
         let newest = self.newest.as_ref();
         newest.is_some_and(|newest| newest.cycle + 1 >= self.next)
     }
 
-    /// Takes the commands that are there. Whether that of the watched cycle is among all that came.
+    /// Takes the available commands. Returns whether the command of the watched cycle has come.
     fn receive(&mut self) -> Result<bool> {
         while let Some(command) = self.commands.try_next()? {
             let received_ns = monotonic_ns();
@@ -227,7 +229,7 @@ impl Watcher {
     fn read_records(&mut self) -> Result<()> {
         while let Some(record) = self.telemetry.try_next()? {
             self.last_record_ns = monotonic_ns();
-            // The daemon sends it before the record.
+            // The daemon sends the command before the record.
             self.receive()?;
             let is_older = |(cycle, _): &(u64, u64)| *cycle < record.cycle;
             while self.received.front().is_some_and(is_older) {
@@ -244,7 +246,7 @@ impl Watcher {
     }
 }
 
-/// Does `work` on a thread of its own on the client's core; with `realtime` before all ordinary tasks.
+/// Runs `work` on a separate thread on the client's core; with `realtime`, before all ordinary tasks.
 pub(crate) fn on_client_core<T: Send>(
     cores: &Cores,
     realtime: bool,

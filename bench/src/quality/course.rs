@@ -1,4 +1,4 @@
-//! What is driven: the paper's simulations, and harder scenes.
+//! Courses: the paper's simulations, and harder scenes.
 
 use std::f64::consts::PI;
 
@@ -17,7 +17,7 @@ const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
 /// Radius of a post of the gap \[m\].
 const POST_RADIUS_M: f64 = 0.02;
-/// What the gap leaves on either side of the body and its safe distance \[m\].
+/// Space left by the gap on either side, beyond the body and its safe distance \[m\].
 const GAP_SLACK_M: f64 = 0.004;
 const GAP_X_M: f64 = 0.26;
 /// Radius of the ball of the crossing \[m\].
@@ -25,7 +25,7 @@ const BALL_RADIUS_M: f64 = 0.03;
 const BALL_M_S: f64 = 0.2;
 /// Bend of one section on the paper's circle \[rad\].
 const CIRCLE_BEND_RAD: f64 = 75.0 * PI / 180.0;
-/// Cycles of the circle: the tip is past the point, which it meets after 314.
+/// Cycles of the circle: the tip meets the point after 314 cycles and then passes it.
 const CIRCLE_CYCLES: u64 = 380;
 const JUMP_M: [f64; 3] = [-0.1, 0.1, -0.05];
 
@@ -36,12 +36,12 @@ named! {
         Line = "line",
         /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
         Circle = "circle",
-        /// The tip goes through between two posts, and then to one side, so that the body behind it has to turn
+        /// The tip moves through a gap between two posts and then to one side, so that the body has to turn
         /// in the gap.
         Gap = "gap",
-        /// A ball crosses the robot below its tip while the tip follows a line: the body has to make room.
+        /// A ball crosses the robot below its tip while the tip follows a line: the body has to give way.
         Crossing = "crossing",
-        /// The reference jumps by 0.15 m, and back: the rates saturate.
+        /// The reference jumps by 0.15 m and back, so that the rates saturate.
         Jump = "jump",
     }
 }
@@ -58,9 +58,9 @@ impl Course {
         }
     }
 
-    /// Settings with the default solver and swarm: the paper's where the scene is, else a horizon that suits
-    /// it, with controls of their own for each step. Blocks of several steps make the plan of one cycle unfit
-    /// for the next, and the gap is lost.
+    /// Settings with the default solver and swarm: the paper's for its scenes, otherwise a suitable horizon
+    /// with separate controls for each step. With blocks of several steps, the plan of one cycle does not fit
+    /// the next, and the robot misses the gap.
     pub fn settings(self) -> NmpcSettings {
         let task = match self {
             Self::Spiral => Task::Spiral { sections: 3 },
@@ -77,8 +77,8 @@ impl Course {
     }
 }
 
-/// A curve through points at given times (s, m), in their order, at rest in each of them; two points at one time are a
-/// jump. The last one is held.
+/// A curve through points at given times (s, m), in order, at rest in each of them. Two points at one time
+/// are a jump. The last point is held.
 struct Legs(Vec<(f64, Vector3<f64>)>);
 
 impl Trajectory for Legs {
@@ -101,7 +101,7 @@ impl Trajectory for Legs {
     }
 }
 
-/// The approach from straight, with which the paper begins, would hide everything else in the mean error.
+/// Starts on the curve: the paper's approach from the straight robot would dominate the mean error.
 fn circle() -> Result<Scene> {
     Ok(Scene {
         start: Configuration::from_bend_angles(&[[CIRCLE_BEND_RAD, 0.0]]),
@@ -118,7 +118,7 @@ fn ahead(horizon_steps: u32) -> NmpcSettings {
     }
 }
 
-/// The paper's robot, whose tip goes on from where it is through these points.
+/// The paper's robot, whose tip moves from its present position through these points.
 fn scene(
     bend_angles: [[f64; 2]; 3],
     way: impl FnOnce(Vector3<f64>) -> Vec<(f64, Vector3<f64>)>,

@@ -1,8 +1,8 @@
-//! What time buys: how well the controller tracks, how clear it keeps and what its plans cost, against the
-//! time of a solve, the swarm and the horizon; and how often a solver gets stuck.
+//! Effect of computing time: tracking error, clearance and cost of plans over the solve time, the swarm and
+//! the horizon. Also how often a solver gets stuck.
 //!
-//! A [`course`] is driven with each variant of solver, budget, swarm and horizon; in `restarts` solvers look for the
-//! best plan from a random start. All is deterministic but for what the clock ends.
+//! Each variant of solver, budget, swarm and horizon drives a [`course`]. In `restarts`, solvers search for
+//! the best plan from a random start. Everything is deterministic except runs with a budget in time.
 
 pub mod course;
 mod report;
@@ -21,7 +21,7 @@ use crate::study::{self, Case};
 use course::Course;
 use variant::{SOLVERS, Variant, iteration_us};
 
-/// What a contest takes, about \[s\].
+/// Approximate duration of a contest \[s\].
 const CONTEST_S: f64 = 0.5;
 
 #[derive(Debug, Clone, clap::Args)]
@@ -49,7 +49,7 @@ pub struct QualityOptions {
 }
 
 impl QualityOptions {
-    /// All variants of a course, in the order in which they are run.
+    /// All variants of a course, in the order of execution.
     fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
         let mut variants = Vec::new();
         for &budget_us in &self.budgets_us {
@@ -66,7 +66,7 @@ impl QualityOptions {
         variants
     }
 
-    /// What is measured in each round. An iteration of a swarm takes so long on a course \[µs\].
+    /// The cases of each round. `iteration_us`: duration of a swarm iteration on a course \[µs\].
     fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {
         let mut cases = Vec::new();
         for &course in &self.courses {
@@ -89,7 +89,7 @@ impl QualityOptions {
             .into_iter()
             .flat_map(|f| (0..restarts).map(move |n| (f, n)))
         {
-            // Every round has others.
+            // Different in every round.
             let seed = move |round: u32| u64::from((round - 1) * restarts + restart);
             cases.push(Case {
                 table: report::PROBLEMS,

@@ -1,4 +1,4 @@
-//! What the runs say, as rows, plots and single numbers.
+//! Results of the runs as rows, plots and single numbers.
 
 use anyhow::Result;
 use serde_json::{Value, json};
@@ -20,9 +20,9 @@ use crate::study::Rounds;
 /// Key of the single problems.
 pub(super) const PROBLEMS: &str = "problems";
 
-/// Errors below this are equal to people who compare two runs: a nanometre \[mm\].
+/// Smaller errors count as equal in a comparison of two runs: a nanometre \[mm\].
 const METRIC_FLOOR_MM: f64 = 1e-6;
-/// Errors and excess costs below these are drawn on them \[mm, %\].
+/// Smaller errors and excess costs are drawn at these values \[mm, %\].
 const ERROR_FLOOR_MM: f64 = 1e-9;
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
@@ -56,7 +56,7 @@ fn columns(axis: Axis) -> [Column; 12] {
     ]
 }
 
-/// Title of its table, and begin of the names of its numbers.
+/// Title of the table, and prefix of the names of its numbers.
 fn names(axis: Axis) -> (&'static str, &'static str) {
     match axis {
         Axis::Budget => (
@@ -74,7 +74,7 @@ fn names(axis: Axis) -> (&'static str, &'static str) {
     }
 }
 
-/// Of every variant, axis by axis, and the endings of every contender.
+/// Results of every variant by axis, and of every contender.
 pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let mut dataset = Dataset::new("quality", "What time buys", EXPLANATION);
     let mut rows = Vec::new();
@@ -128,7 +128,7 @@ fn contests() -> impl Iterator<Item = (Field, &'static Contender)> {
     Field::ALL.into_iter().flat_map(with)
 }
 
-/// How a contender ended between such obstacles.
+/// Results of a contender among the obstacles of `field`.
 fn ended<'a>(problems: &'a [Value], field: Field, contender: &Contender) -> Vec<&'a Value> {
     let is_it = |row: &&Value| row["field"] == field.name() && row["contender"] == contender.name;
     problems.iter().filter(is_it).collect()
@@ -147,9 +147,9 @@ fn stuck_row(rows: &[&Value]) -> Option<Value> {
         "problems": rows.len(),
         // Share that ended more than 1 % above the best known cost.
         "stuck_share": share(rows, is_stuck),
-        // Share whose plan does not lead to within 10 mm of the target.
+        // Share whose plan ends more than 10 mm from the target.
         "missed_share": share(rows, |row| !arrives(row)),
-        // Excess over the best known cost, as a share of that.
+        // Excess over the best known cost, as a share of that cost.
         "excess_share_p50": median(excess()),
         "excess_share_max": excess().reduce(f64::max),
         "time_ms_p50": median(rows.iter().filter_map(|row| number(row, "time_ms"))),
@@ -204,7 +204,7 @@ fn colour(solver: &str) -> RGBColor {
     }
 }
 
-/// A number against the budget of a solve, for each solver; none where nothing of it was measured.
+/// A number over the budget of a solve, for each solver; `None` without measurements.
 fn panel(
     course: Course,
     rows: &[Value],

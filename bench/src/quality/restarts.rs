@@ -1,5 +1,5 @@
-//! Random restarts: how often a solver ends above the best that is known. A problem leads from one random shape to where the
-//! tip of another one is.
+//! Random restarts: how often a solver ends above the best known cost. A problem leads from a random shape to
+//! the tip position of another one.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -18,8 +18,8 @@ use crate::experiment::Solver;
 use crate::named::named;
 use crate::numbers::Numbers;
 
-/// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
-/// is so thin that it could be passed between two steps.
+/// Long step, so that the horizon reaches the target \[s\]. The tip moves 40 mm in it; no obstacle is thin
+/// enough to be passed between two steps.
 const PERIOD_S: f64 = 0.03;
 const HORIZON_STEPS: u32 = 30;
 const BLOCKS: u32 = 5;
@@ -30,37 +30,38 @@ const SECTIONS: usize = 3;
 const BEND_MAX_RAD: f64 = 1.2;
 const APART_M: std::ops::Range<f64> = 0.25..0.6;
 const SAFE_DISTANCE_M: f64 = 0.01;
-/// Start and target shape keep so much clearance \[m\].
+/// Least clearance of the start and target shapes \[m\].
 const CLEAR_M: f64 = 1.5 * SAFE_DISTANCE_M;
 const BALL_RADIUS_M: f64 = 0.05;
-/// Radius of a post, and half its length \[m\].
+/// Radius and half length of a post \[m\].
 const POST_M: (f64, f64) = (0.015, 0.2);
-/// How far a post may be beside the straight way, along x and y \[m\].
+/// Largest offset of a post from the straight line along x and y \[m\].
 const BESIDE_M: f64 = 0.06;
-/// Draws after which a problem is given up.
+/// Draws after which a problem is abandoned.
 const DRAWS_MAX: u32 = 10_000;
 
-/// More than this share above the best cost is stuck.
+/// A solver is stuck if its cost exceeds the best one by more than this share.
 pub(super) const STUCK_SHARE: f64 = 0.01;
-/// Differences of cost below this are none: a tenth of a millimetre at each of 30 steps \[m²\].
+/// Smaller cost differences are ignored: a tenth of a millimetre at each of 30 steps \[m²\].
 const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
-/// A plan that ends further from the target has not arrived \[mm\].
+/// A plan that ends farther from the target has not arrived \[mm\].
 const ARRIVED_MM: f64 = 10.0;
 const SOLVES_MAX: u32 = 20;
-/// Solves without progress after which a solver has ended: its swarm draws other numbers in each.
+/// Solves without progress after which a solver has ended. More than one, because each solve has other random
+/// numbers.
 const IDLE_SOLVES_MAX: u32 = 2;
-/// Less than this share of the cost is no progress.
+/// A smaller decrease of the cost, as a share, is no progress.
 const PROGRESS_SHARE: f64 = 1e-4;
-/// Rates of a random plan, either way \[rad/s\].
+/// Largest absolute rate of a random plan \[rad/s\].
 const RANDOM_RATE_RAD_S: f64 = 2.0;
 
 #[derive(Debug)]
 pub struct Contender {
     pub name: &'static str,
     pub solver: Solver,
-    /// Random plans that it starts from, besides the plan of rest; the best counts.
+    /// Number of random start plans in addition to the plan at rest; the best result counts.
     random_plans: u64,
-    /// The work that all its solves may do.
+    /// Work limit of all its solves together.
     quanta: u32,
 }
 
@@ -92,12 +93,12 @@ const fn contender(
 }
 
 named! {
-    /// What stands between the tip and its target.
+    /// Obstacles between the tip and its target.
     pub enum Field {
         Free = "free",
-        /// A ball in the middle of the straight way.
+        /// A ball in the middle of the straight line.
         Ball = "ball",
-        /// Three posts beside the straight way or on it.
+        /// Three posts on or beside the straight line.
         Posts = "posts",
     }
 }
@@ -134,7 +135,8 @@ impl Field {
     }
 }
 
-/// A shape at rest, a target for its tip that it can reach, and what stands around. Both are clear.
+/// A shape at rest, a reachable target for its tip, and obstacles. Start and target shapes are clear of the
+/// obstacles.
 struct Problem {
     start: Configuration,
     still: BendRates,
@@ -144,7 +146,7 @@ struct Problem {
 }
 
 impl Problem {
-    /// The problem of this seed, on every machine.
+    /// The problem of this seed, equal on every machine.
     fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
@@ -173,7 +175,7 @@ impl Problem {
         bail!("{name}: none of {DRAWS_MAX} random problems is clear; make the obstacles smaller")
     }
 
-    /// What a solve with this seed starts from, from the plan that is there.
+    /// Input of a solve with this seed; it starts from the present plan.
     fn input(&self, seed: u64) -> SolveInput<'_> {
         SolveInput {
             configuration: &self.start,
@@ -186,7 +188,7 @@ impl Problem {
         }
     }
 
-    /// Where a plan leads the tip, from the target \[mm\].
+    /// Distance of the tip from the target at the end of a plan \[mm\].
     fn end_error_mm(&self, robot: &Robot, plan: &[f64]) -> f64 {
         let width = robot.coordinate_count();
         let horizon = Horizon::new(&settings(Solver::GaussNewton), width);
@@ -218,7 +220,7 @@ fn settings(solver: Solver) -> NmpcSettings {
     })
 }
 
-/// Lets every contender solve the problem of this seed: a row for each.
+/// Solves the problem of this seed with every contender: a row for each.
 pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
     let problem = Problem::draw(field, &robot, seed)?;
@@ -233,7 +235,7 @@ pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
         }
         rows.push(json!({
             "field": field,
-            // Of the problem, and of the swarms.
+            // Seed of the problem and of the swarms.
             "seed": seed,
             "contender": contender.name,
             "cost": attempt.best_cost,
@@ -256,13 +258,13 @@ fn costs(row: &Value) -> (f64, f64) {
     (cost("cost"), cost("best_cost"))
 }
 
-/// By how much a cost is above the best one, as a share of that.
+/// Excess of a cost over the best one, as a share of that.
 pub(super) fn excess_share(row: &Value) -> f64 {
     let (cost, best_cost) = costs(row);
     cost / best_cost - 1.0
 }
 
-/// Whether a contender ended above the best that is known.
+/// Whether a contender ended above the best known cost.
 pub(super) fn is_stuck(row: &Value) -> bool {
     let (cost, best_cost) = costs(row);
     cost > best_cost * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
@@ -303,7 +305,7 @@ impl<'a> Attempt<'a> {
         self.nmpc.restore_plan(&plan, 0);
     }
 
-    /// Goes on from its own plan until that becomes no better, and keeps the best.
+    /// Solves repeatedly from its own plan until the cost no longer decreases, and keeps the best plan.
     fn converge(&mut self) {
         let (mut cost, mut idle) = (f64::INFINITY, 0);
         for _ in 0..SOLVES_MAX {

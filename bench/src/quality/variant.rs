@@ -1,4 +1,4 @@
-//! One way to solve, with a solver, budget, swarm and horizon, and what becomes of a course that is driven with it.
+//! A variant of solver, budget, swarm and horizon, and the result of a course driven with it.
 
 use std::time::Duration;
 
@@ -16,29 +16,29 @@ use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
 
 pub(super) const SOLVERS: [Solver; 3] = [Solver::Kpso, Solver::GaussNewton, Solver::KpsoRefined];
-/// Particles where the budget ends a solve; then as many iterations and Gauss-Newton steps as are allowed.
+/// Particles when the budget ends a solve; iterations and Gauss-Newton steps are then at their maximum.
 const BUDGET_SWARM: u32 = 64;
 const BUDGET_ITERATIONS: u32 = 1000;
 const BUDGET_REFINEMENTS: u32 = 50;
 
-/// Beside a solve: the evaluation of its plan, the guard \[µs\].
+/// Time around a solve: evaluation of its plan, clearance guard \[µs\].
 const AROUND_US: f64 = 15.0;
-/// Of a solve without a budget, all courses and solvers together \[µs\].
+/// Mean time of a solve without a budget, over all courses and solvers \[µs\].
 const UNLIMITED_US: f64 = 150.0;
-/// What the guard lets through may be nearer than the safe distance by rounding \[m\].
+/// Rounding error by which the guard may pass the safe distance \[m\].
 const ROUNDING_M: f64 = 1e-9;
 
-/// Iterations of a solve by which a swarm is timed, and how many cycles apart.
+/// Iterations of the solves that time a swarm, and the cycles between two of them.
 const TIMED_ITERATIONS: u32 = 8;
 const TIMED_EVERY: u64 = 8;
 
 named! {
     pub(super) enum Axis {
-        /// The time of a solve, on the clock.
+        /// The time of a solve by the clock.
         Budget = "budget",
-        /// Particles and iterations; as much time as they take.
+        /// Particles and iterations, without a time limit.
         Swarm = "swarm",
-        /// Prediction steps; as much time as they take.
+        /// Prediction steps, without a time limit.
         Horizon = "horizon",
     }
 }
@@ -48,7 +48,7 @@ pub(super) struct Variant {
     axis: Axis,
     course: Course,
     solver: Solver,
-    /// Budget of a solve \[µs\]; none: as much as it takes.
+    /// Budget of a solve \[µs\]; `None`: unlimited.
     budget_us: Option<u64>,
     pub(super) settings: NmpcSettings,
 }
@@ -77,8 +77,8 @@ impl Variant {
         }
     }
 
-    /// As much work as is allowed, ended by the clock. Before Gauss-Newton the swarm takes half of the time,
-    /// or nothing would be left; an iteration of it takes `iteration_us`.
+    /// The maximum of work, ended by the clock. With Gauss-Newton steps after it, the swarm is limited to
+    /// half of the budget, by the duration `iteration_us` of an iteration.
     pub(super) fn timed(course: Course, solver: Solver, budget_us: u64, iteration_us: f64) -> Self {
         let half = 0.5 * budget_us as f64 / iteration_us;
         let variant = Self::new(Axis::Budget, course, solver, |settings| {
@@ -101,7 +101,7 @@ impl Variant {
         })
     }
 
-    /// With so many steps, and controls of their own for each.
+    /// With `steps` prediction steps and separate controls for each.
     pub(super) fn horizon(course: Course, solver: Solver, steps: u32) -> Self {
         Self::new(Axis::Horizon, course, solver, |settings| {
             (settings.horizon_steps, settings.control_blocks) = (steps, 0);
@@ -125,7 +125,7 @@ impl Variant {
         [self.course.name(), self.solver.name(), &self.value()].join(", ")
     }
 
-    /// What a run of so many cycles takes with all that surrounds it, about, for the progress \[s\].
+    /// Expected duration of a run of `cycles` cycles, with all work around it \[s\].
     pub(super) fn expected_s(&self, cycles: u64) -> f64 {
         let us = self
             .budget_us
@@ -133,7 +133,7 @@ impl Variant {
         1e-6 * us * cycles as f64
     }
 
-    /// Drives a scene once: a row.
+    /// Drives a scene once and returns its row.
     pub(super) fn drive(&self, scene: &Scene, seed: u64) -> Result<Value> {
         let (mut samples, mut cost) = (Vec::new(), 0.0);
         let (mut cut_short, mut guarded) = (0_u64, 0_u64);
@@ -144,7 +144,7 @@ impl Variant {
         let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
         let mut evaluator = PlanEvaluator::new(scene, settings)?;
         let mut closed = ClosedLoop::new(scene, settings)?;
-        // Touches all memory that a solve may need; a seed decides nothing of a plan that is forgotten.
+        // Touches all memory that a solve may need. The seed does not matter, because the plan is forgotten.
         nmpc.solve(&closed.input(), &mut Budget::of_quanta(20));
         nmpc.forget_plan();
         let budget = self.budget_us.map(Duration::from_micros);
@@ -181,14 +181,14 @@ impl Variant {
             "iterations": settings.swarm_iterations,
             "refinements": settings.refinement_steps,
             "horizon": settings.horizon_steps,
-            // 0: one for each step, as far as that goes.
+            // 0: one for each step, up to the limit.
             "blocks": settings.control_blocks,
             "mean_error_mm": errors_mm().sum::<f64>() / count,
             "max_error_mm": errors_mm().fold(0.0, f64::max),
-            // Of the body, and how long it was too near; none without obstacles.
+            // Least clearance of the body, and time below the safe distance; null without obstacles.
             "min_clearance_mm": has_obstacles.then_some(1e3 * least_m),
             "below_safe_ms": has_obstacles.then_some(below_safe_ms),
-            // Of the plans that were chosen, evaluated afterwards.
+            // Mean cost of the chosen plans, evaluated afterwards.
             "mean_cost": cost / count,
             // Share of the solves that the budget ended.
             "cut_short_share": cut_short as f64 / count,
@@ -200,7 +200,7 @@ impl Variant {
     }
 }
 
-/// What an iteration of [`BUDGET_SWARM`] particles takes on the way of a course, on this machine \[µs\].
+/// Duration of an iteration of [`BUDGET_SWARM`] particles along a course, on this machine \[µs\].
 pub(super) fn iteration_us(course: Course) -> Result<f64> {
     let scene = course.scene()?;
     let driving = Solver::GaussNewton.of(course.settings());
@@ -215,7 +215,7 @@ pub(super) fn iteration_us(course: Course) -> Result<f64> {
     let mut times_us = Vec::new();
     while !closed.is_over() {
         if closed.cycle().is_multiple_of(TIMED_EVERY) {
-            // From rest there is an error left, and no iteration is saved.
+            // From rest there is always an error left, so that no iteration is skipped.
             swarm.forget_plan();
             let (_, report, time) = timed_solve(&mut swarm, &closed.input(), End::Never);
             times_us.push(1e6 * time.as_secs_f64() / f64::from(report.iterations.max(1)));
@@ -230,7 +230,7 @@ pub(super) fn iteration_us(course: Course) -> Result<f64> {
 mod tests {
     use super::*;
 
-    /// Far more work than a cycle of 5 ms leaves time for; the same bits on every machine.
+    /// Far more work than fits into a cycle of 5 ms; the same bits on every machine.
     fn with_enough_time(course: Course) -> Variant {
         let mut variant = Variant::swarm(course, Solver::KpsoRefined, (32, 50));
         variant.settings.refinement_steps = 20;
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// The numbers of a run by their keys; NaN where one is missing.
+    /// The numbers of a run by their keys; NaN if missing.
     fn drive(variant: Variant, cycles: u64, seed: u64) -> impl Fn(&str) -> f64 {
         let scene = variant.course.scene().unwrap().at_most(cycles);
         let row = variant.drive(&scene, seed).unwrap();
@@ -258,17 +258,17 @@ mod tests {
         for seed in 1..=5 {
             let of = drive(with_enough_time(Course::Gap), u64::MAX, seed);
             assert!(of("mean_error_mm") < 1.0 && of("below_safe_ms") == 0.0);
-            // It was as narrow as it was meant to be.
+            // The gap was as narrow as intended.
             assert!(of("min_clearance_mm") < 14.0);
             max_mm += of("max_error_mm") / 5.0;
         }
         assert!(max_mm < 5.0, "{max_mm}");
         let of = drive(with_enough_time(Course::Crossing), u64::MAX, 1);
         assert!(of("mean_error_mm") < 6.0 && of("max_error_mm") < 25.0);
-        // The ball came as near as it is let.
+        // The ball came as near as allowed.
         assert!(of("below_safe_ms") == 0.0 && of("min_clearance_mm") < 11.0);
         let of = drive(with_enough_time(Course::Jump), u64::MAX, 1);
-        // Nobody can be there at once.
+        // No robot can follow the jump at once.
         assert!(of("max_error_mm") > 50.0 && of("mean_error_mm") < 15.0);
         assert!(of("min_clearance_mm").is_nan());
     }
@@ -280,9 +280,9 @@ mod tests {
         let scene = Course::Jump.scene().unwrap();
         let jump_mm = 1e3 * (scene.point_m(60) - scene.point_m(0)).norm();
         assert!((of("max_error_mm") - jump_mm).abs() < 1e-9);
-        // The plan is evaluated even if the solver did not come to it.
+        // The plan is evaluated even without any iteration of the solver.
         assert!(of("mean_cost").is_finite() && of("mean_cost") > 0.0);
-        // A ball runs into it.
+        // A ball moves into the robot.
         let of = drive(with_no_time(Course::Crossing), u64::MAX, 1);
         assert!(of("min_clearance_mm") < 0.0 && of("below_safe_ms") > 100.0);
     }

@@ -1,4 +1,4 @@
-//! Whose shortest period is looked for, and how a daemon is started for it.
+//! Cases of the search for the shortest period, and the launch of their daemons.
 
 use std::time::Instant;
 
@@ -10,7 +10,7 @@ use crate::experiment::Solver;
 use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
 
-/// Share of the period that may be spent spinning.
+/// Largest share of the period for spinning.
 const SPIN_SHARE: f64 = 0.25;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -31,7 +31,7 @@ impl Case {
         }
     }
 
-    /// One to three sections with every solver and both horizons, so that neighbours are alike.
+    /// One to three sections with every solver and both horizons, ordered so that neighbours are similar.
     pub fn all() -> Vec<Self> {
         let mut all = Vec::new();
         for solver in [Solver::GaussNewton, Solver::Kpso, Solver::KpsoRefined] {
@@ -53,7 +53,7 @@ impl Case {
         format!("{sections}-sections/{solver}/n{steps}")
     }
 
-    /// The sections of the robot, as the configuration names them.
+    /// The sections of the robot as a configuration value.
     fn robot(&self) -> String {
         let section = |index: usize| {
             let offset_rad = (40.0 * index as f64).to_radians();
@@ -71,13 +71,14 @@ impl Case {
 pub struct Stage {
     pub cores: Cores,
     pub realtime: bool,
-    /// How long before a release they wake up to spin \[µs\], at most a quarter of the period; none: the daemon's default.
+    /// Time before a release at which the cycle thread begins to spin \[µs\], at most a quarter of the
+    /// period; `None`: the daemon's default.
     pub spin_us: Option<f64>,
     pub begun: Instant,
 }
 
 impl Stage {
-    /// How a daemon with this case and this period is started.
+    /// Launch of a daemon with this case and this period.
     pub fn launch(&self, case: &Case, period_ms: f64) -> Launch {
         let launch = Launch::patient(None).placed(&self.cores, self.realtime);
         let launch = with_period(launch, period_ms)
@@ -90,7 +91,7 @@ impl Stage {
         }
     }
 
-    /// How long a daemon with this period is asked to spin before a release \[µs\].
+    /// Requested spin time before a release with this period \[µs\].
     pub fn spin_within_us(&self, period_ms: f64) -> Option<f64> {
         let most_us = SPIN_SHARE * period_ms * 1e3;
         self.spin_us.map(|spin_us| spin_us.min(most_us))
@@ -103,7 +104,7 @@ mod tests {
 
     #[test]
     fn the_daemon_accepts_every_robot_with_every_period() {
-        // Asked nothing, it spins as it does by default.
+        // `None`: the default spin time.
         for (sections, period_ms, spin_us) in
             [(1, 5.0, Some(1e3)), (2, 0.5, Some(0.0)), (3, 0.1, None)]
         {

@@ -1,6 +1,7 @@
-//! How fast the loop can go: the shortest period that holds.
+//! Fastest rate of the loop: the shortest period that holds.
 //!
-//! What *holds* is, and how often a trial is repeated: `bench/README.md`. Every trial stays in the report.
+//! `bench/README.md` defines when a period *holds*, and how often a trial is repeated. The report contains
+//! every trial.
 
 mod case;
 mod report;
@@ -22,14 +23,14 @@ use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 use case::Stage;
 
-/// The periods that are tried, longest first \[ms\]: 200 Hz to 10 kHz.
+/// Tried periods, longest first \[ms\]: 200 Hz to 10 kHz.
 const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
-/// The periods that the default is shown with \[ms\]: the 200 Hz that are asked, 1, 2, 5 and 10 kHz.
+/// Periods of the table of the default case \[ms\]: the required 200 Hz, and 1, 2, 5 and 10 kHz.
 const STEPS_MS: [f64; 5] = [5.0, 1.0, 0.5, 0.2, 0.1];
 const FIRST_GUESS: usize = 4;
-/// Trials that the search for one case takes, about: the border from both sides, and a repetition.
+/// Expected number of trials in a search: both sides of the border, and a repetition.
 const TRIALS: f64 = 3.2;
-/// What start, begin of tracking, warm-up and end of a trial take, about \[s\].
+/// Approximate time for start, begin of tracking, warm-up and end of a trial \[s\].
 const AROUND_S: f64 = 1.0;
 
 #[derive(Debug, Clone, clap::Args)]
@@ -73,12 +74,12 @@ impl RateOptions {
         least_s.max(least_periods * period_ms * 1e-3)
     }
 
-    /// How long a trial takes altogether, about \[s\].
+    /// Expected duration of a trial \[s\].
     fn trial_s(&self, period_ms: f64) -> f64 {
         self.measured_s(period_ms) + AROUND_S
     }
 
-    /// How long the search for one case takes, about \[s\].
+    /// Expected duration of a search \[s\].
     fn search_s(&self) -> f64 {
         let shortest_ms = self.periods_ms.last();
         shortest_ms.map_or(0.0, |period_ms| TRIALS * self.trial_s(*period_ms))
@@ -110,14 +111,14 @@ impl Benchmark for RateOptions {
     }
 }
 
-/// How the default does with each of its periods, and the shortest period of each case.
+/// Results of the default case with each of its periods, and the shortest period of each case.
 #[derive(Debug)]
 pub struct Measured {
     pub realtime: bool,
-    /// How long they were asked to spin before each release \[µs\], at most a quarter of the period; none: the daemon's
+    /// Requested spin time before each release \[µs\], at most a quarter of the period; `None`: the daemon's
     /// default.
     pub spin_us: Option<f64>,
-    /// The rounds of the default with each period.
+    /// The rounds of the default case with each period.
     pub steps: Vec<Vec<Trial>>,
     pub shortest: Vec<Shortest>,
 }
@@ -125,11 +126,11 @@ pub struct Measured {
 #[derive(Debug)]
 pub struct Shortest {
     pub case: Case,
-    /// In their order; the last of a period decides.
+    /// In the order of execution; the last trial of a period decides.
     pub trials: Vec<Trial>,
-    /// The shortest period that held; none when not even the longest did.
+    /// The shortest period that held; `None` if not even the longest did.
     pub held_ms: Option<f64>,
-    /// The next shorter one; none when there is none.
+    /// The next shorter period; `None` if there is none.
     pub failed_ms: Option<f64>,
 }
 
@@ -140,7 +141,8 @@ impl Shortest {
     }
 }
 
-/// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
+/// Measures the default case with each of its periods in rounds, then searches for the shortest period of
+/// each case.
 pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measured> {
     let cores = Cores::find()?;
     cores.stay_off();
@@ -169,10 +171,10 @@ pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measure
             step.push(trial(Case::DEFAULT, *period_ms, 0.0)?);
         }
     }
-    // Each search begins where the one before it ended.
+    // Each search begins at the result of the previous one.
     let mut guess = FIRST_GUESS;
     for case in &options.cases {
-        // How many trials a search takes, and how long ones, is known only now.
+        // The number and duration of the trials is only known now.
         let mut known_s = options.search_s();
         let found = search(*case, &options.periods_ms, guess, |period_ms| {
             let more_s = options.trial_s(period_ms) - std::mem::take(&mut known_s);
@@ -186,9 +188,9 @@ pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measure
     Ok(measured)
 }
 
-/// The shortest of these periods that holds, longest first. Goes step by step from the guess towards the
-/// border, so that a good guess costs two trials. It takes for granted what is so in every loop: with more time a
-/// period does not hold worse.
+/// The shortest of these periods that holds; they are sorted, longest first. Moves step by step from the
+/// guess towards the border, so a good guess costs two trials. Assumes that a longer period holds whenever a
+/// shorter one does.
 fn search(
     case: Case,
     periods_ms: &[f64],
@@ -234,7 +236,7 @@ mod tests {
     use super::*;
     use trial::tests::{lossy, observed};
 
-    /// A trial that holds, or in which the machine or the loop lost releases.
+    /// A trial that holds, or that lost releases because of the machine or the loop.
     pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
         let found = match outcome {
             TrialOutcome::Holds => Ok(observed()),
@@ -248,7 +250,7 @@ mod tests {
         trial
     }
 
-    /// Searches where `outcome` says what the trial of a period ends like, the how many-th of that period.
+    /// Searches with simulated trials: `outcome` gets the index of the period and the number of its trial.
     fn find(guess: usize, outcome: impl Fn(usize, usize) -> TrialOutcome) -> Shortest {
         let mut counts = [0; PERIODS_MS.len()];
         let found = search(Case::DEFAULT, &PERIODS_MS, guess, |period_ms| {
@@ -259,7 +261,7 @@ mod tests {
         found.unwrap()
     }
 
-    /// Of trials, how many held, and how many there are.
+    /// Number of trials that held, and of all trials.
     fn tally(trials: &[&Trial]) -> (usize, usize) {
         let held = trials.iter().filter(|trial| trial.holds()).count();
         (held, trials.len())
@@ -290,7 +292,7 @@ mod tests {
             }
         }
         assert!(search(Case::DEFAULT, &PERIODS_MS, 3, |_| anyhow::bail!("no")).is_err());
-        // A period that the machine spoilt holds when it is tried again.
+        // A period whose trials failed because of the machine holds when a repetition does.
         for spoilt in 0..Machine.trials() {
             let found = find(2, |_, count| if count > spoilt { Holds } else { Machine });
             assert_eq!((found.held_ms, found.failed_ms), (Some(0.1), None));

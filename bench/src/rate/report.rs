@@ -1,4 +1,4 @@
-//! What the rates say, as rows, plots and single numbers.
+//! Results of the rates as rows, plots and single numbers.
 
 use anyhow::Result;
 use serde_json::{Value, json};
@@ -67,7 +67,7 @@ const COUNTS: [&str; 8] = [
     "late_cycles",
 ];
 
-/// What two runs are compared by at each rate.
+/// Numbers of each rate for the comparison of two runs.
 const NUMBERS: [(&str, &str, &str); 6] = [
     ("response_p50", "µs", "response_us_p50"),
     ("response_p99", "µs", "response_us_p99"),
@@ -141,10 +141,10 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
     spin + refused
 }
 
-/// What the default does at each rate, from the rows of its result.
+/// Plot of the default case at each rate, from the rows of its result.
 ///
 /// # Errors
-/// When it cannot be drawn.
+/// When the plot cannot be drawn.
 pub fn picture(rows: &[Value]) -> Result<Plot> {
     let line = |label: &str, key: &str, colour| of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
@@ -213,9 +213,9 @@ fn held_in(trials: &[&Trial]) -> String {
     format!("{} of {}", count_held(trials), trials.len())
 }
 
-/// Medians over the rounds, and sums of what was counted.
+/// Medians over the rounds, and sums of counts.
 fn step_row(trials: &[Trial], rounds: &[Value]) -> Value {
-    // Those of the first round that did not hold, or else of the last one.
+    // The first round that did not hold, otherwise the last one.
     let shown = trials.iter().find(|trial| !trial.holds()).or(trials.last());
     let period_ms = shown.map_or(f64::NAN, |trial| trial.period_ms);
     let all = together(rounds, &COUNTS);

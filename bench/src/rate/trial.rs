@@ -1,4 +1,4 @@
-//! One daemon with one period, tracking: what it reaches, and whether the period held.
+//! A trial: one daemon tracking with one period, its results, and whether the period held.
 
 use std::time::{Duration, Instant};
 
@@ -18,20 +18,20 @@ use crate::subject::daemon::Daemon;
 use crate::subject::tracking::{DOES_NOT_FOLLOW, Tracking};
 use crate::system::counts::{core_share, threads};
 
-/// Between the begin of tracking and that of the measurement.
+/// Time between the begin of tracking and the begin of the measurement.
 const WARM_UP: Duration = Duration::from_millis(300);
-/// How often the records are read: far more often than their queue of 256 fills at 10 kHz.
+/// Interval between reads of the records: short enough that their queue of 256 does not fill at 10 kHz.
 const READ_EVERY: Duration = Duration::from_millis(2);
-/// A robot that does not follow with so long a period, or a longer one, does not fail because of the rate: the
-/// set-up is broken \[ms\].
+/// A robot that does not follow with this or a longer period fails because of the set-up, not because of the
+/// rate \[ms\].
 const EASY_MS: f64 = 2.0;
-/// How often a trial begins anew in which the daemon sent nothing for a second: that says nothing about its period.
+/// Restarts of a trial in which the daemon sent nothing for a second, which says nothing about its period.
 const HELD_UP_MAX: usize = 2;
-/// From this share of a core on, the system may halt real-time threads: Linux leaves them 95 %.
+/// Share of a core beyond which the system may throttle real-time threads: Linux allows 95 %.
 const FULL: f64 = 0.93;
-/// From this share on, a remark says that solves were cut short, or that inputs were stale.
+/// Share of shortened solves or stale inputs from which on they are remarked.
 const WORTH_A_REMARK: f64 = 0.01;
-/// A period holds when at most this share of its releases got no cycle in time.
+/// Largest share of releases without a cycle in time for a period that holds.
 const LOST_MAX: f64 = 1e-3;
 
 #[derive(Debug)]
@@ -39,9 +39,9 @@ pub struct Trial {
     pub case: Case,
     pub period_ms: f64,
     pub outcome: TrialOutcome,
-    /// All that is told of it.
+    /// The results as a row.
     pub row: Value,
-    /// Responses of the cycles whose records a client got; none of a robot that did not follow.
+    /// Response times of the cycles whose records were received; `None` if the robot did not follow.
     pub responses: Option<Recording>,
 }
 
@@ -74,7 +74,7 @@ impl Trial {
         Ok(Self::new(case, period_ms, spin_us, found))
     }
 
-    /// What was measured, or why the robot did not follow its reference all the time.
+    /// From the measurement, or from the reason why the robot left its reference.
     pub(super) fn new(
         case: Case,
         period_ms: f64,
@@ -91,10 +91,10 @@ impl Trial {
         };
         let own = json!({
             "period_ms": period_ms,
-            // How long before each release it was asked to spin; null: the daemon's default.
+            // Requested spin time before each release; null: the daemon's default.
             "spin_us": spin_us,
             "holds": outcome == TrialOutcome::Holds,
-            // What failed, and what is worth knowing, in words.
+            // Failures and remarks.
             "remarks": remarks,
         });
         Self {
@@ -115,41 +115,41 @@ impl Trial {
     }
 }
 
-/// The failure of a reference, if this error comes from one.
+/// The error of a reference feed, if it is the cause.
 fn feed_error(error: &anyhow::Error) -> Option<&FeedError> {
     error.chain().find_map(|cause| cause.downcast_ref())
 }
 
-/// Whether the machine held the whole daemon up for so long that it was taken for dead.
+/// Whether the machine stalled the whole daemon so long that its client took it for dead.
 fn was_held_up(error: &anyhow::Error) -> bool {
     let error = feed_error(error);
     matches!(error, Some(FeedError::Link(LinkError::Silent { .. })))
 }
 
-/// Whether this error says that the robot does not follow; every other one says nothing about the period.
+/// Whether the robot did not follow; every other error says nothing about the period.
 fn did_not_follow(error: &anyhow::Error) -> bool {
     let mut words = error.chain().map(ToString::to_string);
     matches!(feed_error(error), Some(FeedError::LeftTracking { .. }))
         || words.any(|words| words.starts_with(DOES_NOT_FOLLOW))
 }
 
-/// What a trial says about its period.
+/// Result of a trial for its period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrialOutcome {
     Holds,
-    /// A cycle was late by the daemon's own doing. Nothing excuses that.
+    /// A cycle was late because of the daemon itself; decisive.
     Own,
-    /// Too many releases were lost, and the machine lost them: it came late, stood still or ran another task,
-    /// while the work itself fits into the period.
+    /// Too many releases were lost because of the machine (late wake-ups, stalls, other tasks); the work
+    /// itself fits into the period.
     Machine,
-    /// Too many releases were lost, and nothing says that only the machine lost them.
+    /// Too many releases were lost, without evidence that only the machine is the cause.
     Slow,
     /// The robot did not follow its reference all the time.
     NotFollowed,
 }
 
 impl TrialOutcome {
-    /// How many trials a period may have when one of them ends like this.
+    /// Largest number of trials of a period when one of them ends with this outcome.
     pub fn trials(self) -> usize {
         match self {
             Self::Holds | Self::Own | Self::NotFollowed => 1,
@@ -163,11 +163,11 @@ impl TrialOutcome {
 pub(super) struct Observed {
     duration_s: f64,
     counted: Statistics,
-    /// Share of their core that cycle and exchange used, by the kernel's count.
+    /// Core shares of cycle and exchange, by the kernel's count.
     core_shares: [f64; 2],
-    /// Share of the cycles in which the robot followed its reference, of those whose record a client got.
+    /// Share of tracking cycles among those whose record was received.
     tracking_share: f64,
-    /// Distance of the tip from its reference, as the client's records say: median and 99th percentile \[mm\].
+    /// Distance of the tip from its reference in the received records: median and 99th percentile \[mm\].
     error_mm: [f64; 2],
     responses: Recording,
 }
@@ -177,7 +177,7 @@ impl Observed {
         let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
         let connection = daemon.connect()?;
         let mut telemetry = connection.telemetry()?;
-        // Whoever connects makes the daemon map memory: that belongs to the warm-up.
+        // A new client makes the daemon map memory; this belongs to the warm-up.
         interrupt::sleep(WARM_UP)?;
         while telemetry.try_next()?.is_some() {}
 
@@ -185,7 +185,7 @@ impl Observed {
         let (mut received, mut errors_m) = (0_usize, Vec::new());
         connection.reset_statistics()?;
         let (before, begin) = (threads(daemon.id()), Instant::now());
-        // Until the statistics, which begin anew a moment after they were asked to, count for as long as `length`.
+        // Until the statistics cover `length`; they restart a moment after the request.
         let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + TIMEOUT);
         let status = loop {
             let in_time = Instant::now() < deadline;
@@ -230,9 +230,9 @@ impl Observed {
         })
     }
 
-    /// Whether the period held, and if not, by whose doing.
+    /// Whether the period held, and if not, the cause.
     fn outcome(&self, period_ms: f64) -> TrialOutcome {
-        // What a release takes when the machine only does its usual part.
+        // Duration of the work of a release with the usual wake-up latency of the machine.
         let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;
         if self.causes().own() > 0 {
             TrialOutcome::Own
@@ -253,14 +253,14 @@ impl Observed {
         count as f64 / self.counted.cycles.max(1) as f64
     }
 
-    /// Releases that got no command in time (no cycle, or one that missed its deadline), as a share of those that were due.
+    /// Share of the due releases without a command in time: no cycle, or a deadline miss.
     fn lost_share(&self) -> f64 {
         let skipped = self.counted.skipped_periods;
         let due = self.counted.cycles + skipped;
         (self.counted.deadline_misses + skipped) as f64 / due.max(1) as f64
     }
 
-    /// Share of the core that both real-time threads used together.
+    /// Share of the core used by both real-time threads.
     fn core_share(&self) -> f64 {
         self.core_shares.iter().sum()
     }
@@ -323,7 +323,7 @@ impl Observed {
     }
 }
 
-/// A quantile of sorted distances \[mm\]; not a number of none.
+/// A quantile of sorted distances \[mm\]; NaN if empty.
 fn quantile_mm(sorted_m: &[f64], quantile: f64) -> f64 {
     let last = sorted_m.len().saturating_sub(1);
     let index = (quantile * last as f64).round() as usize;
@@ -368,7 +368,8 @@ pub(super) mod tests {
         }
     }
 
-    /// The same with these counts of misses, skipped periods, and causes: platform, load, compute, page fault, stall.
+    /// The same with these counts of misses, skipped periods, and causes: platform, load, compute, page
+    /// fault, stall.
     pub(in crate::rate) fn lossy(misses: u64, skipped: u64, causes: [u64; 5]) -> Observed {
         let mut observed = observed();
         observed.counted.deadline_misses = misses;
@@ -392,13 +393,13 @@ pub(super) mod tests {
             (0, 0, none, 0.5, Holds, ""),
             (4, 0, none, 0.5, Holds, ""),
             (2, 2, none, 0.5, Holds, ""),
-            // No evidence that it was the machine.
+            // No evidence against the machine.
             (5, 0, none, 0.5, Slow, "5 late, 0 skipped"),
             (1, 1000, none, 0.5, Slow, "1 late, 1000 skipped"),
             (3, 40, stalls, 0.5, Machine, &*excused),
-            // Wake-up 10 µs and compute 66 µs do not fit.
+            // Wake-up of 10 µs and compute of 66 µs do not fit.
             (3, 40, stalls, 0.07, Slow, words),
-            // Nothing excuses an own miss.
+            // A miss of the daemon's own is decisive.
             (0, 0, [0, 0, 1, 0, 0], 0.5, Own, "1 own miss"),
             (0, 1000, [10, 0, 0, 1, 0], 0.5, Own, fault),
         ] {
@@ -406,7 +407,7 @@ pub(super) mod tests {
             assert_eq!(observed.outcome(period_ms), outcome, "{observed:?}");
             assert_eq!(observed.remarks(period_ms), remarks);
         }
-        // What costs quality is said even when the period holds.
+        // Loss of solution quality is remarked even when the period holds.
         let mut cut = observed();
         cut.counted.budget_hits = 1600;
         (cut.core_shares, cut.tracking_share) = ([0.9, 0.1], 0.5);

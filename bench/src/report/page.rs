@@ -1,4 +1,4 @@
-//! Results as one self-contained page: one style, and all tables and plots inside, so that it can be sent alone.
+//! Results as one self-contained page, with style, tables and plots inside.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,8 @@ const STYLE: &str = include_str!("page.css");
 
 pub(super) const INTRODUCTION: &str = include_str!("introduction.html");
 
-/// With contents: the results where there is an introduction, which is HTML; else the pictures of the one result.
+/// A page with a table of contents: the results if there is an `introduction` (HTML), otherwise the plots of
+/// the only result.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
     let heading = escape(title);
     let link = |id: &str, words: &str, more: &str| {
@@ -64,7 +65,7 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
     html + "</body>\n</html>\n"
 }
 
-/// A text between tags, or an attribute within quotes.
+/// Escapes text for an element or a quoted attribute.
 fn escape(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('"', "&quot;");
     text.replace('<', "&lt;").replace('>', "&gt;")

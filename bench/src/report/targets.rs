@@ -1,4 +1,4 @@
-//! What the project set out to reach, and what a run found.
+//! The project's targets, and the values of a run.
 
 use serde_json::{Map, Value, json};
 
@@ -7,13 +7,13 @@ use crate::deadline::misses_p_value;
 use crate::latency::STOP_MARGIN_US;
 use crate::metric::{Metric, range};
 
-/// How the rows are to be read: HTML.
+/// Reading guide of the rows: HTML.
 const EXPLANATION: &str = include_str!("targets.html");
 
-/// The benchmarks that measure one of the figures.
+/// The benchmarks that measure a target.
 pub(super) const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
 
-/// Probability below which misses are not called chance.
+/// Probability below which the additional misses are not considered chance.
 const CHANCE: f64 = 0.05;
 
 struct Found<'a> {
@@ -21,9 +21,9 @@ struct Found<'a> {
     results: &'a Map<String, Value>,
 }
 
-/// What was found, the range of its rounds, and which case it comes from or how much was measured.
+/// Value, range of its rounds, and its case or the amount of data.
 type Worst = (f64, Option<(f64, f64)>, String);
-/// What, the target in words, unit, where it is found, and the condition on what was found.
+/// Description, target in words, unit, value, and condition.
 type Wanted = (
     &'static str,
     &'static str,
@@ -64,7 +64,7 @@ const WANTED: [Wanted; 14] = [
         |found| found.stop_beyond_period(), |us| us <= STOP_MARGIN_US),
 ];
 
-/// The figures that the metrics and results of a run tell.
+/// Rows of the targets that the metrics and results of a run contain.
 pub(super) fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Value> {
     let found = Found { metrics, results };
     let target = |(what, target, unit, find, is_reached): Wanted| {
@@ -76,9 +76,9 @@ pub(super) fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<V
             "found": value,
             // Empty for a ratio or a count.
             "unit": unit,
-            // Smallest and largest round, where it was measured in rounds.
+            // Smallest and largest round, if measured in rounds.
             "range": range,
-            // Which case it comes from, or how much was measured.
+            // The case of the value, or the amount of data.
             "of": of,
             "reached": reached,
         }))
@@ -111,7 +111,7 @@ pub(super) fn dataset(targets: Vec<Value>) -> Dataset {
 }
 
 impl Found<'_> {
-    /// The metric with the largest median of those whose name fits.
+    /// The metric with the largest median among the matching names.
     fn most(&self, pattern: &str) -> Option<Worst> {
         let values = self.metrics.iter().filter_map(|metric| {
             let of = own_part(pattern, &metric.name)?;
@@ -126,7 +126,7 @@ impl Found<'_> {
         Some((value, range_of_rounds(metric), String::new()))
     }
 
-    /// The cases of a subject, `daemon` or `bare`, with real time.
+    /// The real-time cases of a subject, `daemon` or `bare`.
     fn cases(&self, subject: &'static str) -> impl Iterator<Item = &Value> {
         let deadline = self.results.get("deadline");
         let cases = deadline.and_then(|result| result["cases"].as_array());
@@ -145,7 +145,7 @@ impl Found<'_> {
         (cycles > 0).then(|| (own as f64, None, format!("{minutes:.1} min")))
     }
 
-    /// Of all loads that were measured with both.
+    /// Over all loads that were measured with both subjects.
     fn chance_of_misses(&self) -> Option<Worst> {
         let (mut ours, mut bare) = ((0, 0), (0, 0));
         for daemon in self.cases("daemon") {
@@ -162,7 +162,7 @@ impl Found<'_> {
         (ours.1 > 0 && bare.1 > 0).then(|| (misses_p_value(ours, bare), None, of))
     }
 
-    /// As `latency` judges it, for the period that it measured with.
+    /// As evaluated by `latency`, for its period.
     fn stop_beyond_period(&self) -> Option<Worst> {
         let targets = self.results.get("latency")?["targets"].as_array()?;
         let values = targets.iter().filter_map(|target| {
@@ -174,7 +174,7 @@ impl Found<'_> {
     }
 }
 
-/// Cycles that ran, and those that were skipped.
+/// Due releases: executed and skipped cycles.
 fn due(case: &Value) -> Option<u64> {
     Some(case["cycles"].as_u64()? + case["skipped_periods"].as_u64()?)
 }
@@ -187,7 +187,7 @@ fn counts((misses, due): (u64, u64)) -> String {
     format!("{misses} of {due}")
 }
 
-/// The words of a name where the pattern has a `*`; none when it is not as the pattern says.
+/// The words of a name at each `*` of the pattern; `None` if they do not match.
 fn own_part(pattern: &str, name: &str) -> Option<String> {
     let [pattern, name] = [pattern, name].map(|text| text.split('/').collect::<Vec<_>>());
     let fits = |(pattern, word): (&&str, &&str)| *pattern == "*" || pattern == word;

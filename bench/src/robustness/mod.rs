@@ -1,7 +1,7 @@
-//! A robot that is not its model: how far its tip is from the reference in truth, with all that the controller does about it and
-//! with each part of that switched off.
+//! Robots that differ from their model: true error of the tip with the full controller, and with each of its
+//! parts switched off.
 //!
-//! A closed loop offline; each seed gives the same bits again.
+//! An offline closed loop; the same seed gives the same bits.
 
 mod parts;
 mod scenario;
@@ -49,7 +49,7 @@ const COLUMNS: [Column; 16] = [
     word("reached", "ok"),
 ];
 
-/// What the parts of the controller are for, one robot a line.
+/// Effect of the controller's parts, one robot per line.
 const COMPARISON: [Column; 10] = [
     word("robot", "name"),
     fixed("full", "full", 3),
@@ -63,13 +63,13 @@ const COMPARISON: [Column; 10] = [
     word("reached", "ok"),
 ];
 
-/// A command is within its limits when it is beyond none by more than this share of it: rounding.
+/// Tolerance for rounding of the limits of a command, as a share.
 const LIMIT_EXCESS_MAX: f64 = 1e-9;
-/// The least error that is drawn \[mm\].
+/// Smallest drawn error \[mm\].
 const DRAWN_MM: f64 = 1e-3;
 /// Cycles of which the largest error is drawn.
 const DRAWN_CYCLES: usize = 10;
-/// What a run takes, about \[s\].
+/// Approximate duration of a run \[s\].
 const RUN_S: f64 = 0.12;
 
 #[derive(Debug, Clone, clap::Args)]
@@ -145,7 +145,7 @@ impl Benchmark for RobustnessOptions {
             } else {
                 "velocity"
             };
-            // Without noise every run is the same.
+            // Without noise, all runs are equal.
             let is_noisy = scenario.flaws.noise_m + scenario.flaws.tip_noise_m > 0.0;
             if *control == Control::Full && is_noisy {
                 let name = format!("robustness/{}/{interface}/mean_error", scenario.name);
@@ -185,7 +185,7 @@ impl RobustnessOptions {
         only.is_none_or(|only| scenario.name.contains(only))
     }
 
-    /// Each scenario with the controllers that differ on it, behind both interfaces.
+    /// Each scenario with its controllers, behind both interfaces.
     fn cases(&self) -> Vec<Case> {
         let is_wanted = |scenario: &Scenario| scenario.is_ideal() || self.names(scenario);
         let mut cases = Vec::new();
@@ -201,7 +201,7 @@ impl RobustnessOptions {
         cases
     }
 
-    /// Runs all cases, on each core every so many-th of them; none depends on another.
+    /// Runs all cases, distributed over the cores; they are independent of each other.
     fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
         let eight = &FigureEight::new()?;
         let mut done = BTreeMap::new();
@@ -212,7 +212,7 @@ impl RobustnessOptions {
                 let own = cases.iter().enumerate().skip(first).step_by(cores());
                 scope.spawn(move || {
                     let mut runs = own.map(|(place, case)| (place, case.runs(eight, self.seeds)));
-                    // Nobody waits for more after a failure.
+                    // After a failure, the receiver is gone.
                     let _ = runs.try_for_each(|runs| sender.send(runs));
                 });
             }
@@ -256,13 +256,14 @@ fn cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// A ball of 20 mm radius on the way of the figure eight or beside it.
+/// A ball of 20 mm radius on the figure eight or beside it.
 fn ball(x_m: f64) -> Result<Obstacle> {
     let centre_m = Vector3::new(x_m, 0.0, 0.7);
     Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).context("the ball")
 }
 
-/// The mean error of every robot with each controller behind the position interface, from the rows of a result.
+/// The mean error of every robot with each controller behind the position interface, from the rows of a
+/// result.
 pub fn comparison(rows: &[Value]) -> Sheet {
     let mut robots: Vec<Value> = Vec::new();
     for row in rows.iter().filter(|row| row["interface"] == "position") {
@@ -280,11 +281,12 @@ pub fn comparison(rows: &[Value]) -> Sheet {
 #[derive(Default)]
 struct Runs {
     rounds: Vec<FigureEightRun>,
-    /// What it did at rest; empty where nothing is wanted of it.
+    /// Results at rest; empty without a target for them.
     rests: Vec<FigureEightRest>,
 }
 
-/// One line: a robot with a controller, over all seeds. `ideal_change`: root mean square of what the rates of the ideal robot change by \[rad/s\].
+/// The row of a robot with a controller, over all seeds. `ideal_change`: root mean square of the rate changes
+/// of the ideal robot \[rad/s\].
 fn row(
     scenario: &Scenario,
     control: Control,
@@ -311,19 +313,19 @@ fn row(
         "rest_error_mm": at_rest(|rest| rest.error_mm),
         // Of the fastest component.
         "rest_rate_rad_s": at_rest(|rest| rest.rate_rad_s),
-        // Root mean square of what the rates change by from cycle to cycle [rad/s].
+        // Root mean square of the change of the rates from cycle to cycle [rad/s].
         "rate_change_rms": average(FigureEightRun::rate_change_square).sqrt(),
-        // Of the true body; none without an obstacle.
+        // Of the true body; null without an obstacle.
         "min_clearance_mm": clearances_mm.reduce(f64::min).filter(|mm| mm.is_finite()),
         "safe_distance_mm": 1e3 * NmpcSettings::default().safe_distance_m,
-        // Of the motor that is farthest from where it is commanded.
+        // Of the motor with the largest following error.
         "following_error_mm": largest(FigureEightRun::following_mm),
-        // By how much the worst command is beyond a limit, as a share of that.
+        // Largest excess of a command over a limit, as a share of the limit.
         "limit_excess": limit_excess,
         "wanted": null,
         "ok": null,
     });
-    // Nothing is wanted of a controller with a part switched off.
+    // There are no targets for a controller with a part switched off.
     if control == Control::Full {
         let is_within = scenario.is_reached(&row, ideal_change);
         row["ok"] = (is_within && limit_excess <= LIMIT_EXCESS_MAX).into();
@@ -332,7 +334,7 @@ fn row(
     row
 }
 
-/// The error over time of a first run, a panel for each robot.
+/// A panel with the error of the first run over time.
 fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: Control, run: &FigureEightRun) {
     let most = |errors_mm: &[f64]| errors_mm.iter().copied().fold(0.0, f64::max);
     let parts = run.errors_mm().chunks(DRAWN_CYCLES).enumerate();

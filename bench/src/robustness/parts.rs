@@ -1,10 +1,10 @@
-//! What each part of the controller is for: a figure of a robot that needs it, with the part and without.
+//! Effect of each part of the controller: a number of a robot that needs it, with the part and without.
 
 use serde_json::{Value, json};
 
 use crate::dataset::{Column, Sheet, number, word};
 
-/// A part that is switched off, the controller without it, the robot that shows it, and the key of the figure.
+/// A part, the controller without it, the robot that shows its effect, and the key of the number.
 #[rustfmt::skip]
 const SHOWN: [[&str; 4]; 11] = [
     ["filter of cables and bends", "no filter", "30 µm of noise", RATE_CHANGE],
@@ -44,7 +44,7 @@ const COLUMNS: [Column; 5] = [
     word("without", "without"),
 ];
 
-/// What each part of the controller is for, from the rows of a result, position interface; what they do not have is left out.
+/// The effect of each part, from the rows of a result with the position interface; missing rows are left out.
 pub fn parts(rows: &[Value]) -> Sheet {
     let rows = SHOWN.into_iter().filter_map(|[part, without, robot, key]| {
         let of = |controller: &str| {

@@ -1,4 +1,4 @@
-//! Robots, what is known of them, and what is done about the rest.
+//! Scenarios: robots, what the controller knows of them, and the controllers compared on them.
 
 use cdcr_controller::closed_loop::{Driven, FigureEight, Part, Sensor};
 use cdcr_controller::estimator::Actuator;
@@ -9,30 +9,30 @@ use serde_json::Value;
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, RGBColor, SKY};
 use crate::named::named;
 
-/// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches
-/// \[mm\]: see the test below.
+/// Mean distance of the second half of the spiral from the nearest point that a tip with 5 % shorter sections
+/// reaches \[mm\]: see the test below.
 const OUT_OF_REACH_MM: f64 = 34.22;
 
-/// Time constant of a daemon's estimate, by default \[s\].
+/// Default time constant of a daemon's estimate \[s\].
 const TIME_CONSTANT_S: f64 = 0.18;
 
 named! {
     pub(super) enum Control {
-        /// All that a daemon does.
+        /// All parts of a daemon's controller.
         Full = "full",
-        /// The motors are taken for ideal.
+        /// The motors are modelled as ideal.
         NoActuator = "no actuator model",
-        /// What is measured is believed at once.
+        /// Measurements are used unfiltered.
         NoFilter = "no filter",
-        /// How the offset of the tip changes along its way is not learnt.
+        /// The change of the tip offset along its path is not estimated.
         NoSlope = "no offset along the way",
         /// Rates cost nothing.
         NoRateWeight = "no weight on rates",
-        /// The body keeps no more distance where its tip is measured beside its bends.
+        /// No clearance margin where the tip is measured in addition to the bends.
         NoMargin = "no margin",
-        /// All of that: what is measured is believed at once, the motors are taken for ideal, rates cost nothing.
+        /// Unfiltered measurements, ideal motors, rates without cost.
         First = "first version",
-        /// The sensor of the tip is not used.
+        /// The tip sensor is not used.
         NoTip = "no tip",
         /// Nothing is measured.
         OpenLoop = "open loop",
@@ -40,12 +40,12 @@ named! {
 }
 
 impl Control {
-    /// Whether it is said what a robot does with it at rest.
+    /// Whether the results at rest are reported with this controller.
     pub(super) fn rests(self) -> bool {
         matches!(self, Self::Full | Self::NoRateWeight | Self::First)
     }
 
-    /// The way with the settings of the solver that it has.
+    /// The figure eight with the solver settings of this controller.
     pub(super) fn eight(self, eight: FigureEight) -> FigureEight {
         match self {
             Self::NoRateWeight | Self::First => eight.with_settings(NmpcSettings {
@@ -72,9 +72,9 @@ impl Control {
 pub(super) enum Way {
     /// The common figure eight of three sections.
     Eight,
-    /// The one of so many sections through the straight robot.
+    /// The figure eight of this many sections through the tip of the straight robot.
     ThroughStraight(usize),
-    /// The paper's spiral, so much lower \[m\].
+    /// The paper's spiral, lowered by this distance \[m\].
     Spiral { lower_m: f64 },
 }
 
@@ -82,34 +82,34 @@ pub(super) enum Way {
 pub(super) struct Scenario {
     pub(super) name: &'static str,
     pub(super) flaws: Flaws,
-    /// What its motors are taken for.
+    /// The controller's model of the motors.
     actuator: Actuator,
     sensor: Sensor,
     pub(super) way: Way,
-    /// A ball stands at the way, with its centre at this x (m).
+    /// Centre of a ball at the path (m).
     pub(super) ball_x_m: Option<f64>,
-    /// It is sent somewhere and shall stay there, too.
+    /// The robot is also sent to a position at which it must stay.
     pub(super) rests: bool,
-    /// Figures and their bounds; beside them, every command within its limits.
+    /// Numbers and their bounds; in addition, every command must be within its limits.
     targets: Vec<(Figure, f64)>,
 }
 
-/// What something may be wanted of: its key in a row, its name, its unit.
+/// A number with a target: its key in a row, its name, its unit.
 type Figure = (&'static str, &'static str, &'static str);
 const MEAN: Figure = ("mean_error_mm", "mean", "mm");
 const RMS: Figure = ("rms_error_mm", "rms", "mm");
 /// Mean error of the second half.
 const SETTLED: Figure = ("settled_error_mm", "settled", "mm");
 const MAX: Figure = ("max_error_mm", "max", "mm");
-/// Largest error of a robot that is sent somewhere and shall stay there.
+/// Largest error of a robot at a position at which it must stay.
 const AT_REST: Figure = ("rest_error_mm", "at rest", "mm");
-/// Root mean square of what the rates change by, over that of the ideal robot.
+/// Root mean square of the rate changes, over that of the ideal robot.
 const RATE_CHANGE: Figure = ("rate_change_rms", "rate change", "× ideal");
-/// Of the true body; the only one that shall be large.
+/// Of the true body; the only number with a lower bound.
 const CLEARANCE: Figure = ("min_clearance_mm", "clearance", "mm");
 
 impl Scenario {
-    /// Its motors are known, and of its state the lengths of the cables.
+    /// The motors are known; the cable lengths are measured.
     fn new(name: &'static str, flaws: Flaws) -> Self {
         Self {
             name,
@@ -132,7 +132,8 @@ impl Scenario {
         Self { targets, ..self }
     }
 
-    /// Whether a row of it has all that is wanted; of what was not measured nothing is. `ideal_change`: `rate_change_rms` of the ideal robot.
+    /// Whether a row reaches all targets; targets that were not measured count as reached. `ideal_change`:
+    /// `rate_change_rms` of the ideal robot.
     pub(super) fn is_reached(&self, row: &Value, ideal_change: Option<f64>) -> bool {
         let mut targets = self.targets.iter();
         targets.all(|&(figure, bound)| {
@@ -212,7 +213,7 @@ impl Scenario {
                 .sensor(tip(1))
                 .wants(&[(AT_REST, 0.3)])
         };
-        // With and without play: what of the error at rest is a limit cycle, and what noise.
+        // With and without play, to separate a limit cycle at rest from noise.
         let behind_lag = |name, play_m, wanted: &[_]| {
             let actuator = Actuator {
                 play_m,
@@ -228,7 +229,7 @@ impl Scenario {
         vec![
             Self::new("ideal", Flaws::default()),
             noisy("30 µm of noise", 3e-5),
-            // Evenly spread within ± √3 σ.
+            // Uniform within ± √3 σ.
             noisy("30 µm of noise, standard deviation", 3e-5 * 3_f64.sqrt()),
             lagging("lag 30 ms, delay 15 ms", known),
             lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
@@ -262,7 +263,7 @@ impl Scenario {
         .collect()
     }
 
-    /// One that would run into the ball, and those of `link.simulated`.
+    /// A robot that would collide with the ball, and the presets of `link.simulated`.
     fn longer_and_presets() -> Vec<Self> {
         let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
         let tip = |every| Sensor::CablesAndTip { every };
@@ -283,7 +284,7 @@ impl Scenario {
                 ..of_preset("laboratory", Preset::Laboratory)
             },
             Self {
-                // 5 mm nearer to the tip than the safe distance where that turns.
+                // At the turn, 5 mm nearer to the tip than the safe distance.
                 ball_x_m: Some(0.37),
                 ..of_preset("laboratory, ball", Preset::Laboratory)
             },
@@ -297,7 +298,7 @@ impl Scenario {
         self.flaws == Flaws::default()
     }
 
-    /// The preset of `link.simulated` that it is, if any.
+    /// The preset of `link.simulated`, if the robot is one.
     pub(super) fn plant(&self) -> &'static str {
         let preset = Preset::ALL
             .into_iter()
@@ -311,7 +312,8 @@ impl Scenario {
         }
     }
 
-    /// The controllers that differ on it. What a part is for shows where nothing else hides it: one or two robots are enough.
+    /// The controllers to compare on this scenario. A part is only switched off on one or two robots that
+    /// show its effect alone.
     pub(super) fn controls(&self) -> impl Iterator<Item = Control> {
         let name = self.name;
         let has_tip = matches!(self.sensor, Sensor::CablesAndTip { .. });
@@ -380,7 +382,7 @@ mod tests {
     use crate::closed_loop;
     use crate::scene::Scene;
 
-    /// A controller that knows how short its robot is keeps the tip at the nearest point that it reaches.
+    /// A controller that knows the shorter sections keeps the tip at the nearest reachable point.
     #[test]
     fn the_part_of_the_spiral_that_is_out_of_reach_is_that_far_away() {
         let mut shorter = RobotParameters::paper(3);
@@ -392,7 +394,7 @@ mod tests {
             ..Scene::spiral(3).unwrap()
         };
         let samples = closed_loop::run(&scene, NmpcSettings::default()).unwrap();
-        // The cycles that are judged: see FigureEightRun::settled_mm.
+        // The evaluated cycles: see `FigureEightRun::settled_mm`.
         let settled = &samples[597..];
         let errors_mm = settled.iter().map(closed_loop::Sample::error_mm);
         let mean_mm = errors_mm.sum::<f64>() / settled.len() as f64;

@@ -1,4 +1,4 @@
-//! What each knob between precision and quiet motors does, on the robot of the laboratory.
+//! Effect of each setting between precision and quiet motors, on the robot of the laboratory.
 
 use anyhow::Result;
 use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun, Sensor};
@@ -55,7 +55,7 @@ type Turned = [f64; KNOBS.len()];
 /// The preset `precise` of a daemon.
 const PRECISE: Turned = [1e-10, 0.0, 300.0];
 
-/// The presets of a daemon, and what it has without one.
+/// The presets of a daemon, and its values without one.
 const PRESETS: [(&str, Turned); 4] = [
     ("none", [1e-10, 0.0, 180.0]),
     ("precise", PRECISE),
@@ -63,14 +63,14 @@ const PRESETS: [(&str, Turned); 4] = [
     ("fast", [1e-10, 0.0, 60.0]),
 ];
 
-/// Those with `only` in their key, or all.
+/// The knobs with `only` in their key, or all.
 fn knobs(only: Option<&str>) -> impl Iterator<Item = (usize, &'static Knob)> {
     let is_meant =
         move |(_, knob): &(usize, &Knob)| only.is_none_or(|only| knob.key.contains(only));
     KNOBS.iter().enumerate().filter(is_meant)
 }
 
-/// Whether there is one; the presets are turned to always.
+/// Whether `only` matches a knob or the presets, which are always measured.
 pub(super) fn is_any(only: Option<&str>) -> bool {
     only == Some("preset") || knobs(only).next().is_some()
 }
@@ -82,7 +82,7 @@ pub(super) fn count(only: Option<&str>) -> usize {
             .sum::<usize>())
 }
 
-/// Turns the knobs with `only` in their key; a run takes about `run_s` \[s\].
+/// Varies the knobs with `only` in their key; a run takes about `run_s` \[s\].
 pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Result<Dataset> {
     let eight = FigureEight::new()?;
     let mut row = |knob: &str, turned_to: String, value: Option<f64>, knobs: Turned| {
@@ -161,7 +161,7 @@ fn follow(eight: &FigureEight, knobs: Turned, sensor: Sensor) -> Result<FigureEi
     Ok(eight.clone().with_settings(settings).run(driven, &[])?)
 }
 
-/// Error, and change of the rates, over a knob; its 0 has no place on an axis of powers.
+/// Error and rate change over a knob; the value 0 has no place on a logarithmic axis.
 fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
     let turned = || rows.iter().filter(|row| row["value"] != json!(0.0));
     let curve = |label, key, colour| of_rows(label, turned(), "value", key, colour);
@@ -184,7 +184,7 @@ fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
     ]
 }
 
-/// What one knob of a sweep does, from the rows of its result.
+/// Effect of one knob of a sweep, from the rows of its result.
 pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
     let of = rows.iter().filter(|row| row["knob"] == knob).cloned();
     let mut columns = COLUMNS[1..].to_vec();
@@ -199,7 +199,7 @@ mod tests {
     use super::*;
     use crate::subject::daemon::Launch;
 
-    /// What the daemon has of a key on the robot of the laboratory.
+    /// The daemon's value of a key with this preset.
     fn in_force(preset: &str, key: &str) -> f64 {
         let mut command = Launch::default().command("config").unwrap();
         command.args(["explain", key, "--set", "link.simulated=laboratory"]);

@@ -1,4 +1,5 @@
-//! How long the estimate takes beside the solve that follows it: three sections on the figure eight, without a daemon.
+//! Time of the estimate beside that of the following solve: three sections on the figure eight, without a
+//! daemon.
 
 use std::time::Instant;
 
@@ -30,9 +31,9 @@ const LAG_AND_PLAY: Actuator = Actuator {
 };
 
 named! {
-    /// What is measured, and how the motors are.
+    /// The measured quantities and the state of the motors.
     pub enum Sensed {
-        /// Believed at once: no filter, ideal motors.
+        /// Without a filter, with ideal motors.
         AtOnce = "cables, believed at once",
         Cables = "cables",
         CablesAndTip = "cables and tip",
@@ -65,8 +66,8 @@ pub const TABLE: RoundTable = RoundTable {
     path: "estimate/{sensed}",
 };
 
-/// All kinds of measuring, one after the other, and what each takes more than the first, which is that of before there were filters and
-/// models.
+/// All kinds of measurement, one after the other. `more_p50_us` is the time beyond the first kind, the
+/// controller without filters and models.
 pub fn measure(cycles: u64) -> Result<Vec<Value>> {
     let rows = Sensed::ALL.iter().map(|sensed| sensed.measure(cycles));
     let mut rows: Vec<Value> = rows.collect::<Result<_>>()?;
@@ -91,7 +92,7 @@ impl Sensed {
         }
     }
 
-    /// Takes in what is measured of a robot that is bent like this.
+    /// Corrects the estimate with the measurements of a robot in this state.
     fn correct(self, estimator: &mut Estimator, robot: &Robot, seen: &Seen) {
         if self == Self::Tip {
             estimator.correct(robot, &Measurement::TipPosition(seen.tip_m), 0.0);

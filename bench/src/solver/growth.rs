@@ -1,5 +1,5 @@
-//! How the time of a solve grows with one thing when all others stay: straight-line fits over the medians
-//! of the fastest path.
+//! Growth of the solve time with one quantity while all others stay: straight-line fits over the medians of
+//! the fastest path.
 
 use serde_json::{Value, json};
 use statrs::statistics::Statistics as _;
@@ -7,7 +7,7 @@ use statrs::statistics::Statistics as _;
 use crate::dataset::{Column, Sheet, fixed, number, plain, word};
 use crate::experiment::Solver;
 
-/// What differs: its name, its key in a case, and what it is in the paper's size.
+/// A varied quantity: its name, its key in a case, and its value in the paper's size.
 type Quantity = (&'static str, &'static str, f64);
 
 pub const SECTION: Quantity = ("section", "sections", 3.0);
@@ -41,7 +41,8 @@ pub fn sheet(cases: &[Value]) -> Sheet {
         .file("solver-growth")
 }
 
-/// The median of a solver on the fastest path over one quantity, of the cases that are like the paper's in all others.
+/// The median of a solver on the fastest path over one quantity, from the cases that equal the paper's in all
+/// others.
 pub fn series(cases: &[Value], solver: Solver, (_, per, _): Quantity) -> Vec<(f64, f64)> {
     let fastest = cases.last().map(|case| &case["path"]);
     let is_like = |case: &Value, (_, key, paper): &Quantity| {
@@ -76,7 +77,7 @@ fn growth(cases: &[Value], solver: Solver, per: Quantity) -> Option<Value> {
             "p50_us_to": p50_us_to,
             // Slope of the line through all medians.
             "us_per_unit": slope(&points),
-            // From a line through the logarithms; none where the smallest is zero.
+            // From a line through the logarithms; null if the smallest value is zero.
             "factor_per_doubling": (from > 0.0).then(|| slope(&logarithms).exp2()),
         })
     })

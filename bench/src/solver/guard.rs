@@ -1,4 +1,4 @@
-//! How long the safety checks take where they are hard: six sections among 64 obstacles, all of them in reach.
+//! Duration of the safety checks in a hard case: six sections among 64 obstacles, all of them in reach.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ use crate::quantiles::{histogram, quantile_us};
 const SECTIONS: usize = 6;
 const OBSTACLES: usize = 64;
 pub const MOMENTS: u64 = 1000;
-/// Each command is computed so often, and the fastest counts: the work is the same, the machine is not.
+/// Repetitions of each command; the fastest counts, because only the machine differs between them.
 const REPEATS: usize = 5;
 const BEND_RAD: f64 = 0.8;
 /// Fastest rates of a moment \[rad/s\].
@@ -25,13 +25,13 @@ const RATES_RAD_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
 const SPEED_M_S: f64 = 0.3;
 const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
-/// Commands as a daemon asks for them by default.
+/// Default parameters of a daemon.
 const PERIOD_S: f64 = 0.005;
 const MOVING_S: f64 = 3.0 * PERIOD_S;
 const DECELERATION_RAD_S2: f64 = 40.0;
 
 named! {
-    /// What stands around the robot.
+    /// The obstacles around the robot.
     pub enum Crowd {
         Balls = "balls",
         BallsMoving = "balls-moving",
@@ -59,7 +59,7 @@ pub const TABLE: RoundTable = RoundTable {
     path: "guard/{crowd}",
 };
 
-/// Measures every kind of crowd in `moments` moments, the same ones in each round.
+/// Measures every crowd at `moments` moments, the same ones in each round.
 pub fn measure(moments: u64) -> Result<Vec<Value>> {
     Crowd::ALL
         .iter()
@@ -106,7 +106,7 @@ impl Crowd {
         })
     }
 
-    /// Beside some point of the body, from touching the safe distance to 30 mm outside.
+    /// Beside a random point of the body: between the safe distance and 30 mm beyond it.
     fn obstacle(
         self,
         robot: &Robot,

@@ -1,4 +1,5 @@
-//! Long horizons where they are hard: a spiral so fast that rates saturate, with and without obstacles around the body, by one deadline.
+//! Long horizons in hard cases: a spiral so fast that rates saturate, with and without obstacles around the
+//! body, with one deadline.
 
 use std::time::Duration;
 
@@ -14,19 +15,19 @@ use crate::dataset::{Column, RoundTable, each, fixed, joined, plain, power, word
 use crate::experiment::{Solver, Task};
 use crate::quantiles::{histogram, quantile_us};
 
-/// Steps of the horizon, each with rates of its own.
+/// Steps of the horizon, each with separate rates.
 const HORIZON: u32 = 20;
-/// Time of a solve.
+/// Budget of a solve.
 const BUDGET: Duration = Duration::from_micros(4500);
-/// How many times as fast as the paper's.
+/// Speeds as multiples of the paper's.
 const SPEEDS: [u32; 4] = [1, 3, 5, 10];
 const OBSTACLES: [usize; 2] = [0, 16];
-/// Cycles at most, at half the spiral's time.
+/// Largest number of cycles.
 const CYCLES_MAX: u64 = 400;
 
 /// Deadlines, counted in quanta \[µs\].
 const DEADLINES_US: [u32; 8] = [20, 50, 100, 200, 300, 500, 1000, 4500];
-/// Cycles by each of them at most.
+/// Largest number of cycles for each deadline.
 const DEADLINE_CYCLES_MAX: u64 = 199;
 
 const COLUMNS: [Column; 9] = [
@@ -76,12 +77,12 @@ pub const TABLE: RoundTable = RoundTable {
     path: "hard/{solver}/{speed}-times/{obstacles}-obstacles",
 };
 
-/// Measures every problem with the solvers that refine.
+/// Measures every problem with the refining solvers.
 pub fn measure() -> Result<Vec<Value>> {
     every(|problem| follow(problem, CYCLES_MAX, None))
 }
 
-/// Mean errors of the same by shorter deadlines.
+/// Mean errors of the same problems with shorter deadlines.
 pub fn measure_by_deadlines() -> Result<Vec<Value>> {
     every(|problem| {
         let mut by_deadlines = Vec::new();
@@ -113,8 +114,8 @@ fn every(solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<Value>> {
     Ok(rows)
 }
 
-/// Follows a spiral at so many times the speed of the paper's, with so many quanta for a solve, or by the deadline. The robot does what is planned:
-/// no guard corrects it.
+/// Follows a spiral at a multiple of the paper's speed. `quanta`: work limit of a solve; `None`: the budget
+/// by the clock. The robot executes the plan; no guard corrects it.
 fn follow(
     (solver, speed, obstacles): Problem,
     cycles_max: u64,
@@ -162,7 +163,7 @@ fn follow(
     Ok(json!({
         "mean_error_mm": errors_mm.iter().sum::<f64>() / count,
         "max_error_mm": errors_mm.iter().copied().fold(0.0, f64::max),
-        // Smallest clearance on the way, less the safe distance; none without obstacles.
+        // Smallest clearance less the safe distance; null without obstacles.
         "spare_clearance_mm": spare_m.is_finite().then_some(1e3 * spare_m),
         "p50_us": quantile_us(&times, 0.5),
         "p99_us": quantile_us(&times, 0.99),

@@ -1,4 +1,4 @@
-//! What `cdcr-bench all` leaves in its folder.
+//! Files that `cdcr-bench all` writes.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -61,7 +61,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         "{report}"
     );
     assert_eq!(report["extent"]["quick"], true);
-    // Without the folder: where a report lies does not matter.
+    // Without the folder, whose path does not matter.
     let options =
         json!({ "command": "all", "only": "solver,budget", "quick": "true", "rounds": "2" });
     assert_eq!(
@@ -121,7 +121,8 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     }
     needs_nothing_else(&page);
 
-    // A report of less stays beside it, whatever its benchmarks are called today; what failed in it is no loss.
+    // A report with fewer results goes beside it, even if benchmarks were renamed; a failed result is no
+    // loss.
     let mut older = report;
     older["renamed"] = json!({ "cases": [] });
     older["failing"] = json!({ "error": "no luck" });
@@ -170,7 +171,7 @@ fn ctrl_c_leaves_nothing_in_the_folder() {
     let mut command = command(place.path(), "--only solver --rounds 100");
     let child = command.stdout(Stdio::null()).stderr(Stdio::piped());
     let mut child = child.spawn().expect("the program runs");
-    // It has begun when it says so; the signal handlers are there then.
+    // The first line of output shows that the signal handlers are installed.
     let mut errors = BufReader::new(child.stderr.take().expect("a pipe"));
     let mut told = String::new();
     errors.read_line(&mut told).expect("a line");
@@ -186,7 +187,7 @@ fn ctrl_c_leaves_nothing_in_the_folder() {
     assert!(names(place.path()).is_empty());
 }
 
-/// Whether a daemon runs in the private places whose names begin like this. One that is gone or a zombie does not.
+/// Whether a daemon runs in a private place with this prefix. Zombies do not count.
 fn has_daemon(places: &str) -> bool {
     let entries = fs::read_dir("/proc").expect("processes").flatten();
     let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
@@ -207,7 +208,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
         .spawn()
         .expect("the program runs");
     let own = format!("cdcrbed_{}_", child.id());
-    // A daemon with a client runs when it has files; how soon is up to the machine.
+    // A daemon with a client has files; the time until then depends on the machine.
     while !has_daemon(&own) || in_public_memory(&own).is_empty() {
         let ended = child.try_wait().expect("it is ours");
         assert!(ended.is_none(), "no daemon was seen");

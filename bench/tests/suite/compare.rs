@@ -1,4 +1,4 @@
-//! What `cdcr-bench compare` says of two files, and of files that are none.
+//! Output of `cdcr-bench compare` for two files, and for missing ones.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -16,7 +16,7 @@ fn compare(line: &str, files: [&Path; 2]) -> Output {
 /// A name, a unit, and the value of each round.
 type Number<'a> = (&'a str, &'a str, &'a [f64]);
 
-/// A result with these numbers, of which less is better, and these keys.
+/// Writes a result with these numbers, of which less is better, and these keys.
 fn write(folder: &Path, name: &str, keys: &[(&str, Value)], numbers: &[Number]) -> PathBuf {
     let metric = |(name, unit, rounds): &Number| json!({ "name": name, "unit": unit, "better": "lower", "rounds": rounds });
     let mut document = json!({
@@ -36,7 +36,7 @@ fn write(folder: &Path, name: &str, keys: &[(&str, Value)], numbers: &[Number]) 
 #[test]
 fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let folder = Scratch::temporary().expect("a folder");
-    // Five numbers, so that more of them move than chance moves, and an exact one.
+    // Five numbers, so that more of them change than by chance, and an exact one.
     let many = |name, rounds: &[f64; 3]| {
         let moving = ["a/0", "a/1", "a/2", "a/3", "a/4"].map(|name| (name, "µs", &rounds[..]));
         let all = [&moving[..], &[("b", "mm", &rounds[..1])]].concat();
@@ -59,10 +59,10 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let metrics = &document["metrics"];
     assert!(metrics[0]["verdict"] == "worse" && metrics[5]["verdict"] == "one-value-worse");
     assert!((number(&metrics[0], "change_percent") - 100.0 / 1.1).abs() < 1e-9);
-    // The other way round it became better.
+    // In the opposite direction, the numbers became better.
     assert!(compare(failing, [&after, &before]).status.success());
 
-    // Of 31 numbers chance moves 10 %: half of 3.1, rounded up, and two more may be chance.
+    // Of 31 numbers, 10 % change by chance: half of 3.1, rounded up, and two more may get worse.
     let names: Vec<String> = (0..31).map(|i| format!("a/{i}")).collect();
     for (worse, fails) in [(4, false), (5, true)] {
         let run = |file, worse| {
@@ -129,7 +129,7 @@ fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
         assert_eq!(names, ["worse", "same"], "changed ones first");
         assert_eq!(document["only_before"], json!(["gone", "unit"]));
         assert_eq!(document["only_after"], json!(["empty", "new", "unit"]));
-        // 2 of the 20 ways to deal six rounds leave three and three apart.
+        // 2 of the 20 divisions of six rounds leave three and three disjoint.
         let by_chance = number(&document, "changed_by_chance");
         assert!((by_chance - 0.2).abs() < 1e-12, "{document}");
         assert_eq!(

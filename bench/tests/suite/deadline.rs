@@ -1,4 +1,4 @@
-//! What `cdcr-bench deadline` hands over, from a few seconds of real processes.
+//! Results of `cdcr-bench deadline`, from a few seconds of real processes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use crate::{list, machine, number, printed_json, program};
 
-/// Whether this user may have real-time threads; if not, only a part can be measured.
+/// Whether this user may have real-time threads; otherwise only a part can be measured.
 fn is_realtime() -> bool {
     let granted = cdcr_testbed::system::thread::may_be_realtime();
     if !granted {
@@ -31,11 +31,11 @@ fn assert_quantiles(case: &Value, key: &str) {
 }
 
 fn assert_case(case: &Value, cycles_least: f64) {
-    // What was due ran, was skipped, or its record was lost on the way to a watcher that the machine held up.
+    // A due release was executed or skipped, or its record was lost because the machine stalled the watcher.
     let lost = case["lost_records"].as_f64().unwrap_or_default();
     let due = number(case, "cycles") + number(case, "skipped_periods") + lost;
     assert!(due >= cycles_least, "{case}");
-    // cyclictest does not say why.
+    // cyclictest reports no causes.
     let is_told = case["subject"] != "cyclictest";
     for cause in ["platform", "load", "compute", "fault", "other"] {
         assert_eq!(case["causes"][cause].is_u64(), is_told, "{case}");
@@ -57,11 +57,12 @@ fn assert_case(case: &Value, cycles_least: f64) {
     }
 }
 
-/// What is added up over the rounds.
+/// Counts that are added over the rounds.
 const SUMMED: &str = "cycles late_starts deadline_misses own_misses skipped_periods lost_commands steal_ms run_delay_ms \
                       causes/platform causes/load causes/compute causes/fault causes/other";
 
-/// All rounds together: counts are added up, the median is that of the rounds, nothing is left of a single one.
+/// All rounds together: counts are added, the median is that of the rounds, values of single rounds are left
+/// out.
 fn assert_rounds(case: &Value) {
     let rounds = list(case, "rounds");
     assert_eq!(rounds.len(), 2);
@@ -91,7 +92,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
 
     let cases = list(&document, "cases");
     for case in cases {
-        // 2 s of 5 ms; processes that start late on a machine that stalls get a little less.
+        // 2 s of 5 ms; processes that start late on a stalled machine get a little less.
         assert_case(case, 300.0);
         for round in list(case, "rounds") {
             let updates = round["load_did"]["updates"].as_u64().expect("a count");
@@ -131,7 +132,7 @@ fn assert_files(folder: &Path) {
     }
 }
 
-/// Anybody can read every latency again: of each case as many wake-ups as cycles ran, and the longest of them.
+/// The log contains as many wake-ups as cycles ran in each case, and the longest of them.
 fn assert_log(file: &Path, cases: &[Value]) {
     let text = std::fs::read_to_string(file).expect("a log");
     let (mut found, mut begin) = (BTreeMap::<String, (u64, u64)>::new(), Duration::ZERO);

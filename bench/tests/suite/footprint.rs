@@ -1,4 +1,4 @@
-//! What `cdcr-bench footprint` hands over, from one daemon for a moment.
+//! Results of `cdcr-bench footprint`, from one daemon for a moment.
 use std::process::Stdio;
 
 use cdcr_process::in_public_memory;
@@ -28,7 +28,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     assert_eq!(rounds.len(), 1);
     let start = &rounds[0];
     let ms = |key: &str| number(start, key);
-    // The first good cycle comes after its release, and the daemon cannot be seen before it is there.
+    // The first good cycle and the first received record come after the release.
     assert!(
         ms("first_release_ms") > 0.0 && ms("ready_ms") > ms("first_release_ms"),
         "{start}"
@@ -47,7 +47,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let steps = ["growth_idle_kb", "growth_by_client_kb", "growth_kb"].map(figure);
     let added_mb = 1e-3 * steps.iter().sum::<f64>();
     assert!((figure("resident_start_mb") + added_mb - figure("resident_mb")).abs() < 1e-6);
-    // What the daemon says is what the kernel counts.
+    // The daemon's report agrees with the kernel's count.
     let is_locked = figure("locked_mb") > 0.0;
     assert!((figure("locked") - f64::from(is_locked)).abs() < 1e-9);
     assert!(figure("memory_files") > 0.0 && figure("root_files") > 0.0);

@@ -1,4 +1,4 @@
-//! What `cdcr-bench latency` hands over, from a few samples; and that its peer leaves nothing.
+//! Results of `cdcr-bench latency` from a few samples, and the cleanup by its peer.
 
 use std::hint;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ use cdcr_testbed::system::thread::pin;
 
 use crate::{list, machine, number, printed_json, program, stderr};
 
-/// How long a process may take: machines stall.
+/// Time limit for a process. Long, because machines stall.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Two rounds: each leg has its samples, and its parts make the whole.
@@ -51,7 +51,7 @@ fn every_way_is_measured_in_every_round() {
     assert_eq!(samples(Leg::StopZeroCommand), 8);
     assert_eq!(samples(Leg::StopZeroCommand), samples(Leg::StopGrid));
     assert_eq!(samples(Leg::BareOneWay), 160);
-    // Nobody can have an effect before what causes it.
+    // An effect cannot precede its cause.
     let least = |leg: Leg| number(&row(leg)["latency_us"], "min");
     assert!(least(Leg::BareRoundTrip) >= least(Leg::BareOneWay));
     assert!(least(Leg::CommandRelease) >= least(Leg::CommandHandover));
@@ -79,7 +79,7 @@ fn the_program_takes_another_period() {
     assert_eq!(json["targets"][0]["limit_us"], 10_100.0);
 }
 
-/// A peer at `place` whose parent is, so it is told, the process `parent`.
+/// Starts a peer at `place` with the process id `parent` as its parent.
 fn start_peer(place: &Place, parent: &str) -> Child {
     program(&format!("{PEER} --core 0 --shares"))
         .args(["--prefix", place.location().prefix(), "--root"])
@@ -112,7 +112,7 @@ fn a_peer_that_is_told_to_end_leaves_no_port() {
     let place = Place::new().unwrap();
     let mut peer = start_peer(&place, &std::process::id().to_string());
     wait_until("the start of the peer", || place.memory_files().len() > 2);
-    // Asked twice, by the parent and by the kernel, it ends in order all the same.
+    // Two signals, as from the parent and from the kernel, do not disturb the orderly end.
     let id = rustix::process::Pid::from_child(&peer);
     for _ in 0..2 {
         rustix::process::kill_process(id, rustix::process::Signal::TERM).unwrap();
@@ -148,7 +148,7 @@ impl Drop for Crowd {
     }
 }
 
-/// On a core where whatever it yields is taken.
+/// On a core where other threads take all the time that the peer yields.
 #[test]
 fn a_peer_whose_parent_is_killed_leaves_nothing() {
     let place = Place::new().unwrap();

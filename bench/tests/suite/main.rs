@@ -1,4 +1,4 @@
-//! Tests of the public interface, in one program: each test program costs a link.
+//! Tests of the public interface in one program, because each test program costs a link.
 
 #![allow(
     clippy::unwrap_used,
@@ -22,21 +22,22 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde_json::Value;
 
-/// The machine, for one measurement of a daemon at a time. Each has real-time threads on the same cores; one that looks for commands
-/// does not rest while they are late, and goes before the reporters of the daemons of others, whose clients take them for dead.
+/// Allows one measurement of a daemon at a time, because all use the same real-time core. While commands are
+/// late, a client that polls for them does not pause. It would delay the reporters of other daemons, whose
+/// clients would take them for dead.
 fn machine() -> MutexGuard<'static, ()> {
     static MACHINE: Mutex<()> = Mutex::new(());
     MACHINE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The program with these words.
+/// The program with these arguments.
 fn program(line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"));
     command.args(line.split_ascii_whitespace());
     command
 }
 
-/// What the program prints; it has to succeed.
+/// Output of the program, which must succeed.
 fn printed(command: &mut Command) -> String {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
@@ -47,7 +48,7 @@ fn printed_json(command: &mut Command) -> Value {
     serde_json::from_str(&printed(command)).unwrap()
 }
 
-/// Every link leads to a place of the page itself.
+/// The page contains no reference outside itself.
 fn needs_nothing_else(page: &str) {
     let page = page.replace("href=\"#", "");
     for word in ["src=", "href=", "url(", "<script", "@import"] {

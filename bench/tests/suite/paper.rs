@@ -1,4 +1,4 @@
-//! What `cdcr-bench paper` hands over, from runs of a few cycles.
+//! Results of `cdcr-bench paper`, from runs of a few cycles.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -51,7 +51,7 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
         assert!(own.iter().all(|key| row[key].is_f64()), "{row}");
         let is_clearest = row["solver"] == "kpso-refined" && !has_paper_error;
         assert_eq!(row["seeds"], if is_clearest { 20 } else { 1 }, "{row}");
-        // The tip does not reach the circle in a few cycles, so it has neither mean nor peak.
+        // The tip does not reach the circle in a few cycles, so there is neither mean nor peak.
         assert!(row["mean_error_outside_mm"].is_null() && row["peak_error_mm"].is_null());
         assert_eq!(row["samples"], 12);
         for key in ["mean", "p50", "p99", "max"] {
@@ -109,13 +109,13 @@ fn the_folder_holds_figures_a_page_and_tables() {
     assert_eq!(figures, 18);
     let page = std::fs::read_to_string(folder.join("paper.html")).expect("the page");
     assert_eq!(page.matches("<svg").count(), figures);
-    // One for each simulation, and the machine.
+    // One for each simulation, and one for the machine.
     assert_eq!(page.matches("<pre").count(), 3 + 1);
     needs_nothing_else(&page);
     assert!(folder.join("paper.json").exists() && folder.join("paper.csv").exists());
 }
 
-/// The whole of one simulation with one seed.
+/// A whole simulation with one seed.
 fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
     let effort = Effort {
         cycles_max: u64::MAX,

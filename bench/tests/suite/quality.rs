@@ -1,4 +1,4 @@
-//! What `cdcr-bench quality` hands over, from a small part of it.
+//! Results of `cdcr-bench quality`, from a small part of it.
 
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
@@ -35,7 +35,7 @@ fn report() -> &'static Dataset {
 #[test]
 fn every_form_holds_every_variant() {
     let report = report();
-    // Of each course: 2 budgets and 2 horizons with three solvers, a swarm with two.
+    // For each course: 2 budgets and 2 horizons with three solvers, and a swarm with two.
     let rows = 2 * (2 * 3 + 2 * 3 + 2);
     let fields = Field::ALL.len() * CONTENDERS.len();
     let json = Value::Object(report.json());
@@ -51,7 +51,7 @@ fn every_form_holds_every_variant() {
         }
         let share = number(case, "cut_short_share");
         assert!((0.0..=1.0).contains(&share), "{case}");
-        // Only a budget cuts a solve short.
+        // Only a budget shortens a solve.
         assert!(case["axis"] == "budget" || share == 0.0, "{case}");
         let is_timed = case["axis"] == "budget";
         assert_eq!(case["budget_us"].is_u64(), is_timed, "{case}");

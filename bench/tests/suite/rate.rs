@@ -1,4 +1,4 @@
-//! What `cdcr-bench rate` finds out, from short trials with real daemons.
+//! Results of `cdcr-bench rate`, from short trials with real daemons.
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
@@ -18,7 +18,7 @@ fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
     rate::measure(&options, &mut Progress::silent()).unwrap()
 }
 
-/// Whatever the machine did meanwhile: the numbers belong together.
+/// The numbers of a trial are consistent, independent of the machine.
 fn assert_consistent(trial: &Trial) {
     let row = &trial.row;
     assert_eq!(row["holds"], trial.holds());

@@ -1,8 +1,8 @@
-//! What makes no sense is refused, with a reason, before anything is measured.
+//! Invalid arguments are rejected with a reason before any measurement.
 
 use crate::{program, stderr};
 
-/// What is asked, and words of the answer.
+/// Arguments, and words of the error.
 const REFUSED: &str = "\
 deadline --duration=2s --rounds=9 --setup=ordinary => less than a second
 deadline --load=nonsense => nonsense

@@ -1,4 +1,5 @@
-//! The tables of `docs/robustness.md` and `docs/tuning.md` and the picture of the rates are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
+//! The tables of `docs/robustness.md` and `docs/tuning.md` and the plot of the rates match the committed
+//! results, which do not describe the machine. `CDCR_GENERATE=1` writes them.
 
 use std::path::Path;
 
@@ -6,7 +7,7 @@ use cdcr_bench::dataset::Sheet;
 use cdcr_bench::{rate, robustness};
 use serde_json::Value;
 
-/// Where a table begins in the document, and where it ends.
+/// Markers at the begin and the end of a table in the document.
 const MARKS: (&str, &str) = (
     "<!-- generated from ",
     "<!-- end of what is generated -->\n",
@@ -17,7 +18,7 @@ fn rows(document: &Value, key: &str) -> Vec<Value> {
     document[key].as_array().expect("rows").clone()
 }
 
-/// The table that stands for a result, or for one knob of it, in a document.
+/// The table of a result, or of one knob of it, in a document.
 fn table(file: &str, knob: Option<&str>, document: &Value) -> Sheet {
     match (file, knob) {
         ("results/robustness.json", None) => robustness::comparison(&rows(document, "scenarios")),
@@ -29,7 +30,7 @@ fn table(file: &str, knob: Option<&str>, document: &Value) -> Sheet {
     }
 }
 
-/// A committed result. What `cdcr-bench` wrote of the machine is taken away where results are generated.
+/// A committed result. With `CDCR_GENERATE`, its description of the machine is removed.
 fn result(file: &Path) -> Value {
     let json = std::fs::read_to_string(file).expect("the result");
     let mut document: Value = serde_json::from_str(&json).expect("one object");
@@ -45,7 +46,7 @@ fn generates() -> bool {
     std::env::var_os("CDCR_GENERATE").is_some()
 }
 
-/// The files below `docs` that a committed result makes are up to date.
+/// The files below `docs` that are generated from a committed result are up to date.
 #[test]
 fn documents_hold_what_is_made_from_the_json_beside_them() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
@@ -72,7 +73,7 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
     }
 }
 
-/// A document with its tables made again.
+/// A document with regenerated tables.
 fn with_tables(docs: &Path, text: &str) -> String {
     let (begin, end) = MARKS;
     let mut parts = text.split(begin);

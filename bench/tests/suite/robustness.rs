@@ -1,4 +1,4 @@
-//! What `cdcr-bench robustness` hands over, from one seed, and what was committed of it.
+//! Results of `cdcr-bench robustness` from one seed, compared with the committed results.
 
 use std::path::Path;
 
@@ -6,14 +6,14 @@ use serde_json::Value;
 
 use crate::{list, number, printed_json, program};
 
-/// A result in the documents.
+/// A committed result.
 fn committed(name: &str) -> Value {
     let place = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results");
     let text = std::fs::read_to_string(place.join(name)).expect("the result");
     serde_json::from_str(&text).expect("one object")
 }
 
-/// Each row of today has the numbers of the committed row with the same `keys`.
+/// Each new row has the numbers of the committed row with the same `keys`.
 fn are_those(new: &[Value], committed: &[Value], keys: &[&str], numbers: &[&str]) {
     for new in new {
         let is_it = |old: &&Value| keys.iter().all(|key| old[key] == new[key]);
@@ -32,7 +32,7 @@ fn same(found: f64, expected: f64, what: &Value) {
     );
 }
 
-/// The result of today's code, of the part named `only`, and of everything with `CDCR_WHOLE`.
+/// The present result of the part named `only`, or of everything with `CDCR_WHOLE`.
 fn of_today(line: &str, only: &str) -> Value {
     let part = format!("--only {only}");
     let part = if is_whole() { "" } else { &part };
@@ -50,7 +50,7 @@ fn what_robots_do_that_are_not_their_model_is_what_was_committed() {
     is_what_was_committed(&of_today("--seeds 1", "laboratory"));
 }
 
-/// What a part is for shows on a robot that needs it: so many times the figure, at least, without it.
+/// Without its part, a robot that needs it has at least this multiple of the number.
 #[rustfmt::skip]
 const PARTS: [(&str, &str, &str, f64); 9] = [
     ("30 µm of noise", "first version", "mean_error_mm", 1.0 / 0.3),
@@ -86,7 +86,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
         }
     }
     let full = |name: &str, key: &str| of(name, "full", "position", key);
-    // Shorter or longer, on either way.
+    // Shorter or longer, on either path.
     for robot in [
         "",
         ", 5 % shorter",
@@ -102,7 +102,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
     }
     assert!(rows.iter().any(|row| row["plant"] == "laboratory"));
     assert!(full("30 µm of noise, standard deviation", "rms_error_mm") < 0.15);
-    // A known play makes a robot at rest swing no farther than noise does without play.
+    // A known play must not make a robot at rest oscillate more than noise does without play.
     let lagging = "lag 20 ms, tip at 100 Hz";
     let with_play = format!("{lagging}, play of 0.5 mm");
     assert!(full(&with_play, "rest_error_mm") < full(lagging, "rest_error_mm"));
@@ -117,7 +117,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
     assert!(full("laboratory, ball", "min_clearance_mm") > 5.0);
 }
 
-/// The committed result is that of today's code: the first seed of each robot with noise, and each robot that lags.
+/// The present code reproduces the committed first seed of each metric, and each robot with lag.
 fn is_what_was_committed(document: &Value) {
     let committed = committed("robustness.json");
     let metrics = list(&committed, "metrics");
@@ -131,7 +131,7 @@ fn is_what_was_committed(document: &Value) {
     assert!(!is_whole() || new.len() == old.len());
     let is_steady = |row: &&Value| {
         let name = row["name"].as_str().expect("a name");
-        // What oscillates goes by the last bits, and what is noisy by the seeds.
+        // Oscillations depend on the last bits, and noise on the seeds.
         let is_noisy = name.contains("tip");
         name.starts_with("lag") && !is_noisy && row["controller"] != "first version"
     };
