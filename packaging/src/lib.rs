@@ -1,8 +1,8 @@
-//! Manual pages and shell completions, made from the command lines themselves.
+//! Manual pages and shell completions, generated from the command lines.
 //!
 //! They are committed below `packaging/generated`, so that `cargo deb` finds them after a fresh clone. Each
-//! program has a test that calls [`check`]: it fails when a page is not what the command line says, and writes
-//! all of them instead when `CDCR_GENERATE` is set:
+//! program has a test that calls [`check`]: it fails when a page differs from the command line. When
+//! `CDCR_GENERATE` is set, it writes all pages instead:
 //!
 //! ```sh
 //! CDCR_GENERATE=1 cargo test --workspace the_manual
@@ -20,18 +20,18 @@ use clap_complete::{Generator, Shell};
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
 
-/// Where the generated files are committed.
+/// Folder of the committed files.
 const GENERATED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/generated");
 
 /// Manual pages and completions of one program, by their paths below `generated`.
 pub type Files = BTreeMap<PathBuf, Vec<u8>>;
 
-/// Compares what is committed for a program with what its command line says, or writes it when
-/// `CDCR_GENERATE` is set. `section` is that of the manual: 1 for what users call, 8 for daemons. A program that answers
-/// shells itself, when an environment variable is set, says which and how: its completions ask it.
+/// Compares the committed files of a program with its command line, or writes them when `CDCR_GENERATE` is
+/// set. `section` is the section of the manual: 1 for user commands, 8 for daemons. `answers` is the
+/// environment variable with which a program itself answers completion requests of shells, and how.
 ///
 /// # Errors
-/// When a file is missing, differs, or belongs to a command that is gone.
+/// When a file is missing or differs, or belongs to a removed command.
 pub fn check(command: &Command, section: &str, answers: Option<(&str, &Shells)>) -> Result<()> {
     let files = generate(command, section, answers)?;
     let folder = Path::new(GENERATED);
@@ -51,7 +51,7 @@ pub fn generate(
     answers: Option<(&str, &Shells)>,
 ) -> Result<Files> {
     let name = command.get_name().to_owned();
-    // `help` would be a page of its own for each command.
+    // `help` would get a page for each command.
     let mut command = command.clone().disable_help_subcommand(true);
     command.build();
     let mut files = Files::new();
@@ -70,7 +70,7 @@ pub fn generate(
     Ok(files)
 }
 
-/// The page of a command, and those of the commands below it.
+/// The page of a command, and the pages of its subcommands.
 fn add_pages(files: &mut Files, command: &Command, section: &str) -> io::Result<()> {
     for below in command.get_subcommands().filter(|c| !c.is_hide_set()) {
         add_pages(files, below, section)?;
@@ -95,7 +95,7 @@ fn add_pages(files: &mut Files, command: &Command, section: &str) -> io::Result<
     Ok(())
 }
 
-/// What the help says last, line by line as it stands there.
+/// The text after the help, line by line and unchanged.
 fn add_examples(page: &mut Vec<u8>, command: &Command) -> io::Result<()> {
     let Some(text) = command.get_after_long_help().or(command.get_after_help()) else {
         return Ok(());

@@ -1,4 +1,4 @@
-//! Prints names, versions, licences and licence texts of all that is linked into the programs of the
+//! Prints names, versions, licences and licence texts of all packages linked into the programs of the Debian
 //! package. `cargo run -p cdcr-packaging --bin third-party > packaging/generated/THIRD-PARTY`
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,13 +12,13 @@ use serde_json::Value;
 
 /// The packages whose programs are in the Debian package.
 const OURS: [&str; 3] = ["cdcr-daemon", "cdcr-client", "cdcr-bench"];
-/// The platforms that the list is made for.
+/// The platforms of the list.
 const PLATFORMS: [&str; 2] = ["x86_64-unknown-linux-gnu", "aarch64-unknown-linux-gnu"];
 
-/// Every package knows itself by its id.
+/// The id of a package.
 type Id<'a> = &'a str;
 
-/// A package that is not ours.
+/// A third-party package.
 struct Foreign<'a> {
     title: String,
     licence: &'a str,
@@ -33,7 +33,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// What cargo knows of the workspace and its dependencies.
+/// Metadata of the workspace and its dependencies from cargo.
 fn metadata() -> Result<Value> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
@@ -53,7 +53,7 @@ fn metadata() -> Result<Value> {
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// All foreign packages that can be reached from ours over what is linked.
+/// All third-party packages that are linked into the project's programs.
 fn linked(metadata: &Value) -> Result<Vec<Foreign<'_>>> {
     let packages = by_id(&metadata["packages"])?;
     let nodes = by_id(&metadata["resolve"]["nodes"])?;
@@ -90,7 +90,7 @@ fn by_id(list: &Value) -> Result<BTreeMap<Id<'_>, &Value>> {
         .collect()
 }
 
-/// What is linked into a package: neither what builds it nor what tests it.
+/// The packages linked into a package: neither build nor test dependencies.
 fn linked_below(node: &Value) -> impl Iterator<Item = Id<'_>> {
     let below = node["deps"].as_array().into_iter().flatten();
     below
@@ -125,7 +125,7 @@ impl<'a> Foreign<'a> {
         })
     }
 
-    /// The licence texts that the package brings.
+    /// The licence texts contained in the package.
     fn texts(&self) -> Result<Vec<String>> {
         let mut files: Vec<_> = fs::read_dir(self.folder)
             .with_context(|| self.title.clone())?
@@ -153,7 +153,7 @@ fn is_licence(file: &str) -> bool {
     starts.iter().any(|start| file.starts_with(start))
 }
 
-/// The list, then each text once with those that it belongs to.
+/// The list, then each text once with the names of its packages.
 fn document(foreign: &[Foreign<'_>]) -> Result<String> {
     let mut text = String::from(HEAD);
     let mut texts: BTreeMap<String, (String, Vec<&str>)> = BTreeMap::new();
@@ -165,7 +165,7 @@ fn document(foreign: &[Foreign<'_>]) -> Result<String> {
             without.push(package.title.as_str());
         }
         for licence in own {
-            // The same words with other line breaks are the same text.
+            // Texts that differ only in line breaks are equal.
             let words = licence.split_whitespace().collect::<Vec<_>>().join(" ");
             let entry = texts.entry(words).or_insert_with(|| (licence, Vec::new()));
             entry.1.push(&package.title);

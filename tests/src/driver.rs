@@ -1,4 +1,4 @@
-//! A driver in a process of its own, which can be faulty, and be killed.
+//! A driver in a separate process, which can be made faulty and killed.
 
 use std::io::Write as _;
 use std::process::{Command, Stdio};
@@ -9,13 +9,13 @@ use derive_more::{Deref, DerefMut};
 
 use crate::{Place, Running, binary};
 
-/// What can be wrong with a driver.
+/// Faults of a driver.
 pub const FAULTS: [&str; 5] = ["silent", "late", "frozen", "jumping", "nan"];
 
-/// The flaws of its robot, each NAME=VALUE; without, those of the laboratory's.
+/// Flaws of its robot, each NAME=VALUE; by default those of the laboratory's robot.
 const FLAWS: &str = "CDCR_TEST_FLAWS";
 
-/// The flaws that a driver process is told to have.
+/// The flaws in the environment of a driver process.
 pub fn told_flaws() -> Flaws {
     let mut flaws = Preset::Laboratory.flaws();
     let told = std::env::var(FLAWS).unwrap_or_default();
@@ -33,7 +33,7 @@ pub fn told_flaws() -> Flaws {
 pub struct DriverProcess(Running);
 
 impl DriverProcess {
-    /// Starts one for the daemon of `place`. Its robot is where the last driver left it.
+    /// Starts a driver for the daemon of `place`. Its robot is where the last driver left it.
     pub fn start(place: &Place) -> Self {
         Self::spawn(Self::command(place))
     }
@@ -45,7 +45,7 @@ impl DriverProcess {
         Self::spawn(command)
     }
 
-    /// The same where the last driver left its robot, with these flaws.
+    /// The same with these flaws, where the last driver left its robot.
     pub fn with_flaws(place: &Place, mut flaws: Flaws) -> Self {
         let named = flaws.named();
         let words = named.map(|(name, value, _)| format!("{name}={value}"));
@@ -67,10 +67,10 @@ impl DriverProcess {
         Self(Running::start(&mut command))
     }
 
-    /// Makes it faulty for a while.
+    /// Makes the driver faulty for `duration`.
     pub fn be(&mut self, fault: &str, duration: Duration) {
         let pipe = self.0.0.stdin.as_mut().expect("its input is a pipe");
-        // A driver that is just being killed does not hear it.
+        // Fails if the driver is just being killed.
         let _ = writeln!(pipe, "{fault} {}", duration.as_millis());
     }
 }

@@ -1,8 +1,7 @@
-//! What the tests of the whole system share: a real daemon as a real process, on a prefix of its own.
+//! Common parts of the system tests: a real daemon as a process with its own prefix.
 //!
-//! Binaries are found beside the test executable, where cargo puts them. Whatever a test leaves
-//! behind, a panic included, is removed when its [`Daemon`] is dropped; what a run left behind that was
-//! killed, the next one removes.
+//! Binaries are found beside the test executable, where cargo puts them. Dropping a [`Daemon`] removes
+//! everything that its test left, even after a panic. What a killed run left is removed by the next one.
 
 #![allow(
     missing_docs,
@@ -39,13 +38,12 @@ use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 pub const ROBOT: &str = "cdcr";
-/// Which robot a daemon simulates; empty counts as not said.
+/// Selects the robot that a daemon simulates; empty counts as unset.
 const SIMULATED: &str = "CDCR_LINK_SIMULATED";
-/// How long anything may take before a test gives up. Generous, because machines stall; only a test that fails
-/// takes so long.
+/// Time limit of a test's waits. Long, because machines stall; only a failing test takes so long.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
-/// Configuration where timing is not the subject: on a machine that stalls no lease expires, and no
-/// missed deadline stops the robot.
+/// Configuration for tests whose subject is not timing: on a machine that stalls, no lease expires, and no
+/// deadline miss stops the robot.
 pub const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
 pub fn binary(name: &str) -> PathBuf {
@@ -63,13 +61,13 @@ pub fn binary(name: &str) -> PathBuf {
     path
 }
 
-/// A place in shared memory that no other test uses, and a folder for what else it needs, which may lie on a disk. Both
-/// are removed when it is dropped.
+/// A place in shared memory that no other test uses, and a folder for other files, possibly on a disk.
+/// Dropping it removes both.
 #[derive(Debug, Deref)]
 pub struct Place(cdcr_process::Place);
 
 impl Place {
-    /// A fresh place. The first of a process sweeps what killed processes left.
+    /// Creates a place. The first one of a process sweeps what killed processes left.
     pub fn new() -> Self {
         Self(cdcr_process::Place::new().expect("a place"))
     }
@@ -80,15 +78,15 @@ impl Place {
         path
     }
 
-    /// A command of ours that looks at this place. The robot that a daemon simulates there is the
-    /// [laboratory](Preset::Laboratory)'s.
+    /// A command of this project that uses this place. A daemon there simulates the
+    /// [laboratory](Preset::Laboratory)'s robot.
     pub fn command(&self, name: &str) -> Command {
         let mut command = self.command_of(&binary(name));
         command.envs((name == "cdcrd").then_some((SIMULATED, Preset::Laboratory.name())));
         command
     }
 
-    /// A command of anybody that looks at this place.
+    /// A command of any program that uses this place.
     pub fn command_of(&self, program: &Path) -> Command {
         let mut command = Command::new(program);
         command
@@ -100,8 +98,8 @@ impl Place {
         command
     }
 
-    /// Runs the words of `line`, the first of which is one of our programs, to its end, in the place's folder: files there
-    /// have short names. What it said, as [`assert_says`] has it.
+    /// Runs the words of `line`, a program of this project with its arguments, in the place's folder, so that
+    /// file names are short. Returns its output, checked by [`assert_says`].
     pub fn says(&self, line: &str, status: i32, parts: &[&str]) -> String {
         let mut words = line.split_whitespace();
         let mut command = self.command(words.next().expect("a program"));
@@ -118,7 +116,7 @@ impl Place {
     }
 }
 
-/// The number that an environment variable asks for.
+/// The number in an environment variable.
 pub fn asked<T: FromStr>(variable: &str) -> Option<T> {
     let text = std::env::var(variable).ok()?;
     let Ok(number) = text.parse() else {
@@ -127,14 +125,14 @@ pub fn asked<T: FromStr>(variable: &str) -> Option<T> {
     Some(number)
 }
 
-/// Everything that a program printed.
+/// The output of a program on both streams.
 pub fn text(output: &Output) -> String {
     let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     format!("{out}{err}")
 }
 
-/// Fails unless a program ended with `status` and said all of `parts`: on standard output when that is a success, or else
-/// on standard error. All that it said there.
+/// Fails unless a program ended with `status` and its output contains all of `parts`: on standard output for
+/// a success, otherwise on standard error. Returns that output.
 pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
     let printed = text(output);
     assert_eq!(output.status.code(), Some(status), "{printed}");
@@ -150,7 +148,7 @@ pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
     said.into_owned()
 }
 
-/// A reference that begins in a second and is tracked.
+/// A reference that begins after one second and is tracked.
 pub fn tracked() -> FeedOptions {
     FeedOptions {
         lead: Duration::from_secs(1),
@@ -159,7 +157,7 @@ pub fn tracked() -> FeedOptions {
     }
 }
 
-/// The paper's line of three sections, that takes this long.
+/// The paper's line of three sections with this duration.
 pub fn paper_line(duration_s: f64) -> Line {
     Line {
         duration_s,
@@ -169,7 +167,7 @@ pub fn paper_line(duration_s: f64) -> Line {
 
 pub const BALL_RADIUS_M: f64 = 0.02;
 
-/// A ball that stands here, seen now.
+/// A ball at rest, measured now.
 pub fn ball(id: u32, start_m: [f64; 3]) -> Obstacle {
     Obstacle {
         id,
@@ -180,7 +178,7 @@ pub fn ball(id: u32, start_m: [f64; 3]) -> Obstacle {
     }
 }
 
-/// Tracks a trajectory to its end; the records of the cycles that did.
+/// Tracks a trajectory to its end, and returns the records of the tracking cycles.
 pub fn track(connection: &Connection, trajectory: &dyn Trajectory) -> Vec<Telemetry> {
     let mut records = Vec::new();
     let feeder = connection.feed(trajectory, tracked()).expect("a lease");
@@ -206,7 +204,7 @@ impl Default for Place {
 /// A running `cdcrd`.
 #[derive(Debug, Deref, DerefMut)]
 pub struct Daemon {
-    // Ends before its place goes.
+    // Declared before the place, so that the process ends first.
     #[deref]
     #[deref_mut]
     child: Running,
@@ -217,18 +215,18 @@ pub struct Daemon {
 }
 
 impl Daemon {
-    /// Starts a daemon with `configuration` (TOML) at a fresh place, and waits until it is up. A simulated robot is the
-    /// [laboratory](Preset::Laboratory)'s, unless the configuration says which.
+    /// Starts a daemon with `configuration` (TOML) at a new place and waits until it is up. The simulated
+    /// robot is the [laboratory](Preset::Laboratory)'s unless configured.
     pub fn start(configuration: &str) -> Self {
         Self::start_simulated(configuration, Preset::Laboratory, |_| {})
     }
 
-    /// The same with a command that `change` changes: its log may go elsewhere, for example.
+    /// The same with a command modified by `change`, for example to redirect its log.
     pub fn start_with(configuration: &str, change: impl FnOnce(&mut Command)) -> Self {
         Self::start_simulated(configuration, Preset::Laboratory, change)
     }
 
-    /// The same with the [ideal](Preset::Ideal) robot, for a test that needs one that is exactly its model.
+    /// The same with the [ideal](Preset::Ideal) robot, for a test that needs a robot equal to its model.
     pub fn ideal(configuration: &str) -> Self {
         Self::start_simulated(configuration, Preset::Ideal, |_| {})
     }
@@ -253,7 +251,7 @@ impl Daemon {
         daemon
     }
 
-    /// Starts it again after its end, at the same place.
+    /// Restarts the daemon at the same place after its end.
     pub fn restart(&mut self) {
         let mut command = command_of(&self.place, &self.configuration, self.simulated, &self.log);
         self.child = Running::start(&mut command);
@@ -285,32 +283,32 @@ impl Daemon {
         }
     }
 
-    /// Asks it to end, and waits for it.
+    /// Sends SIGTERM and waits for the end.
     pub fn stop(&mut self) -> ExitStatus {
         self.signal(Signal::TERM);
         self.stop_after_signal()
     }
 
-    /// Ends it as it should end: with success, and nothing is left in memory.
+    /// Ends the daemon, and checks its success and that nothing is left in shared memory.
     pub fn end_clean(&mut self) {
         assert!(self.stop().success(), "{}", self.log());
         assert_eq!(self.place().memory_files(), Vec::<PathBuf>::new());
     }
 
-    /// Waits for its end after a signal was sent.
+    /// Waits for the end after a signal.
     pub fn stop_after_signal(&mut self) -> ExitStatus {
         let Self { child, log, .. } = self;
         child.wait(|| std::fs::read_to_string(&*log).unwrap_or_default())
     }
 
-    /// Kills it outright.
+    /// Kills the daemon with SIGKILL.
     pub fn kill(&mut self) {
         self.signal(Signal::KILL);
         self.stop_after_signal();
     }
 }
 
-/// Without a mode of its own, a configuration with a driver runs on machines that grant no real time, too.
+/// Without an explicit mode, a configuration with a driver also runs on machines without real time.
 fn command_of(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Command {
     let path = place.write("robot.toml", configuration);
     let says = |key: &str| configuration.contains(&format!("\n{key} = "));
@@ -353,7 +351,7 @@ pub fn wait_record(
     }
 }
 
-/// Tells another thread to end, also when the test fails.
+/// Sets a flag for another thread when dropped, even if the test fails.
 #[derive(Debug)]
 pub struct EndWhenDropped<'a>(pub &'a AtomicBool);
 
@@ -379,13 +377,13 @@ pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> 
     }
 }
 
-/// Asks for what the daemon grants; its answer.
+/// Sends a request that the daemon accepts, and returns its answer.
 #[track_caller]
 pub fn ask_for(connection: &Connection, kind: RequestKind) -> Response {
     connection.request_within(kind, TIMEOUT).unwrap()
 }
 
-/// Asks for what the daemon refuses; why. That it does not answer is no refusal.
+/// Sends a request that the daemon rejects, and returns the reason. A missing answer is not a rejection.
 #[track_caller]
 pub fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
     match connection.request_within(kind, TIMEOUT) {
@@ -394,9 +392,9 @@ pub fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
     }
 }
 
-/// Tries until a case could happen as it is meant. `case` returns `None` when the machine made another one of it, such as
-/// a client that lost its lease before the test could kill it. A sleeper on each core is the witness: where none of them slept
-/// too long in several tries, it was not the machine.
+/// Repeats `case` until it is undisturbed. `case` returns `None` when the machine disturbed it, for example
+/// when a client lost its lease before the test could kill it. A sleeping thread on each core checks this:
+/// fails if several tries were disturbed without a long sleep on any core.
 pub fn until_undisturbed<R>(what: &str, mut case: impl FnMut() -> Option<R>) -> R {
     let mut unexplained = 0;
     for _ in 0..UNDISTURBED_TRIES {
@@ -414,14 +412,16 @@ pub fn until_undisturbed<R>(what: &str, mut case: impl FnMut() -> Option<R>) -> 
     panic!("in {UNDISTURBED_TRIES} tries the machine never let it happen: {what}");
 }
 
-/// More than a machine needs that stalls for a third of the time.
+/// Enough for a machine that stalls for a third of the time.
 const UNDISTURBED_TRIES: usize = 20;
-/// A stall that makes inputs stale or a client late is a period or more.
+/// A shorter oversleep does not explain a disturbed case: stale inputs or a late client take about a period
+/// of 5 ms.
 const STALL_MIN: Duration = Duration::from_millis(3);
-/// So many tries may fail for what no sleeper saw: where six tests run at once, the threads of their daemons hold each other up, too.
+/// Disturbed tries without a long sleep that are tolerated: the threads of the daemons of six parallel tests
+/// delay each other, too.
 const UNEXPLAINED_MAX: usize = 10;
 
-/// What `case` gives, and by how much the longest sleep on any core was too long meanwhile.
+/// Result of `case`, and the longest oversleep on any core meanwhile.
 fn beside_sleepers<R>(case: &mut impl FnMut() -> R) -> (R, Duration) {
     let ending = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -447,7 +447,7 @@ fn beside_sleepers<R>(case: &mut impl FnMut() -> R) -> (R, Duration) {
     })
 }
 
-/// The longest time that a sleep of a millisecond took longer, until `ending`.
+/// The longest oversleep of a sleep of one millisecond until `ending`.
 pub fn oversleep_until(ending: &AtomicBool) -> Duration {
     const SLEEP: Duration = Duration::from_millis(1);
     let mut longest = Duration::ZERO;

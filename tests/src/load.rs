@@ -1,4 +1,4 @@
-//! What a daemon has to bear: clients that come and go, floods, changing settings, a driver with faults.
+//! Load on a daemon: clients that connect and leave, floods, changes of settings, a driver with faults.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -14,10 +14,10 @@ use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
 use crate::robot::DrivenRobot;
 use crate::{Place, ROBOT, TIMEOUT, ball};
 
-/// What the load did, so that a test can say that there was one.
+/// Counts of the load, so that a test can check that it was present.
 #[derive(Debug, Default)]
 pub struct Done {
-    /// Clients that came and left.
+    /// Clients that connected and left.
     pub connections: AtomicU64,
     /// Reference chunks of the flood.
     pub chunks: AtomicU64,
@@ -28,7 +28,7 @@ pub struct Done {
 }
 
 impl Done {
-    /// One part in `part` of what the load is meant to do in `seconds`.
+    /// The fraction 1/`part` of the nominal load in `seconds`.
     pub fn part_of(seconds: u64, part: u64) -> Self {
         Self {
             connections: (seconds * 30 / part).into(),
@@ -70,17 +70,17 @@ fn every(period: Duration, ending: &AtomicBool, mut work: impl FnMut()) {
     cdcr_testbed::load::rate::every(period, is_ending, work).unwrap();
 }
 
-/// Threads that come and go. One alone comes ten times a second: to connect is to wait for a status.
+/// Number of threads. One thread manages ten visits a second, because connecting waits for a status message.
 pub const COMERS: u32 = 5;
 
-/// Clients that connect and leave, 30 times a second in all; every other one opens the telemetry, too.
-/// Who writes to `gate` waits until all have left, and keeps them out meanwhile.
+/// Clients that connect and leave, 30 times a second in total; every second one opens the telemetry. A writer
+/// of `gate` waits until all have left, and keeps them out.
 pub fn come_and_go(place: &Place, gate: &RwLock<()>, ending: &AtomicBool, done: &Done) {
     let mut turn = 0_u32;
     every(COMERS * Duration::from_micros(33_333), ending, || {
         turn += 1;
         let _inside = gate.read().unwrap_or_else(PoisonError::into_inner);
-        // The daemon may be on its way out.
+        // The daemon may be ending.
         if let Ok(connection) = Connection::open(place.location(), ROBOT) {
             let telemetry = turn.is_multiple_of(2).then(|| connection.telemetry());
             done.connections.fetch_add(1, Ordering::Relaxed);
@@ -89,7 +89,7 @@ pub fn come_and_go(place: &Place, gate: &RwLock<()>, ending: &AtomicBool, done: 
     });
 }
 
-/// Reference chunks at 10 kHz from a client that holds no lease: all are refused.
+/// Sends reference chunks at 10 kHz without the lease: all are rejected.
 pub fn flood_references(place: &Place, ending: &AtomicBool, done: &Done) {
     let connection = connect(place);
     let feed = connection.reference_feed().unwrap();
@@ -106,7 +106,7 @@ pub fn flood_references(place: &Place, ending: &AtomicBool, done: &Done) {
     });
 }
 
-/// Obstacle updates at 10 kHz: a crowd that moves, comes and expires.
+/// Sends obstacle updates at 10 kHz: a moving crowd that appears and expires.
 pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
     let connection = connect(place);
     let obstacles = connection.obstacle_sender().unwrap();
@@ -124,7 +124,7 @@ pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
     });
 }
 
-/// Obstacle updates at 10 kHz, each refused at its last obstacle.
+/// Sends obstacle updates at 10 kHz, each rejected because of its last obstacle.
 pub fn flood_bad_obstacles(place: &Place, ending: &AtomicBool) {
     let connection = connect(place);
     let sender = connection.obstacle_sender().unwrap();
@@ -139,8 +139,7 @@ pub fn flood_bad_obstacles(place: &Place, ending: &AtomicBool) {
     });
 }
 
-/// A driver that measures now the bends, now the cables, and at times falls silent for long enough to be a
-/// fault.
+/// A driver that measures bends or cables, and sometimes pauses for long enough to be a fault.
 pub fn drive(place: &Place, ending: &AtomicBool) {
     let connection = connect(place);
     let mut robot = DrivenRobot::new(&connection, Interface::Velocity, [0.0; 12]);
@@ -177,11 +176,11 @@ fn around(record: &Telemetry) -> [Obstacle; 4] {
     })
 }
 
-/// A client that makes a daemon do everything, turn by turn.
+/// A client that uses all functions of a daemon in turn.
 #[derive(Debug)]
 pub struct Busy {
     pub connection: Connection,
-    /// Records of tracking cycles that it saw.
+    /// Received records of tracking cycles.
     pub tracked: u64,
     settings: SolverSettings,
     obstacles: ObstacleSender,
@@ -211,7 +210,7 @@ impl Busy {
             budget_ns: self.turn % 3 * 50_000,
             ..self.settings
         };
-        // With floods on all sides, one that is told to ask again is no failure.
+        // With floods on all sides, a request to try again is not a failure.
         let changed = connection.change_settings(wanted);
         done.settings
             .fetch_add(u64::from(changed.is_ok()), Ordering::Relaxed);
@@ -247,8 +246,8 @@ impl Busy {
     }
 }
 
-/// Keeps a daemon busy until it has made `cycles`, and there was the load that `done` is to hold at least. Returns its
-/// cycles, and the records of tracking cycles.
+/// Keeps a daemon busy until it has run `cycles`, and `done` has reached `least`. Returns the number of
+/// cycles, and of records of tracking cycles.
 pub fn keep_busy(place: &Place, cycles: u64, least: &Done, done: &Done) -> (u64, u64) {
     let begin = Instant::now();
     let mut busy = Busy::new(place);

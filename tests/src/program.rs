@@ -11,7 +11,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::TIMEOUT;
 
-/// A process of the test. Dropping it kills and reaps it: before that, it is not dead for iceoryx2.
+/// A process of the test. Dropping it kills and reaps it, because a zombie is not dead for iceoryx2.
 #[derive(Debug)]
 pub struct Running(pub Child);
 
@@ -19,7 +19,7 @@ impl Running {
     pub fn start(command: &mut Command) -> Self {
         loop {
             match command.spawn() {
-                // A fresh copy: while another test starts a program, that one's child holds it open for a moment.
+                // A fresh copy: the child of another test may still have it open for writing for a moment.
                 Err(cause) if cause.kind() == ErrorKind::ExecutableFileBusy => {
                     std::thread::sleep(Duration::from_millis(5));
                 }
@@ -41,7 +41,7 @@ impl Running {
         status.is_none()
     }
 
-    /// Waits for its end. Where that does not come, `words` are part of the report.
+    /// Waits for the end. After the time limit, fails with `words` in the report.
     pub fn wait(&mut self, words: impl Fn() -> String) -> ExitStatus {
         let begin = Instant::now();
         while self.runs() {
@@ -60,7 +60,7 @@ impl Drop for Running {
     }
 }
 
-/// A program that runs beside the test, and what it prints. Killed when dropped.
+/// A program that runs beside the test, with its output. Killed when dropped.
 #[derive(Debug, Deref, DerefMut)]
 pub struct Program {
     #[deref]
@@ -71,7 +71,7 @@ pub struct Program {
 }
 
 impl Program {
-    /// Starts it; what it prints is kept.
+    /// Starts the program; its output is kept.
     pub fn start(command: &mut Command) -> Self {
         let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = Running::start(command);
@@ -82,18 +82,18 @@ impl Program {
         }
     }
 
-    /// Lines that it has printed on standard output so far.
+    /// Number of lines on standard output so far.
     pub fn lines(&self) -> usize {
         self.printed().split('\n').count() - 1
     }
 
-    /// What it has printed on standard output so far.
+    /// Standard output so far.
     pub fn printed(&self) -> String {
         let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
         String::from_utf8_lossy(&text).into_owned()
     }
 
-    /// Waits for its end.
+    /// Waits for the end.
     pub fn output(&mut self) -> Output {
         Output {
             status: self.child.wait(String::new),
@@ -103,7 +103,7 @@ impl Program {
     }
 }
 
-/// What a program prints, read while it runs: a full pipe would hold it up.
+/// Output of a program, read while it runs, because a full pipe would block it.
 #[derive(Debug)]
 struct Printed {
     text: Arc<Mutex<Vec<u8>>>,
@@ -127,7 +127,7 @@ impl Printed {
         }
     }
 
-    /// All of it, of a program that has ended.
+    /// The whole output of a program that has ended.
     fn finish(&mut self) -> Vec<u8> {
         if let Some(reader) = self.reader.take() {
             reader.join().expect("it only reads");

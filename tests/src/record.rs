@@ -1,4 +1,4 @@
-//! A telemetry record as the controller sees it: the robot, its state, the obstacles around it.
+//! Conversions of a telemetry record: robot, state and obstacles for the controller.
 
 use cdcr_client::{model, obstacles};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
@@ -9,7 +9,7 @@ pub fn robot_of(description: &RobotDescription) -> Robot {
     model::robot_of(description).expect("a robot that a daemon runs")
 }
 
-/// The obstacles of a record as plan and guard took them: where they are when the robot is where its commands lead it.
+/// The obstacles of a record as used by plan and guard: at the time when the robot has executed its commands.
 pub fn obstacles_of(record: &Telemetry) -> Vec<Obstacle> {
     let lead_s = record.reference_lead_ns as f64 * 1e-9;
     let used = obstacles(record).iter();
@@ -25,7 +25,7 @@ pub fn configuration_of(record: &Telemetry) -> Configuration {
     Configuration::from_slice(&record.bend_rad[..width]).expect("one to six sections")
 }
 
-/// The largest of some rates, without their signs \[rad/s\]. Fails where one is not finite: `f64::max` does not see that.
+/// Largest absolute rate \[rad/s\]. Fails if one is not finite, which `f64::max` would ignore.
 pub fn largest(rates: &[f64]) -> f64 {
     assert!(rates.iter().all(|rate| rate.is_finite()), "{rates:?}");
     rates.iter().fold(0.0, |most, rate| rate.abs().max(most))

@@ -1,4 +1,4 @@
-//! A robot behind a driver, played by a test.
+//! A robot behind a driver, simulated by a test.
 
 use cdcr_client::{CommandRefusal, Connection, PlantDriver, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
@@ -10,10 +10,10 @@ use cdcr_shared_types::{Command, Measurement};
 use crate::TIMEOUT;
 use crate::record::robot_of;
 
-/// Of its noise, where the test does not ask for another.
+/// Default seed of the noise.
 const SEED: u64 = 11;
 
-/// A [`PlantDriver`] of which a test expects that its daemon commands only what a robot may do.
+/// A [`PlantDriver`] that fails the test when the daemon sends a command beyond the robot's limits.
 #[derive(Debug)]
 pub struct DrivenRobot {
     driver: PlantDriver,
@@ -46,7 +46,7 @@ impl DrivenRobot {
         }
     }
 
-    /// Moves on to now, and takes the commands that have come.
+    /// Advances to the present time, and takes the received commands.
     pub fn follow(&mut self) {
         let update = self.driver.follow().unwrap();
         if let Some(refusal) = update.refused {
@@ -61,18 +61,18 @@ impl DrivenRobot {
         self.measure(MeasurementKind::Configuration);
     }
 
-    /// Sends a measurement of this kind, of now.
+    /// Sends a measurement of this kind at the present time.
     pub fn measure(&mut self, kind: MeasurementKind) {
         let measurement = self.measurement(kind);
         self.send(&measurement);
     }
 
-    /// What it measures now, with sensors that say something at any time.
+    /// The present measurement of sensors that always have a value.
     pub fn measurement(&mut self, kind: MeasurementKind) -> Measurement {
         self.sensed(kind).expect("its sensors say it")
     }
 
-    /// What it measures now. `None`: its sensor says nothing.
+    /// The present measurement; `None` if the sensor has no value.
     pub fn sensed(&mut self, kind: MeasurementKind) -> Option<Measurement> {
         let mut measurement = Measurement {
             measured_ns: monotonic_ns(),
@@ -92,7 +92,7 @@ impl DrivenRobot {
         Some(measurement)
     }
 
-    /// Sends what a driver of this robot says.
+    /// Sends a measurement of this robot's driver.
     pub fn send(&self, measurement: &Measurement) {
         let measurement = Measurement {
             sections: self.model.section_count() as u32,
@@ -101,7 +101,7 @@ impl DrivenRobot {
         self.driver.driver().send(measurement).unwrap();
     }
 
-    /// How it is bent in truth \[rad\].
+    /// The true bends \[rad\].
     pub fn bend_rad(&mut self) -> [f64; COORDINATES_MAX] {
         padded(&self.driver.plant().configuration())
     }
@@ -111,7 +111,7 @@ impl DrivenRobot {
     }
 }
 
-/// Which part of a command the daemon of this connection has its driver obey.
+/// The interface in the configuration of this connection's daemon.
 pub fn interface_of(connection: &Connection) -> Interface {
     Interface::try_from(connection.status(TIMEOUT).unwrap().interface).unwrap()
 }
@@ -120,8 +120,8 @@ fn padded(bends: &Configuration) -> [f64; COORDINATES_MAX] {
     core::array::from_fn(|i| bends.as_slice().get(i).copied().unwrap_or(0.0))
 }
 
-/// What a machine that stalls, or a daemon or driver that was killed, brings about. Everything else is a daemon that commands what
-/// no robot may do.
+/// Rejections that a stalled machine or a killed daemon or driver can cause. Any other one is a command
+/// beyond the robot's limits.
 fn may_happen(refusal: &CommandRefusal) -> bool {
     matches!(
         refusal,

@@ -1,4 +1,4 @@
-//! The system calls that a cycle may make, held by the kernel.
+//! The system calls allowed in a cycle, enforced by the kernel.
 
 use std::collections::BTreeMap;
 
@@ -12,15 +12,15 @@ const WAKE: u64 = 1 | 128;
 /// `MADV_DONTNEED` (`madvise(2)`).
 const DONT_NEED: u64 = 4;
 
-/// From now on the calling thread dies of SIGSYS, and the process with it, at any system call but
+/// From now on, the calling thread and its process die of SIGSYS at any system call except
 ///
-/// * its sleep (`clock_nanosleep`), its wake-up of the exchange (`futex`, to wake only), and clock reads, which
-///   are none where the clock is read without the kernel;
-/// * what ends a thread (`exit`, and giving its stacks back: `munmap`, `madvise` to let pages go,
-///   `sigaltstack`, `rt_sigprocmask`), because a filter can never be taken off. Of these, only the heap could
-///   make one in a cycle, and the heap is forbidden, too.
+/// - its sleep (`clock_nanosleep`), its wake-up of the exchange (`futex`, wake only), and clock reads, which
+///   are not system calls where the clock is read without the kernel;
+/// - the end of a thread (`exit`, and the release of its stacks: `munmap`, `madvise` to free pages,
+///   `sigaltstack`, `rt_sigprocmask`), because a filter cannot be removed. In a cycle only the heap could
+///   make one of these, and the heap is forbidden, too.
 ///
-/// Uses the heap, so it comes before that is forbidden.
+/// Allocates, so call it before the heap is forbidden.
 pub fn forbid_system_calls() {
     let always = Vec::new;
     let with = |argument, value| {

@@ -1,5 +1,6 @@
-//! The share of a core that real-time threads may take: a program of its own, because it needs the core of the loop
-//! for itself. Linux halts real-time threads beyond their share for 50 ms, where an ordinary task wants the core.
+//! Core share of the real-time threads, as a separate program, because it needs the core of the loop for
+//! itself. If an ordinary task wants the core, Linux throttles real-time threads beyond their share for 50
+//! ms.
 
 #![allow(
     clippy::unwrap_used,
@@ -20,10 +21,10 @@ use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{Daemon, PATIENT, asked, ball, wait_status};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Two daemons on one core would be each other's load.
+/// Serialises the tests: two daemons on one core would load each other.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// How long it tracks: `CDCR_CORE_BUDGET_S`, or 8 s, in which the kernel would halt it six times.
+/// Duration of the tracking: `CDCR_CORE_BUDGET_S`, or 8 s, in which the kernel would throttle it six times.
 fn duration_s() -> f64 {
     asked("CDCR_CORE_BUDGET_S").unwrap_or(8.0)
 }
@@ -42,8 +43,8 @@ fn demanding() -> String {
     configuration
 }
 
-/// As many capsules as there may be, eight around each of eight heights, half a millimetre inside the safe distance: all of
-/// them are within reach in every cycle.
+/// The largest number of capsules, eight around each of eight heights, half a millimetre inside the safe
+/// distance. All of them are within reach in every cycle.
 fn cage() -> Vec<Obstacle> {
     (0..OBSTACLES_MAX)
         .map(|index| {
@@ -100,19 +101,20 @@ fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
     cdcr_tests::track(connection, &spiral)
 }
 
-/// The kernel took the core from the highest priority there is on it, and gave it to an ordinary task.
+/// Whether the kernel took the core from its highest priority and gave it to an ordinary task.
 fn is_halt(record: &Telemetry) -> bool {
     record.scheduling.run_delay_ns > 30_000_000
 }
 
-/// Other real-time threads, which use up the share of the loop, took more of the core than is kept back for that.
+/// Whether other real-time threads used more of the core than its reserve, and so exhausted the share of the
+/// loop.
 fn is_hogged(records: &[Telemetry]) -> bool {
     let waited_ns = |record: &Telemetry| record.scheduling.run_delay_ns;
     let others = records.iter().filter(|record| !is_halt(record));
     share_of(records, others.map(waited_ns).sum()) > 0.02
 }
 
-/// Other daemons on this machine: their threads beside the loop are real-time threads, too, on whichever core.
+/// Whether other daemons run on this machine: their other threads are real-time threads, too, on any core.
 fn others_run(ours: &[Daemon]) -> bool {
     let processes = std::fs::read_dir("/proc").unwrap().flatten();
     let mut ids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
@@ -122,13 +124,13 @@ fn others_run(ours: &[Daemon]) -> bool {
     })
 }
 
-/// What `ns` are of the time of the records.
+/// Share of `ns` in the time of the records.
 fn share_of(records: &[Telemetry], ns: u64) -> f64 {
     let passed_ns: u64 = records.iter().map(|record| record.elapsed_ns).sum();
     ns as f64 / passed_ns as f64
 }
 
-/// A miss that is the cycle's own doing.
+/// A miss caused by the cycle itself.
 fn is_own_miss(record: &Telemetry) -> bool {
     record.timing_flags & timing::DEADLINE_MISS != 0
         && record.scheduling.late_cause == LateCause::Compute.code()
@@ -177,7 +179,8 @@ fn six_sections_among_64_obstacles_beside_an_ordinary_task_are_never_halted() {
     }
     assert!(records.len() > 100, "{}", records.len());
     let is_alone = begins_alone && !is_hogged(&records) && !others_run(slice::from_ref(&daemon));
-    // Who takes the core empties its caches, too: a guard that begins cold takes longer than what was measured of it.
+    // Another task on the core also empties its caches, and a guard with cold caches takes longer than
+    // measured.
     let own_most = if is_alone { 0 } else { misses / 20 };
     assert!(own <= own_most, "{}", daemon.log());
     if !is_alone {
@@ -205,7 +208,7 @@ fn two_loops_have_a_core_each() {
         skip(Need::Realtime, "the daemon is not granted real time");
         return;
     }
-    // Where loops of others have all cores but one, there is nothing to choose.
+    // When other loops have all cores but one, there is no choice.
     if others_run(&daemons) && statuses[0].core == statuses[1].core {
         skip(Need::Alone, "another daemon has a core");
         return;

@@ -1,5 +1,5 @@
-//! A test that this machine cannot run is skipped with [`skip`], which names what is missing. It fails instead
-//! where `CDCR_REQUIRE` names the same need, so that nothing is silently untested there.
+//! A test that this machine cannot run calls [`skip`], which names the missing need. If `CDCR_REQUIRE` names
+//! the same need, the test fails instead, so that no test is skipped unnoticed there.
 
 #![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
 
@@ -11,26 +11,27 @@ use std::panic::Location;
 
 pub use run::Run;
 
-/// Environment variable with the needs that this machine meets, separated by commas: nothing may be skipped for them.
+/// Environment variable with the needs that this machine meets, separated by commas: no test may be skipped
+/// for them.
 pub const REQUIRE: &str = "CDCR_REQUIRE";
 
-/// Declares what a test can need of a machine: the word of each need in [`REQUIRE`], and how a machine comes to meet it.
+/// Declares the needs of tests: the word of each need in [`REQUIRE`], and how a machine can meet it.
 macro_rules! needs {
     ($($(#[$meta:meta])* $need:ident = $word:literal: $remedy:literal,)+) => {
-        /// What a test can need of a machine.
+        /// A need of a test.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Need { $($(#[$meta])* $need,)+ }
 
         impl Need {
-            /// Each of them.
+            /// All needs.
             pub const ALL: [Self; [$($word),+].len()] = [$(Self::$need),+];
 
-            /// Its word in [`REQUIRE`].
+            /// The word in [`REQUIRE`].
             pub fn word(self) -> &'static str {
                 match self { $(Self::$need => $word,)+ }
             }
 
-            /// How a machine comes to meet it.
+            /// How a machine can meet the need.
             pub fn remedy(self) -> &'static str {
                 match self { $(Self::$need => $remedy,)+ }
             }
@@ -39,7 +40,7 @@ macro_rules! needs {
 }
 
 needs! {
-    /// Programs of other users, and their files.
+    /// Programs and files of other users.
     Root = "root": "run the tests as root",
     /// Threads with `SCHED_FIFO`.
     Realtime = "realtime": "run the tests as root, or grant the user rtprio 90 (packaging/limits.conf); in a container: --cap-add SYS_NICE",
@@ -47,9 +48,9 @@ needs! {
     Cores = "cores": "run the tests on two cores or more",
     /// To stop a single thread of a child.
     Ptrace = "ptrace": "run the tests as root, or with kernel.yama.ptrace_scope at most 1; in a container: --cap-add SYS_PTRACE",
-    /// Mounts that only one process sees.
+    /// Mounts that are visible to one process only.
     Mount = "mount": "run the tests as root, or allow user namespaces; in a container: --cap-add SYS_ADMIN",
-    /// Counts and switches that some kernels are built without.
+    /// Kernel features that some kernels are built without.
     Kernel = "kernel": "run the tests on a kernel with what the reason names",
     /// To set the clock of the machine.
     Clock = "clock": "run the tests as root with CDCR_TEST_SET_CLOCK=1, on a machine where the clock may jump",
@@ -57,7 +58,7 @@ needs! {
     OnTime = "on-time": "run the tests on a machine that stalls for less than a tenth of the time",
     /// No other daemon, and no other real-time thread on its core.
     Alone = "alone": "run the tests where no other daemon and no real-time program runs",
-    /// A target folder on a disk, which may be written.
+    /// A writable target folder on a disk.
     Disk = "disk": "build into a target folder on a disk that the tests may write to",
     /// A processor with AVX2.
     Avx2 = "avx2": "run the tests on a processor that has it",
@@ -67,7 +68,7 @@ needs! {
     UtilLinux = "util-linux": "install util-linux",
     /// `cyclictest`.
     Cyclictest = "cyclictest": "install cyclictest (Debian: apt install rt-tests)",
-    /// A compiler of C++, named `c++`.
+    /// A C++ compiler named `c++`.
     Cpp = "c++": "install a compiler of C++ (Debian: apt install g++)",
     /// `chromium`.
     Chromium = "chromium": "install chromium",
@@ -81,10 +82,10 @@ impl Display for Need {
     }
 }
 
-/// The needs of a list such as `realtime,root`.
+/// Parses the needs of a list such as `realtime,root`.
 ///
 /// # Errors
-/// The word that names no need, with those that do.
+/// The first unknown word, with the known ones.
 pub fn required(list: &str) -> Result<Vec<Need>, String> {
     let words = list
         .split(',')
@@ -101,7 +102,7 @@ pub fn required(list: &str) -> Result<Vec<Need>, String> {
         .collect()
 }
 
-/// The needs that [`REQUIRE`] names.
+/// The needs in [`REQUIRE`].
 ///
 /// # Errors
 /// See [`required()`].
@@ -109,13 +110,14 @@ pub fn required_here() -> Result<Vec<Need>, String> {
     required(&std::env::var(REQUIRE).unwrap_or_default())
 }
 
-/// Says that the test of this thread cannot run here: at once, and at the end of the run. The test then returns.
+/// Reports that the test of this thread cannot run here, at once and at the end of the run. The test must
+/// return after the call.
 ///
-/// Fails the test where [`REQUIRE`] names the need.
+/// Fails the test if [`REQUIRE`] names the need.
 #[track_caller]
 pub fn skip(need: Need, why: impl Display) {
     let thread = std::thread::current();
-    // With one test at a time, the test runs on the main thread, which has no name of a test.
+    // With one test at a time, tests run on the main thread, whose name is not that of a test.
     let test = match thread.name() {
         None | Some("main") => Location::caller().to_string(),
         Some(name) => name.to_owned(),
@@ -127,7 +129,7 @@ pub fn skip(need: Need, why: impl Display) {
         need.remedy()
     );
     let line = format!("skipped: {test}: needs {need}: {why}\n");
-    // Not by a macro: the test harness hides what the macros print in a test that passes.
+    // Without a macro: the test harness hides the output of macros in tests that pass.
     let _ = std::io::stderr().write_all(line.as_bytes());
     Run::this().note(&line);
 }

@@ -1,13 +1,14 @@
-//! What one run of all test programs skipped: a file beside the programs, by the process that started them.
+//! The skipped tests of one run of all test programs: a file beside the programs, named after their parent
+//! process.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Beginning of the files' names.
+/// Prefix of the file names.
 const MARK: &str = "skipped-";
 
-/// All test programs that one process started, for example `cargo test`.
+/// All test programs started by one process, for example `cargo test`.
 #[derive(Debug)]
 pub struct Run {
     folder: PathBuf,
@@ -15,12 +16,12 @@ pub struct Run {
 }
 
 impl Run {
-    /// The run that this program is a part of.
+    /// The run of this program.
     pub fn this() -> Self {
         Self::started_by(std::os::unix::process::parent_id())
     }
 
-    /// The run of the programs that a process starts.
+    /// The run of the programs started by a process.
     pub fn started_by(process: u32) -> Self {
         let program = std::env::current_exe().expect("the test has a path");
         Self {
@@ -40,14 +41,14 @@ impl Run {
 
     /// Adds a line.
     pub fn note(&self, line: &str) {
-        // One call, so that lines of several programs do not mix. Where nothing can be written, the line was shown, and
+        // One write, so that lines of several programs do not mix. If it fails, the line was printed, and
         // `take` fails.
         let _ = self
             .open()
             .and_then(|mut file| file.write_all(line.as_bytes()));
     }
 
-    /// All lines in order of their text, and forgets them. Also forgets what runs left that have ended.
+    /// Returns all lines, sorted, and removes them. Also removes the files of ended runs.
     ///
     /// # Errors
     /// Where no line could have been added.
@@ -62,9 +63,9 @@ impl Run {
     }
 }
 
-/// Number and start time: numbers are used again.
+/// Id and start time of a process, because ids are reused.
 fn mark_of(process: u32) -> String {
-    // The start is field 22, and the name, field 2, may hold spaces.
+    // The start time is field 22. Field 2, the name, may contain spaces.
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
     let after_name = stat.rsplit(')').next().unwrap_or_default();
     let start = after_name.split_whitespace().nth(19).unwrap_or("ended");

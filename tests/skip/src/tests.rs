@@ -2,7 +2,7 @@ use std::process::{Command, Output};
 
 use super::*;
 
-/// The test that skips, for a child of this program only.
+/// Set for a child process in which the test skips.
 const SKIPS: &str = "CDCR_TEST_SKIPS";
 
 #[test]
@@ -26,7 +26,7 @@ fn text(output: &Output) -> String {
     format!("{out}{err}")
 }
 
-/// One test for all of it: its children are one run.
+/// One test for everything, because its children are one run.
 #[test]
 fn a_skipped_test_passes_and_is_told_and_fails_where_its_need_is_required() {
     let run = Run::started_by(std::process::id());

@@ -1,6 +1,7 @@
-//! A robot behind a driver, in a process of its own, that has every fault it is told to have: the other end of
-//! `cdcr_tests::driver`. It obeys the interface that the daemon has it obey. Arguments: prefix, root, and, if it is not where the last driver left it, the bend of its
-//! first section \[rad\]. It ends when its input does.
+//! A robot behind a driver, as a separate process with faults on request: the counterpart of
+//! `cdcr_tests::driver`. It obeys the interface of the daemon's configuration. Arguments: prefix, root and,
+//! unless the robot is where the last driver left it, the bend of its first section \[rad\]. It ends when its
+//! input does.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,7 +19,7 @@ use cdcr_tests::driver::told_flaws;
 use cdcr_tests::robot::{DrivenRobot, interface_of};
 use cdcr_tests::{ROBOT, TIMEOUT};
 
-/// How old a late measurement is: beyond the timeout of the default configuration, or not.
+/// Ages of a late measurement: within the timeout of the default configuration, and beyond it.
 const LATE_NS: [u64; 2] = [20_000_000, 90_000_000];
 
 fn main() {
@@ -44,7 +45,7 @@ fn main() {
     }
 }
 
-/// The lines of our input, each a fault and how many milliseconds it lasts; closed when the input is.
+/// Input lines, each with a fault and its duration in milliseconds; closed with the input.
 fn orders() -> Receiver<(String, Instant)> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
@@ -68,8 +69,8 @@ struct RobotBehindDriver {
 }
 
 impl RobotBehindDriver {
-    /// Its first section is bent as said. Else it is where the daemon takes it to be: straight, or where the last driver left
-    /// it.
+    /// With `bend_rad`, the first section is bent. Otherwise the robot has the daemon's configuration:
+    /// straight, or as the last driver left it.
     fn new(connection: &Connection, bend_rad: Option<f64>) -> Self {
         let mut bends = [0.0; 12];
         if let Some(bend_rad) = bend_rad {
@@ -94,7 +95,7 @@ impl RobotBehindDriver {
     fn turn(&mut self, fault: &str) {
         self.turns += 1;
         self.robot.follow();
-        // A frozen sensor says for ever what it last said; its stamps and the robot go on.
+        // A frozen sensor repeats its last value; time stamps and robot go on.
         if fault != "frozen" {
             let Some(measured) = self.robot.sensed(MeasurementKind::Configuration) else {
                 return;

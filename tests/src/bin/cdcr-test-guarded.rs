@@ -1,5 +1,5 @@
-//! What a cycle must not do, and what it may, under its two guards: each ends the process that breaks it, so the test
-//! `a_broken_cycle_ends_the_process` runs it in one of its own. Argument: `use-the-heap`, `print` or `work`.
+//! Forbidden and allowed actions of a cycle under its two guards. Each guard ends the process, so the test
+//! `a_broken_cycle_ends_the_process` runs this program. Argument: `use-the-heap`, `print` or `work`.
 
 #![allow(
     clippy::unwrap_used,
@@ -38,7 +38,7 @@ fn print() {
 fn work() {
     let waiting = std::thread::current();
     let working = std::thread::spawn(move || {
-        // The first look at the clock finds out how to look at it without the kernel.
+        // The first clock read sets up reading without the kernel.
         MonotonicClock.now_ns();
         forbid_system_calls();
         forbid_allocations(|| {

@@ -1,5 +1,5 @@
-//! Another user who does not use `cdcr_client`: joins a daemon by iceoryx2 itself, and must not succeed. Run by the test
-//! `iceoryx2_by_hand_is_refused_to_another_user`, as that user. Arguments: prefix and root of the daemon.
+//! Another user without `cdcr_client` joins a daemon through iceoryx2 directly, and must fail. Run by the
+//! test `iceoryx2_by_hand_is_refused_to_another_user` as that user. Arguments: prefix and root of the daemon.
 
 #![allow(
     clippy::unwrap_used,
@@ -23,7 +23,7 @@ fn main() {
         matches!(refused, ConnectError::OtherUser { .. }),
         "{refused:?}"
     );
-    // Without the client's look at the owner.
+    // Without the client's check of the owner.
     let by_hand = location.node_builder().unwrap().create::<ipc::Service>();
     println!("{:?}", by_hand.unwrap_err());
     println!(

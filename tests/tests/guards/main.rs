@@ -1,6 +1,6 @@
-//! Proof, not hope: the cycle thread of a whole daemon runs under an allocator that ends the process when the
-//! cycle uses the heap, and under a filter of the kernel that ends it when the cycle makes a system call that
-//! is not its own, while clients come and go, flood and change settings. `CDCR_GUARD_CYCLES` says for how many cycles.
+//! Guards for the cycle thread of a whole daemon: an allocator that ends the process when the cycle uses the
+//! heap, and a kernel filter that ends it at any other system call than the allowed ones. Meanwhile clients
+//! connect and leave, flood and change settings. `CDCR_GUARD_CYCLES` sets the number of cycles.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,15 +24,15 @@ use cdcr_tests::{Place, asked, binary};
 #[global_allocator]
 static ALLOCATOR: WatchedAllocator = WatchedAllocator;
 
-/// Cycles under guard: 5 000 unless `CDCR_GUARD_CYCLES` says otherwise.
+/// Cycles under guard: `CDCR_GUARD_CYCLES`, or 5 000.
 fn guarded_cycles() -> u64 {
     asked("CDCR_GUARD_CYCLES").unwrap_or(5_000)
 }
 
-/// Two daemons on one core would be each other's load.
+/// Two daemons on one core would load each other.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// Lives of cycle threads that came to their end under guard.
+/// Number of cycle threads that ended under guard.
 static GUARDED_LIVES: AtomicU64 = AtomicU64::new(0);
 
 #[test]
@@ -56,15 +56,15 @@ fn cycles_under_guard_with_a_driver() {
     );
 }
 
-/// Keeps a daemon busy, and returns its cycles, and how many of them tracked.
+/// Keeps a daemon busy, and returns the numbers of its cycles and of its tracking cycles.
 type Busy<'a> = &'a dyn Fn(&Place) -> (u64, u64);
 
-/// Runs a whole daemon whose cycle thread is guarded, under load: for as many cycles as are asked for, and until half of
-/// the load was there that is meant for them.
+/// Runs a whole daemon with a guarded cycle thread under load, until the number of cycles and half of the
+/// nominal load are reached.
 fn run_guarded(link: &str, work: impl FnOnce(&Place, &AtomicBool, Busy<'_>) -> (u64, u64)) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let place = Place::new();
-    // Short periods, so that the cycles are soon over; everything else as in service.
+    // Short periods, so that the cycles take little time; everything else as in operation.
     let text = format!(
         "{link}[cycle]\nperiod_ms = 1.0\ngather_lead_ms = 0.2\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n\
          [transport]\nprefix = \"{}\"\nroot = \"{}\"\n",

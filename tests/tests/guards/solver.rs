@@ -1,4 +1,4 @@
-//! `Nmpc::solve` never touches the heap, whatever the solver, the coordinates and the scene.
+//! `Nmpc::solve` never allocates, with any solver, coordinates and scene.
 
 use cdcr_controller::nmpc::{Coordinates, Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::{Budget, Simd, cycle_seed};
@@ -18,7 +18,7 @@ const SOLVERS: [SolverKind; 3] = [
 #[test]
 fn no_solver_touches_the_heap() {
     let mut parameters = RobotParameters::paper(3);
-    // Tight, so that stroke and speed matter, too.
+    // Tight limits, so that stroke and speed are active, too.
     parameters.cable_stroke_max_m = 0.03;
     parameters.cable_speed_max_m_s = 0.04;
     let robot = Robot::new(&parameters).unwrap();
@@ -36,7 +36,7 @@ fn no_solver_touches_the_heap() {
                 orientation_tolerance_rad: 1e-3,
                 ..NmpcSettings::default()
             };
-            // Those of a release.
+            // The paths of a release build.
             for simd in Simd::available().filter(|simd| *simd != Simd::Scalar) {
                 let mut nmpc = Nmpc::with_simd(simd, robot.clone(), PERIOD_S, settings).unwrap();
                 let (operations, ()) = count_allocations(|| run(&mut nmpc));
@@ -46,8 +46,8 @@ fn no_solver_touches_the_heap() {
     }
 }
 
-/// From the singular straight robot, where the Hessian is asked, past a sphere and a capsule, to a jump of
-/// the reference; with a position alone, an axis and a rotation.
+/// From the singular straight robot, where the Hessian is evaluated, past a sphere and a capsule, to a jump
+/// of the reference; with a position, an axis and a rotation.
 fn run(nmpc: &mut Nmpc) {
     let robot = nmpc.robot().clone();
     let mut at = Configuration::straight(3);

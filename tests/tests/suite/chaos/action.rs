@@ -1,55 +1,55 @@
-//! What can happen in a run, and how often.
+//! The actions of a run, and their frequencies.
 
 use cdcr_shared_types::codes::RequestKind;
 
-/// One thing that happens to a daemon.
+/// One action on a daemon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Action {
     /// A `cdcrctl ref` begins.
     FeedByProcess,
-    /// Some client asks for something.
+    /// A client sends a request.
     Request(RequestKind),
-    /// The lease is taken and given back, or left to expire.
+    /// A client takes the lease and returns it, or lets it expire.
     TakeLease,
-    /// A client is killed outright.
+    /// A client is killed.
     KillClient,
     /// A client is stopped for a while.
     FreezeClient,
-    /// Somebody without the lease sends a reference.
+    /// A client without the lease sends a reference.
     FeedWithoutLease,
-    /// Points whose time is over.
+    /// Points in the past.
     LatePoints,
-    /// Points that are not finite, out of reach, not in order, or mean nothing.
+    /// Points that are not finite, out of reach, unordered or invalid.
     BadPoints,
-    /// References, or obstacles, as fast as they can be sent.
+    /// References or obstacles as fast as possible.
     Flood,
     /// An obstacle beside the robot, outside the safe distance.
     ObstacleNear,
     /// An obstacle inside the safe distance.
     ObstacleInside,
-    /// An obstacle that comes nearer.
+    /// An obstacle that approaches.
     ObstacleTowards,
-    /// Every obstacle is removed.
+    /// All obstacles are removed.
     ObstaclesCleared,
-    /// More obstacles than are allowed.
+    /// More obstacles than allowed.
     TooManyObstacles,
-    /// An obstacle that is none.
+    /// An invalid obstacle.
     BadObstacle,
     /// Other settings of the solver.
     Settings,
-    /// Settings that are out of range.
+    /// Settings out of range.
     BadSettings,
-    /// The whole daemon stands still.
+    /// The whole daemon is stopped for a while.
     FreezeDaemon,
     /// Every core is kept busy.
     HogProcessors,
     /// A second daemon is started at the same place.
     SecondDaemon,
-    /// A reader comes, reads a little and goes.
+    /// A reader connects, reads a little and leaves.
     ReaderComesAndGoes,
-    /// A reader comes and never reads.
+    /// A reader connects and never reads.
     ReaderNeverReads,
-    /// The driver is silent, late, frozen, jumps or measures what is no number.
+    /// The driver is silent, late or frozen, jumps or measures NaN.
     FaultyDriver,
     /// The driver is stopped like a frozen process.
     FreezeDriver,
@@ -58,7 +58,7 @@ pub(crate) enum Action {
 }
 
 impl Action {
-    /// Whether it takes a robot behind a driver.
+    /// Whether the action needs a robot behind a driver.
     pub(crate) fn needs_driver(self) -> bool {
         matches!(
             self,
@@ -67,8 +67,8 @@ impl Action {
     }
 }
 
-/// Every action as often as it comes in one round. A round is shuffled and dealt to its end, so that each action
-/// happens however short a run is.
+/// Every action with its frequency in one round. A round is shuffled and executed completely, so that each
+/// action occurs even in a short run.
 pub(crate) const ROUND: &[(Action, usize)] = &[
     (Action::FeedByProcess, 4),
     (Action::Request(RequestKind::Track), 6),

@@ -1,5 +1,4 @@
-//! Reads every record, every command and every status with a connection of its own, and holds each to the
-//! invariants.
+//! Reads every record, command and status over its own connection, and checks the invariants on each.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -14,18 +13,18 @@ use cdcr_tests::{TIMEOUT, wait_status};
 use crate::chaos::records::{Records, Seen};
 use crate::chaos::{CheckResult, ensure};
 
-/// The newest record, for those who want to know where the robot is; and whether the run has seen all that it must.
+/// The newest record, for the position of the robot, and whether the run has seen everything required.
 #[derive(Debug)]
 pub(crate) struct View {
     newest: Mutex<Option<Box<Telemetry>>>,
     has_seen_enough: AtomicBool,
-    /// So often `cdcrctl stop` was started.
+    /// Number of started `cdcrctl stop`.
     stops: AtomicU64,
     duration: Duration,
 }
 
 impl View {
-    /// For a run that is meant to last for `duration`.
+    /// For a run with this nominal duration.
     pub(crate) fn new(duration: Duration) -> Self {
         Self {
             newest: Mutex::default(),
@@ -44,7 +43,7 @@ impl View {
         self.has_seen_enough.load(Ordering::Relaxed)
     }
 
-    /// To be called before `cdcrctl stop` is started.
+    /// Call it before `cdcrctl stop` is started.
     pub(crate) fn count_stop(&self) {
         self.stops.fetch_add(1, Ordering::Relaxed);
     }
@@ -58,7 +57,7 @@ impl View {
     }
 }
 
-/// The streams and what came before.
+/// The streams and the previous messages.
 pub(crate) struct Checker<'a> {
     connection: Connection,
     telemetry: TelemetryStream,
@@ -189,8 +188,8 @@ impl<'a> Checker<'a> {
         Ok(())
     }
 
-    /// A fault that was seen is counted, as soon as a status tells. More may be counted: a reset in the cycle of a fault
-    /// hides it.
+    /// The status counts every observed fault. It may count more: a reset in the cycle of a fault hides the
+    /// fault from the records.
     fn compare_counts(&mut self) -> CheckResult {
         let (seen, begin) = (self.records.seen.entered_faults, Instant::now());
         loop {

@@ -1,4 +1,4 @@
-//! Invariant: no command of ours brings the body nearer to an obstacle than is allowed.
+//! Invariant: no command brings the body nearer to an obstacle than allowed.
 
 use cdcr_controller::robot::{BendRates, Robot, SECTIONS_MAX};
 use cdcr_shared_types::Telemetry;
@@ -7,16 +7,16 @@ use cdcr_tests::record::{configuration_of, obstacles_of};
 
 use crate::chaos::{CheckResult, ensure};
 
-/// What rounding may take from a clearance \[m\].
+/// Rounding error of a clearance \[m\].
 const TOLERANCE_M: f64 = 1e-9;
 
-/// What is not looked for between the end of the period and that of the stopping way \[m\], and what a ramp along it may keep
-/// less.
+/// Clearance \[m\] that may be missing between the checked times: after the period and at the end of the
+/// stopping path. A ramp along it may keep less by the same amount.
 const DIP_M: f64 = 1e-3;
 
-/// Checks cⱼ(command) ≥ min(D, cⱼ(standing still)) for each obstacle where it will be, and each section of the body, with
-/// exact clearances: after the period, and, to a millimetre, when no other command has followed and the robot has come
-/// to rest.
+/// Checks cⱼ(command) ≥ min(D, cⱼ(standing still)) for each obstacle at its future position and each section
+/// of the body, with exact clearances. The times are the end of the period and, to a millimetre, the rest of
+/// the robot without further commands.
 pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckResult {
     let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
     let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
@@ -47,14 +47,14 @@ pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckRe
     )
 }
 
-/// Whether the robot is on its way to rest, or rests.
+/// Whether the robot is ramping down or at rest.
 pub(crate) fn is_ramp(record: &Telemetry) -> bool {
     let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
     !moves_on.contains(&record.mode)
 }
 
-/// The same when the robot has gone for `way_s` at its rates, after `time_s`. From an obstacle that stands, `lack_m` less than the
-/// safe distance counts.
+/// The same after the robot has moved for `way_s` at its rates, at `time_s`. For an obstacle at rest, the
+/// safe distance is reduced by `lack_m`.
 fn check_at(
     robot: &Robot,
     record: &Telemetry,
@@ -72,7 +72,7 @@ fn check_at(
         let [standing_m, commanded_m] = [&standing, &commanded]
             .map(|body| body.clearances_in_reach(&later, &[f64::INFINITY; SECTIONS_MAX]));
         let stands = obstacle.velocity_m_s().norm() == 0.0;
-        // One of the two: nothing may lack twice.
+        // The larger of the two tolerances, not their sum.
         let slack_m = tolerance_m.max(if stands { lack_m } else { 0.0 });
         let kept_m = record.settings.safe_distance_m - slack_m;
         for j in 0..robot.section_count() {
@@ -115,7 +115,7 @@ mod tests {
             record.command.bend_rate_rad_s[0] = target_rad / 0.005;
             assert_eq!(check(&robot, &record, 0.005).is_ok(), holds, "{target_rad}");
         }
-        // It runs into the robot by itself, and the robot stands still.
+        // The obstacle moves into the robot, which stands still.
         record.command.bend_rate_rad_s[0] = 0.0;
         record.obstacles[0].velocity_m_s = [-1.0, 0.0, 0.0];
         assert_eq!(check(&robot, &record, 0.005), Ok(()));

@@ -1,4 +1,4 @@
-//! Clients in processes of their own, readers that never read, and busy cores: what comes, goes by itself.
+//! Client processes, readers that never read, and busy cores; each ends by itself.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,10 +9,10 @@ use cdcr_client::{Connection, TelemetryStream};
 use cdcr_tests::{Place, Program};
 use rustix::process::Signal;
 
-/// Client processes at one time: the services have eight readers, and others want to read, too.
+/// Client processes at one time: the services have eight readers, some of which are needed elsewhere.
 const PROCESSES_MAX: usize = 3;
 
-/// Who is there.
+/// The present clients and threads.
 #[derive(Debug, Default)]
 pub(crate) struct Crowd {
     processes: Vec<(Program, Option<Instant>)>,
@@ -22,7 +22,7 @@ pub(crate) struct Crowd {
 }
 
 impl Crowd {
-    /// Sends away who has been there long enough.
+    /// Ends those whose time is over.
     pub(crate) fn tend(&mut self) {
         let now = Instant::now();
         self.idle.retain(|(_, until)| *until > now);
@@ -35,7 +35,7 @@ impl Crowd {
         self.threads.retain(|thread| !thread.is_finished());
     }
 
-    /// Starts a `cdcrctl`. The oldest makes room.
+    /// Starts a `cdcrctl`; ends the oldest one when there are too many.
     pub(crate) fn start(&mut self, place: &Place, arguments: &[&str]) {
         if self.processes.len() == PROCESSES_MAX {
             self.kill();
@@ -44,12 +44,12 @@ impl Crowd {
         self.processes.push((program, None));
     }
 
-    /// Whether any client process is there.
+    /// Whether there is any client process.
     pub(crate) fn is_empty(&self) -> bool {
         self.processes.is_empty()
     }
 
-    /// Kills the oldest client process outright.
+    /// Kills the oldest client process.
     pub(crate) fn kill(&mut self) {
         drop(self.processes.remove(0));
     }
@@ -62,16 +62,16 @@ impl Crowd {
         }
     }
 
-    /// Opens the telemetry and does not read it.
+    /// Opens the telemetry without reading it.
     pub(crate) fn idle(&mut self, connection: &Connection, duration: Duration) {
-        // Where all places are taken there is one more reader that does not come.
+        // Skipped when all places of readers are taken.
         if let Ok(stream) = connection.telemetry() {
             self.idle.truncate(1);
             self.idle.push((stream, Instant::now() + duration));
         }
     }
 
-    /// Does `work` again and again for a while, in a thread.
+    /// Repeats `work` in a thread for a while.
     pub(crate) fn busy(&mut self, duration: Duration, mut work: impl FnMut() + Send + 'static) {
         let (until, ending) = (Instant::now() + duration, self.ending.clone());
         self.threads.push(std::thread::spawn(move || {
@@ -81,7 +81,7 @@ impl Crowd {
         }));
     }
 
-    /// Does `make` in a thread, and then what it made, again and again for a while.
+    /// Calls `make` in a thread, and then repeats its result for a while.
     pub(crate) fn busy_with<W: FnMut()>(
         &mut self,
         duration: Duration,

@@ -1,4 +1,4 @@
-//! Every choice of a run comes from one seed.
+//! Random choices of a run, all from one seed.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ impl Dice {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed))
     }
 
-    /// Another generator that this one decides.
+    /// Another generator, seeded from this one.
     pub(crate) fn split(&mut self) -> Self {
         Self::new(self.0.random())
     }
@@ -57,7 +57,7 @@ impl Dice {
         cards.shuffle(&mut self.0);
     }
 
-    /// Those of any of the presets, and, if they are not to be mild, single ones beside, small ones more often than large ones.
+    /// The flaws of a random preset. Unless mild, also single flaws, small ones more often than large ones.
     pub(crate) fn flaws(&mut self, is_mild: bool) -> Flaws {
         let mut flaws = self.pick(&Preset::ALL).flaws();
         if is_mild {

@@ -13,11 +13,11 @@ use crate::chaos::tally::Tally;
 
 const SECTIONS_M: [f64; 3] = [0.3; 3];
 
-/// Feeds until `ending`. What goes wrong with a feed is the run's doing and only counted.
+/// Feeds until `ending`. Errors of a feed are expected, and only counted.
 pub(crate) fn feed(connection: &Connection, mut dice: Dice, tally: &Tally, ending: &AtomicBool) {
     while !ending.load(Ordering::Relaxed) {
         if dice.chance(80) {
-            // Whoever wants to go on resets first.
+            // Tracking requires a reset first.
             let _ = connection.request(RequestKind::Reset);
         }
         let curve = curve(&mut dice);

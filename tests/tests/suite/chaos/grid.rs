@@ -1,10 +1,10 @@
-//! Invariant: numbers and times only go forward, on the grid.
+//! Invariant: numbers and times only increase, and lie on the grid.
 
 use cdcr_shared_types::Telemetry;
 
 use crate::chaos::{CheckResult, ensure};
 
-/// Checks one record for itself: it lies on the grid of `origin_ns`, and its times follow each other.
+/// Checks one record: it lies on the grid of `origin_ns`, and its times are in order.
 pub(crate) fn check(record: &Telemetry, origin_ns: u64) -> CheckResult {
     let due = origin_ns + record.cycle * record.period_ns;
     ensure(record.release_ns == due, || {
@@ -26,7 +26,8 @@ pub(crate) fn check(record: &Telemetry, origin_ns: u64) -> CheckResult {
     })
 }
 
-/// Checks a record against the one before. Returns whether they are neighbours: nothing was lost on the way.
+/// Checks a record against the previous one. Returns whether they are consecutive, with nothing lost in
+/// between.
 pub(crate) fn check_pair(before: &Telemetry, record: &Telemetry) -> Result<bool, String> {
     let forward = |what: &str, before: u64, now: u64, least: u64| {
         ensure(now >= before + least, || {
@@ -50,7 +51,7 @@ pub(crate) fn check_pair(before: &Telemetry, record: &Telemetry) -> Result<bool,
     }
     let skipped = u64::from(record.skipped_periods);
     if record.cycle != before.cycle + 1 + skipped {
-        // The daemon itself lost records; it counts them, and the end of the run compares.
+        // The daemon itself lost records; it counts them, and the end of the run compares the counts.
         return Ok(false);
     }
     let elapsed_ns = record.release_ns - before.release_ns;

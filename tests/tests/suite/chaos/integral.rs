@@ -1,11 +1,12 @@
 //! Invariant: the commanded position is the integral of the commanded rates, to the bit.
 //!
-//! What else moves it shows in the records:
+//! Other changes of it are visible in the records:
 //!
-//! * Control begins where the robot is: at the first measurement (`measurement_state`), and after a latched mode (`mode`,
-//!   `control_begins`). A lost measurement and a change of drivers lead through Faulted, so they are of these.
-//! * Inputs that are stale (`timing_flags`) for longer than a command is valid bring no command out of the daemon: the robot obeyed
-//!   the one before they went stale. One that rests by then stays.
+//! - Control begins at the present position of the robot: at the first measurement (`measurement_state`), and
+//!   after a latched mode (`mode`, `control_begins`). This includes a lost measurement and a change of
+//!   drivers, because both lead through Faulted.
+//! - When inputs are stale (`timing_flags`) for longer than a command is valid, no command leaves the daemon:
+//!   the robot obeyed the last command before. A robot at rest by then stays at rest.
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementKind, MeasurementState, Mode, timing};
@@ -22,7 +23,7 @@ type Bends = [f64; COORDINATES_MAX];
 struct Obeyed {
     from_rad: Bends,
     rates_rad_s: Bends,
-    /// For how long it has been the newest \[ns\].
+    /// Time for which it has been the newest \[ns\].
     elapsed_ns: u64,
 }
 
@@ -35,26 +36,26 @@ impl Obeyed {
         }
     }
 
-    /// Where it has led, if the motors move by it for at most `most_ns`.
+    /// The position that it leads to, if the motors obey it for at most `most_ns`.
     fn leads_to(&self, most_ns: u64) -> Bends {
         let moving_s = self.elapsed_ns.min(most_ns) as f64 * 1e-9;
         core::array::from_fn(|i| self.from_rad[i] + self.rates_rad_s[i] * moving_s)
     }
 }
 
-/// The commanded position of record after record.
+/// The commanded position over consecutive records.
 #[derive(Debug, Default)]
 pub(crate) struct Integral {
-    /// How long the inputs have been stale \[ns\]; `None`: records of that time are lost.
+    /// Time for which the inputs have been stale \[ns\]; `None`: records of that time are lost.
     stale_ns: Option<u64>,
-    /// The last command that left before.
+    /// The last command that left the daemon.
     sent: Option<Obeyed>,
-    /// Control began in the record before.
+    /// Whether control began in the previous record.
     has_begun: bool,
 }
 
 impl Integral {
-    /// Takes the next record; `before`: the one before it, where nothing was lost between them.
+    /// Checks the next record. `before`: the previous one, if nothing was lost in between.
     pub(crate) fn check(&mut self, before: Option<&Telemetry>, record: &Telemetry) -> CheckResult {
         let target = Obeyed {
             elapsed_ns: record.period_ns,
@@ -101,7 +102,7 @@ impl Integral {
         Ok(())
     }
 
-    /// Where the commands up to a record lead; `None`: records are lost that say so.
+    /// The position that the commands up to a record lead to; `None` if the necessary records are lost.
     fn led(&mut self, before: Option<&Telemetry>, record: &Telemetry) -> Option<Bends> {
         let is_stale = record.timing_flags & timing::STALE_INPUTS != 0;
         self.stale_ns = match (is_stale, before) {
@@ -139,7 +140,7 @@ impl Integral {
     }
 }
 
-/// Checks that control begins where the motors are known to be, which is where they are measured if the robot holds.
+/// Checks that control begins at the known position of the motors: the measured one if the robot holds.
 fn check_begin(record: &Telemetry) -> CheckResult {
     let commanded = &record.commanded_rad;
     ensure(is_same(commanded, &record.motor_rad), || {
@@ -201,7 +202,7 @@ mod tests {
             Self { integral, last }
         }
 
-        /// The next record: what is commanded at its release, the rates from then on, what else is different.
+        /// The next record: commanded position at its release, rates from then on, other changes.
         fn next(
             &mut self,
             commanded_rad: f64,
@@ -226,7 +227,7 @@ mod tests {
 
     #[test]
     fn what_no_rate_moved_is_found() {
-        // In two periods a position is reached after one.
+        // Within two periods, a position is reached after one.
         for (interface, there) in [
             (Interface::Position, 0.01 + 2.0 * 0.005),
             (Interface::Velocity, 0.01 + 2.0 * 0.01),
@@ -278,7 +279,7 @@ mod tests {
 
     #[test]
     fn commands_that_did_not_leave_move_it_as_long_as_they_are_valid() {
-        // Held up for as long as a command is valid: where its rate and those after it lead.
+        // Delayed for as long as a command is valid: the position follows its rate and those after it.
         let hold_up = |interface| {
             let (mut line, mut at_rad) = (Line::new(interface), 0.0);
             assert_eq!(line.next(at_rad, 1.0, |_| {}), Ok(()));
@@ -300,7 +301,7 @@ mod tests {
             let (mut line, at_rad) = hold_up(interface);
             assert!(line.next(at_rad + 0.005, 0.5, stale).is_err());
         }
-        // A robot that rests when they run out stays, and a simulated one was measured meanwhile.
+        // A robot at rest when the commands expire stays there; a simulated one was measured meanwhile.
         let (mut line, at_rad) = hold_up(Interface::Position);
         line.last.command.bend_rate_rad_s[0] = 0.0;
         assert_eq!(line.next(at_rad, 0.0, stale), Ok(()));

@@ -1,4 +1,4 @@
-//! Invariant: no command leaves the limits of the robot, and every number of it is finite.
+//! Invariant: every command is finite and within the limits of the robot.
 
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_shared_types::codes::Interface;
@@ -6,10 +6,11 @@ use cdcr_shared_types::{Command, Telemetry};
 
 use crate::chaos::{CheckResult, ensure};
 
-/// What rounding may add to a bend \[rad\], a stroke \[m\] or a speed \[m/s\].
+/// Rounding error of a bend \[rad\], a stroke \[m\] or a speed \[m/s\].
 const TOLERANCE: f64 = 1e-9;
 
-/// Checks one command by itself: rates in the box, speeds inside their limit, and, where a driver obeys them, positions.
+/// Checks one command: rates in the box, speeds within their limits and, where a driver obeys them,
+/// positions.
 pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> CheckResult {
     let (width, cables) = (robot.coordinate_count(), robot.cable_count());
     let rates = &command.bend_rate_rad_s[..width];
@@ -37,7 +38,7 @@ pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> CheckRes
     check_cables(robot, command)
 }
 
-/// A move of one period. Whoever is beyond a limit already, because a measurement says so, may not go farther.
+/// A move of one period. A robot measured beyond a limit must not move farther beyond it.
 fn check_move(robot: &Robot, from: &[f64], target: &[f64]) -> CheckResult {
     for (j, section) in robot.sections().iter().enumerate() {
         let (u, v) = (2 * j, 2 * j + 1);
@@ -64,7 +65,7 @@ fn turning(rad_s: &[f64]) -> BendRates {
     BendRates::from_slice(rad_s).unwrap()
 }
 
-/// Cables say the same as bends.
+/// Cables agree with bends.
 fn check_cables(robot: &Robot, command: &Command) -> CheckResult {
     let (width, cables) = (robot.coordinate_count(), robot.cable_count());
     let lengths = robot.cable_lengths(&bent(&command.bend_target_rad[..width]));
@@ -86,7 +87,7 @@ fn check_finite(command: &Command) -> CheckResult {
     ensure(finite, || "a command is not finite".to_owned())
 }
 
-/// Checks that the command of a record is the one that its cycle made.
+/// Checks that the command of a record is the one of its cycle.
 pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckResult {
     let command = &record.command;
     let same = (command.cycle, command.release_ns, command.mode)
@@ -107,7 +108,7 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
     check(robot, command, period_s)
 }
 
-/// No rate grows faster than the acceleration; slowing down is free.
+/// No rate grows faster than the acceleration limit; deceleration is not limited.
 fn check_acceleration(record: &Telemetry, width: usize, period_s: f64) -> CheckResult {
     let most = record.acceleration_rad_s2 * period_s;
     let rates = record
@@ -176,7 +177,7 @@ mod tests {
             let broken = verdict(rates, from).unwrap_err();
             assert!(broken.contains(word), "{word}: {broken}");
         }
-        // Beyond a limit it may come back.
+        // Beyond a limit it may return.
         assert_eq!(
             verdict(
                 [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0],

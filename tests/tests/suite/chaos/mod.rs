@@ -1,5 +1,5 @@
-//! The randomised run: everything that can happen to a daemon, drawn from a seed, while every record is held to
-//! the invariants. `docs/testing.md` says how to run it for longer and how to repeat a run.
+//! The randomised run: random actions on a daemon from a seed, while the invariants are checked on every
+//! record. `docs/testing.md` describes longer runs and how to repeat a run.
 
 mod action;
 mod checker;
@@ -38,27 +38,27 @@ use tally::Tally;
 /// Whether an invariant holds, or how it is broken.
 pub(crate) type CheckResult = Result<(), String>;
 
-/// Holds when `condition` does; `broken` says what is wrong when it does not.
+/// Fails with the text of `broken` unless `condition` holds.
 pub(crate) fn ensure(condition: bool, broken: impl FnOnce() -> String) -> CheckResult {
     if condition { Ok(()) } else { Err(broken()) }
 }
 
-/// Everything as in service, but for: cables that are as slow and short as to matter; a lease that expires soon; a
-/// bucket that no stalls fill, because a machine with one bad release in ten never drains it; commands that are valid for as long as an exchange on a busy core is held up; a
-/// watchdog that lets a stalled machine be.
+/// As in operation, except: cable limits that become active; a short lease; a leaky bucket that stalls do not
+/// fill, because a machine with one bad release in ten never drains it; commands that are valid while an
+/// exchange on a busy core is delayed; a watchdog that tolerates a stalled machine.
 const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_max_m = 0.06\n\
     [cycle]\nmiss_limit = 1000000\nwatchdog_ms = 10000.0\n[reference]\nlease_ms = 200.0\n";
 
-/// A run of this length must see every kind of bad message judged.
+/// A run of this length must contain every kind of bad message.
 const KINDS_TAKE: Duration = Duration::from_secs(25);
 
-/// The seed of the run: given, or the time.
+/// The given seed of the run, or the time.
 fn seed() -> u64 {
     let now = || SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
     asked("CDCR_CHAOS_SEED").unwrap_or_else(|| now().as_millis() as u64)
 }
 
-/// Half of the run: the other robot has the other half.
+/// Half of the duration: the other half is for the other robot.
 fn half() -> Duration {
     Duration::from_secs(asked("CDCR_CHAOS_S").unwrap_or(16)) / 2
 }
@@ -129,7 +129,7 @@ fn run(link: &str) {
     daemon.end_clean();
 }
 
-/// A run in which nothing happened proves nothing.
+/// Checks that the actions had effects; otherwise the run proves nothing.
 fn assert_it_happened(tally: &Tally, has_driver: bool, duration: Duration) {
     for (action, _) in ROUND {
         let happened = tally.of(&format!("action: {action:?}")) > 0;
@@ -140,7 +140,7 @@ fn assert_it_happened(tally: &Tally, has_driver: bool, duration: Duration) {
     assert!(with_lease > 0 || duration < KINDS_TAKE);
 }
 
-/// After all that the daemon does what it did before: it can be reset, tracks to the end, and has no obstacle.
+/// Afterwards the daemon works as before: it can be reset, tracks to the end, and has no obstacle.
 fn come_back(daemon: &Daemon) {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
@@ -149,7 +149,7 @@ fn come_back(daemon: &Daemon) {
         track: true,
         ..FeedOptions::default()
     };
-    // What the machine is still busy with may stop it once more.
+    // Remaining load of the machine may stop it once more.
     wait_until("it tracks again", || {
         let track = || {
             connection.request_within(RequestKind::Reset, TIMEOUT)?;

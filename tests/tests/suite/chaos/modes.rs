@@ -1,5 +1,4 @@
-//! Invariant: the mode changes only along the diagram, and only a request that was accepted moves it where the
-//! diagram says "request".
+//! Invariant: the mode changes only along the diagram, and arrows marked "request" need an accepted request.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -9,10 +8,10 @@ use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind};
 
 use crate::chaos::CheckResult;
 
-/// Who moves the mode.
+/// Cause of a change of mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum By {
-    /// What the cycle sees.
+    /// An event in the cycle.
     World,
     /// A request of a client.
     Request(RequestKind),
@@ -55,31 +54,31 @@ const fn request(from: &'static [Mode], kind: RequestKind, to: Mode) -> Arrow {
     }
 }
 
-/// The diagram of `controller/src/safety/mode.rs`, arrow by arrow. Of the end of a daemon there is none: during a
-/// run nobody asks for it.
+/// The diagram of `controller/src/safety/mode.rs`, arrow by arrow. The end of a daemon is not included,
+/// because no run ends its daemon.
 const ARROWS: &[Arrow] = &[
-    // The first measurement is there.
+    // The first measurement.
     world(&[Mode::Starting], Mode::Holding, Reason::Start),
-    // It is there, of a robot that was stopped before the daemon was started again.
+    // The first measurement, of a robot that was stopped before the daemon was restarted.
     world(&[Mode::Starting], Mode::Stopped, Reason::StoppedBefore),
-    // Whoever feeds has come to the end, fell silent or gave the lease back.
+    // The feed ended, its client fell silent or returned the lease.
     world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceEnded),
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseExpired),
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseReleased),
     world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceTooFar),
     // The robot is straight.
     world(&[Mode::Homing], Mode::Holding, Reason::HomeReached),
-    // The exchange was held up; a source of obstacles fell silent.
+    // The exchange was delayed; a source of obstacles fell silent.
     world(MOVING_BY_ITSELF, Mode::Holding, Reason::InputsStale),
     world(
         MOVING_BY_ITSELF,
         Mode::Holding,
         Reason::ObstacleSourceSilent,
     ),
-    // The machine slept; the leaky bucket is full.
+    // The machine was suspended; the leaky bucket is full.
     world(MOVING, Mode::Stopped, Reason::Suspended),
     world(MOVING, Mode::Stopped, Reason::DeadlineMisses),
-    // A fault: of the driver, of the solver, of the state, of the surroundings.
+    // A fault of the driver, the solver, the state or the surroundings.
     world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementLost),
     world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementJump),
     world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementFrozen),
@@ -88,7 +87,7 @@ const ARROWS: &[Arrow] = &[
     world(NOT_FAULTED, Mode::Faulted, Reason::ClearanceBroken),
     world(NOT_FAULTED, Mode::Faulted, Reason::CommonMode),
     world(MOVING, Mode::Faulted, Reason::FollowingError),
-    // Clients. A fault stays one when a stop comes.
+    // Requests of clients. A stop does not change a fault.
     request(NOT_FAULTED, RequestKind::Stop, Mode::Stopped),
     request(LATCHED, RequestKind::Reset, Mode::Holding),
     request(&[Mode::Holding], RequestKind::Track, Mode::Tracking),
@@ -112,7 +111,7 @@ pub(crate) fn place(record: &Telemetry) -> Result<Place, String> {
     Ok((mode, Reason::try_from(record.reason).map_err(known)?))
 }
 
-/// Adds the places that one arrow that `may` be used leads to.
+/// Adds the places reached by one arrow that satisfies `may`.
 fn step(places: &mut BTreeSet<Place>, may: impl Fn(&Arrow) -> bool) {
     let leaving = |arrow: &&Arrow| may(arrow) && places.iter().any(|p| arrow.from.contains(&p.0));
     let reached: Vec<_> = ARROWS
@@ -123,8 +122,8 @@ fn step(places: &mut BTreeSet<Place>, may: impl Fn(&Arrow) -> bool) {
     places.extend(reached);
 }
 
-/// Whether one cycle can lead from one place to the other: what it sees moves the mode at most once, then come the
-/// requests that it accepted, then at most a fault that its solve found.
+/// Whether one cycle can lead from one place to the other: at most one change by an event, then its accepted
+/// requests, then at most one fault found by its solve.
 fn one_cycle_leads(from: Place, to: Place, accepted: &[RequestKind]) -> bool {
     let mut places = BTreeSet::from([from]);
     step(&mut places, |arrow| arrow.by == By::World);
@@ -140,7 +139,7 @@ fn one_cycle_leads(from: Place, to: Place, accepted: &[RequestKind]) -> bool {
     places.contains(&to)
 }
 
-/// Whether any number of cycles with any requests can: what is asked of records with others missing between them.
+/// Whether any number of cycles with any requests can do so, for records with missing ones in between.
 fn some_cycles_lead(from: Place, to: Place) -> bool {
     let mut places = BTreeSet::from([from]);
     for _ in ARROWS {
@@ -149,7 +148,7 @@ fn some_cycles_lead(from: Place, to: Place) -> bool {
     places.contains(&to)
 }
 
-/// A change that waits for the events that tell why.
+/// A change that waits for the events with its cause.
 #[derive(Debug, Clone, Copy)]
 struct Change {
     from: Place,
@@ -159,22 +158,24 @@ struct Change {
     number: u64,
 }
 
-/// Watches the modes of all records. Events may come some records after the cycle that they belong to, so each
-/// change is judged when those have come.
+/// Checks the modes of all records. Events may be some records late, so each change is checked when they have
+/// come.
 #[derive(Debug, Default)]
 pub(crate) struct ModeWatch {
     waiting: VecDeque<Change>,
     accepted: VecDeque<(u64, RequestKind)>,
     last: Option<Place>,
     records: u64,
-    /// Number of the record that was the last to have a gap before it.
+    /// Number of the last record after a gap.
     gap: Option<u64>,
-    /// Stops that no record tells a request of, and how many there may be: `cdcrctl stop` sends a signal where its answer comes late.
+    /// Stops without a request in any record, and their largest number: `cdcrctl stop` sends a signal when
+    /// its answer is late.
     signals: u64,
     signals_max: u64,
 }
 
-/// Records that a change waits for its events. A daemon that comes out of a stall reports at most 24 of each record.
+/// Records that a change waits for its events. After a stall, the daemon reports at most 24 events in each
+/// record.
 const TIMEOUT_RECORDS: u64 = 100;
 
 impl ModeWatch {
@@ -205,12 +206,12 @@ impl ModeWatch {
         Ok(())
     }
 
-    /// So often `cdcrctl stop` has been started.
+    /// Sets the number of started `cdcrctl stop`.
     pub(crate) fn may_have_signals(&mut self, most: u64) {
         self.signals_max = most;
     }
 
-    /// Judges what still waits.
+    /// Checks the remaining changes.
     pub(crate) fn finish(&mut self) -> CheckResult {
         while !self.waiting.is_empty() {
             self.judge_oldest()?;
@@ -240,7 +241,7 @@ impl ModeWatch {
         {
             self.accepted.pop_front();
         }
-        // Records that were lost since may have had the events.
+        // Records lost since then may have contained the events.
         let is_whole = self.gap.is_none_or(|gap| gap < change.number);
         let of_cycle = self
             .accepted

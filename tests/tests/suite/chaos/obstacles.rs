@@ -1,4 +1,4 @@
-//! Obstacles of every kind, made where the robot is.
+//! Obstacles of every kind near the robot.
 
 use cdcr_client::monotonic_ns;
 use cdcr_controller::robot::{BendRates, Robot, RobotParameters};
@@ -9,10 +9,10 @@ use cdcr_tests::record::{configuration_of, robot_of};
 
 use crate::chaos::dice::Dice;
 
-/// Ids of those that are made one by one: a few, so that one replaces another.
+/// Ids of single obstacles: a few, so that they replace each other.
 const IDS: u32 = 12;
 
-/// How often an obstacle beside one part of the robot is drawn again when it is too near to another.
+/// Attempts to place an obstacle beside one part of the robot but not too near to another.
 const DRAWS: u32 = 10;
 
 /// A ball or a bar about `gap_m` from the surface of the robot.
@@ -50,7 +50,7 @@ fn draw(dice: &mut Dice, record: &Telemetry, robot: &Robot, gap_m: f64) -> Obsta
             .pick(&[ObstacleShape::Sphere, ObstacleShape::Capsule])
             .code(),
         start_m,
-        // A bar leads away from the robot.
+        // A bar points away from the robot.
         end_m: core::array::from_fn(|i| start_m[i] + 2.0 * away[i]),
         radius_m,
         measured_ns: monotonic_ns(),
@@ -59,7 +59,7 @@ fn draw(dice: &mut Dice, record: &Telemetry, robot: &Robot, gap_m: f64) -> Obsta
     }
 }
 
-/// Where the tip is going; none when it stands still.
+/// Direction of the tip's motion; `None` at rest.
 fn way_of_tip(record: &Telemetry, robot: &Robot) -> Option<[f64; 3]> {
     let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
     let rates = BendRates::from_slice(rates).unwrap();
@@ -85,7 +85,7 @@ pub(crate) fn inside(dice: &mut Dice, record: &Telemetry, turn: u32) -> Obstacle
     beside(dice, record, gap_m)
 }
 
-/// Comes nearer, and runs into the robot if it lives long enough.
+/// Approaches, and reaches the robot within a sufficient lifetime.
 pub(crate) fn towards(dice: &mut Dice, record: &Telemetry) -> Obstacle {
     let gap_m = record.settings.safe_distance_m + dice.between(0.01, 0.1);
     let mut obstacle = beside(dice, record, gap_m);
@@ -97,7 +97,7 @@ pub(crate) fn towards(dice: &mut Dice, record: &Telemetry) -> Obstacle {
     obstacle
 }
 
-/// One that the daemon has to refuse, of one kind after the other.
+/// An obstacle that the daemon must reject, one kind after the other.
 pub(crate) fn bad(dice: &mut Dice, record: &Telemetry, turn: u32) -> Obstacle {
     let mut obstacle = near(dice, record);
     match turn % 5 {
@@ -110,7 +110,7 @@ pub(crate) fn bad(dice: &mut Dice, record: &Telemetry, turn: u32) -> Obstacle {
     obstacle
 }
 
-/// Out of reach, for a short while.
+/// Out of reach, for a short time.
 pub(crate) fn far(id: u32) -> Obstacle {
     Obstacle {
         id,

@@ -1,4 +1,4 @@
-//! Invariant: a robot that shall rest comes to rest at the deceleration, never faster again.
+//! Invariant: a robot that must rest slows down at the deceleration and never accelerates again.
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, guard};
@@ -6,12 +6,12 @@ use cdcr_tests::record::largest;
 
 use crate::chaos::{CheckResult, ensure};
 
-/// What rounding may do to a rate \[rad/s\].
+/// Rounding error of a rate \[rad/s\].
 const TOLERANCE_RAD_S: f64 = 1e-9;
 
-/// Checks the rates of a record that holds, is stopped, faulted or starting against the ones before: all shrink
-/// by one factor, the fastest by deceleration · period. The clearance guard and the limits may shorten them more, and
-/// nothing makes a component larger.
+/// Checks the rates of a record that holds, is stopped, faulted or starting against the previous rates: all
+/// shrink by one factor, the fastest by deceleration · period. Clearance guard and limits may reduce them
+/// further; no component grows.
 pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     let mode = Mode::try_from(record.mode).map_err(|unknown| unknown.to_string())?;
     if matches!(mode, Mode::Tracking | Mode::Homing) {
@@ -38,13 +38,14 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     })
 }
 
-/// Whether a record is the first of a robot that is known, where control begins.
+/// Whether a record is the first with a known robot, where control begins.
 pub(crate) fn is_first_measurement(before: &Telemetry, record: &Telemetry) -> bool {
     before.measurement_state == MeasurementState::None.code()
         && record.measurement_state == MeasurementState::Used.code()
 }
 
-/// Whether control may begin anew in a record: a latched mode was left, and the robot has not come to rest since.
+/// Whether control may restart in a record: a latched mode was left, and the robot has not come to rest
+/// since.
 pub(crate) fn control_may_begin(before: &Telemetry, record: &Telemetry) -> bool {
     let is_latched = |record: &Telemetry| {
         let latched = [Mode::Stopped, Mode::Faulted].map(Mode::code);
@@ -53,7 +54,7 @@ pub(crate) fn control_may_begin(before: &Telemetry, record: &Telemetry) -> bool 
     !is_latched(record) && (is_latched(before) || record.control_begins != 0)
 }
 
-/// Checks that a robot that was at rest in both records, whatever made it rest, is commanded to stay where it is, to the bit.
+/// Checks that a robot at rest in both records is commanded to stay at its position, to the bit.
 pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> CheckResult {
     let rests = |record: &Telemetry| {
         let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
@@ -89,19 +90,19 @@ mod tests {
         assert_eq!(check_rest(&before, &record), Ok(()));
         record.commanded_rad[3] = 1e-300;
         assert!(check_rest(&before, &record).is_err());
-        // Whatever the mode changes to: it holds for another reason, or is latched.
+        // For any new mode: it holds for another reason, or is latched.
         record.reason = Reason::InputsStale.code();
         assert!(check_rest(&before, &record).is_err());
         record.mode = Mode::Stopped.code();
         assert!(check_rest(&before, &record).is_err());
-        // Where a latched mode is left control begins, at once or when the motors have arrived.
+        // After a latched mode control restarts, at once or when the motors have arrived.
         (before.mode, record.mode) = (Mode::Stopped.code(), Mode::Holding.code());
         assert_eq!(check_rest(&before, &record), Ok(()));
         before.mode = Mode::Holding.code();
         assert!(check_rest(&before, &record).is_err());
         record.control_begins = 1;
         assert_eq!(check_rest(&before, &record), Ok(()));
-        // It may at the first measurement, and on its way.
+        // Allowed at the first measurement, and during a move.
         record.control_begins = 0;
         before.measurement_state = MeasurementState::None.code();
         assert_eq!(check_rest(&before, &record), Ok(()));
@@ -133,7 +134,7 @@ mod tests {
                 assert_eq!(check(&record, 0.005).is_ok(), shortened, "{rates:?}");
             }
         }
-        // From rest not even rounding makes it move.
+        // From rest, not even rounding causes a motion.
         record.previous_rate_rad_s = [0.0; 12];
         record.command.bend_rate_rad_s = [0.0; 12];
         assert_eq!(check(&record, 0.005), Ok(()));

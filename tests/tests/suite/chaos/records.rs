@@ -1,4 +1,4 @@
-//! Records, one after the other, each held to the invariants and counted.
+//! Consecutive records, each checked against the invariants and counted.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -12,38 +12,39 @@ use crate::chaos::integral::Integral;
 use crate::chaos::modes::{ModeWatch, place};
 use crate::chaos::{CheckResult, KINDS_TAKE, clearance, ensure, grid, limits, ramp};
 
-/// What was checked.
+/// Counts of the checks.
 #[derive(Debug, Default)]
 pub(crate) struct Seen {
     pub(crate) records: u64,
     pub(crate) commands: u64,
     pub(crate) statuses: u64,
-    /// Records that were lost on the way, or inside the daemon.
+    /// Records lost on the way or inside the daemon.
     pub(crate) gaps: u64,
     pub(crate) skipped_periods: u64,
     pub(crate) deadline_misses: u64,
-    /// Records with obstacles whose clearances were computed again, and those of which the guard changed the command.
+    /// Records with obstacles whose clearances were recomputed, and those with a command changed by the
+    /// guard.
     pub(crate) with_obstacles: u64,
     pub(crate) guarded: u64,
-    /// Records in a mode, by its name, and changes of the mode.
+    /// Records by name of the mode, and changes of the mode.
     pub(crate) modes: BTreeMap<&'static str, u64>,
     pub(crate) changes: BTreeMap<String, u64>,
-    /// Records in which a limit changed the command, by its name.
+    /// Records with a command changed by a limit, by its name.
     pub(crate) limited: BTreeMap<&'static str, u64>,
-    /// Records of tracking cycles whose robot moved.
+    /// Records of tracking cycles with a moving robot.
     pub(crate) tracked_moving: u64,
-    /// Records in which a tip beside bends or cables was believed.
+    /// Records that used a tip measurement in addition to bends or cables.
     pub(crate) with_tip_beside: u64,
-    /// Input messages by what became of them.
+    /// Input messages by outcome.
     pub(crate) outcomes: BTreeMap<&'static str, u64>,
-    /// Faults that began in a record, and that the daemon counts.
+    /// Faults that began in a record, also counted by the daemon.
     pub(crate) entered_faults: u64,
     pub(crate) counted_faults: u64,
 }
 
 impl Seen {
-    /// What a run of this length must still see: as many records as half of its cycles, every mode, a robot that tracks
-    /// and meets obstacles in one record of fifty; and in a long one every kind of bad message.
+    /// What a run of this length still lacks: records for half of its cycles, every mode, tracking and
+    /// obstacles in one record of fifty, and in a long run every kind of bad message.
     pub(crate) fn missing(&self, duration: Duration) -> Option<String> {
         let meant = duration.as_secs() * 200;
         let counts = [
@@ -95,13 +96,14 @@ impl Seen {
     }
 }
 
-/// The records of one robot, and what came before.
+/// The records of one robot, and the previous ones.
 #[derive(Debug)]
 pub(crate) struct Records {
     robot: Robot,
     period_s: f64,
     origin_ns: u64,
-    /// Its cables have play: a ramp goes on along the way that the motors have gone, wherever the cables are.
+    /// Whether its cables have play: a ramp then continues along the path of the motors, independent of the
+    /// cables.
     has_play: bool,
     before: Option<Box<Telemetry>>,
     integral: Integral,
@@ -123,12 +125,12 @@ impl Records {
         }
     }
 
-    /// The same of a robot whose cables have play, if they do.
+    /// The same for a robot with play in its cables.
     pub(crate) fn with_play(self, has_play: bool) -> Self {
         Self { has_play, ..self }
     }
 
-    /// Holds the next record to the invariants.
+    /// Checks the invariants on the next record.
     pub(crate) fn check(&mut self, record: &Telemetry) -> CheckResult {
         self.check_record(record)
             .map_err(|broken| format!("{broken}\nin {}", describe(record)))?;
@@ -136,7 +138,7 @@ impl Records {
         Ok(())
     }
 
-    /// So often `cdcrctl stop` has been started.
+    /// Sets the number of started `cdcrctl stop`.
     pub(crate) fn may_have_signals(&mut self, most: u64) {
         self.modes.may_have_signals(most);
     }
@@ -146,12 +148,12 @@ impl Records {
         self.before.as_deref()
     }
 
-    /// Holds one command to the invariants.
+    /// Checks the invariants on one command.
     pub(crate) fn check_command(&self, command: &Command) -> CheckResult {
         limits::check(&self.robot, command, self.period_s)
     }
 
-    /// What still waits for its reason.
+    /// Checks the changes that still wait for their cause.
     pub(crate) fn finish(&mut self) -> CheckResult {
         self.modes.finish()
     }
@@ -216,7 +218,7 @@ fn change(from: Mode, to: Mode, reason: Reason) -> String {
     format!("{from} → {to} ({reason})")
 }
 
-/// What a broken invariant can be understood by; the whole record fills many pages.
+/// The parts of a record that explain a broken invariant; the whole record fills many pages.
 fn describe(record: &Telemetry) -> String {
     let width = 2 * record.robot.sections as usize;
     format!(

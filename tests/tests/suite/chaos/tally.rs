@@ -1,4 +1,4 @@
-//! What happened, counted, for the table at the end and for the proof that it happened.
+//! Counts of events, for the table at the end and the check that they occurred.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -1,7 +1,7 @@
-//! Invariant: nobody waits for ever for what a killed process began.
+//! Invariant: no process waits for ever for a file that a killed process began.
 //!
-//! iceoryx2 0.10 makes a file in shared memory in two steps: it has no bytes, then its size. One that stays without bytes,
-//! because its maker was killed between the steps, has to be removed with the rest of the dead client.
+//! iceoryx2 0.10 creates a file in shared memory in two steps: empty, then with its size. If its creator is
+//! killed between them, the empty file has to be removed with the rest of the dead client.
 
 use std::fs;
 use std::path::Path;
@@ -12,17 +12,17 @@ use cdcr_tests::Place;
 
 use crate::chaos::CheckResult;
 
-/// How old a file without bytes may become: far longer than any process is stopped in a run.
+/// Largest age of an empty file: far longer than any process is stopped in a run.
 const AGE_MAX: Duration = Duration::from_secs(10);
 
-/// Looks at the files of a place until `ending`. One that is unfinished for too long ends the run, and is removed so
-/// that those who wait for it can end.
+/// Checks the files of a place until `ending`. An empty file that is too old ends the run; it is removed so
+/// that waiting processes can end.
 pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> CheckResult {
     while !ending.load(Ordering::Relaxed) {
         for path in place.memory_files() {
             if is_unfinished(&path) {
                 ending.store(true, Ordering::Relaxed);
-                // Somebody may have been faster.
+                // Another process may have been faster.
                 let _ = fs::remove_file(&path);
                 return Err(format!(
                     "{} has no bytes for {} s",

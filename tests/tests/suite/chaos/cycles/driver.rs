@@ -1,4 +1,4 @@
-//! The driver of a run, and what goes wrong with it.
+//! The driver of a run, and its faults.
 
 use std::collections::VecDeque;
 
@@ -9,28 +9,28 @@ use cdcr_shared_types::{Command, Measurement};
 
 use crate::chaos::dice::Dice;
 
-/// What goes wrong for a while.
+/// A temporary fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Trouble {
     None,
     Silent,
-    /// What it measures is on its way for so long \[ns\].
+    /// Delay of the measurements \[ns\].
     Late(u64),
     Frozen,
-    /// A bend seems to be so far beside \[rad\].
+    /// Offset of a measured bend \[rad\].
     Jumps(f64),
     NotFinite,
     /// The motors do not move.
     Stuck,
 }
 
-/// Behind it is one of the simulated robots.
+/// A driver of one of the simulated robots.
 #[derive(Debug)]
 pub(super) struct Driver {
     robot: Robot,
     interface: Interface,
     kind: MeasurementKind,
-    /// It measures the tip, too.
+    /// Whether it measures the tip, too.
     has_tip_sensor: bool,
     flaws: Flaws,
     is_mild: bool,
@@ -61,7 +61,7 @@ impl Driver {
             flaws,
             is_mild,
             command: None,
-            // Some come late.
+            // Some drivers start late.
             trouble: Trouble::Silent,
             trouble_ends_ns: now_ns + dice.duration_ms(0, 100).as_nanos() as u64,
             moved_ns: now_ns,
@@ -70,23 +70,23 @@ impl Driver {
         }
     }
 
-    /// Whether its robot has no flaws but those of a preset: it can be expected to follow.
+    /// Whether its robot has only the flaws of a preset, so that it can be expected to follow.
     pub(super) fn is_mild(&self) -> bool {
         self.is_mild
     }
 
-    /// A command arrives.
+    /// Takes a received command.
     pub(super) fn take(&mut self, command: &Command, now_ns: u64) {
         self.move_to(now_ns);
         self.command = Some(*command);
     }
 
-    /// Somebody bends the robot by hand.
+    /// Bends the robot by external force.
     pub(super) fn push(&mut self, dice: &mut Dice) {
         self.plant = bent(dice, &self.robot, self.flaws);
     }
 
-    /// Lets the time pass until `now_ns`, and measures then.
+    /// Advances to `now_ns` and measures.
     pub(super) fn turn(&mut self, dice: &mut Dice, now_ns: u64) {
         self.move_to(now_ns);
         if now_ns >= self.trouble_ends_ns {
@@ -110,14 +110,14 @@ impl Driver {
         }
     }
 
-    /// Whether it measures the tip beside bends or cables.
+    /// Whether it measures the tip in addition to bends or cables.
     pub(super) fn has_tip_beside(&self) -> bool {
         self.has_tip_sensor && self.kind != MeasurementKind::TipPose
     }
 
-    /// `None`: the sensor says nothing now.
+    /// `None`: the sensor has no value now.
     fn measure(&mut self, kind: MeasurementKind, now_ns: u64) -> Option<Measurement> {
-        // What it does not say now stays.
+        // Fields without a value keep their defaults.
         let mut measurement = Measurement {
             measured_ns: now_ns,
             sections: self.robot.section_count() as u32,
@@ -162,7 +162,7 @@ impl Driver {
         here.into_iter().map(|(_, measurement)| measurement)
     }
 
-    /// The motors obey the command for as long as it is valid; motors for positions keep theirs.
+    /// The motors obey the command while it is valid; position motors keep their positions.
     fn move_to(&mut self, now_ns: u64) {
         let command = self.command.filter(|_| self.trouble != Trouble::Stuck);
         let until_ns = command.map_or(self.moved_ns, |command| command.valid_until_ns);
@@ -201,7 +201,7 @@ fn draw(dice: &mut Dice) -> Trouble {
     ])
 }
 
-/// The robot in any shape, now and then one beyond its limits.
+/// The robot in any shape, sometimes beyond its limits.
 fn bent(dice: &mut Dice, robot: &Robot, flaws: Flaws) -> MisbehavingRobot {
     let most_rad = dice.pick(&[1e-9, 0.3, 1.0, 2.2]);
     let bends = (0..robot.coordinate_count()).map(|_| dice.between(-most_rad, most_rad));

@@ -1,5 +1,5 @@
-//! Ten thousand short lives of a controller: the daemon's cycle on a clock of the test, with a robot that misbehaves, and
-//! everything drawn from a seed. Each record is held to the invariants of the randomised run, which has the processes, too.
+//! Ten thousand short runs of a controller: the daemon's cycle on a test clock, with a faulty robot, all
+//! drawn from a seed. The invariants of the randomised run with processes are checked on each record.
 
 mod driver;
 mod world;
@@ -14,14 +14,14 @@ use cdcr_tests::asked;
 use crate::chaos::records::Seen;
 use world::World;
 
-/// Cycles of a run: a second and a half of 5 ms.
+/// Cycles of a run: one and a half seconds at 5 ms.
 const CYCLES: u32 = 300;
 
 /// Counts of all runs.
 #[derive(Debug, Default)]
 struct Sum {
     records: u64,
-    /// Of runs with a mild robot, as the next two.
+    /// These and the next two: runs with a mild robot.
     mild_records: u64,
     tracked_moving: u64,
     with_tip_beside: u64,
@@ -55,7 +55,7 @@ impl Sum {
         }
     }
 
-    /// Runs in which nothing happened prove nothing.
+    /// Checks that all events occurred; otherwise the runs prove nothing.
     fn assert_it_happened(&self, runs: u64) {
         for mode in [
             Mode::Starting,
@@ -95,7 +95,7 @@ impl Sum {
 
 #[test]
 fn whatever_a_misbehaving_robot_does_the_invariants_hold_in_every_cycle() {
-    // The same runs each time, unless others are asked for: what they must have seen is no matter of luck.
+    // The same runs each time by default, so that the events they must contain do not depend on chance.
     let (first, runs): (u64, u64) = (
         asked("CDCR_CHAOS_SEED").unwrap_or(1),
         asked("CDCR_CHAOS_RUNS").unwrap_or(100),
@@ -124,7 +124,7 @@ fn whatever_a_misbehaving_robot_does_the_invariants_hold_in_every_cycle() {
     });
     let sum = sum.into_inner().unwrap();
     println!("{sum:#?}");
-    // One run alone repeats a failure.
+    // A single run repeats a failure.
     if runs >= 100 {
         sum.assert_it_happened(runs);
     }

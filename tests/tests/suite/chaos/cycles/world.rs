@@ -1,4 +1,4 @@
-//! One run: a controller, the robot behind its driver, the clients, the exchange's part of the work.
+//! One run: a controller, the robot behind its driver, the clients, and the work of the exchange.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -27,7 +27,7 @@ use crate::chaos::{CheckResult, obstacles};
 
 /// Release of cycle 0 \[ns\].
 const ORIGIN_NS: u64 = 10_000_000_000;
-/// How long before a release the inputs are gathered \[ns\].
+/// Time from the gather to the release \[ns\].
 const LEAD_NS: u64 = 200_000;
 
 pub(super) struct World {
@@ -43,11 +43,11 @@ pub(super) struct World {
     trajectory: Trajectory,
     clock: ManualClock,
     next: u64,
-    /// Gathers that a stall of the exchange still takes.
+    /// Remaining gathers of a stall of the exchange.
     held_up: u32,
-    /// The command that leaves when it goes on.
+    /// The command that leaves after the stall.
     unsent: Option<Command>,
-    /// What the next cycle is asked, and what was asked last.
+    /// Request for the next cycle, and the previous request.
     asked: Option<RequestKind>,
     kind_of_answer: Option<RequestKind>,
     stop_asked: bool,
@@ -93,7 +93,7 @@ impl World {
         self.driver.is_mild()
     }
 
-    /// Runs so many cycles, and says what was seen.
+    /// Runs `cycles` cycles and returns the counts.
     pub(super) fn live(mut self, cycles: u32) -> Result<Seen, String> {
         for _ in 0..cycles {
             self.turn()?;
@@ -108,7 +108,7 @@ impl World {
         } else {
             0
         };
-        // Those that the cycle before ran over.
+        // Skipped releases, which the previous cycle overran.
         let passed = self.clock.now_ns.get().saturating_sub(ORIGIN_NS) / self.period_ns + 1;
         skipped += passed.saturating_sub(self.next + u64::from(skipped)) as u32;
         self.next += u64::from(skipped);
@@ -132,7 +132,7 @@ impl World {
         Ok(())
     }
 
-    /// The newest command leaves, unless it moves and has run out.
+    /// Sends the newest command, unless it moves the robot and has expired.
     fn send(&mut self, now_ns: u64) {
         let rests = |command: &Command| largest(&command.bend_rate_rad_s) == 0.0;
         if let Some(command) = self.unsent.take()
@@ -183,7 +183,7 @@ impl World {
         self.records.check(&telemetry)
     }
 
-    /// What the reporter would publish.
+    /// The telemetry that the reporter would publish.
     fn telemetry(&mut self, record: &CycleRecord) -> Telemetry {
         self.sequence += 1;
         let mut telemetry = Telemetry {
@@ -214,7 +214,7 @@ impl World {
         telemetry
     }
 
-    /// What the exchange takes in.
+    /// The gather of the exchange.
     fn gather(&mut self, release_ns: u64) {
         let gather_ns = release_ns - LEAD_NS;
         self.inputs.gather += 1;
@@ -249,7 +249,7 @@ impl World {
         );
     }
 
-    /// What clients and the machine do before the next release.
+    /// Actions of clients and machine before the next release.
     fn act(&mut self) {
         let chance = if self.newest_is([Mode::Tracking, Mode::Homing]) {
             1
@@ -296,7 +296,7 @@ impl World {
         let kinds = [RequestKind::Track, RequestKind::Track, RequestKind::Home];
         let mut kind = self.dice.pick(&kinds);
         if self.newest_is([Mode::Stopped, Mode::Faulted]) {
-            // Somebody clears away what it touches, and resets.
+            // A client removes the touched obstacles, and resets.
             self.inputs.obstacles = ObstacleSet::default();
             kind = RequestKind::Reset;
         } else if self.newest_is([Mode::Holding]) {
@@ -309,7 +309,7 @@ impl World {
         self.kind_of_answer = self.asked;
     }
 
-    /// A curve about a place somewhere, within reach or not.
+    /// A curve around a random position, within reach or not.
     fn feed(&mut self) {
         self.inputs.lease = LeaseState::Held;
         let dice = &mut self.dice;
@@ -329,7 +329,7 @@ impl World {
                 interpolation,
             }
         });
-        // One out of reach is refused, as by the exchange.
+        // A curve out of reach is rejected, as by the exchange.
         let _ = self.trajectory.replace(points);
     }
 
@@ -349,7 +349,7 @@ impl World {
         let now_ns = record.release_ns;
         obstacle.measured_ns = now_ns;
         if let Ok(known) = convert::obstacle(&obstacle, now_ns) {
-            // A full set refuses it.
+            // A full set rejects it.
             let _ = self.inputs.obstacles.upsert(known);
         }
     }
@@ -371,7 +371,8 @@ impl World {
     }
 }
 
-/// Any robot of one to six sections with cables that are as slow and short as to matter, behind either interface.
+/// A random robot with one to six sections, and with cable limits that become active, behind either
+/// interface.
 fn configuration(dice: &mut Dice) -> String {
     let mut text = format!(
         "[link]\nkind = \"driver\"\ninterface = \"{}\"\ncommand_valid_ms = {}\n\

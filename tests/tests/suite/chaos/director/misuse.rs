@@ -1,4 +1,4 @@
-//! Messages that the daemon has to refuse.
+//! Messages that the daemon must reject.
 
 use std::time::{Duration, Instant};
 
@@ -10,11 +10,11 @@ use super::Director;
 use crate::chaos::dice::Dice;
 use crate::chaos::{CheckResult, ensure, obstacles};
 
-/// How long it is tried to get the lease from those who hold it.
+/// Time limit for taking the lease while other clients hold it.
 const LEASE_TIMEOUT: Duration = Duration::from_secs(3);
 
 impl Director<'_> {
-    /// Sends ten good points that `spoil` has had a hand in, by index.
+    /// Sends ten valid points that `spoil` has modified, by index.
     pub(super) fn send_points(&mut self, spoil: impl FnOnce(&mut Dice, &mut [ReferencePoint; 10])) {
         let begin_ns = monotonic_ns() + 50_000_000;
         let mut points: [ReferencePoint; 10] = core::array::from_fn(|i| ReferencePoint {
@@ -32,7 +32,8 @@ impl Director<'_> {
         self.turns[of]
     }
 
-    /// Takes the lease as soon as it is free, so that points are judged for themselves. Whether it could.
+    /// Takes the lease when it becomes free, so that the points themselves are checked. Returns whether it
+    /// succeeded.
     fn hold_lease(&self) -> bool {
         let begin = Instant::now();
         while begin.elapsed() < LEASE_TIMEOUT {
@@ -66,7 +67,7 @@ impl Director<'_> {
                 1 => point.position_m = dice.vector(3.0),
                 2 => point.orientation_kind = 77,
                 3 => point.time_ns = first_ns,
-                // A tip axis of no length.
+                // A tip axis of zero length.
                 _ => point.orientation_kind = 1,
             }
         });

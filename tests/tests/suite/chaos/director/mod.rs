@@ -1,4 +1,4 @@
-//! Draws what happens next, and makes it happen.
+//! Draws the next actions and executes them.
 
 mod misuse;
 
@@ -19,10 +19,10 @@ use crate::chaos::dice::Dice;
 use crate::chaos::tally::Tally;
 use crate::chaos::{CheckResult, ensure, obstacles};
 
-/// How long a request may wait: no stall and no freeze of the daemon lasts as long.
+/// Time limit for an answer: longer than any stall or freeze of the daemon.
 const ANSWER: Duration = Duration::from_secs(5);
 
-/// Who makes everything happen.
+/// Executes the actions.
 pub(crate) struct Director<'a> {
     daemon: &'a Daemon,
     connection: Connection,
@@ -35,7 +35,7 @@ pub(crate) struct Director<'a> {
     crowd: Crowd,
     driver: Option<DriverProcess>,
     log: Vec<String>,
-    /// Bad points, bad obstacles, bad settings and near obstacles so far: their kinds come in turn.
+    /// Counts of bad points, bad obstacles, bad settings and near obstacles: their kinds come in turn.
     turns: [u32; 4],
 }
 
@@ -64,8 +64,8 @@ impl<'a> Director<'a> {
         }
     }
 
-    /// Lets things happen for `duration`, for whole rounds, and until the run has seen all that it must; or until
-    /// `ending`. The driver, if there is one, is given back whole.
+    /// Executes whole rounds for `duration` and until the run has seen everything required, or until
+    /// `ending`. Returns the driver, if there is one, without faults.
     pub(crate) fn run(
         mut self,
         duration: Duration,
@@ -108,7 +108,7 @@ impl<'a> Director<'a> {
         Ok(self.driver)
     }
 
-    /// Every mode shall be there however short the run is; on the way home it is the least often.
+    /// Every mode must occur even in a short run; homing is the rarest.
     fn go_home(&mut self) {
         let ask = |kind| self.connection.request_within(kind, ANSWER).is_ok();
         wait_until("it goes home", || {
@@ -187,7 +187,7 @@ impl<'a> Director<'a> {
         self.crowd.start(self.daemon.place(), &arguments);
     }
 
-    /// Asks by our own connection, or lets a program ask.
+    /// Sends the request over its own connection or through a program.
     fn request(&mut self, kind: RequestKind) {
         let command = match kind {
             RequestKind::Track => "track",
@@ -265,7 +265,7 @@ impl<'a> Director<'a> {
         }
     }
 
-    /// Sends an obstacle that is made where the robot is.
+    /// Sends an obstacle at the position of the robot.
     fn obstacle(&mut self, make: impl FnOnce(&mut Dice, &Telemetry) -> Obstacle) {
         if let Some(record) = self.view.newest() {
             let obstacle = make(&mut self.dice, &record);
@@ -288,7 +288,7 @@ impl<'a> Director<'a> {
             seed: u64::from(dice.below(u32::MAX)),
             ..first
         };
-        // Without penalties the solver is blind to obstacles, and the guard has to act.
+        // Without penalties the solver ignores obstacles, so that the guard has to act.
         let wanted = if dice.chance(50) {
             SolverSettings {
                 obstacle_step_penalty: 0.0,
@@ -298,7 +298,7 @@ impl<'a> Director<'a> {
         } else {
             wanted
         };
-        // Now and then back to the settings that it began with.
+        // Sometimes returns to the initial settings.
         let wanted = if self.dice.chance(40) { first } else { wanted };
         let answer = match self.connection.change_settings(wanted) {
             Ok(_) => "accepted",
@@ -307,7 +307,7 @@ impl<'a> Director<'a> {
         self.tally.count(format!("settings: {answer}"));
     }
 
-    /// Lets the daemon stand still as a whole.
+    /// Stops the whole daemon for a while.
     fn freeze_daemon(&mut self) {
         self.daemon.signal(Signal::STOP);
         std::thread::sleep(self.dice.duration_ms(5, 300));
@@ -322,7 +322,7 @@ impl<'a> Director<'a> {
         }
     }
 
-    /// Another daemon for the same robot refuses to start, and says why.
+    /// A second daemon for the same robot refuses to start, with the reason.
     fn second_daemon(&mut self) -> CheckResult {
         let place = self.daemon.place();
         let mut command = place.command("cdcrd");
@@ -368,7 +368,8 @@ impl<'a> Director<'a> {
                 driver.signal(Signal::CONT);
             }
             _ => {
-                // Killed and reaped before the next one starts. Its robot has other flaws, every second one those of a preset.
+                // Killed and reaped before the next one starts. Its robot has other flaws, every second time
+                // those of a preset.
                 self.driver = None;
                 std::thread::sleep(self.dice.duration_ms(0, 200));
                 let is_mild = self.dice.chance(50);
@@ -379,7 +380,7 @@ impl<'a> Director<'a> {
         }
     }
 
-    /// Leaves the robot without obstacles and the solver with the settings it began with.
+    /// Leaves the robot without obstacles and the solver with its initial settings.
     fn leave(&mut self, ending: &AtomicBool) {
         self.crowd = Crowd::default();
         let begin = Instant::now();
@@ -391,7 +392,7 @@ impl<'a> Director<'a> {
             assert!(begin.elapsed() < TIMEOUT, "the settings cannot be changed");
         }
         let cleared_ns = self.obstacles.clear().unwrap().sent_ns;
-        // A sender that leaves takes with it what the daemon has not yet taken in. A run that failed shows no more records.
+        // When a sender leaves, its pending messages are lost. A failed run shows no more records.
         let begin = Instant::now();
         while !ending.load(Ordering::Relaxed) {
             let newest = self.view.newest();
