@@ -1,4 +1,5 @@
-//! Tests of the whole system in one program, each on a prefix of its own. What watches the allocator of its process is in `guards`.
+//! Tests of the whole system in one program, each with its own prefix. Tests that watch the allocator of
+//! their process are in `guards`.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,4 +1,4 @@
-//! A test in a process that has mounts of its own: a small shared memory, another journal.
+//! A test in a process with private mounts: a small shared memory, another journal.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use cdcr_tests::text;
 use rustix::fs::{FallocateFlags, StatVfs, fallocate, statvfs};
 use rustix::io::Errno;
 
-/// Set for a process that has them.
+/// Set for a process with private mounts.
 const INSIDE: &str = "CDCR_TEST_INSIDE";
 
 /// The name by which a test program runs this test.
@@ -20,7 +20,8 @@ pub(crate) fn name_of<T: Fn()>(_: &T) -> String {
     name.to_owned()
 }
 
-/// Whether this process has mounts of its own. One that has none runs the test of this name again, in one that has, to its end.
+/// Whether this process has private mounts. Otherwise, runs the test of this name in a process that has them,
+/// to its end.
 pub(crate) fn has_own_mounts(test: &str) -> bool {
     if std::env::var_os(INSIDE).is_some() {
         return true;
@@ -32,7 +33,7 @@ pub(crate) fn has_own_mounts(test: &str) -> bool {
     command.arg("--mount").arg(std::env::current_exe().unwrap());
     command.args(["--exact", test, "--nocapture"]);
     match command.env(INSIDE, "").output() {
-        // Its own failure; that of a test is 101.
+        // The status of its own failure; that of a test is 101.
         Ok(output) if output.status.code() == Some(1) => {
             skip(
                 Need::Mount,
@@ -49,7 +50,7 @@ pub(crate) fn has_own_mounts(test: &str) -> bool {
     false
 }
 
-/// Runs a script that mounts. False: the system grants it not; it is said so.
+/// Runs a script with mounts. False, with a message, if the system does not permit it.
 pub(crate) fn mount(script: &str) -> bool {
     let output = Command::new("sh").args(["-c", script]).output().unwrap();
     if !output.status.success() {
@@ -67,7 +68,7 @@ fn memory() -> StatVfs {
     statvfs(Location::MEMORY).unwrap()
 }
 
-/// Shared memory that is filled up until this is dropped.
+/// Shared memory that stays full until this is dropped.
 pub(crate) struct Filled(PathBuf);
 
 impl Filled {
@@ -75,7 +76,7 @@ impl Filled {
         Path::new(Location::MEMORY).join("fill")
     }
 
-    /// Takes all that is left but so many kB.
+    /// Takes all free memory but `kilobytes` kB.
     pub(crate) fn but_kilobytes(kilobytes: u64) -> Self {
         let filled = Self(Self::at());
         let file = File::create(&filled.0).unwrap();
@@ -83,7 +84,7 @@ impl Filled {
             let free = memory().f_bavail * memory().f_frsize;
             let take = free.saturating_sub(1024 * kilobytes).max(1);
             match fallocate(&file, FallocateFlags::empty(), 0, take) {
-                // Somebody took some meanwhile.
+                // Another process took some meanwhile.
                 Err(Errno::NOSPC) if kilobytes > 0 || memory().f_bavail > 0 => {}
                 Err(Errno::NOSPC) | Ok(()) => return filled,
                 Err(cause) => panic!("{cause}"),
@@ -91,11 +92,12 @@ impl Filled {
         }
     }
 
-    /// Takes all files that are left but `files`.
+    /// Takes all free files but `files`.
     pub(crate) fn but_files(files: u64) -> Self {
         let filled = Self(Self::at());
         fs::create_dir(&filled.0).unwrap();
-        // The daemon may still remove what the client before left: three times the same, then there is no more.
+        // The daemon may still remove files of the previous client: three times the same number means that it
+        // has finished.
         let (mut taken, mut calm) = (0, 0);
         while calm < 3 {
             let free = memory().f_ffree;

@@ -1,7 +1,8 @@
-//! Rest is rest: behind a driver whose encoders and motors stand a little beside, the command does not creep.
+//! Rest: behind a driver with offsets of encoders and motors, the command does not creep.
 //!
-//! A robot is brought to rest from a move, in each mode that rests, and looked at for `CDCR_REST_S` seconds (2 if not given):
-//! every command has zero rates and the same positions, to the bit, and the robot stays where it is.
+//! A moving robot is brought to rest in each mode that rests, and observed for `CDCR_REST_S` seconds (2 by
+//! default). Every command has zero rates and the same positions, to the bit, and the robot stays where it
+//! is.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -17,9 +18,9 @@ use cdcr_tests::{
     wait_until,
 };
 
-/// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
+/// Motors with a lag of 20 ms have reached their target after this many cycles of 5 ms, to `SETTLED_RAD`.
 const SETTLED_CYCLES: u64 = 100;
-/// \[rad\]
+/// Remaining distance of a settled motor \[rad\].
 const SETTLED_RAD: f64 = 1e-9;
 
 #[test]
@@ -44,12 +45,12 @@ fn a_velocity_driver_with_offset_is_at_rest_in_every_mode() {
     }
 }
 
-/// How long each rest is looked at.
+/// Duration of each observation.
 fn duration() -> Duration {
     Duration::from_secs(asked("CDCR_REST_S").unwrap_or(2))
 }
 
-/// Stops a robot on its way home, and looks at its rest.
+/// Stops a homing robot, and observes its rest.
 fn rest(interface: Interface, mode: Mode) {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
@@ -91,7 +92,7 @@ fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
         Mode::Holding => drop(ask_for(connection, RequestKind::Hold)),
         Mode::Stopped => drop(ask_for(connection, RequestKind::Stop)),
         _ => {
-            // A sensor that is out of its mind for as long as it takes.
+            // A faulty sensor, until the fault is detected.
             robot.is_mad.store(true, Ordering::Relaxed);
             wait_until("the fault", || {
                 connection.status(TIMEOUT).unwrap().mode == Mode::Faulted.code()
@@ -101,7 +102,7 @@ fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
     }
 }
 
-/// The first record at rest when motors and sensors have settled.
+/// The first record at rest with settled motors and sensors.
 fn settled(telemetry: &mut TelemetryStream, mode: Mode) -> Telemetry {
     let still = |record: &Telemetry| {
         record.mode == mode.code() && largest(&record.command.bend_rate_rad_s) == 0.0
@@ -113,7 +114,7 @@ fn settled(telemetry: &mut TelemetryStream, mode: Mode) -> Telemetry {
     })
 }
 
-/// Holds every command of this time to be the one of `first`. How many were seen.
+/// Checks that every command in this time equals that of `first`, and returns their number.
 fn assert_constant(telemetry: &mut TelemetryStream, first: &Telemetry) -> u64 {
     let (begin, mut records, duration) = (Instant::now(), 0, duration());
     while begin.elapsed() < duration || records < 100 {
@@ -144,7 +145,7 @@ fn bits(command: &Command) -> Vec<u64> {
     positions.map(|position| position.to_bits()).collect()
 }
 
-/// What the test asks of the thread of its robot.
+/// Requests of the test to the thread of its robot.
 #[derive(Debug, Default)]
 struct RobotThread {
     ending: AtomicBool,
@@ -152,7 +153,7 @@ struct RobotThread {
     asked: AtomicBool,
 }
 
-/// Turns the robot, from a bend of 1 rad on, and answers how it is bent in truth.
+/// Runs the robot from a bend of 1 rad on, and returns its true bends.
 fn drive(
     place: &Place,
     interface: Interface,

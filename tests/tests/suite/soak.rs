@@ -1,5 +1,5 @@
-//! A daemon at 5 ms with everything flooding does not grow: not in memory, file descriptors, mappings, threads,
-//! nor in files. How to run it for half an hour, and what it prints: `docs/testing.md`.
+//! A daemon at 5 ms under all floods does not grow in memory, file descriptors, mappings, threads or files.
+//! `docs/testing.md` describes a run of half an hour and its output.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -17,28 +17,29 @@ use cdcr_tests::load::{self, Busy, Done};
 use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, asked, wait_until};
 use rustix::process::Signal;
 
-/// Timing is not the subject. Everything else is as in service.
+/// Timing is not the subject; everything else is as in operation.
 const CONFIGURATION: &str = "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n";
 /// Turns until the daemon has reached its size: the first clients of each kind map its memory and theirs.
 const WARM_UP_TURNS: usize = 3;
-/// Turns after that, at least: what grows in one turn of six has grown between the quarters, whichever turn that is.
+/// Least number of turns after that. A quarter has at least three, so growth in one turn of six shows between
+/// the quarters.
 const TURNS_MIN: usize = 12;
-/// How long the spiral of one turn lasts; there is one sample each.
+/// Duration of the spiral of one turn, which gives one sample.
 const TURN_S: f64 = 0.15;
-/// When nothing has changed for so long, the daemon has noticed that the clients of a turn have left.
+/// Time without changes after which the daemon has noticed that the clients of a turn have left.
 const SETTLED: Duration = Duration::from_millis(100);
-/// The load is one part in so many of what is meant, at least.
+/// Least load, as one part in this many of the nominal load.
 const LOAD_PART: u64 = 5;
-/// Rows of the printed table, at most.
+/// Largest number of rows in the printed table.
 const ROWS: usize = 40;
 
-/// Two flooded daemons would be each other's load.
+/// Two flooded daemons would load each other.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// What is measured, and by how much the median of the last quarter may be above that of the first.
+/// Measured quantities, and the allowed growth of the median from the first to the last quarter.
 ///
-/// Counts may not grow at all. Memory may by one part in fifty or 1 MB: the allocator keeps what it has had, and
-/// the high-water marks of its arenas rise a little for as long as the mix of clients changes.
+/// Counts must not grow at all. Memory may grow by one part in fifty or 1 MB: the allocator keeps memory, and
+/// the high-water marks of its arenas rise slightly while the mix of clients changes.
 const COLUMNS: [(&str, u64, u64); 13] = [
     ("rss_kB", 50, 1024),
     ("locked_kB", 50, 1024),
@@ -61,7 +62,7 @@ struct Sample {
     values: [u64; COLUMNS.len()],
 }
 
-/// How long to soak: 8 s unless `CDCR_SOAK_S` says otherwise.
+/// Duration: `CDCR_SOAK_S`, or 8 s.
 fn duration() -> Duration {
     Duration::from_secs(asked("CDCR_SOAK_S").unwrap_or(8))
 }
@@ -76,7 +77,7 @@ fn a_flooded_daemon_behind_a_driver_does_not_grow() {
     soak("driver");
 }
 
-/// Floods a daemon, and measures it each time that the clients that come and go are away.
+/// Floods a daemon, and measures it whenever the temporary clients are away.
 fn soak(link: &str) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let duration = duration();
@@ -107,12 +108,12 @@ fn soak(link: &str) {
             assert!(passed < duration + 2 * TIMEOUT, "{done:?}, not {least:?}");
             let mut victim = echo(place);
             busy.turn(TURN_S, &done);
-            // One that is killed while it connects leaves more; see below.
+            // A client killed while connecting leaves more; see below.
             wait_until_it_reads(&mut victim);
             kill(victim);
             killed.fetch_add(1, Ordering::Relaxed);
             let _alone = gate.write().unwrap_or_else(PoisonError::into_inner);
-            // It takes away what the killed client left.
+            // Removes what the killed client left.
             drop(load::connect(place));
             settle(&daemon);
             let time_s = begin.elapsed().as_secs_f64();
@@ -144,7 +145,7 @@ fn never_read(place: &Place, ending: &AtomicBool) {
     }
 }
 
-/// A client in a process of its own, to be killed.
+/// A client process, to be killed.
 fn echo(place: &Place) -> Child {
     let mut command = place.command("cdcrctl");
     command.args(["echo", "telemetry"]);
@@ -152,21 +153,21 @@ fn echo(place: &Place) -> Child {
     command.spawn().unwrap()
 }
 
-/// Waits until a client reads: its heading and the first record are there. Later ones fill its pipe, and it stops
-/// reading.
+/// Waits until a client reads: it has printed its heading and the first record. Later records fill its pipe,
+/// and it stops reading.
 fn wait_until_it_reads(client: &mut Child) {
     let mut lines = BufReader::new(client.stdout.as_mut().unwrap()).lines();
     assert!(lines.by_ref().take(2).all(|line| line.is_ok()));
 }
 
-/// Kills a client outright and reaps it: before that it is not dead for iceoryx2.
+/// Kills and reaps a client, because a zombie is not dead for iceoryx2.
 fn kill(mut victim: Child) {
     victim.kill().unwrap();
     victim.wait().unwrap();
 }
 
-/// Waits until the daemon has noticed that the clients of a turn have left: it has as many descriptors and mappings as
-/// a moment before, and the place as many files and nodes.
+/// Waits until the daemon has noticed that the clients of a turn have left: its descriptors and mappings, and
+/// the files and nodes of the place, no longer change.
 fn settle(daemon: &Daemon) {
     let counts = || {
         (
@@ -179,7 +180,7 @@ fn settle(daemon: &Daemon) {
     loop {
         std::thread::sleep(SETTLED);
         let now = counts();
-        // One that never settles grows, and the samples say so.
+        // A daemon that never settles grows, which the samples show.
         if now == before || begin.elapsed() > TIMEOUT {
             return;
         }
@@ -245,7 +246,7 @@ fn files_below(folder: &Path) -> u64 {
         .sum()
 }
 
-/// Nodes that iceoryx2 knows here: those that live, and those of processes that were killed.
+/// Numbers of living and dead iceoryx2 nodes here.
 fn nodes(place: &Place) -> [u64; 2] {
     use iceoryx2::prelude::{CallbackProgression, Node, NodeState};
     let mut count = [0, 0];
@@ -264,8 +265,8 @@ fn median(samples: &[Sample], column: usize) -> u64 {
     values[values.len() / 2]
 }
 
-/// Compares the last quarter after the warm-up with the first: what grows is above the largest of the first in every
-/// sample of the last. One client that was killed lately, and is not cleared away yet, is in some samples of either.
+/// Compares the last quarter after the warm-up with the first: in growth, every sample of the last is above
+/// the largest of the first. Files of a recently killed client are in some samples of both.
 fn assert_no_growth(samples: &[Sample]) {
     let warm = &samples[WARM_UP_TURNS..];
     let quarter = warm.len() / 4;
@@ -296,7 +297,7 @@ fn assert_no_growth(samples: &[Sample]) {
     assert!(grown.is_empty(), "{grown}");
 }
 
-/// The samples, thinned out to a page.
+/// The samples, reduced to a page.
 fn table(samples: &[Sample]) -> String {
     let mut text = format!("{:>7}", "time_s");
     for (name, ..) in COLUMNS {
@@ -312,7 +313,7 @@ fn table(samples: &[Sample]) -> String {
     text
 }
 
-/// Every sample into the file that `CDCR_SOAK_CSV` names, with the link before its ending.
+/// Writes all samples to the file named by `CDCR_SOAK_CSV`, with the link before its extension.
 fn write_csv(link: &str, samples: &[Sample]) {
     let Some(path) = std::env::var_os("CDCR_SOAK_CSV") else {
         return;
@@ -331,7 +332,7 @@ fn write_csv(link: &str, samples: &[Sample]) {
     fs::write(&path, text + "\n").unwrap();
 }
 
-/// What a place has: files in shared memory, files below its root, nodes that live and that do not.
+/// Counts of a place: files in shared memory, files below its root, living and dead nodes.
 fn inventory(place: &Place) -> [u64; 4] {
     let [living, dead] = nodes(place);
     let files = files_below(place.location().root());
@@ -346,7 +347,7 @@ fn what_killed_clients_leave_goes_when_the_next_one_comes() {
     for _ in 0..3 {
         let mut victims: Vec<_> = (0..4).map(|_| echo(place)).collect();
         victims.iter_mut().for_each(wait_until_it_reads);
-        // Before the daemon can clear away after them.
+        // Before the daemon can remove their files.
         daemon.signal(Signal::STOP);
         victims.into_iter().for_each(kill);
         assert!(inventory(place)[3] > 0, "a killed client cannot tidy up");
@@ -359,14 +360,16 @@ fn what_killed_clients_leave_goes_when_the_next_one_comes() {
     daemon.end_clean();
 }
 
-/// iceoryx2 0.10 cannot clear away all of a client that was killed between announcing that it will open a service
-/// and opening it: a few small files below the root stay until the folder goes. No place of a service is lost.
+/// A client may be killed between announcing that it will open a service and opening it. iceoryx2 0.10 cannot
+/// remove all of it: a few small files below the root remain until the folder is removed. No place of a
+/// service is lost.
 #[test]
 fn clients_killed_while_they_connect_take_no_place_from_others() {
     let daemon = Daemon::start(CONFIGURATION);
     let place = daemon.place();
     let before = inventory(place);
-    // Without the queues to single clients, of which the daemon keeps the last until it connects to another one.
+    // Without the queues to single clients, of which the daemon keeps the last until it connects to another
+    // one.
     let memory = || {
         let mut names = place.memory_files();
         names.retain(|path| path.extension().is_none_or(|end| end != "connection"));
@@ -374,7 +377,7 @@ fn clients_killed_while_they_connect_take_no_place_from_others() {
         names
     };
     let memory_before = memory();
-    // More than a service takes at one time.
+    // More than a service accepts at one time.
     let count = Service::NODES as u64 + 10;
     for turn in 0..count {
         let victim = echo(place);
@@ -395,9 +398,9 @@ fn clients_killed_while_they_connect_take_no_place_from_others() {
     assert!(after[1] <= before[1] + 20 * count, "{after:?}");
 }
 
-/// A client that is killed between the two steps in which iceoryx2 makes a file in shared memory leaves one without
-/// bytes, as made here by hand. iceoryx2 0.10 alone waits for it for ever, in every client that comes afterwards and
-/// in the daemon when it ends.
+/// A client killed between the two steps in which iceoryx2 creates a file in shared memory leaves an empty
+/// file; the test creates one. iceoryx2 0.10 alone waits for it for ever, in every later client and in the
+/// ending daemon.
 #[test]
 fn a_file_that_a_killed_client_began_holds_nobody_up() {
     let mut daemon = Daemon::start(CONFIGURATION);
@@ -410,7 +413,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
         .filter(|path| path.extension().is_some_and(|end| end == "connection"))
         .max_by_key(|path| fs::metadata(path).unwrap().modified().unwrap());
     let newest = newest.unwrap().to_str().unwrap();
-    // <prefix><hash>_<writer>_<reader>.connection: the same reader, and a writer that is none.
+    // <prefix><hash>_<writer>_<reader>.connection: the same reader, and an unknown writer.
     let [reader, _, start] = *newest.rsplitn(3, '_').collect::<Vec<_>>() else {
         panic!("another name: {newest:?}");
     };

@@ -1,9 +1,9 @@
-//! How long a stop takes: from the request to zero rates within one period plus the ramp.
+//! Duration of a stop: from the request to zero rates within one period plus the ramp.
 //!
-//! A robot tracks at speed and is stopped at ever other moments of the period. What the records say is compared
-//! with what was promised: the request is taken by the first gather after it was sent, or by the look just before the
-//! release, carried out by that release, and from there on the rates shrink by deceleration · T each cycle. Whatever took longer, the records
-//! have to account for: releases that were skipped, a gather or a start that came late.
+//! A robot tracks at speed and is stopped at varying times within the period. The records are compared with
+//! the guarantee. The first gather after the request takes it, or the check just before the release. That
+//! release executes it, and from there on the rates shrink by deceleration · T in each cycle. Any longer
+//! duration must be explained by the records: skipped releases, or a late gather or start.
 
 mod access;
 mod beside;
@@ -28,18 +28,18 @@ use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
 
-/// Stops that are measured.
+/// Number of measured stops.
 const STOPS: usize = 20;
-/// Turns that may be tried for them. A machine that stalls spoils some: a reference that comes too late, a lost record.
+/// Largest number of turns for them. A stalled machine spoils some: a late reference, a lost record.
 const TURNS_MAX: usize = 10 * STOPS;
-/// A robot is at speed when its fastest component bends at this \[rad/s\].
+/// A robot is at speed when its fastest component has this rate \[rad/s\].
 const SPEED_RAD_S: f64 = 0.8;
-/// How fast the rates shrink: a stop from the largest rate, 2 rad/s, takes 20 cycles.
+/// Deceleration of the rates: a stop from the largest rate, 2 rad/s, takes 20 cycles.
 const DECELERATION_RAD_S2: f64 = 20.0;
-/// How long before a release the inputs are gathered, in the default configuration \[ns\]: 0.2 ms before the cycle thread wakes
-/// up, 75 µs early.
+/// Time from the gather to the release in the default configuration \[ns\]: 0.2 ms before the cycle thread
+/// wakes up, 75 µs early.
 const GATHER_LEAD_NS: u64 = 275_000;
-/// What rounding may do to a rate \[rad/s\].
+/// Rounding error of a rate \[rad/s\].
 const TOLERANCE_RAD_S: f64 = 1e-9;
 
 #[test]
@@ -84,19 +84,19 @@ fn drive(place: &Place, interface: Interface, ending: &AtomicBool) {
     }
 }
 
-/// A stop that was asked for and carried out.
+/// A stop that was requested and executed.
 #[derive(Debug, Clone, Copy)]
 struct Asked {
-    /// Before and after the sending \[ns, `CLOCK_MONOTONIC`\].
+    /// Times before and after the sending \[ns, `CLOCK_MONOTONIC`\].
     begun_ns: u64,
     sent_ns: u64,
     response: Response,
 }
 
-/// Who asks.
+/// Sender id of the requests.
 const STOPPER: u64 = 0x5709;
 
-/// Asks for a stop and knows when: the client of the library does not tell.
+/// Requests a stop with known times, which the client library does not report.
 fn stop(asker: &mut Asker) -> Asked {
     let (_, begun_ns) = asker.ask(RequestKind::Stop).unwrap();
     let sent_ns = monotonic_ns();
@@ -114,7 +114,7 @@ fn stop(asker: &mut Asker) -> Asked {
     }
 }
 
-/// How long a stop took \[ns\].
+/// Durations of a stop \[ns\].
 #[derive(Debug, Clone, Copy)]
 struct Taken {
     to_first_ns: u64,
@@ -139,7 +139,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
             taken.len()
         );
         ask_for(&connection, RequestKind::Reset);
-        // The golden ratio spreads the moments evenly over the period.
+        // The golden ratio spreads the times evenly over the period.
         let phase = (turns as f64 * 0.618_034).fract();
         let mut records = Vec::new();
         if let Some(asked) = stop_at_speed(&connection, &mut stopper, turns, phase, |record| {
@@ -153,7 +153,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
     report(link, &taken);
 }
 
-/// Lets the robot go to a far place and stops it on the way. None when it never came to speed.
+/// Sends the robot to a far position and stops it on the way. `None` if it never reached the speed.
 fn stop_at_speed(
     connection: &Connection,
     stopper: &mut Asker,
@@ -174,7 +174,7 @@ fn stop_at_speed(
         ..FeedOptions::default()
     };
     let mut asked = None;
-    // It ends with an error, because the daemon leaves tracking.
+    // Ends with an error, because the daemon leaves tracking.
     let _ = connection.feed(&place, options).unwrap().run(|event| {
         let FeedEvent::Record(record) = event else {
             return ControlFlow::Continue(());
@@ -191,7 +191,7 @@ fn stop_at_speed(
     asked
 }
 
-/// Adds what is missing between the last record and the robot at rest. Both streams have all records of the turn.
+/// Adds the records between the last one and rest. Both streams have all records of the turn.
 fn follow_to_rest(telemetry: &mut TelemetryStream, records: &mut Vec<Telemetry>, cycle: u64) {
     let last = records.last().map_or(0, |record| record.header.sequence);
     wait_record(telemetry, |record| {
@@ -202,8 +202,8 @@ fn follow_to_rest(telemetry: &mut TelemetryStream, records: &mut Vec<Telemetry>,
     });
 }
 
-/// Holds a stop to its promise. None when records are missing, or the robot was hardly moving or not tracking any more
-/// when the request came.
+/// Checks a stop against the guarantee. `None` if records are missing, or the robot was hardly moving or no
+/// longer tracking when the request came.
 fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let neighbours = |pair: &[Telemetry]| pair[0].header.sequence + 1 == pair[1].header.sequence;
     let is_stopped = |record: &Telemetry| record.mode == Mode::Stopped.code();
@@ -245,8 +245,8 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     })
 }
 
-/// The gather that took the request is the first that began after the request was sent, and the cycle that carried
-/// it out the first that started after that gather.
+/// Checks that the gather of the request is the first one after its sending, and that its cycle is the first
+/// one after that gather.
 fn assert_taken_by_its_gather(before: &Telemetry, first: &Telemetry, asked: &Asked) {
     let ours = |event: &&cdcr_shared_types::InputEvent| {
         event.kind == EventKind::Request.code()
@@ -257,7 +257,7 @@ fn assert_taken_by_its_gather(before: &Telemetry, first: &Telemetry, asked: &Ask
         assert_eq!(event.outcome, Outcome::Accepted.code());
         assert_eq!(event.gathers_ago, 0);
     }
-    // A gather that began later than that would have taken it, and the cycle before carried it out.
+    // A later gather would have taken it, and the cycle before would have executed it.
     assert!(
         before.gather_ns <= asked.sent_ns,
         "the gather {} ns after the request did not take it",
@@ -266,8 +266,8 @@ fn assert_taken_by_its_gather(before: &Telemetry, first: &Telemetry, asked: &Ask
     assert!(first.handed_over_ns > asked.begun_ns);
 }
 
-/// What the records say was late: periods that were skipped, the way from the release to the publication, and
-/// inputs that the cycle before had to use again because no gather came between.
+/// Lateness in the records: skipped periods, the time from release to publication, and reused inputs of the
+/// previous cycle because no gather came between.
 fn late_ns(before: &Telemetry, first: &Telemetry) -> u64 {
     let skipped_ns = first.release_ns - before.release_ns - first.period_ns;
     let after_release_ns = first.command.header.sent_ns - first.release_ns;
@@ -275,9 +275,10 @@ fn late_ns(before: &Telemetry, first: &Telemetry) -> u64 {
     skipped_ns + after_release_ns + old_inputs_ns
 }
 
-/// From the first stopped record on, the fastest rate is a step slower in each. Which record is the first at rest.
+/// Checks that the fastest rate decreases by one step in each record from the first stopped one on. Returns
+/// the index of the first record at rest.
 ///
-/// At the limit of its bend a section is shortened further; nothing ever makes a component faster.
+/// At its bend limit a section is slowed down further; no component ever becomes faster.
 fn assert_ramp(records: &[Telemetry], step: f64) -> usize {
     let first = largest(&records[0].previous_rate_rad_s);
     let cycles = (first / step - 1e-9).ceil() as usize;
@@ -308,7 +309,8 @@ fn assert_ramp(records: &[Telemetry], step: f64) -> usize {
     panic!("the records do not reach to rest");
 }
 
-/// Needs no machine that is on time: the ramp of the controller by itself, from a bend at its limit and from beyond.
+/// Independent of the machine's timing: the controller's ramp alone, from a bend at its limit and from
+/// beyond.
 #[test]
 fn a_ramp_at_the_limit_of_a_bend_is_only_shortened() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();

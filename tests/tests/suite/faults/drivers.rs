@@ -1,4 +1,4 @@
-//! Faults of drivers: one that is killed, two at once.
+//! Faults of drivers: a killed driver, and two at once.
 
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
@@ -9,7 +9,7 @@ use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
 use super::robot::{Robot, behind_both};
 use super::trail::{Trail, is};
 
-/// What the other driver measures.
+/// Measurement of the other driver.
 const OTHER_RAD: [f64; 12] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
 #[test]
@@ -41,7 +41,7 @@ fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
         let mut trail = Trail::new(&connection);
         let mut first = Robot::new(&connection, 1.0);
         first.until_held(&mut trail);
-        // The other one measures another robot.
+        // The other driver measures another robot.
         let second = Robot::new(&other, -1.0);
         let measure = || {
             second.measure(OTHER_RAD);
@@ -66,7 +66,7 @@ fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
         );
         let code = Outcome::OtherDriver.code() as usize;
         wait_status(&connection, |status| status.outcomes[code] > 10);
-        // The first falls silent. That is a fault before the other one is believed.
+        // The first driver falls silent. This is a fault before the other driver is accepted.
         let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
         assert_eq!(now.reason, Reason::MeasurementLost.code());
         assert!((now.bend_rad[0] - 1.0).abs() < SENSED_RAD);

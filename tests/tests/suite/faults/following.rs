@@ -8,7 +8,7 @@ use cdcr_tests::{Daemon, ask_for};
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is};
 
-/// No motor runs faster: a hundredth of what it is commanded on its way home.
+/// Speed limit of every motor: a hundredth of the commanded speed during homing.
 const HELD_M_S: f64 = 1e-4;
 
 #[test]
@@ -40,7 +40,7 @@ fn a_robot_that_does_not_follow_is_a_fault() {
             largest(&now.following_error_rad)
         );
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
-        // Control begins anew where it is.
+        // Control begins at the present position.
         ask_for(&connection, RequestKind::Reset);
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
         Some(())

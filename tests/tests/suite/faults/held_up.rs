@@ -1,4 +1,4 @@
-//! An exchange that is held up for a while, and goes on.
+//! An exchange that is stopped for a while and continues.
 
 use std::time::{Duration, Instant};
 
@@ -13,8 +13,8 @@ use crate::faults::reference::{POINTS_MAX, WINDOW_PERIODS, track};
 use crate::faults::robot::Robot;
 use crate::faults::threads::{Hung, VALID_FOR_NS, find_thread};
 
-/// An exchange that is held up for `held_up` beside a client that renews its lease as often as it should: the robot
-/// follows its reference all the time.
+/// Stops the exchange for `held_up` while a client renews its lease regularly: the robot follows its
+/// reference all the time.
 fn assert_follows_while_held_up(lease: Duration, held_up: Duration) {
     let daemon = Daemon::start(&format!(
         "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n[reference]\nlease_ms = {}.0\n",
@@ -26,7 +26,7 @@ fn assert_follows_while_held_up(lease: Duration, held_up: Duration) {
     });
 }
 
-/// None when a stall kept the test from holding it up in time, or for no longer than meant.
+/// `None` when a stall kept the test from stopping the exchange in time, or for the intended time only.
 fn follow_while_held_up(
     daemon: &Daemon,
     connection: &Connection,
@@ -50,7 +50,7 @@ fn follow_while_held_up(
     let (end_ns, mut oldest_ns) = (monotonic_ns(), 0);
     drop(hung);
     loop {
-        // Of a long time some are lost: the ring to the exchange is full.
+        // Of a long stop, some records are lost, because the ring to the exchange is full.
         let record = telemetry.next_within(TIMEOUT).unwrap().unwrap();
         let has_reference = record.cycle <= record.window_first_cycle + WINDOW_PERIODS
             && record.release_ns <= feeding.end_ns;
@@ -70,11 +70,11 @@ fn follow_while_held_up(
 #[test]
 fn an_exchange_that_is_held_up_does_not_end_the_reference() {
     assert_follows_while_held_up(Duration::from_secs(60), Duration::from_millis(250));
-    // Longer than the samples reach, and longer than the lease.
+    // Longer than the samples of the reference, and longer than the lease.
     assert_follows_while_held_up(Duration::from_millis(400), Duration::from_millis(600));
 }
 
-/// A daemon whose robot goes home, and what its driver gets.
+/// A daemon with a homing robot, and the commands for its driver.
 struct Commanded {
     daemon: Daemon,
     connection: Connection,
@@ -83,7 +83,7 @@ struct Commanded {
 }
 
 impl Commanded {
-    /// The robot moves. Nothing ends the process while a thread is held up.
+    /// The robot moves. Nothing ends the process while a thread is stopped.
     fn moving() -> Self {
         let daemon = Daemon::start(
             "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 100.0\n\
@@ -101,7 +101,7 @@ impl Commanded {
         }
     }
 
-    /// The robot measures for so long, while the exchange cannot hear it.
+    /// The robot measures for `duration`, while the exchange receives nothing.
     fn turn_for(&mut self, duration: Duration) {
         let begin = Instant::now();
         while begin.elapsed() < duration {
@@ -110,7 +110,8 @@ impl Commanded {
         }
     }
 
-    /// The commands that wait. All that leave are in order, and none that moves leaves when it has run out already.
+    /// The pending commands, checked: all are in order, and none that moves the robot had expired when it
+    /// left.
     fn commands(&mut self, before: Option<&Command>) -> Vec<Command> {
         let mut commands: Vec<_> = before.copied().into_iter().collect();
         while let Some(command) = self.commands.try_next().unwrap() {
@@ -140,7 +141,7 @@ fn an_exchange_that_was_held_up_sends_the_newest_command_and_no_old_one() {
         return;
     };
     it.turn_for(Duration::from_millis(400));
-    // What left before it was held up.
+    // The last command before the stop.
     let before = *it.commands(Some(&before)).last().unwrap();
     let end_ns = monotonic_ns();
     drop(hung);
@@ -157,7 +158,7 @@ fn an_exchange_that_was_held_up_sends_the_newest_command_and_no_old_one() {
         held_up_ns as f64 * 1e-6,
         (first.header.sent_ns - first.release_ns) as f64 * 1e-6
     );
-    // Some forty cycles made a command, and only the last of them leaves.
+    // Some forty cycles computed a command; only the last one leaves.
     assert!(first.header.sent_ns >= end_ns);
     assert!(
         first.cycle - before.cycle > 20,
@@ -165,7 +166,7 @@ fn an_exchange_that_was_held_up_sends_the_newest_command_and_no_old_one() {
     );
 }
 
-/// Asked to end while the exchange is held up, after `held_up` of that.
+/// Sends SIGTERM after `held_up` of a stop of the exchange.
 fn assert_last_command_is_rest(held_up: Duration) {
     let mut it = Commanded::moving();
     let Some(hung) = Hung::new(it.daemon.id(), "cdcr-exchange") else {
@@ -174,7 +175,7 @@ fn assert_last_command_is_rest(held_up: Duration) {
     it.turn_for(held_up);
     let before = *it.commands(None).last().unwrap();
     it.daemon.signal(Signal::TERM);
-    // The robot is at rest for the cycle, and nobody knows.
+    // The robot is at rest for the cycle, but no command says so.
     wait_until("the cycle thread ends", || {
         it.robot.turn();
         find_thread(it.daemon.id(), "cdcr-cycle").is_none()
@@ -193,11 +194,11 @@ fn assert_last_command_is_rest(held_up: Duration) {
 #[test]
 fn the_last_command_of_a_daemon_that_ends_is_rest_also_when_its_exchange_was_held_up() {
     assert_last_command_is_rest(Duration::from_millis(100));
-    // Longer than there is room for records.
+    // Longer than the room for records.
     assert_last_command_is_rest(Duration::from_millis(800));
 }
 
-/// Behind a driver the cycle steers by prediction for as long as a command may be followed, and no longer.
+/// Behind a driver, the cycle uses predictions only as long as a command is valid.
 #[test]
 fn behind_a_driver_stale_inputs_make_the_robot_hold() {
     let mut it = Commanded::moving();
@@ -218,7 +219,7 @@ fn behind_a_driver_stale_inputs_make_the_robot_hold() {
     let oldest_ns = held.release_ns - held.gather_ns;
     println!("inputs stale: held after {:.0} ms", oldest_ns as f64 * 1e-6);
     assert!(oldest_ns > VALID_FOR_NS);
-    // Home comes by itself no more.
+    // Homing does not continue by itself.
     let after = wait_record(&mut telemetry, |record| {
         it.robot.turn();
         record.gather_ns > held.release_ns && record.release_ns > held.release_ns + 100_000_000

@@ -1,4 +1,4 @@
-//! What the last records say was late: stalls of the machine that a bound has to allow for.
+//! Lateness in the last records: stalls of the machine that a bound has to include.
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
@@ -8,10 +8,10 @@ use cdcr_shared_types::codes::Interface;
 
 use crate::faults::trail::late_ns;
 
-/// Records that are kept: 10 s at 5 ms.
+/// Number of kept records: 10 s at 5 ms.
 const KEPT: usize = 2000;
 
-/// The last records, as far as they tell of stalls.
+/// The data about stalls in the last records.
 #[derive(Debug, Default)]
 pub(crate) struct History(VecDeque<Kept>);
 
@@ -28,8 +28,8 @@ struct Kept {
     previous_rate_rad_s: f64,
 }
 
-/// How long the robot moved by the command before this record \[ns\]: to the target of its positions, which is a period away, or as
-/// long as its speeds are valid, three periods.
+/// Time for which the robot moved by the command before this record \[ns\]: one period to a target position,
+/// or three periods with valid speeds.
 pub(crate) fn moved_ns(record: &Telemetry) -> u64 {
     let is_position = record.command.interface == Interface::Position.code();
     let periods = if is_position { 1 } else { 3 };
@@ -41,7 +41,7 @@ impl History {
         if self.0.len() == KEPT {
             self.0.pop_front();
         }
-        // A cycle that uses the inputs of the one before costs a period, too.
+        // A cycle that reuses the inputs of the previous one costs a period, too.
         let newest = self.0.back();
         let has_old_inputs = newest.is_some_and(|before| before.gather == record.gather);
         self.0.push_back(Kept {
@@ -57,14 +57,15 @@ impl History {
         });
     }
 
-    /// What was late of the cycles released after `begin_ns`, by their own account \[ns\]: each can have held up what
-    /// happened in the newest.
+    /// Lateness reported by the cycles released after `begin_ns` \[ns\]; each may have delayed the newest
+    /// one.
     pub(crate) fn late_since_ns(&self, begin_ns: u64) -> u64 {
         let since = self.0.iter().filter(|kept| kept.release_ns > begin_ns);
         since.map(|kept| kept.late_ns).sum()
     }
 
-    /// How far the commands have moved the first bend since `begin_ns` until the newest release \[rad\]: each from its release.
+    /// Path of the first bend by the commands from `begin_ns` to the newest release \[rad\]; each command
+    /// counts from its release.
     pub(crate) fn way_rad(&self, begin_ns: u64) -> f64 {
         let way_rad = |kept: &Kept| {
             let from_ns = kept.release_ns - kept.elapsed_ns;
@@ -80,13 +81,13 @@ impl History {
         self.0.iter().rev().skip(1).zip(self.0.iter().rev())
     }
 
-    /// How long the driver has been silent in the record with this gather \[ns\]: the time that counts, of which there are
-    /// at most two periods from one gather to the next, and the rest.
+    /// Silence of the driver in the record with this gather \[ns\]: the counted time, at most two periods
+    /// from one gather to the next, and the rest.
     pub(crate) fn silence_ns(&self, gather: u64) -> (u64, u64) {
         let (mut counted_ns, mut rest_ns) = (0, 0);
         for (before, now) in self.pairs().skip_while(|(_, now)| now.gather != gather) {
             if before.measured_ns != now.measured_ns {
-                // One that came while its gather stood still is of no age.
+                // A measurement that came while its gather stood still has age zero.
                 counted_ns += now.gather_ns.saturating_sub(now.measured_ns);
                 break;
             }
@@ -98,9 +99,9 @@ impl History {
         (counted_ns, rest_ns)
     }
 
-    /// By how much a lease was extended from gather `first` to gather `last`, of which `first` began at `first_ns`: the
-    /// time beyond two periods between two gathers \[ns\]. Least and most, because cycles that were skipped leave no
-    /// record of their gathers.
+    /// Extension of a lease from gather `first`, which began at `first_ns`, to gather `last` \[ns\]: the time
+    /// beyond two periods between consecutive gathers. Least and largest value, because skipped cycles leave
+    /// no record of their gathers.
     pub(crate) fn unheard_ns(&self, first: u64, first_ns: u64, last: u64) -> RangeInclusive<u64> {
         let (mut before, mut before_ns) = (first, first_ns);
         let (mut least_ns, mut most_ns) = (0, 0);
@@ -126,7 +127,7 @@ impl History {
 mod tests {
     use super::*;
 
-    /// Gathers at these times, in periods of 5 ns, with measurements that are new in the first two.
+    /// Gathers at these times, in periods of 5 ns; the first two have new measurements.
     fn history(gathers: &[(u64, u64)]) -> History {
         let mut history = History::default();
         for (index, (gather, gather_ns)) in gathers.iter().enumerate() {
@@ -149,9 +150,9 @@ mod tests {
         let history = history(&[(1, 100), (2, 105), (3, 130), (3, 130), (6, 165)]);
         assert_eq!(history.unheard_ns(1, 100, 2), 0..=0);
         assert_eq!(history.unheard_ns(1, 100, 3), 15..=15);
-        // Of the gathers 4 and 5 nobody knows when they were.
+        // The times of gathers 4 and 5 are unknown.
         assert_eq!(history.unheard_ns(1, 100, 6), 20..=40);
-        // The measurement of the time 103 came with the gather at 105.
+        // The measurement at time 103 came with the gather at 105.
         assert_eq!(history.silence_ns(3), (2 + 10, 15));
         assert_eq!(history.silence_ns(6), (2 + 10 + 10, 15 + 25));
         // Each of the five started 1 ns late, and one had old inputs.

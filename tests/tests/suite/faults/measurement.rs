@@ -1,4 +1,4 @@
-//! The driver and what it measures.
+//! Faults of the driver and its measurements.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,16 +13,16 @@ use crate::faults::history::moved_ns;
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, say};
 
-/// Longer than a machine keeps a test from measuring.
+/// Longer than any stall that keeps the test from measuring.
 const TIMEOUT_MS: u64 = 1500;
 const HOME_RATE_RAD_S: f64 = 0.2;
 /// The largest rate of the default robot.
 const RATE_MAX_RAD_S: f64 = 2.0;
 
-/// Of the age of a measurement so much is made up for, however many stalls were in it.
+/// Largest part of a measurement's age that the tolerance includes, however many stalls it contains.
 const MADE_UP_MAX_NS: u64 = 300_000_000;
 
-/// A daemon with a driver; nothing but the measurement is a fault.
+/// A daemon with a driver; only the measurement can cause a fault.
 pub(super) fn daemon(interface: Interface) -> Daemon {
     daemon_with(interface, "")
 }
@@ -45,7 +45,7 @@ fn until_used(trail: &mut Trail, robot: &mut Robot) -> (Telemetry, Telemetry) {
     trail.until_while("used", || robot.turn(), is_used)
 }
 
-/// Has the robot go home, and waits until its rate has been steady for a while.
+/// Starts homing, and waits until the rate has been steady for a while.
 pub(super) fn go_home(
     connection: &Connection,
     trail: &mut Trail,
@@ -60,8 +60,8 @@ pub(super) fn go_home(
     (!is_held_by_a_stall(&record)).then_some(())
 }
 
-/// The fault of a measurement that does not come any more: in the first cycle whose gather is later than the
-/// timeout after the last measurement. Between two gathers no more than two periods count.
+/// Checks the fault of missing measurements: in the first cycle whose gather is later than the timeout after
+/// the last measurement. Between two gathers at most two periods count.
 pub(super) fn assert_lost(trail: &mut Trail, what: &str, meanwhile: impl FnMut()) {
     let (before, now) = trail.until_while("the fault", meanwhile, is(Mode::Faulted));
     assert_eq!(now.reason, Reason::MeasurementLost.code());
@@ -81,7 +81,7 @@ pub(super) fn assert_lost(trail: &mut Trail, what: &str, meanwhile: impl FnMut()
 #[test]
 fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
     behind_both(|interface| {
-        // Compared exactly: nothing but the measurement is believed.
+        // Exact comparison: only the measurement is used.
         let daemon = daemon_with(interface, "[estimator]\ntime_constant_ms = 0.0\n");
         let connection = daemon.connect();
         let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.5));
@@ -109,7 +109,7 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
             if state(&record) != MeasurementState::Used || age_ns > MADE_UP_MAX_NS {
                 continue;
             }
-            // It was there when it was gathered, which a late cycle does after its release.
+            // The measurement was there at its gather, which follows the release in a late cycle.
             let gathered_ns = record.gather_ns.max(record.release_ns);
             let least_ns = gathered_ns - record.measurement.measured_ns + 1_000_000;
             assert!(least_ns >= delay_ns, "{least_ns} ns");
@@ -118,7 +118,7 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
             assert!(error < 1e-9, "{error} rad beside, {age_ns} ns old");
             judged += 1;
         }
-        // A pause inside the timeout: predicted, counted, no fault.
+        // A pause within the timeout: predicted and counted, without a fault.
         let before = connection
             .status(TIMEOUT)
             .unwrap()
@@ -151,7 +151,7 @@ fn a_lost_measurement_is_a_fault_after_the_timeout() {
         go_home(&connection, &mut trail, || robot.turn())?;
         assert_lost(&mut trail, "measurement lost", || {});
         refused(&connection, RequestKind::Reset);
-        // Back again: the reset is granted.
+        // Measurements are back: the reset is accepted.
         until_used(&mut trail, &mut robot);
         ask_for(&connection, RequestKind::Reset);
         Some(())
@@ -183,7 +183,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         let (mut trail, mut robot) = Robot::held(&connection, 1.0);
         trail.catch_up();
         ask_for(&connection, RequestKind::Home);
-        // One sensor says the same for ever, with new stamps. The others live.
+        // One sensor repeats its value with new stamps; the others work.
         let mut measured = robot.sensed_rad();
         let frozen_rad = measured[0];
         let (mut is_frozen, mut way_rad, mut judged_rad) = (false, 0.0_f64, 0.0);
@@ -221,19 +221,19 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         println!(
             "measurement frozen: after {way_rad:.6} rad of commanded way, {limit_rad} are allowed"
         );
-        // The last one before it was inside the allowance, and this one is not.
+        // The previous measurement was within the tolerance, and this one is not.
         assert!(judged_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
         assert_ramps_to_rest(&mut trail, &now, || {
             robot.measure(measured);
         });
-        // At rest nobody sees that the sensor is still frozen: the reset is granted.
+        // At rest, a frozen sensor is not detectable: the reset is accepted.
         robot.measure(measured);
         ask_for(&connection, RequestKind::Reset);
         Some(())
     });
 }
 
-/// Measurements that no robot makes, one in each cycle, until `is_it`. Says how many were left out.
+/// Sends impossible measurements, one in each cycle, until `is_it`. Returns the number of discarded ones.
 fn jump_until(
     trail: &mut Trail,
     robot: &mut Robot,
@@ -269,7 +269,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
         let daemon = daemon(interface);
         let connection = daemon.connect();
         let (mut trail, mut robot) = Robot::held(&connection, 0.0);
-        // Two are left out, and nothing else happens.
+        // Two are discarded without any other effect.
         let (_, two) = jump_until(&mut trail, &mut robot, |_, jumps| jumps == 2);
         assert_eq!(two.mode, Mode::Holding.code());
         until_used(&mut trail, &mut robot);
@@ -284,11 +284,11 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
             (before.mode, counted),
             (Mode::Holding.code(), now.measurement_jump_limit)
         );
-        // The third came with this cycle: it is newer than the cycle before.
+        // The third came with this cycle: it is newer than the previous cycle.
         assert!(now.measurement.measured_ns > before.measurement.measured_ns);
         println!("measurement jumping: in the cycle of number {counted} in a row");
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
-        // The next measurement is believed.
+        // The next measurement is used.
         until_used(&mut trail, &mut robot);
         ask_for(&connection, RequestKind::Reset);
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
@@ -299,15 +299,15 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
 #[test]
 fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
     behind_both(|interface| {
-        // What runs away does not follow, either, which is a fault of its own.
+        // A robot that runs away does not follow, either, which is a separate fault.
         let daemon = daemon_with(interface, "[safety]\nfollowing_fault_rad = 100.0\n");
         let connection = daemon.connect();
-        // The bound is exact, and it counts from the exact place of the last measurement at rest.
+        // The bound is exact, relative to the exact position of the last measurement at rest.
         let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::default());
         let mut trail = Trail::new(&connection);
         robot.until_held(&mut trail);
         let rest = until_used(&mut trail, &mut robot);
-        // Half as fast again as the robot can move, from its last measurement at rest, each step a small one.
+        // Half as fast again as the robot can move since its last measurement at rest, in small steps.
         let rest_ns = rest.1.measurement.measured_ns;
         let after_s = |measured_ns: u64| (measured_ns - rest_ns) as f64 * 1e-9;
         let mut used_rad = 0.0;
@@ -335,7 +335,7 @@ fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
     });
 }
 
-/// Has the robot measured at `bend_rad` until `is_it`.
+/// Measures the robot at `bend_rad` until `is_it`.
 fn measured_at(
     trail: &mut Trail,
     robot: &Robot,
@@ -355,7 +355,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
         let daemon = daemon(interface);
         let connection = daemon.connect();
         let (mut trail, robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
-        // Finite, and nothing that anybody could compute with.
+        // Finite, but unusable in any computation.
         let mut records = 0;
         let (_, now) = measured_at(&mut trail, &robot, f64::MAX, |_| {
             records += 1;
@@ -364,7 +364,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
         assert_eq!(now.mode, Mode::Starting.code());
         let code = Outcome::OutOfRange.code() as usize;
         wait_status(&connection, |status| status.outcomes[code] > 0);
-        // A number that can be computed with, beyond the largest bend.
+        // Usable, but beyond the largest bend.
         let (before, now) = measured_at(&mut trail, &robot, 3.0, is(Mode::Faulted));
         assert_eq!(
             (before.mode, now.reason),
@@ -375,7 +375,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
             (MeasurementState::None, MeasurementState::Used)
         );
         println!("limit broken: in the cycle of the measurement");
-        // Rest is rest: it is not driven back from beyond its limit, neither by itself nor by a stop.
+        // A robot at rest beyond its limit is not driven back, neither by itself nor by a stop.
         for kind in [None, Some(RequestKind::Stop)] {
             if let Some(kind) = kind {
                 ask_for(&connection, kind);
@@ -389,7 +389,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
             });
         }
         refused(&connection, RequestKind::Reset);
-        // Bent back, as far as a robot can in a cycle.
+        // Bent back, by the largest step in a cycle.
         let mut bend_rad = 3.0_f64;
         while bend_rad > 2.7 {
             bend_rad -= 0.01;
@@ -403,7 +403,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
     });
 }
 
-/// Offset and noise of the robot's sensors are far below this.
+/// Far above offset and noise of the robot's sensors.
 pub(super) const SENSED_RAD: f64 = 0.1;
 #[test]
 fn a_first_measurement_that_is_old_is_refused_and_the_daemon_waits_for_a_fresh_one() {

@@ -1,4 +1,4 @@
-//! Shared memory that is full: a private mount of /dev/shm that is as small as it takes.
+//! Full shared memory: a private mount of /dev/shm with a small size.
 
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -11,9 +11,9 @@ use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, assert_says, binary, text, wai
 
 use crate::own_mounts::{Filled, has_own_mounts, mount_memory, name_of};
 
-/// Of the default configuration \[s\].
+/// Period of the default configuration \[s\].
 const PERIOD_S: f64 = 0.005;
-/// At most, between two statuses of a daemon that has time.
+/// Longest interval between two status messages of a daemon that is not delayed.
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 
 #[test]
@@ -23,7 +23,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
     )) {
         return;
     }
-    // Too small by little and by much; the default of many containers is large enough.
+    // Slightly and much too small; the default of many containers is large enough.
     for kilobytes in [4, 16, 1_000, 30_000] {
         if !mount_memory(&format!("size={kilobytes}k")) {
             return;
@@ -43,7 +43,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
     }
 }
 
-/// A daemon in a memory that is filled up behind it.
+/// A daemon whose memory is filled up after its start.
 fn assert_survives_full_memory(test: &str, realtime: &str) {
     if !has_own_mounts(test) || !mount_memory("size=64000k") {
         return;
@@ -51,7 +51,7 @@ fn assert_survives_full_memory(test: &str, realtime: &str) {
     let configuration =
         format!("[cycle]\nmiss_limit = 1000000\n[realtime]\nmode = \"{realtime}\"\n");
     let mut daemon = Daemon::start(&configuration);
-    // Releases that have passed by the newest status, taken and skipped, and when it was asked for.
+    // Releases until the newest status, executed and skipped, and the time of the request.
     let releases = |daemon: &Daemon| {
         let asked = Instant::now();
         let status = daemon.connect().status(TIMEOUT).unwrap();
@@ -60,7 +60,7 @@ fn assert_survives_full_memory(test: &str, realtime: &str) {
     };
     let (releases_before, _) = releases(&daemon);
     let answered = Instant::now();
-    // Little enough that each client gets stuck somewhere else on its way in.
+    // So little that each client fails at another step of its connection.
     for kilobytes in [0, 8, 24, 40, 200] {
         let _filled = Filled::but_kilobytes(kilobytes);
         for arguments in [
@@ -77,7 +77,7 @@ fn assert_survives_full_memory(test: &str, realtime: &str) {
                 output.status.signal(),
                 text(&output).lines().next().unwrap_or_default()
             );
-            // It ends by itself, and says why.
+            // It ends by itself, with the reason.
             assert_eq!(output.status.signal(), None, "{arguments:?}");
             assert!(got_in || text(&output).starts_with("error: "));
             assert!(daemon.runs(), "the daemon died of a client without room");
@@ -85,10 +85,10 @@ fn assert_survives_full_memory(test: &str, realtime: &str) {
         let other = daemon.place().cdcrctl(&["hold"]);
         let is_told = other.status.success() || text(&other).contains("is full");
         assert!(is_told, "{}", text(&other));
-        // The daemon publishes a few statuses with what is left.
+        // The daemon publishes a few status messages with the remaining memory.
         std::thread::sleep(2 * STATUS_PERIOD);
     }
-    // The loop went on all the while: the status may be behind, but no more than by the half of what has passed.
+    // The loop kept running: the status may be behind by half of the passed time at most.
     let (releases, asked) = releases(&daemon);
     let passed_s = asked.duration_since(answered).as_secs_f64();
     let counted_s = (releases - releases_before) as f64 * PERIOD_S;
@@ -124,7 +124,7 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
     let mut daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
     let said = doctor(daemon.place());
     assert!(!said.contains("nr_inodes="), "{said}");
-    // Without any, and where each client gets stuck somewhere else on its way in.
+    // Without any file, and with so few that each client fails at another step of its connection.
     for files in [0, 3, 6, 8, 12, 16] {
         let _filled = Filled::but_files(files);
         for request in ["status", "reset", "stop"] {
@@ -155,7 +155,7 @@ fn too_few_files_that_a_process_may_open_are_told_and_a_stop_gets_through() {
         let started = limited(&Place::new(), files, "cdcrd", "run");
         assert_says(&started, 71, &["ulimit -n"]);
     }
-    // Where each client gets stuck somewhere else on its way in.
+    // Each client fails at another step of its connection.
     for files in [7, 9, 11, 13, 15, 17, 20, 24, 28, 64] {
         for request in ["status", "reset", "stop"] {
             let output = limited(daemon.place(), files, "cdcrctl", request);
@@ -172,9 +172,9 @@ fn too_few_files_that_a_process_may_open_are_told_and_a_stop_gets_through() {
     assert!(daemon.stop().success(), "{}", daemon.log());
 }
 
-/// Runs a program that may open so many files.
+/// Runs a program that may open `files` files.
 fn limited(place: &Place, files: u32, program: &str, argument: &str) -> Output {
-    // Other tests of this process have files open that iceoryx2 lets children inherit.
+    // Children inherit open files of iceoryx2 from other tests of this process.
     let close =
         "for fd in /proc/self/fd/*; do fd=${fd##*/}; [ $fd -le 2 ] || eval \"exec $fd>&-\"; done";
     let script = format!("{close}; ulimit -n {files}; exec \"$0\" {argument}");

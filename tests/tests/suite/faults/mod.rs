@@ -1,8 +1,8 @@
-//! Fault injection: every fault of `docs/faults.md` happens here to real processes, and what comes of it is
-//! asserted together with how long it took.
+//! Fault injection: every fault of `docs/faults.md` occurs here in real processes. The tests check the
+//! reaction and the time until it.
 //!
-//! Times come from the monotonic stamps in the records, because the machine that runs the tests may stall for
-//! longer than a fault takes to be detected. Each test prints what it measured.
+//! Times come from the monotonic stamps in the records, because the machine may stall for longer than the
+//! detection of a fault takes. Each test prints its measured times.
 
 mod drivers;
 mod following;

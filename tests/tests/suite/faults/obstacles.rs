@@ -1,4 +1,4 @@
-//! Obstacles that come too near, and too many of them.
+//! Obstacles that come too near, and too many obstacles.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
@@ -18,7 +18,7 @@ use crate::faults::trail::{Trail, is, say};
 const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
 
-/// Sends obstacles; the record that tells what became of them, and the event.
+/// Sends obstacles, and returns the record with their event, and the event.
 fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
     let header = sender.upsert(balls).unwrap();
     let mut answer = None;
@@ -29,7 +29,7 @@ fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Tele
     (record, answer.unwrap())
 }
 
-/// An obstacle aside that comes before its life is over, which a stall may use up on the way.
+/// Sends an obstacle to the side, again if a stall let its lifetime pass on the way.
 fn tell_alive(
     trail: &mut Trail,
     sender: &ObstacleSender,
@@ -48,7 +48,7 @@ fn tell_alive(
     }
 }
 
-/// A robot that goes slowly home, sideways, and what it would touch next.
+/// A robot that homes slowly, sideways, and the position of its next contact.
 fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
     ask_for(connection, RequestKind::Home);
     let mut tips = Vec::new();
@@ -68,10 +68,10 @@ fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
 
 #[test]
 fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() {
-    // 2 mm a second: in what the test needs to place the ball, the robot does not reach it.
+    // 2 mm/s: while the test places the ball, the robot does not reach it.
     let slowly = "[motion]\nhome_rate_rad_s = 0.002\n";
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    // Ideal: the clearances of neighbouring records are compared exactly.
+    // Ideal, because the clearances of consecutive records are compared exactly.
     let daemon = Daemon::ideal(&format!("{PATIENT}{slowly}{bent}"));
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
@@ -96,7 +96,7 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
     for _ in 0..100 {
         let (before, now) = trail.until("the next record", |_| true);
         assert_eq!(now.mode, Mode::Homing.code());
-        // Rates that hold for longer than the period they were checked for may go too far.
+        // Rates that last longer than the period they were checked for may go too far.
         let checked = now.skipped_periods == 0;
         assert!(!checked || now.clearance_m >= before.clearance_m - 1e-9);
     }
@@ -111,7 +111,7 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     trail.until("holding", is(Mode::Holding));
-    // Where the body is.
+    // At the position of the body.
     let (first, answer) = tell(&mut trail, &sender, &[ball(1, [0.0, 0.0, 0.5])]);
     assert_eq!(answer.outcome, Outcome::Accepted.code());
     assert!(first.clearance_m < 0.0 && first.mode == Mode::Holding.code());
@@ -163,10 +163,10 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     assert_eq!((status.obstacle_count, status.faults), (64, 0));
 }
 
-/// Updates that one gather judges at the most, at the default lead (docs/realtime.md).
+/// Largest number of updates checked in one gather, with the default lead (docs/realtime.md).
 const UPDATES_PER_GATHER: u32 = 8;
 
-/// Counts the updates that the record tells of, by the gather that judged them.
+/// Counts the updates in the record by the gather that checked them.
 fn count_updates(record: &Telemetry, judged: &mut BTreeMap<u64, u32>) {
     let is_update = |event: &&InputEvent| event.kind == EventKind::Obstacles.code();
     for event in events(record).iter().filter(is_update) {
@@ -176,8 +176,8 @@ fn count_updates(record: &Telemetry, judged: &mut BTreeMap<u64, u32>) {
     }
 }
 
-/// The work of a gather is bounded in updates: that is what keeps its inputs in time, and it is counted here. How late they
-/// are beside six threads that never pause is also up to the machine (`docs/realtime.md` has figures).
+/// Checks that the work of a gather is bounded in updates, which keeps its inputs in time. Their lateness
+/// beside six threads that never pause also depends on the machine (`docs/realtime.md` has numbers).
 #[test]
 fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
     let daemon = Daemon::start(PATIENT);
@@ -193,7 +193,7 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
         wait_status(&connection, |status| {
             status.obstacles_refused > 100 && status.outcomes[0] > 100
         });
-        // The last to come, beside six that never pause.
+        // The last client to connect, beside six that never pause.
         let sender = connection.obstacle_sender().unwrap();
         let mut judged = BTreeMap::new();
         for _ in 0..20 {
@@ -212,8 +212,8 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
     });
 }
 
-/// A robot that goes slowly home beside a source that falls silent. What it does then is up to the configuration; the
-/// obstacles stay in any case.
+/// A robot that homes slowly beside a source that falls silent. The reaction depends on the configuration;
+/// the obstacles remain in any case.
 fn lose_source(rule: &str) {
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     let daemon = Daemon::start(&format!(
@@ -225,7 +225,7 @@ fn lose_source(rule: &str) {
     let sender = connection.obstacle_sender().unwrap();
     homing(&connection, &mut trail);
     let (seen, first, answer) = tell_alive(&mut trail, &sender, 30_000_000);
-    // Silence, longer than lifetime and timeout together.
+    // Silence for longer than lifetime and timeout together.
     let mut held = None;
     let (_, last) = trail.until("silence", |record| {
         assert_eq!(record.obstacle_count, 1, "{rule}");
@@ -246,13 +246,13 @@ fn lose_source(rule: &str) {
         let bound_ns = 200_000_000 + 2 * held.period_ns + history.late_since_ns(answer.judged_ns);
         say("source of obstacles silent", detected_ns, bound_ns);
         assert!((200_000_000..=bound_ns).contains(&detected_ns));
-        // It is still silent.
+        // Still silent.
         assert_eq!(refused(&connection, RequestKind::Home), Outcome::Waits);
     }
-    // It lives, and sees the obstacle no more.
+    // The source is alive, and no longer sees the obstacle.
     sender.upsert(&[]).unwrap();
     trail.until("gone", |record| record.obstacle_count == 0);
-    // As long as it lives, lifetimes count.
+    // While the source is alive, lifetimes count.
     let seen = Obstacle {
         measured_ns: monotonic_ns(),
         lifetime_ns: 300_000_000,
@@ -276,7 +276,8 @@ fn a_robot_goes_on_beside_the_obstacles_of_a_source_that_died_where_it_should() 
     lose_source("keep");
 }
 
-/// A driver's robot on its way home, beside an obstacle with a lifetime that nobody renews. No key says anything of sources.
+/// A driver's robot while homing, beside an obstacle whose lifetime is not renewed. No configuration key
+/// about sources is set.
 #[test]
 fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
     let daemon = Daemon::start(

@@ -1,4 +1,4 @@
-//! Daemons that do not start, end, or meet another version; and the number that each end has.
+//! Daemons that do not start, end, or meet another version; and their exit statuses.
 
 use std::fs::{File, OpenOptions, Permissions};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt, chown};
@@ -22,7 +22,8 @@ use crate::faults::robot::Robot;
 /// User and group `nobody`.
 const NOBODY: u32 = 65_534;
 
-/// `cdcrd run` with these options ends with this number, says this, and leaves nothing in shared memory.
+/// Checks that `cdcrd run` with these options ends with this status and text, and leaves nothing in shared
+/// memory.
 fn assert_refused(place: &Place, options: &[&str], status: i32, parts: &[&str]) {
     let mut command = place.command("cdcrd");
     assert_says(
@@ -59,7 +60,7 @@ fn a_second_daemon_ends_with_69_and_the_first_goes_on() {
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 10);
     assert_eq!((after.process_id, after.faults), (daemon.id(), 0));
     drop(connection);
-    // One that was asked to end.
+    // A daemon that was asked to end.
     let ended = daemon.stop();
     assert_eq!(ended.code(), Some(0), "{}", daemon.log());
 }
@@ -89,7 +90,7 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
         ran_out_ns as f64 * 1e-6
     );
     assert!(ran_out_ns <= valid_for_ns);
-    // Its clients know after a second, and a new one works at once.
+    // Its clients detect this after a second, and a new one works at once.
     wait_until("the status is stale", || {
         let status = connection.status(Duration::ZERO);
         matches!(status, Err(LinkError::Silent { .. }))
@@ -99,14 +100,14 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
     Robot::held(&connection, 0.9);
 }
 
-/// Stops a client, and puts in the place of its files what is there while it makes them. Which files.
+/// Stops a client, and replaces its files by their unfinished state. Returns their paths.
 fn stop_client_while_it_connects(daemon: &Daemon, topic: &str) -> (Vec<PathBuf>, Program) {
     let connections = || {
         let mut names = daemon.place().memory_files();
         names.retain(|path| path.extension().is_some_and(|end| end == "connection"));
         names
     };
-    // What earlier clients had, the daemon lets go when it looks.
+    // The daemon releases the files of earlier clients at its next check.
     let before = connections();
     let news = || {
         let mut names = connections();
@@ -115,12 +116,12 @@ fn stop_client_while_it_connects(daemon: &Daemon, topic: &str) -> (Vec<PathBuf>,
     };
     let mut command = daemon.place().command("cdcrctl");
     let client = Program::start(command.args(["echo", topic]));
-    // With its heading and the first message printed it has made all its files.
+    // When it has printed its heading and the first message, it has created all of its files.
     wait_until("the client reads", || client.lines() >= 2);
     client.signal(Signal::STOP);
     let left = news();
     for path in &left {
-        // The daemon keeps its own hold on what was there.
+        // The daemon keeps its own mapping of the old file.
         std::fs::remove_file(path).unwrap();
         let mut options = OpenOptions::new();
         options.write(true).create_new(true).mode(0o200);
@@ -140,13 +141,13 @@ fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) {
 fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
     let mut daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
     let (left, mut client) = stop_client_while_it_connects(&daemon, "status");
-    // One that is slow keeps its files: the daemon has had time to check twice.
+    // A slow client keeps its files: the daemon has had time for two checks.
     std::thread::sleep(Duration::from_millis(2200));
     assert!(left.iter().all(|path| path.exists()), "{left:?}");
     client.signal(Signal::KILL);
     client.output();
     let begin = Instant::now();
-    // By nobody but the daemon.
+    // Only the daemon removes it.
     wait_until("it is removed", || !left.iter().any(|path| path.exists()));
     let took = begin.elapsed();
     println!(
@@ -154,7 +155,7 @@ fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
         took.as_secs_f64()
     );
     daemon.place().says("cdcrctl status", 0, &[]);
-    // A daemon that ends at once, and one that takes the place of a dead one, clear it themselves.
+    // A daemon that ends at once, and one that replaces a dead daemon, remove it themselves.
     kill_client_while_it_connects(&daemon, "telemetry");
     assert_eq!(daemon.stop().code(), Some(0), "{}", daemon.log());
     daemon.restart();
@@ -190,7 +191,7 @@ fn settings_into_which_no_cycle_fits_end_with_78() {
 
 #[test]
 fn real_time_that_is_not_granted_ends_with_77() {
-    // No machine of ours has a core 1000.
+    // No test machine has a core 1000.
     for configuration in [
         "[realtime]\nmode = \"require\"\ncore = 1000\n",
         // The default of a robot behind a driver.
@@ -224,7 +225,8 @@ fn a_root_folder_of_another_user_ends_with_73() {
 
 #[test]
 fn a_root_folder_on_a_disk_ends_with_73() {
-    // What is neither memory nor somebody else's: the folder of this build, or where that is another user's, one that outlives a boot.
+    // Neither in memory nor owned by another user: the folder of this build, otherwise one that survives a
+    // reboot.
     let place = Place::new();
     let root = Scratch::on_disk().unwrap();
     if is_in_memory(root.path()).unwrap() {
@@ -293,7 +295,7 @@ fn a_thread_that_panics_ends_with_70() {
 fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too() {
     let place = Place::new();
     let node: Node<ipc::Service> = place.location().node_builder().unwrap().create().unwrap();
-    // What a client opens first.
+    // The first file that a client opens.
     let other = node
         .service_builder(&Service::Reference.name(ROBOT).unwrap())
         .publish_subscribe::<u64>()

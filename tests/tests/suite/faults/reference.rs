@@ -1,4 +1,4 @@
-//! The reference and who feeds it.
+//! Faults of the reference and its client.
 
 use std::ops::RangeInclusive;
 use std::os::unix::process::ExitStatusExt as _;
@@ -16,10 +16,10 @@ use rustix::process::Signal;
 use crate::faults::history::History;
 use crate::faults::trail::{Trail, assert_ramps_to_rest, late_ns, rests, say};
 
-/// Slow enough for a ramp of many cycles, and a lease that survives a machine that stalls.
+/// Slow enough for a ramp of many cycles; the lease lasts through stalls.
 const RAMP: &str = "[motion]\ndeceleration_rad_s2 = 2.0\n";
 const LEASE_MS: u64 = 400;
-/// Periods of 5 ms that a cycle goes on without new inputs.
+/// Periods of 5 ms for which a cycle continues without new inputs.
 pub(crate) const WINDOW_PERIODS: u64 = ReferenceWindow::TIMEOUT_NS / 5_000_000;
 
 fn short_lease() -> Daemon {
@@ -28,16 +28,16 @@ fn short_lease() -> Daemon {
     ))
 }
 
-/// A client that feeds a line to the side, 1 mm from point to point.
+/// A client that feeds a line to the side, with points 1 mm apart.
 pub(crate) struct Feeding<'c> {
     pub(crate) lease: Lease<'c>,
     feed: ReferenceFeed,
     pub(crate) end_ns: u64,
 }
 
-/// How long after it is sent the reference begins.
+/// Time from sending to the begin of the reference.
 const LEAD_NS: u64 = 300_000_000;
-/// As many points as a chunk holds.
+/// Number of points of a full chunk.
 pub(crate) const POINTS_MAX: u64 = CHUNK_POINTS_MAX as u64;
 
 fn points(begin_ns: u64, count: u64, step_ms: u64) -> Vec<ReferencePoint> {
@@ -50,7 +50,7 @@ fn points(begin_ns: u64, count: u64, step_ms: u64) -> Vec<ReferencePoint> {
         .collect()
 }
 
-/// Sends `count` points, `step_ms` apart, and has them tracked.
+/// Sends `count` points, `step_ms` apart, and starts tracking.
 pub(crate) fn track(connection: &Connection, count: u64, step_ms: u64) -> Feeding<'_> {
     let lease = connection.acquire_lease_within(TIMEOUT).unwrap();
     let feed = connection.reference_feed().unwrap();
@@ -58,7 +58,7 @@ pub(crate) fn track(connection: &Connection, count: u64, step_ms: u64) -> Feedin
         let points = points(monotonic_ns() + LEAD_NS, count, step_ms);
         feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)
             .unwrap();
-        // Until the daemon has found the new writer there is nothing to track.
+        // Tracking needs a reference, which the daemon gets when it has found the new writer.
         while monotonic_ns() < points[0].time_ns {
             if connection.request(RequestKind::Track).is_ok() {
                 return Some(points.last().unwrap().time_ns);
@@ -74,14 +74,14 @@ pub(crate) fn track(connection: &Connection, count: u64, step_ms: u64) -> Feedin
     }
 }
 
-/// The first release after the last point holds.
+/// Checks that the robot holds from the first release after the last point.
 fn assert_ends_at(trail: &mut Trail, end_ns: u64) -> Telemetry {
     let (before, now) = trail.until("the end", |record| {
         record.mode == Mode::Holding.code() && record.reason == Reason::ReferenceEnded.code()
     });
     assert_eq!(before.mode, Mode::Tracking.code());
     assert!(before.release_ns <= end_ns);
-    // A cycle that has got no inputs for longer than the window reaches has no reference left, either.
+    // Without inputs for longer than its window, a cycle has no reference left, either.
     if now.cycle > now.window_first_cycle + WINDOW_PERIODS {
         println!("reference ended: before its end, no inputs came for {WINDOW_PERIODS} periods");
         return now;
@@ -105,7 +105,7 @@ fn a_reference_that_ends_is_held_at_the_next_release() {
     drop(feeding.lease);
 }
 
-/// The event that tells what became of a chunk, in its record.
+/// The event of a chunk in its record.
 fn verdict(record: &Telemetry, header: &Header) -> Option<(Outcome, u64)> {
     let event = event_about(record, EventKind::Reference, header)?;
     Some((Outcome::try_from(event.outcome).unwrap(), event.judged_ns))
@@ -124,7 +124,7 @@ fn points_that_come_too_late_are_refused_and_the_rest_is_followed() {
     wait_status(&connection, |status| status.outcomes[code] == refused);
 }
 
-/// None when the reference was over before the cycle of the verdict. Counts the chunks that were refused.
+/// `None` when the reference ended before the cycle of the event. Counts the rejected chunks.
 fn refuse_late_points(connection: &Connection, trail: &mut Trail, refused: &mut u64) -> Option<()> {
     let in_the_past = |record: &Telemetry| {
         let outcomes = events(record).iter().map(|event| event.outcome);
@@ -167,7 +167,7 @@ fn refuse_late_points(connection: &Connection, trail: &mut Trail, refused: &mut 
     Some(())
 }
 
-/// The newest renewal of the lease, by what the records tell.
+/// The newest renewal of the lease, according to the records.
 #[derive(Default)]
 struct Renewal {
     judged_ns: u64,
@@ -189,13 +189,14 @@ impl Renewal {
                 self.gather_ns = self.judged_ns;
             }
         }
-        // A request that was taken shortly before the release was judged later than its gather began.
+        // A request that was taken shortly before the release was checked later than its gather began.
         if record.gather == self.gather {
             self.gather_ns = record.gather_ns;
         }
     }
 
-    /// When the lease runs out, as it looks at gather `gather`. Time in which the daemon did not listen does not count.
+    /// Time at which the lease expires, seen at gather `gather`. Time in which the daemon did not receive
+    /// messages does not count.
     fn expires_ns(&self, history: &History, gather: u64) -> RangeInclusive<u64> {
         let unheard_ns = history.unheard_ns(self.gather, self.gather_ns, gather);
         let ends_ns = |unheard_ns| self.judged_ns + LEASE_MS * 1_000_000 + unheard_ns;
@@ -203,8 +204,9 @@ impl Renewal {
     }
 }
 
-/// The first gather after the lease ran out ends it, and the robot holds in the cycle after that gather. None when
-/// something else ended the tracking first: the machine stalled for too long, or a client gave up and its lease back.
+/// Checks that the first gather after the expiry ends the lease, and that the robot holds in the cycle after
+/// that gather. `None` when tracking ended earlier for another reason: a stall of the machine, or a client
+/// that returned its lease.
 fn expires(trail: &mut Trail, renewal: &mut Renewal, what: &str) -> Option<()> {
     let (before, now) = trail.until("the end of the tracking", |record| {
         renewal.look(record);
@@ -227,7 +229,7 @@ fn expires(trail: &mut Trail, renewal: &mut Renewal, what: &str) -> Option<()> {
         .map(|record| (record.gather_ns, renewal.expires_ns(history, record.gather)));
     assert!(ended_ns.0 >= *ended_ns.1.start(), "too early: {ended_ns:?}");
     assert!(held_ns.0 < *held_ns.1.end(), "too late: {held_ns:?}");
-    // Between the two gathers lies a period, and what the records say was late.
+    // Between the two gathers lie one period and the lateness in the records.
     let bound_ns = now.release_ns - before.gather_ns;
     say(
         what,
@@ -259,8 +261,8 @@ fn a_silent_holder_loses_the_lease() {
     });
 }
 
-/// A client process that feeds and has the robot track. None when it ended by itself: it came too late with its
-/// reference, or lost its lease.
+/// A client process that feeds and starts tracking. `None` when it ended by itself: its reference was late,
+/// or it lost its lease.
 fn feeding_process(daemon: &Daemon, trail: &mut Trail, renewal: &mut Renewal) -> Option<Program> {
     let mut command = daemon.place().command("cdcrctl");
     let arguments = ["ref", "line", "--track", "--duration", "60s"];
@@ -287,7 +289,7 @@ fn a_killed_client_loses_the_lease_to_whoever_comes() {
     until_undisturbed("a client is killed that feeds", || {
         let mut client = feeding_process(&daemon, &mut trail, &mut renewal)?;
         client.signal(Signal::KILL);
-        // One that had given up before gave its lease back.
+        // A client that ended earlier returned its lease.
         client.output().status.signal()?;
         expires(&mut trail, &mut renewal, "client killed")
     });

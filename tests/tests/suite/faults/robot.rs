@@ -1,4 +1,4 @@
-//! A robot behind a driver, played by the test.
+//! A robot behind a driver, simulated by a test.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use cdcr_tests::{ask_for, until_undisturbed};
 
 use crate::faults::trail::{Trail, is, rests};
 
-/// Runs a case behind a driver of each interface, and once more where a stall of the machine made another case of it.
+/// Runs a case behind a driver of each interface, again if a stall of the machine disturbed it.
 pub(crate) fn behind_both(case: impl Fn(Interface) -> Option<()>) {
     for interface in [Interface::Velocity, Interface::Position] {
         println!("behind a driver that obeys the {interface}");
@@ -19,24 +19,25 @@ pub(crate) fn behind_both(case: impl Fn(Interface) -> Option<()>) {
     }
 }
 
-/// Whether a stall of the machine holds the robot that was on its way: its inputs were stale. Nothing else holds it.
+/// Whether a moving robot holds because of a stall of the machine: its inputs were stale. There is no other
+/// cause.
 pub(crate) fn is_held_by_a_stall(record: &Telemetry) -> bool {
     let is_held = record.mode == Mode::Holding.code() && record.reason != Reason::Start.code();
     assert!(!is_held || record.reason == Reason::InputsStale.code());
     is_held
 }
 
-/// A robot whose driver measures what the test says, or what there is.
+/// A robot whose driver sends the true measurement or a given one.
 pub(crate) struct Robot {
     robot: DrivenRobot,
     measured: Instant,
 }
 
-/// A driver measures this often.
+/// Measurement interval of a driver.
 const EVERY: Duration = Duration::from_millis(1);
 
 impl Robot {
-    /// A straight robot that obeys what its daemon has it obey, and whose first section is bent by `bend_rad`.
+    /// A straight robot that obeys its daemon's interface, with the first section bent by `bend_rad`.
     pub(crate) fn new(connection: &Connection, bend_rad: f64) -> Self {
         Self::with_flaws(connection, bend_rad, Preset::Laboratory.flaws())
     }
@@ -51,14 +52,14 @@ impl Robot {
         }
     }
 
-    /// A robot that its daemon has heard of and holds, and its records.
+    /// A robot that its daemon knows and holds, and its records.
     pub(crate) fn held(connection: &Connection, bend_rad: f64) -> (Trail, Self) {
         let (mut trail, mut robot) = (Trail::new(connection), Self::new(connection, bend_rad));
         robot.until_held(&mut trail);
         (trail, robot)
     }
 
-    /// The same on its way home.
+    /// The same while homing.
     pub(crate) fn moving(connection: &Connection) -> (Trail, Self) {
         let (mut trail, mut robot) = Self::held(connection, 1.0);
         ask_for(connection, RequestKind::Home);
@@ -80,7 +81,7 @@ impl Robot {
         self.robot.follow();
     }
 
-    /// What its sensors say now \[rad\].
+    /// The present values of its sensors \[rad\].
     pub(crate) fn sensed_rad(&mut self) -> [f64; 12] {
         let measurement = self.robot.measurement(MeasurementKind::Configuration);
         measurement.bend_rad
@@ -90,14 +91,14 @@ impl Robot {
         self.robot.last_command()
     }
 
-    /// Says that the robot is bent like this now; returns when.
+    /// Sends a measurement of these bends, and returns its time.
     pub(crate) fn measure(&self, bend_rad: [f64; 12]) -> u64 {
         let measured_ns = monotonic_ns();
         self.measure_at(measured_ns, bend_rad);
         measured_ns
     }
 
-    /// Says that the robot was bent like this at `measured_ns`.
+    /// Sends a measurement of these bends at `measured_ns`.
     pub(crate) fn measure_at(&self, measured_ns: u64, bend_rad: [f64; 12]) {
         self.robot.send(&Measurement {
             measured_ns,

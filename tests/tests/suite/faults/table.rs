@@ -1,4 +1,4 @@
-//! The page of faults says what is tested: each fault names a test that is there.
+//! `docs/faults.md` matches the tests: each fault names existing tests.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ fn page() -> String {
     std::fs::read_to_string(workspace().join("docs/faults.md")).unwrap()
 }
 
-/// What a fault says of itself, and in this order.
+/// Fields of a fault, in this order.
 const FIELDS: [&str; 5] = ["Detection", "Reaction", "What you see", "Recovery", "Tests"];
 
 /// The text of a field of a fault, up to the next field.
@@ -23,7 +23,7 @@ fn field<'f>(fault: &'f str, name: &str) -> &'f str {
     text.split("\n- **").next().unwrap()
 }
 
-/// What is in `backticks`.
+/// The texts in `backticks`.
 fn quoted(cell: &str) -> Vec<&str> {
     cell.split('`').skip(1).step_by(2).collect()
 }
@@ -43,7 +43,7 @@ fn every_fault_names_a_test_that_is_there() {
         assert!(!tests.is_empty(), "no test: {fault}");
         for test in tests {
             let (file, function) = test.split_once("::").unwrap();
-            // Of this folder, of its neighbours, or of a unit.
+            // A file of this folder or of a neighbour, or a unit test.
             let folder = match file.split_once('/') {
                 None => "tests/tests/suite/faults/",
                 Some(("daemon" | "controller" | "client", _)) => "",

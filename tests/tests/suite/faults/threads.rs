@@ -1,4 +1,4 @@
-//! Threads that hang: the test stops a single one as a debugger does.
+//! Hanging threads: the test stops a single thread as a debugger does.
 
 use std::ops::ControlFlow;
 use std::os::unix::net::UnixDatagram;
@@ -18,13 +18,14 @@ use rustix::process::Signal;
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, rests};
 
-/// A thread of another process that stands still until this is dropped.
+/// A thread of another process, stopped until this is dropped.
 pub(crate) struct Hung {
     thread: Pid,
 }
 
 impl Hung {
-    /// Stops the thread of `process` that has this name. None: the system does not let us; it is said why.
+    /// Stops the thread of `process` with this name. `None`, with a message, if the system does not permit
+    /// it.
     pub(crate) fn new(process: u32, name: &str) -> Option<Self> {
         let thread = Pid::from_raw(thread_of(process, name));
         if let Err(cause) = ptrace::seize(thread, ptrace::Options::empty()) {
@@ -39,7 +40,7 @@ impl Hung {
         Some(Self { thread })
     }
 
-    /// Lets a thread that died with its process go, so that the process can be waited for.
+    /// Detaches a thread that died with its process, so that the process can be waited for.
     pub(crate) fn reap(&self) {
         let _ = waitpid(
             self.thread,
@@ -50,7 +51,7 @@ impl Hung {
 
 impl Drop for Hung {
     fn drop(&mut self) {
-        // One that died cannot be let go any more.
+        // A dead thread cannot be detached.
         let _ = ptrace::detach(self.thread, None);
         self.reap();
     }
@@ -71,13 +72,13 @@ pub(crate) fn find_thread(process: u32, name: &str) -> Option<i32> {
 
 /// Longer than a machine keeps a thread from running beside others.
 const WATCHDOG: Duration = Duration::from_millis(500);
-/// The watchdog looks every 50 ms: a thread can have stood still for two looks less than the time that was counted.
+/// The watchdog checks every 50 ms: the hang may be up to two checks shorter than the counted time.
 const LOOKS: Duration = Duration::from_millis(100);
-/// The supervisor publishes its status each 100 ms, so of so many after the hang all but three had counted the time between
-/// two: that of the look that was half over, that of the look that ends the process, and one of a supervisor that was held up
-/// between publishing and counting.
+/// The supervisor publishes its status every 100 ms. Not counted in the watchdog's time are at most three
+/// status messages: that of the check under way, that of the check that ends the process, and one of a
+/// supervisor that was delayed between publishing and counting.
 const STATUSES_MAX: u64 = WATCHDOG.as_millis() as u64 / 100 + 3;
-/// How the end of a hung thread is told.
+/// Message about the end of a hung thread.
 const NO_PROGRESS: &str = "made no progress for 500 ms";
 pub(crate) const VALID_FOR_NS: u64 = 100_000_000;
 
@@ -90,7 +91,7 @@ fn with_driver() -> Daemon {
     ))
 }
 
-/// The driver goes on until a daemon with a hung thread has ended.
+/// Runs the driver until a daemon with a hung thread has ended.
 fn drive_until_end(daemon: &mut Daemon, robot: &mut Robot, hung: &Hung) {
     let begin = Instant::now();
     while daemon.runs() {
@@ -105,8 +106,8 @@ fn drive_until_end(daemon: &mut Daemon, robot: &mut Robot, hung: &Hung) {
     }
 }
 
-/// A thread hangs while the robot moves: the process ends with `status`, and the driver has been told how
-/// long the last rates hold. Then a new daemon works at once.
+/// Checks a thread that hangs while the robot moves: the process ends with `status`, and the driver knows how
+/// long the last rates are valid. Then a new daemon works at once.
 fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let mut daemon = with_driver();
     let connection = daemon.connect();
@@ -129,7 +130,7 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
         counted += u64::from(status.header.sent_ns > hung_ns);
     }
     assert!(counted <= STATUSES_MAX, "{counted} statuses after the hang");
-    // No command came since, and the last one has run out.
+    // No command has come since, and the last one has expired.
     let last = robot.last_command().unwrap();
     assert_eq!(last.valid_until_ns - last.release_ns, VALID_FOR_NS);
     assert!(last.release_ns <= hung_ns, "a command of a later cycle");
@@ -158,7 +159,7 @@ fn a_hung_exchange_thread_ends_the_process() {
     );
 }
 
-/// An error about silence says that the process runs, and not how to start one.
+/// Checks that an error about silence says that the process runs, without a hint how to start it.
 fn assert_says_it_runs(error: &LinkError, process: u32) {
     let text = error.to_string();
     let is_said = text.contains(&format!("it runs (process {process})"));
@@ -186,11 +187,11 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
         let last = robot.last_command().unwrap();
         last.release_ns > hung_ns && last.bend_rate_rad_s.iter().all(|rate| *rate == 0.0)
     });
-    // Another one may still come, and be answered.
+    // Another client can still connect and gets answers.
     let other = daemon.connect();
     ask_for(&other, RequestKind::Stop);
     drop(other);
-    // It is not taken for one that has ended.
+    // It is not taken for an ended daemon.
     let silent = connection.settings().expect_err("no telemetry");
     assert_says_it_runs(&silent, daemon.id());
     drive_until_end(&mut daemon, &mut robot, &hung);
@@ -218,7 +219,7 @@ fn a_feed_goes_on_while_the_reporter_hangs() {
             hung_at = Some(Instant::now());
             hung = Hung::new(daemon.id(), "cdcr-reporter");
         }
-        // Twice as long as a feed waits for a daemon that says nothing at all.
+        // Twice as long as a feed waits for a silent daemon.
         if hung_at.is_some_and(|at| at.elapsed() > Duration::from_secs(2)) {
             hung = None;
             back.get_or_insert_with(Instant::now);
@@ -251,7 +252,7 @@ fn a_status_thread_that_hangs_for_good_ends_the_process_at_last() {
     daemon.connect().status(TIMEOUT).unwrap();
 }
 
-/// A daemon with a service manager that expects a sign of life five times a second.
+/// A daemon whose service manager expects a watchdog message five times a second.
 struct Managed {
     daemon: Program,
     manager: UnixDatagram,
@@ -279,7 +280,7 @@ impl Managed {
         }
     }
 
-    /// How often the watchdog was fed since the last look.
+    /// Number of watchdog messages since the last call.
     fn fed(&self) -> usize {
         let (mut buffer, mut fed) = ([0; 4096], 0);
         while let Ok(length) = self.manager.recv(&mut buffer) {
@@ -325,7 +326,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
         record.release_ns > last.header.sent_ns + silent_ns
     });
     assert_eq!(managed.fed(), 0, "five were due");
-    // New clients are told that it runs and is held up; anybody can still stop the robot, in two ways.
+    // New clients learn that it runs but is delayed; the robot can still be stopped, in two ways.
     let error = Connection::open(location, ROBOT).expect_err("no status");
     assert!(matches!(error, ConnectError::Silent { .. }), "{error:?}");
     managed.place.says("cdcrctl stop", 0, &[]);
@@ -340,7 +341,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     wait_status(&connection, |status| status.mode == Mode::Stopped.code());
 }
 
-/// What it tells leaves by a thread that may wait for files. It waits for none itself.
+/// The messages leave through a thread that may wait for files. The thread itself is not waited for.
 #[test]
 fn a_hung_status_thread_keeps_neither_the_watchdog_nor_the_end_waiting() {
     let mut managed = Managed::start();
@@ -358,7 +359,7 @@ fn a_hung_status_thread_keeps_neither_the_watchdog_nor_the_end_waiting() {
     for _ in 0..5 {
         trail.until("the watchdog is fed", |_| managed.fed() > 0);
     }
-    // Neither requests nor records are its matter.
+    // The status thread handles neither requests nor records.
     managed.place.says("cdcrctl stop", 0, &[]);
     trail.until("stopped", is(Mode::Stopped));
     managed.daemon.signal(Signal::TERM);

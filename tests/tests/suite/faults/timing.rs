@@ -1,4 +1,4 @@
-//! Time: missed deadlines, a starved core, clocks that jump, results that are no numbers.
+//! Time: deadline misses, a starved core, clocks that jump, results that are NaN.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -28,7 +28,7 @@ fn patient_for(periods: u32) -> Daemon {
     Daemon::start(&format!("[cycle]\nmiss_limit = {periods}\n"))
 }
 
-/// The cycle after the one whose lateness filled the bucket stops the robot.
+/// Checks that the cycle after the one that filled the leaky bucket stops the robot.
 fn assert_stops(trail: &mut Trail, what: &str) {
     let (before, now) = trail.until("the stop", is(Mode::Stopped));
     assert_eq!(now.reason, Reason::DeadlineMisses.code());
@@ -43,11 +43,11 @@ fn assert_stops(trail: &mut Trail, what: &str) {
     assert_eq!(now.cycle, before.cycle + 1 + u64::from(now.skipped_periods));
 }
 
-/// In good releases a bucket of the tests is empty after a quarter of this.
+/// With good releases, a bucket of the tests is empty after a quarter of this time.
 const DRAINS_IN: Duration = Duration::from_secs(20);
 
-/// Granted once the bucket is below its limit, which takes good releases: whether that came. Where it did not, at least one
-/// release in ten was bad.
+/// Resets, which is accepted when the bucket is below its limit after good releases. Returns false if at
+/// least one release in ten was bad, so that it was never accepted.
 fn reset(connection: &Connection, trail: &mut Trail) -> bool {
     let begin = Instant::now();
     let (mut releases, mut bad) = (0, 0);
@@ -66,7 +66,7 @@ fn reset(connection: &Connection, trail: &mut Trail) -> bool {
     true
 }
 
-/// Says why a test ends before its end.
+/// Reports why a test ends early.
 fn skip_never_drained() {
     skip(
         Need::OnTime,
@@ -95,7 +95,7 @@ fn a_machine_that_stands_still_for_too_long_stops_the_robot() {
 /// More periods than the limit of misses in the test.
 const HOGGED: Duration = Duration::from_millis(180);
 
-/// Takes `core` for itself for `time`, at the highest priority that `packaging/limits.conf` grants.
+/// Occupies `core` for `time`, at the highest priority that `packaging/limits.conf` grants.
 fn hog(core: usize, time: Duration) {
     let mut cores = CpuSet::new();
     cores.set(core);
@@ -133,7 +133,7 @@ fn a_core_that_another_task_takes_stops_the_robot_and_names_the_load() {
     wait_status(&connection, |status| status.since_reset.causes[load] > 0);
 }
 
-/// Lets the wall clock jump by `hours` and back.
+/// Sets the wall clock by `hours` and back.
 fn jump_wall_clock(hours: i64, meanwhile: impl FnOnce()) {
     let begin = monotonic_ns();
     let right = clock_gettime(ClockId::Realtime);
@@ -181,7 +181,7 @@ fn a_wall_clock_that_jumps_is_not_noticed() {
     assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
 }
 
-/// Every Rust file below a folder.
+/// All Rust files below a folder.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap().flatten();
     let mut files = Vec::new();
@@ -206,7 +206,7 @@ fn nothing_that_controls_looks_at_the_wall_clock() {
         "client/src",
     ] {
         for path in sources(&workspace.join(folder)) {
-            // A recording is stamped with the time of day, and controls nothing.
+            // A recording has the date as a stamp, and controls nothing.
             if path.ends_with("cdcrctl/recording/when.rs") {
                 continue;
             }
@@ -227,7 +227,7 @@ fn nothing_that_controls_looks_at_the_wall_clock() {
 
 const PERIOD_NS: u64 = 5_000_000;
 
-/// Inputs that no message can bring: what they come from has passed no check.
+/// Inputs that no message can contain: they bypass all checks.
 fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
     let mut trajectory = Trajectory::with_capacity(10, f64::INFINITY);
     let points = (0..10).map(|k| ReferencePoint {
@@ -245,7 +245,7 @@ fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
     inputs
 }
 
-/// Runs the cycle of this number on time. In the first one the robot is asked to track.
+/// Runs the cycle of this number on time. The first one gets a request to track.
 fn run(
     cycle: &mut Cycle,
     number: u64,
@@ -298,7 +298,7 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
 
 #[test]
 fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
-    // No test can send its machine to sleep: the two clocks are given, and what follows is the daemon's own.
+    // A test cannot suspend its machine: the two clock values are given, the rest is the daemon's code.
     let mut watch = SuspendWatch::default();
     let validated = Config::parse("[link]\nkind = \"driver\"\n", Path::new("robot.toml")).unwrap();
     let mut cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();

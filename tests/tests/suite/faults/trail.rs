@@ -1,4 +1,4 @@
-//! The records of a daemon, one after the other, each with the one before it.
+//! The consecutive records of a daemon, each with the previous one.
 
 use std::collections::VecDeque;
 use std::panic::resume_unwind;
@@ -15,11 +15,11 @@ use crate::chaos::integral::Integral;
 use crate::chaos::ramp;
 use crate::faults::history::History;
 
-/// The core of all the daemons: many may read, one may take it away.
+/// The core of all the daemons: shared by readers, or taken by one test.
 static CORE: RwLock<()> = RwLock::new(());
 
-/// Waits until nobody else follows a trail, and keeps it so. Never stands in the queue for the lock, because a
-/// test may follow two trails.
+/// Waits until no other test follows a trail, and keeps them out. Never queues for the lock, because a test
+/// may follow two trails.
 pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
     let begin = Instant::now();
     loop {
@@ -33,11 +33,12 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
     }
 }
 
-/// A reader that loses no record, or fails, and holds each to it that rest is rest and that
-/// the commanded position is the integral of the rates. As long as it lives, no other test takes the daemon's core.
+/// A reader that fails when it loses a record. It checks on each record that a robot at rest stays, and that
+/// the commanded position is the integral of the rates. While it exists, no other test takes the daemon's
+/// core.
 pub(crate) struct Trail {
     stream: TelemetryStream,
-    /// Read, and not yet looked at; oldest first.
+    /// Read, but not yet returned; oldest first.
     read: VecDeque<Telemetry>,
     before: Option<Telemetry>,
     integral: Integral,
@@ -54,7 +55,7 @@ impl Trail {
         }
     }
 
-    /// For who is [`alone`].
+    /// For a test that holds [`alone`].
     pub(crate) fn new_alone(connection: &Connection) -> Self {
         Self {
             stream: connection.telemetry().unwrap(),
@@ -83,7 +84,7 @@ impl Trail {
         Some(record)
     }
 
-    /// Keeps every record that comes while something works that may take longer than the queue of a reader lasts.
+    /// Keeps all records during `work`, which may last longer than a reader's queue.
     pub(crate) fn keep_while<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> R {
         std::thread::scope(|scope| {
             let working = scope.spawn(work);
@@ -97,13 +98,13 @@ impl Trail {
         })
     }
 
-    /// What the records so far say was late.
+    /// Lateness in the records so far.
     pub(crate) fn history(&self) -> &History {
         &self.history
     }
 
-    /// The first record that satisfies `is_it`, and the one before it. `meanwhile` is called again and again
-    /// until then, at least every other millisecond.
+    /// The first record that satisfies `is_it`, and the previous one. Calls `meanwhile` repeatedly until
+    /// then, at least every other millisecond.
     pub(crate) fn until_while(
         &mut self,
         what: &str,
@@ -128,7 +129,7 @@ impl Trail {
         }
     }
 
-    /// As [`until_while`](Self::until_while), with nothing to do meanwhile.
+    /// As [`until_while`](Self::until_while), without other work.
     pub(crate) fn until(
         &mut self,
         what: &str,
@@ -137,7 +138,7 @@ impl Trail {
         self.until_while(what, || {}, is_it)
     }
 
-    /// Throws away what waits, so that the next record is one of now.
+    /// Discards pending records, so that the next one is new.
     pub(crate) fn catch_up(&mut self) {
         while self.next_waiting().is_some() {}
     }
@@ -147,19 +148,19 @@ pub(crate) fn is(mode: Mode) -> impl FnMut(&Telemetry) -> bool {
     move |record| record.mode == mode.code()
 }
 
-/// Whether the command of this cycle is to stand still.
+/// Whether the command of this cycle is zero.
 pub(crate) fn rests(record: &Telemetry) -> bool {
     largest(&record.command.bend_rate_rad_s) == 0.0
 }
 
-/// How late the cycle came, by its own account \[ns\]: the periods that were skipped before it, and its start
-/// after its release.
+/// Lateness of the cycle by its own record \[ns\]: skipped periods before it, and its start after its
+/// release.
 pub(crate) fn late_ns(record: &Telemetry) -> u64 {
     u64::from(record.skipped_periods) * record.period_ns + record.start_ns - record.release_ns
 }
 
-/// Follows the robot to its rest: no cycle takes more off the rates than the deceleration allows, none adds to
-/// them, and rest comes within the cycles that takes. `first` is the record of the first such cycle.
+/// Follows the robot to rest: no cycle reduces the rates by more than the deceleration, none increases them,
+/// and rest comes within the expected cycles. `first` is the record of the first such cycle.
 pub(crate) fn assert_ramps_to_rest(
     trail: &mut Trail,
     first: &Telemetry,
@@ -185,7 +186,7 @@ pub(crate) fn assert_ramps_to_rest(
     }
 }
 
-/// Says what was measured.
+/// Prints a measured time and its bound.
 pub(crate) fn say(fault: &str, detected_ns: u64, bound_ns: u64) {
     println!(
         "{fault}: detected after {:.3} ms, at most {:.3} ms",

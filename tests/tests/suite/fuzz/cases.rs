@@ -1,4 +1,4 @@
-//! How many cases are tried, which ones, and how many of them got through.
+//! Number and choice of the fuzz cases, and the shares of accepted ones.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -7,8 +7,9 @@ use std::sync::Once;
 use proptest::strategy::Strategy;
 use proptest::test_runner::{Config, RngSeed, TestRunner};
 
-/// Tries `test` on a quarter of `cases` values of `strategy`, on all of them with `CDCR_WHOLE`, always the same ones. With
-/// `CDCR_FUZZ_CASES` (or `PROPTEST_CASES`) in the environment it tries that many, if they are more, and others each time.
+/// Runs `test` on a quarter of `cases` values of `strategy`, on all of them with `CDCR_WHOLE`, always the
+/// same ones. With `CDCR_FUZZ_CASES` (or `PROPTEST_CASES`), it runs at least that many, different ones each
+/// time.
 pub(crate) fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::Value)) {
     let asked = asked();
     let least = match std::env::var_os("CDCR_WHOLE") {
@@ -36,7 +37,7 @@ pub(crate) fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::V
     }
 }
 
-/// Runs `work` without a report of each panic: on the way to the smallest input there are thousands of them.
+/// Runs `work` without the panic messages, of which shrinking produces thousands.
 fn quietly<R>(work: impl FnOnce() -> R) -> R {
     thread_local!(static QUIET: Cell<bool> = const { Cell::new(false) });
     static HOOK: Once = Once::new();
@@ -54,13 +55,13 @@ fn quietly<R>(work: impl FnOnce() -> R) -> R {
     result
 }
 
-/// How many cases the environment asks for.
+/// Number of cases in the environment.
 pub(crate) fn asked() -> Option<u32> {
     let names = ["CDCR_FUZZ_CASES", "PROPTEST_CASES"];
     names.into_iter().find_map(cdcr_tests::asked)
 }
 
-/// Counts what became of the cases, so that a target that refuses everything at the first check fails.
+/// Counts accepted and rejected cases, so that a target that rejects everything at the first check fails.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     counts: RefCell<BTreeMap<&'static str, [u32; 2]>>,
@@ -71,7 +72,7 @@ impl Tally {
         self.counts.borrow_mut().entry(kind).or_default()[usize::from(accepted)] += 1;
     }
 
-    /// Of the cases of `kind`, at least this share must have been accepted, and as many refused.
+    /// At least this share of the cases of `kind` was accepted, and at least this share rejected.
     pub(crate) fn both_at_least(&self, kind: &'static str, share: f64) {
         let [refused, accepted] = self.counts.borrow().get(kind).copied().unwrap_or_default();
         println!("{kind}: {accepted} accepted, {refused} refused");

@@ -1,4 +1,4 @@
-//! Configurations: any text, and the default one with lines, values and characters changed.
+//! Configurations: arbitrary text, and the default one with changed lines, values and characters.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use crate::fuzz::cases::{Tally, try_cases};
 use crate::fuzz::corpus;
 use crate::fuzz::rig::{Rig, simulated};
 
-/// Values that are rarely right.
+/// Values that are rarely valid.
 const ODD: [&str; 30] = [
     "nan",
     "-nan",
@@ -51,7 +51,7 @@ const ODD: [&str; 30] = [
 enum Edit {
     /// Another value behind the `=` of a line.
     Value(usize, String),
-    /// A number a little larger or smaller.
+    /// A slightly larger or smaller number.
     Scale(usize, f64),
     Double(usize),
     Remove(usize),
@@ -109,7 +109,7 @@ fn edit() -> impl Strategy<Value = Edit> {
     ]
 }
 
-/// The default text without its remarks, after the edits.
+/// The default text without comments, after the edits.
 fn edited(edits: &[Edit]) -> String {
     let is_content = |line: &&str| !line.is_empty() && !line.starts_with('#');
     let mut lines: Vec<String> = DEFAULT_TEXT
@@ -167,7 +167,8 @@ fn insert(line: &mut String, at: usize, character: char) {
     line.insert(place, character);
 }
 
-/// What is accepted runs: the simulated robot follows a reference for some cycles. Says whether it was.
+/// Runs an accepted configuration: the simulated robot follows a reference for some cycles. Returns whether
+/// it was accepted.
 fn evaluate(text: &str) -> bool {
     match Config::parse(text, Path::new("robot.toml")) {
         Ok(validated) => {

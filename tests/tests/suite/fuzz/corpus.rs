@@ -1,9 +1,9 @@
-//! Inputs that once broke something, or that reach a corner: kept as files, replayed first, always.
+//! Inputs that once caused a failure or that reach a corner case: kept as files and always replayed first.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-/// Gives each kept file of a target to `test`, and names every one that fails.
+/// Runs `test` on each file of a target's corpus, and reports all failing ones.
 pub(crate) fn replay(target: &str, test: impl Fn(&[u8])) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("corpus")

@@ -1,4 +1,4 @@
-//! Reference files: any bytes, and the file of the examples with cells and lines changed.
+//! Reference files: arbitrary bytes, and the file of the examples with changed cells and lines.
 
 use std::path::Path;
 
@@ -111,7 +111,8 @@ fn set(row: &mut [String], column: usize, cell: &str) {
     }
 }
 
-/// A file that is accepted gives finite positions and unit orientations at any time. Says whether it was.
+/// Checks that an accepted file gives finite positions and unit orientations at any time. Returns whether it
+/// was accepted.
 fn evaluate(text: &str) -> bool {
     let file = match FileTrajectory::parse(Path::new("path.csv"), text) {
         Ok(file) => file,

@@ -1,5 +1,4 @@
-//! Messages as clients and drivers might send them: any bits at all, or nearly right ones, in which up to
-//! three numbers are wrong.
+//! Messages of clients and drivers: arbitrary bits, or nearly valid messages with up to three wrong numbers.
 
 use cdcr_daemon::config::Config;
 use cdcr_daemon::convert::settings_to_wire;
@@ -18,7 +17,7 @@ use crate::fuzz::script::{BEGIN_NS, PERIOD_NS, Robot, Run, Script, Step};
 
 /// Length of a section of the paper's robot \[m\].
 const SECTION_M: f64 = 0.3;
-/// Numbers at the borders of what code expects.
+/// Numbers at the limits of validity.
 const CORNERS: [f64; 26] = [
     -0.0,
     1.0,
@@ -47,7 +46,7 @@ const CORNERS: [f64; 26] = [
     f64::NAN,
     -f64::NAN,
 ];
-/// Whole numbers at the borders of counts, codes and times.
+/// Integers at the limits of counts, codes and times.
 const WHOLE: [u64; 12] = [
     63,
     64,
@@ -63,7 +62,7 @@ const WHOLE: [u64; 12] = [
     u64::MAX,
 ];
 
-/// The bits of a number: all of them occur, and those at borders more often than by chance.
+/// The bits of a number: any value, limit values with a higher probability.
 pub(crate) fn word() -> impl Strategy<Value = u64> {
     prop_oneof![
         3 => any::<u64>(),
@@ -71,7 +70,7 @@ pub(crate) fn word() -> impl Strategy<Value = u64> {
         3 => 0..8_u64,
         2 => select(WHOLE.as_slice()),
         3 => (-4.0..4.0).prop_map(f64::to_bits),
-        // A NaN of any sign and payload, the infinities, and numbers below the normal ones.
+        // A NaN of any sign and payload, the infinities, and subnormal numbers.
         1 => any::<u64>().prop_map(|bits| bits | 0x7ff0 << 48),
         1 => any::<u64>().prop_map(|bits| bits & !(0x7ff0 << 48)),
     ]
@@ -83,14 +82,14 @@ pub(crate) fn bytes(size: usize) -> impl Strategy<Value = Vec<u8>> {
         .prop_map(|words| words.into_iter().flat_map(u64::to_le_bytes).collect())
 }
 
-/// What happens to one number of a message.
+/// A change of one number of a message.
 #[derive(Debug, Clone, Copy)]
 enum Change {
     Set(u64),
     Flip(u8),
 }
 
-/// Which number of a message, and what happens to it.
+/// Index of a number of a message, and its change.
 type Changes = Vec<(u16, Change)>;
 
 fn changes() -> impl Strategy<Value = Changes> {
@@ -104,7 +103,7 @@ fn changes() -> impl Strategy<Value = Changes> {
     ]
 }
 
-/// Changes some of the first `used` numbers: those that are read.
+/// Changes some of the first `used` numbers, which are the ones that are read.
 fn spoil<T: Fields>(message: &mut T, changes: &[(u16, Change)], used: usize) {
     for (index, change) in changes {
         message.change(usize::from(*index) % used, |bits| match change {
@@ -114,7 +113,7 @@ fn spoil<T: Fields>(message: &mut T, changes: &[(u16, Change)], used: usize) {
     }
 }
 
-/// A message with times that count from now and lengths in robots, and what goes wrong with it.
+/// A message with times relative to now and lengths relative to the robot, and its changes.
 #[derive(Debug, Clone)]
 pub(crate) struct Draft {
     step: Step,
@@ -149,7 +148,7 @@ fn point() -> impl Strategy<Value = ReferencePoint> {
     )
 }
 
-/// A direction as a point of this kind of orientation wants it.
+/// A valid direction for a point with this kind of orientation.
 fn unit(direction: [f64; 4], kind: u32) -> [f64; 4] {
     let count = [0, 3, 4][kind as usize];
     let used = &direction[..count];
@@ -184,7 +183,7 @@ fn obstacle() -> impl Strategy<Value = Obstacle> {
     let age_ns = prop_oneof![4 => 0..100_000_000_u64, 1 => Just(BEGIN_NS)];
     let lifetime_ns = prop_oneof![Just(0), 50_000_000..500_000_000_u64, Just(u64::MAX)];
     let velocity_m_s = prop_oneof![Just([0.0; 3]), uniform3(-1.0..1.0), uniform3(-1e6..1e6)];
-    // Anywhere, or beside the upright robot.
+    // Anywhere, or beside the straight robot.
     let place = || {
         let beside = (-0.15..0.15, -0.15..0.15, 0.3..1.1).prop_map(|(x, y, z)| [x, y, z]);
         prop_oneof![1 => uniform3(-1.0..1.0), 2 => beside]
@@ -234,7 +233,7 @@ pub(crate) fn measurement() -> impl Strategy<Value = Draft> {
         4 => vec(-0.3..0.3, 12),
         1 => vec(-2.5..2.5, 12),
     ];
-    // Now and then everything is too large.
+    // Sometimes everything is too large.
     let scale = prop_oneof![10 => Just(1.0), 1 => select(vec![1e3, 1e100, 1e154, 1e300, 1e308])];
     let parts = (
         1..4_u32,
@@ -260,7 +259,7 @@ pub(crate) fn measurement() -> impl Strategy<Value = Draft> {
     )
 }
 
-/// Settings whose numbers fit each other, the swarm small enough for a test.
+/// Settings that are consistent, with a swarm small enough for a test.
 fn settings() -> impl Strategy<Value = SolverSettings> {
     let horizon = prop_oneof![6 => 1..8_u32, 1 => Just(50)];
     let codes = (0..3_u32, 0..2_u32, 0..3_u32);
@@ -326,7 +325,8 @@ fn run() -> impl Strategy<Value = Draft> {
     })
 }
 
-/// Messages of all kinds and cycles between them; half of the scripts first make the robot follow a reference.
+/// Messages of all kinds with cycles between them; half of the scripts first make the robot follow a
+/// reference.
 pub(crate) fn script() -> impl Strategy<Value = Script> {
     let robot = (select(vec![1_u32, 3, 3, 6]), 0..2_u32)
         .prop_map(|(sections, driver)| Robot { sections, driver });
@@ -348,7 +348,7 @@ pub(crate) fn script() -> impl Strategy<Value = Script> {
     })
 }
 
-/// Measured, a reference and a request to follow it.
+/// A measurement, a reference and a request to follow it.
 fn beginning(mut reference: Draft) -> Vec<Draft> {
     reference.changes.clear();
     let clean = |step| Draft {
@@ -373,7 +373,7 @@ fn beginning(mut reference: Draft) -> Vec<Draft> {
     ]
 }
 
-/// Gives each draft its time, from `begin_ns` on, and the robot's size, then spoils it.
+/// Gives each draft its time from `begin_ns` on and the robot's size, then applies its changes.
 pub(crate) fn lay_out(begin_ns: u64, robot: Robot, drafts: Vec<Draft>) -> Script {
     let mut now_ns = begin_ns;
     let mut end_ns = 0;

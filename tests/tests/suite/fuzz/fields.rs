@@ -1,5 +1,5 @@
-//! The numbers of a message in the order in which they lie in memory. The messages are plain numbers of
-//! fixed size without gaps, so any bytes are a message; this reads and writes it without `unsafe`.
+//! The numbers of a message in their order in memory. Messages are plain numbers of fixed size without
+//! padding, so any bytes are a message. This module reads and writes them without `unsafe`.
 
 use std::fmt;
 
@@ -36,7 +36,7 @@ impl Number<'_> {
         }
     }
 
-    /// Takes the value that [`fmt::Display`] wrote.
+    /// Parses a value written by [`fmt::Display`].
     pub(crate) fn parse(&mut self, text: &str) -> Option<()> {
         match self {
             Self::U32(value) => **value = text.parse().ok()?,
@@ -52,7 +52,7 @@ impl Number<'_> {
     }
 }
 
-/// Decimal, so that all bits come back; a NaN by its bits.
+/// Decimal, so that all bits are preserved; a NaN by its bits.
 impl fmt::Display for Number<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -64,14 +64,14 @@ impl fmt::Display for Number<'_> {
     }
 }
 
-/// A step on the way to a number.
+/// A step of the path to a number.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Part {
     Field(&'static str),
     Index(usize),
 }
 
-/// The way to a number, such as `points[3].time_ns`.
+/// The path to a number, such as `points[3].time_ns`.
 pub(crate) fn name(path: &[Part]) -> String {
     let mut text = String::new();
     for part in path {
@@ -84,10 +84,10 @@ pub(crate) fn name(path: &[Part]) -> String {
     text
 }
 
-/// What is done with each number.
+/// Callback for each number.
 pub(crate) type Visit<'v> = dyn FnMut(&[Part], Number<'_>) + 'v;
 
-/// Something that is made of numbers.
+/// A structure of numbers.
 pub(crate) trait Fields {
     /// Visits every number in the order of the layout.
     fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>);
@@ -100,7 +100,7 @@ pub(crate) trait Fields {
         self.walk(&mut Vec::new(), &mut visit);
     }
 
-    /// The message that these bytes are; what is missing at the end is zero.
+    /// The message with these bytes; missing bytes at the end are zero.
     fn from_bytes(bytes: &[u8]) -> Self
     where
         Self: Sized + Default,
@@ -158,7 +158,7 @@ fn walk(value: ValueMut<'_>, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
     }
 }
 
-/// Names the fields of a struct that is no message; all of them are `u32`.
+/// Names the fields of a struct that is not a message; all of them are `u32`.
 macro_rules! fields {
     ($type:ident { $($field:ident),+ $(,)? }) => {
         impl $crate::fuzz::fields::Fields for $type {

@@ -1,7 +1,7 @@
-//! Fuzzing of what comes from outside; see `docs/fuzzing.md`.
+//! Fuzzing of external inputs; see `docs/fuzzing.md`.
 //!
-//! Each target first replays the kept corpus, then tries cases of its own. What holds for all: no panic, and
-//! no command that is not finite or beyond a limit.
+//! Each target first replays its corpus, then runs new cases. Invariants for all: no panic, and every command
+//! is finite and within the limits.
 
 mod cases;
 mod configuration;

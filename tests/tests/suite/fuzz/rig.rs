@@ -1,5 +1,5 @@
-//! The controlling half of a daemon in one thread with a clock of its own: messages go through the daemon's
-//! checks into its cycle, and every command that comes out is judged.
+//! The controlling half of a daemon in one thread with a simulated clock. Messages pass through the daemon's
+//! checks into its cycle, and every resulting command is checked.
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -32,12 +32,12 @@ bend_max_rad = 2.8
 rate_max_rad_s = 2.0
 body_radius_m = 0.015
 ";
-/// Inputs are gathered this long before a release.
+/// Time from the gather to the release.
 const GATHER_LEAD_NS: u64 = 200_000;
-/// Time that passes whenever somebody looks at the clock: a solve is over after some hundred looks.
+/// Time that passes at each clock read: a solve ends after some hundred reads.
 const LOOK_NS: u64 = 10_000;
 
-/// Plays a script, and says what happened.
+/// Runs a script, and counts the results.
 pub(crate) fn play(script: &Script, tally: &Tally) {
     let Some(Step::Robot(robot)) = script.0.first() else {
         panic!("a script begins with its [robot]");
@@ -55,7 +55,7 @@ pub(crate) fn simulated(validated: &Validated) -> RobotLink {
     RobotLink::ideal(KinematicPlant::new(&validated.robot, validated.initial))
 }
 
-/// What belongs to the cycle, and the robot behind a good driver.
+/// The data of the cycle, and the robot behind a correct driver.
 #[derive(Debug)]
 pub(crate) struct Rig {
     robot: Robot,
@@ -89,7 +89,7 @@ impl Rig {
         }
     }
 
-    /// When the inputs of the next cycle are gathered.
+    /// Time of the next gather.
     pub(crate) fn now_ns(&self) -> u64 {
         self.release_ns(self.next_cycle) - GATHER_LEAD_NS.min(self.period_ns / 2)
     }
@@ -114,7 +114,7 @@ impl Rig {
         }
     }
 
-    /// As the gather of the daemon does it, without lease and sequence.
+    /// Like the daemon's gather, without lease and sequence.
     pub(crate) fn take_chunk(&mut self, chunk: &ReferenceChunk) -> bool {
         let now_ns = self.now_ns();
         let Ok(mode) = ChunkMode::try_from(chunk.mode) else {
@@ -173,7 +173,7 @@ impl Rig {
         taken.is_ok()
     }
 
-    /// What a good driver measures.
+    /// The measurement of a correct driver.
     fn measure(&mut self) {
         let mut message = Measurement {
             measured_ns: self.now_ns(),
@@ -184,7 +184,7 @@ impl Rig {
         };
         let bends = self.real.configuration();
         message.bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
-        // One that came before may have been a little ahead of its time; then this one is older.
+        // An earlier one may have been slightly ahead of its time; then this one is older.
         self.take_measurement(&message);
     }
 
@@ -212,7 +212,7 @@ impl Rig {
         }
     }
 
-    /// One cycle, `skipped` periods after the one that its inputs were gathered for.
+    /// One cycle, `skipped` periods after the intended one of its inputs.
     pub(crate) fn run_cycle(&mut self, skipped: u32) -> CycleRecord {
         let planned = self.next_cycle;
         self.gather(planned);
@@ -251,8 +251,8 @@ impl Rig {
         );
     }
 
-    /// Rates are finite and inside the limits, and so is what they lead to, unless the robot was measured
-    /// outside before; and the message that a driver gets is finite.
+    /// Checks that the rates and the resulting positions are finite and within the limits, unless the robot
+    /// was measured outside before, and that the message for the driver is finite.
     fn evaluate(&self, record: &CycleRecord) {
         let rates = &record.rates;
         assert!(rates.is_finite(), "{rates:?} in {:?}", record.mode);

@@ -1,5 +1,5 @@
-//! A script: what a robot's daemon gets from outside, message by message, and the cycles between. It has a
-//! text form, in which failures are shown and the corpus is kept.
+//! A script: the messages for a robot's daemon, and the cycles between them. Its text form is used for
+//! failures and for the corpus.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Request};
 
 use crate::fuzz::fields::{Fields, fields, name};
 
-/// The clock of every script at its begin \[ns\].
+/// The clock at the begin of every script \[ns\].
 pub(crate) const BEGIN_NS: u64 = 1_000_000_000_000;
 /// The period of every script \[ns\].
 pub(crate) const PERIOD_NS: u64 = 5_000_000;
@@ -20,13 +20,13 @@ pub(crate) struct Robot {
 }
 fields!(Robot { sections, driver });
 
-/// Some cycles.
+/// A number of cycles.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Run {
     pub(crate) cycles: u32,
-    /// Periods that are skipped before the first.
+    /// Skipped periods before the first cycle.
     pub(crate) skipped: u32,
-    /// 1: before each cycle a good driver measures the configuration that the commands lead to.
+    /// 1: before each cycle a correct driver measures the commanded configuration.
     pub(crate) measured: u32,
     /// 0: free, 1: held, else: expired.
     pub(crate) lease: u32,
@@ -97,13 +97,13 @@ impl Step {
     }
 }
 
-/// Steps, the robot first.
+/// Steps, beginning with the robot.
 #[derive(Clone)]
 pub(crate) struct Script(pub(crate) Vec<Step>);
 
 impl Script {
-    /// Reads the text form: `[message]`, then a line `field = value` for each that is not zero. A line that
-    /// begins with `#` is a remark.
+    /// Parses the text form: `[message]`, then a line `field = value` for each nonzero field. A line that
+    /// begins with `#` is a comment.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut steps: Vec<Step> = Vec::new();
         for (line, text) in (1..).zip(text.lines().map(str::trim)) {

@@ -1,4 +1,4 @@
-//! A real daemon, a client that sends it nonsense on every service, and one that watches.
+//! A real daemon, a client that sends invalid messages on every service, and a client that checks.
 
 use cdcr_client::{Connection, Driver, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
@@ -20,16 +20,17 @@ use crate::fuzz::fields::Fields;
 use crate::fuzz::rig::assert_finite;
 use crate::fuzz::script::{Robot, Step};
 
-/// Who sends the nonsense.
+/// Sender id of the invalid messages.
 const STRANGER: u64 = 0xbad;
-/// Messages of each kind that are sent at once: half of what one writer's queue holds, at most.
+/// Messages of each kind that are sent at once: at most half of the queue of one writer.
 const BURST: [(Kind, usize); 4] = [
     (Kind::Reference, 16),
     (Kind::Obstacles, 8),
     (Kind::Measurement, 8),
     (Kind::Request, 1),
 ];
-/// Requests before the nonsense, so that it meets a robot that moves. With them a client may have no more.
+/// Requests before the invalid messages, so that the robot moves. With them a client has its largest number
+/// of requests.
 const REQUESTS: [RequestKind; 3] = [
     RequestKind::AcquireLease,
     RequestKind::Reset,
@@ -45,7 +46,7 @@ enum Kind {
     Request,
 }
 
-/// Nonsense of one kind: any bytes, or a message that is nearly right at `now_ns`.
+/// An invalid message of one kind: arbitrary bytes, or a nearly valid message at `now_ns`.
 fn nonsense(kind: Kind, now_ns: u64) -> BoxedStrategy<Step> {
     fn any_bytes<T: Fields + Default + 'static>(to_step: fn(T) -> Step) -> BoxedStrategy<Step> {
         let bytes = draft::bytes(size_of::<T>());
@@ -73,14 +74,14 @@ fn nonsense(kind: Kind, now_ns: u64) -> BoxedStrategy<Step> {
     prop_oneof![1 => any, 4 => near].boxed()
 }
 
-/// A client that knows the services and keeps to none of their rules.
+/// A client that knows the services and violates their rules.
 struct Stranger {
     runner: TestRunner,
     reference: Publisher<ipc::Service, ReferenceChunk, ()>,
     obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
     measurement: Publisher<ipc::Service, Measurement, ()>,
     control: Client<ipc::Service, Request, (), Response, ()>,
-    /// Requests without an answer. Nobody reads the answers.
+    /// Requests without an answer; their answers are not read.
     pending: Vec<PendingResponse<ipc::Service, Request, (), Response, ()>>,
     sequence: u64,
     sent: u64,
@@ -124,7 +125,7 @@ impl Stranger {
         }
     }
 
-    /// A little of every kind, each handed to `send` as soon as it is made.
+    /// Some messages of every kind, each passed to `send` immediately.
     fn draw(&mut self, mut send: impl FnMut(&mut Self, Step)) {
         for kind in REQUESTS {
             let request = Request {
@@ -146,7 +147,7 @@ impl Stranger {
         self.draw(|stranger, step| stranger.send(&step));
     }
 
-    /// Bursts as fast as they can be sent, because they are made before.
+    /// Bursts at the highest rate, because the messages are prepared before.
     fn flood(&mut self) {
         let mut steps = Vec::new();
         for _ in 0..10 {
@@ -162,7 +163,7 @@ impl Stranger {
         }
     }
 
-    /// Sends a message; one without a header gets one, so that it is not refused for that alone.
+    /// Sends a message; one without a header gets one, so that it is not rejected for that alone.
     fn send(&mut self, step: &Step) {
         let header = self.next_header();
         let with = |given: Header| {
@@ -211,7 +212,7 @@ impl Stranger {
     }
 }
 
-/// A client that behaves. It reads every record, and finds no command that is not finite.
+/// A correct client. It reads every record, and checks that all commands are finite.
 struct Watcher {
     connection: Connection,
     telemetry: TelemetryStream,
@@ -241,7 +242,7 @@ impl Watcher {
         self.connection.status(TIMEOUT).unwrap()
     }
 
-    /// How many messages were counted, those of the last moments included.
+    /// Number of counted messages, including those of the last moments.
     fn settled(&self) -> u64 {
         let begin_ns = monotonic_ns();
         let first = wait_status(&self.connection, |status| status.header.sent_ns > begin_ns);
@@ -249,7 +250,7 @@ impl Watcher {
         counted(&then)
     }
 
-    /// Waits until the daemon has counted so many messages, and not one more.
+    /// Waits until the daemon has counted exactly `count` messages.
     fn wait_for(&mut self, count: u64) {
         wait_until("every message is counted", || {
             let status = self.look();
@@ -258,13 +259,13 @@ impl Watcher {
         });
     }
 
-    /// Takes the obstacles away, measures a robot that stands straight, and makes the daemon hold it.
+    /// Removes the obstacles, measures a straight robot, and makes the daemon hold it.
     fn recover(&mut self) {
         let obstacles = self.connection.obstacle_sender().unwrap();
         wait_until("the daemon holds the robot", || {
             self.measure();
             obstacles.clear().unwrap();
-            // Refused while the daemon still sees what the stranger measured.
+            // Rejected while the daemon still uses the invalid measurements.
             for kind in [RequestKind::Reset, RequestKind::Hold] {
                 let _ = self.connection.request(kind);
             }
@@ -287,7 +288,8 @@ fn counted(status: &Status) -> u64 {
     status.outcomes.iter().sum()
 }
 
-/// Sends nonsense to a daemon with this kind of robot, and waits after each burst until all of it is counted.
+/// Sends invalid messages to a daemon with this kind of robot, and waits after each burst until all are
+/// counted.
 fn outlives(link: &str, must_follow: bool) {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = {link:?}\nmeasurement_timeout_ms = 10000.0\n"
@@ -316,7 +318,7 @@ fn outlives(link: &str, must_follow: bool) {
         "{outcomes:?}"
     );
 
-    // What finds no room is lost, and the daemon does not mind.
+    // Messages beyond the queues are lost, without an effect on the daemon.
     stranger.flood();
     drop(stranger);
     watcher.recover();

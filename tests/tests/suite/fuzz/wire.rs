@@ -1,4 +1,4 @@
-//! Messages of clients and drivers: any bytes, nearly right ones, and whole scripts of them.
+//! Messages of clients and drivers: arbitrary bytes, nearly valid messages, and whole scripts of them.
 
 use cdcr_controller::estimator::Estimator;
 use cdcr_controller::reference::{
@@ -26,7 +26,8 @@ fn robot(sections: u32) -> Robot {
     Robot::new(&RobotParameters::paper(sections as usize)).unwrap()
 }
 
-/// Judges a message at the begin of the script's clock; what is accepted must be usable. Says whether it was.
+/// Checks a message at the begin of the script's clock; accepted messages must be usable. Returns whether it
+/// was accepted.
 fn evaluate(step: &Step, robot: &Robot) -> bool {
     match step {
         Step::Robot(_) | Step::Run(_) => true,
