@@ -1,7 +1,7 @@
-//! The last of all test programs: says what the others skipped. Its name puts it behind them.
+//! The last of all test programs, by its name: prints what the others skipped.
 //!
-//! It takes the arguments of a test harness. A harness that runs each test by itself, such as cargo-nextest, finds no
-//! test here.
+//! It takes the arguments of a test harness. A harness that runs each test separately, such as cargo-nextest,
+//! finds no test here.
 
 use std::process::ExitCode;
 
@@ -25,7 +25,7 @@ fn main() -> ExitCode {
             return ExitCode::SUCCESS;
         }
     };
-    // A test that skips a part of itself in several turns is one.
+    // A test that skips a part repeatedly counts once.
     skipped.dedup();
     for line in &skipped {
         println!("{line}");

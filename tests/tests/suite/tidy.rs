@@ -1,4 +1,5 @@
-//! The rules of ARCHITECTURE.md that the compiler does not keep: what a folder must not import, and how long a file may be.
+//! Rules of ARCHITECTURE.md that the compiler does not enforce: forbidden imports of a folder, and the length
+//! of a file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -33,10 +34,10 @@ const CRATES: [&str; 13] = [
     "python",
 ];
 
-/// No file is longer \[lines\].
+/// Largest length of a file \[lines\].
 const LINES_MAX: usize = 550;
 
-/// What must not stand in the sources below a path, and why: path | word | reason.
+/// Words that are forbidden in the sources below a path: path | word | reason.
 const FORBIDDEN: &str = "\
 controller/src | iceoryx2 | the mathematics knows no shared memory
 controller/src | std::time | the mathematics knows no clock
@@ -85,7 +86,7 @@ fn code(file: &Path) -> String {
     without_tests(&std::fs::read_to_string(file).unwrap())
 }
 
-/// Without comments, and without each item that stands behind `#[cfg(test)]`: up to its end, a line `;` or `}`.
+/// Removes comments, and each item after `#[cfg(test)]` up to its end, a line `;` or `}`.
 fn without_tests(text: &str) -> String {
     let mut kept = Vec::new();
     let mut lines = text
@@ -106,8 +107,8 @@ fn indent_of(line: &str) -> &str {
     &line[..line.len() - line.trim_start().len()]
 }
 
-/// Top modules of the crate that the code of a module names. `module` is its path from the crate's root. What a macro
-/// names by `$crate` belongs to where the macro is used.
+/// Top-level modules of the crate that the code of a module names. `module` is its path from the crate's
+/// root. Names after `$crate` in a macro belong to the place of its use.
 fn imports(code: &str, module: &[String]) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for (at, word) in code.match_indices("crate::") {
@@ -115,7 +116,7 @@ fn imports(code: &str, module: &[String]) -> BTreeSet<String> {
             names.extend(first_names(&code[at + word.len()..]));
         }
     }
-    // `super::super::` stands for as many modules up.
+    // `super::super::` leads up as many modules.
     let mut rest = code;
     while let Some(at) = rest.find("super::") {
         let mut ups = 0;
@@ -161,7 +162,7 @@ fn module_of(file: &Path) -> Vec<String> {
     parts.filter(|part| part != "mod").collect()
 }
 
-/// Each top module of a crate with those that it imports.
+/// Each top-level module of a crate with its imports.
 fn graph(source: &str) -> BTreeMap<String, BTreeSet<String>> {
     let root = workspace().join(source);
     let mut graph = BTreeMap::<String, BTreeSet<String>>::new();
@@ -180,7 +181,7 @@ fn graph(source: &str) -> BTreeMap<String, BTreeSet<String>> {
     graph
 }
 
-/// What is left when every module that imports nothing is taken away, again and again: empty without a circle.
+/// The rest after repeatedly removing every module without imports: empty without a circle.
 fn circles(mut graph: BTreeMap<String, BTreeSet<String>>) -> BTreeMap<String, BTreeSet<String>> {
     loop {
         let (free, rest): (BTreeMap<_, _>, BTreeMap<_, _>) = graph

@@ -1,4 +1,4 @@
-//! Nothing keeps a stop out: neither those who watch nor those who ask, neither the living nor the dead.
+//! Nothing prevents a stop: neither observers nor clients with requests, neither living nor dead ones.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -16,7 +16,7 @@ use rustix::process::Signal;
 
 use super::matrix::{TRIES, Timed, timed};
 
-/// Every connection that a daemon takes, with every reader of the status and everybody who may ask.
+/// Every connection that a daemon accepts, including all status readers and all request clients.
 pub(super) struct Crowd {
     pub(super) connections: Vec<Connection>,
     _statuses: Vec<cdcr_client::Stream<cdcr_shared_types::Status>>,
@@ -64,7 +64,7 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
     for _ in 0..3 {
         daemon.place().says("cdcrctl stop", 0, &[]);
         wait_mode(&mut telemetry, Mode::Stopped);
-        // Of the others, only who has a place can ask for anything.
+        // Of the others, only clients with a place can send requests.
         let place = daemon.place();
         place.says("cdcrctl reset", 1, &["close one of them"]);
         ask_for(&crowd.connections[0], RequestKind::Reset);
@@ -84,11 +84,11 @@ fn readers_leave_the_driver_and_the_daemon_their_places() {
     assert!(!references.is_empty());
     let full = connection.commands().expect_err("all are taken");
     assert!(matches!(full, LinkError::Port { .. }), "{full:?}");
-    // One driver, and the one that takes its place before it has gone.
+    // One driver, and the one that replaces it before it has gone.
     let first = connection.driver(Interface::Velocity).unwrap();
     let second = connection.driver(Interface::Velocity).unwrap();
     drop((first, second));
-    // A daemon that is started again needs readers of its own, too.
+    // A restarted daemon needs readers of its own, too.
     daemon.kill();
     daemon.restart();
     drop((commands, references));
@@ -106,7 +106,7 @@ fn measure_straight(driver: &Driver) {
 
 #[test]
 fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
-    // Before the first measurement a machine that stalls could stop it for its misses.
+    // Before the first measurement, a stalled machine could stop it for its misses.
     let daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n"
     ));
@@ -114,10 +114,10 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
     let crowd = Crowd::of(location);
     let mut telemetry = crowd.connections[0].telemetry().unwrap();
     let connect = || Driver::connect(location, ROBOT, Interface::Velocity);
-    // One that was lost, and the one that takes its place before that has gone.
+    // A lost client, and the one that replaces it before it has gone.
     let first = connect().unwrap();
     let second = connect().unwrap();
-    // A third waits until there is a place again.
+    // A third one waits for a free place.
     let refused = connect().expect_err("all places are taken");
     assert!(matches!(refused, ConnectError::Full { .. }), "{refused:?}");
     let third = std::thread::scope(|scope| {
@@ -137,7 +137,7 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
     assert!(matches!(full, ConnectError::Full { .. }), "{full:?}");
 }
 
-/// A client that finds no place takes none that is kept for a driver, not even for a moment.
+/// A client that finds no place takes none that is reserved for a driver, not even for a moment.
 #[test]
 fn clients_that_try_to_connect_again_and_again_keep_no_driver_out() {
     let daemon = Daemon::start("[link]\nkind = \"driver\"\n");
@@ -165,13 +165,13 @@ fn clients_that_try_to_connect_again_and_again_keep_no_driver_out() {
     });
 }
 
-/// Set for the process that makes nodes and is killed: prefix and root.
+/// Set for the process that creates nodes and is killed: prefix and root.
 const VICTIM: &str = "CDCR_TEST_VICTIM";
-/// Nodes of one process: each has a file open.
+/// Nodes of one process, each with an open file.
 const NODES: usize = 300;
-/// Processes that are killed.
+/// Number of killed processes.
 const VICTIMS: usize = 4;
-/// Dead nodes that a daemon clears away in a second, and the looks that a test may meet.
+/// Dead nodes that a daemon removes in a second, with the checks that a test may meet.
 const CLEARED_PER_S: u64 = 8;
 
 pub(super) fn dead_nodes(location: &Location) -> u64 {
@@ -185,7 +185,7 @@ pub(super) fn dead_nodes(location: &Location) -> u64 {
     dead
 }
 
-/// Makes nodes until it is killed.
+/// Creates nodes until the process is killed.
 pub(super) fn die() -> bool {
     let Ok(place) = std::env::var(VICTIM) else {
         return false;
@@ -237,7 +237,7 @@ fn a_stop_does_not_wait_for_the_dead() {
     let took = timed[0].took;
     let after = dead_nodes(location);
     println!("beside {before} dead nodes: a stop took {took:?}, and {after} were left");
-    // It cleared none away; the daemon did.
+    // The client removed none; the daemon did.
     let looks = begin.elapsed().as_secs() + 2;
     assert!(
         after + CLEARED_PER_S * looks >= before,

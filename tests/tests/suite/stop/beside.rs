@@ -1,4 +1,4 @@
-//! What could keep a stop out.
+//! Conditions that could prevent a stop.
 
 use std::io::{ErrorKind, PipeReader, Write};
 use std::os::fd::{AsFd, OwnedFd};
@@ -22,23 +22,23 @@ pub(super) enum Beside {
     FullMemory,
     FewInodes,
     EmptiedRoot,
-    /// A pipe that nobody reads.
+    /// A pipe that is not read.
     FullStderr,
-    /// A journal that takes nothing any more.
+    /// A journal that accepts nothing more.
     FullJournal,
 }
 
-/// Where the journal listens.
+/// Folder of the journal's socket.
 const JOURNAL: &str = "/run/systemd/journal";
 
-/// What lies in the way of a stop until this is dropped.
+/// A condition that lasts until this is dropped.
 pub(super) enum Obstruction {
     None,
     Thread(#[expect(dead_code, reason = "held")] Hung),
     Memory(#[expect(dead_code, reason = "held")] Filled),
 }
 
-/// The ends of a log that nobody reads.
+/// The ends of a log that is not read.
 pub(super) enum Unread {
     Nothing,
     Pipe(#[expect(dead_code, reason = "held")] PipeReader),
@@ -49,7 +49,8 @@ pub(super) enum Unread {
 }
 
 impl Beside {
-    /// Whether the test of this name can go on here. Where it needs mounts of its own, it runs in another process that has them.
+    /// Whether the test of this name can continue here. If it needs private mounts, it runs in another
+    /// process that has them.
     pub(super) fn is_ready(self, test: &str) -> bool {
         match self {
             Self::FullMemory => has_own_mounts(test) && mount_memory("size=128m"),
@@ -62,7 +63,8 @@ impl Beside {
         }
     }
 
-    /// Slow enough that a robot still moves when the stop arrives. A hung exchange needs room for the records of a second.
+    /// Slow enough that the robot still moves when the stop arrives. A hung exchange needs space for the
+    /// records of one second.
     fn configuration(self) -> String {
         let period_ms = if self == Self::HungExchange {
             50.0
@@ -106,14 +108,14 @@ impl Beside {
         }
     }
 
-    /// What happens to a daemon before it is stopped the first time.
+    /// Prepares a daemon before its first stop.
     pub(super) fn prepare(self, daemon: &Daemon, test: &str) {
         if self == Self::DeadNodes {
             kill_a_victim(daemon.place(), test);
         }
     }
 
-    /// Puts it in the way of the next stop. None: the system does not let us.
+    /// Creates the condition for the next stop. `None` if the system does not permit it.
     pub(super) fn obstruct(self, daemon: &Daemon) -> Option<Obstruction> {
         let hung = |name| Hung::new(daemon.id(), name).map(Obstruction::Thread);
         match self {
@@ -127,7 +129,7 @@ impl Beside {
         Some(Obstruction::None)
     }
 
-    /// Why a stop is sent as a signal alone, in words that it prints. None: it is confirmed.
+    /// Reason, as printed, why a stop is sent only as a signal. `None`: the stop is confirmed.
     pub(super) fn unconfirmed(self) -> Option<&'static str> {
         match self {
             Self::FullMemory => Some("is full"),
@@ -137,18 +139,18 @@ impl Beside {
         }
     }
 
-    /// Whether floods come in each mode also in a short run.
+    /// Whether floods occur in each mode even in a short run.
     pub(super) fn is_flooded_in_each_mode(self) -> bool {
         matches!(self, Self::Nothing | Self::HungSupervisor)
     }
 
-    /// Whether the daemon may give some room free meanwhile, so that a stop can be confirmed all the same.
+    /// Whether the daemon may free space meanwhile, so that a stop can be confirmed nevertheless.
     pub(super) fn may_have_room(self) -> bool {
         matches!(self, Self::FullMemory | Self::FewInodes)
     }
 }
 
-/// Until it takes nothing more; who writes then, waits.
+/// Writes until nothing more is accepted; a further writer blocks.
 fn fill(writer: &mut (impl Write + AsFd)) {
     let flags = fcntl_getfl(&writer).unwrap();
     fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();

@@ -1,4 +1,4 @@
-//! A stop holds until somebody resets it, also beyond the end of the daemon, however that ends.
+//! A stop lasts until a reset, also across the end of the daemon, however it ends.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use crate::faults::threads::Hung;
 use crate::faults::trail::{Trail, is};
 use crate::stop::place::empty;
 
-/// Deadlines that a stalled machine misses stop nothing here.
+/// Deadline misses of a stalled machine stop nothing here.
 const CALM: &str = "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n";
 
 fn latch_of(daemon: &Daemon) -> PathBuf {
@@ -24,13 +24,13 @@ fn latch_of(daemon: &Daemon) -> PathBuf {
     lock.with_extension("latch")
 }
 
-/// Of a simulated robot, which is measured at once.
+/// For a simulated robot, which is measured at once.
 fn mode_after_start(connection: &Connection) -> (u32, u32) {
     let status = wait_status(connection, |status| status.mode != Mode::Starting.code());
     (status.mode, status.reason)
 }
 
-/// The daemon that was started again refuses to move the robot, says why, and goes on after a reset.
+/// Checks that the restarted daemon refuses to move the robot, gives the reason, and continues after a reset.
 fn assert_waits_for_reset(daemon: &Daemon, before: &str) {
     let connection = daemon.connect();
     let stopped = (Mode::Stopped.code(), Reason::StoppedBefore.code());
@@ -59,7 +59,7 @@ fn a_stop_that_was_answered_holds_beyond_a_kill() {
         ask_for(&connection, RequestKind::Home);
         ask_for(&connection, RequestKind::Stop);
         daemon.kill();
-        // Twice: what was found counts as long as nobody resets it.
+        // Twice: the stop that was found remains valid until a reset.
         for _ in 0..2 {
             daemon.restart();
             let connection = daemon.connect();
@@ -68,7 +68,7 @@ fn a_stop_that_was_answered_holds_beyond_a_kill() {
         }
         daemon.restart();
         assert_waits_for_reset(&daemon, "stopped (requested)");
-        // And a reset that was answered holds, too.
+        // An answered reset lasts, too.
         let connection = daemon.connect();
         ask_for(&connection, RequestKind::Stop);
         ask_for(&connection, RequestKind::Reset);
@@ -106,7 +106,7 @@ fn a_stop_while_the_daemon_ends_holds_for_the_next() {
         let connection = daemon.connect();
         let mut trail = Trail::new(&connection);
         ask_for(&connection, RequestKind::Home);
-        // Its ramp takes 4 s then.
+        // Its ramp then takes 4 s.
         trail.until("at speed", |record| {
             largest(&record.command.bend_rate_rad_s) > 0.4
         });
@@ -127,7 +127,7 @@ fn a_stop_while_the_daemon_ends_holds_for_the_next() {
     }
 }
 
-/// Where the cycle hangs nobody carries the stop out, and the next daemon must not move the robot all the same.
+/// A hung cycle cannot execute the stop, but the next daemon must not move the robot.
 #[test]
 fn a_stop_that_finds_a_hung_cycle_holds_for_the_next_daemon() {
     for by_signal in [false, true] {
@@ -159,7 +159,7 @@ fn a_fault_holds_beyond_a_kill_and_an_orderly_end() {
     for is_killed in [true, false] {
         let connection = daemon.connect();
         let (mut trail, robot) = Robot::held(&connection, 1.0);
-        // It falls silent.
+        // The driver falls silent.
         trail.until("faulted", is(Mode::Faulted));
         drop((robot, trail, connection));
         if is_killed {
@@ -170,7 +170,7 @@ fn a_fault_holds_beyond_a_kill_and_an_orderly_end() {
         daemon.restart();
         let connection = daemon.connect();
         let mut trail = Trail::new(&connection);
-        // Before anything is measured.
+        // Before the first measurement.
         trail.until("starting", is(Mode::Starting));
         let mut robot = Robot::new(&connection, 1.0);
         let (before, stopped) = trail.until_while("stopped", || robot.turn(), is(Mode::Stopped));
@@ -179,7 +179,7 @@ fn a_fault_holds_beyond_a_kill_and_an_orderly_end() {
         let wanted = "faulted (the measurement is lost)";
         assert!(daemon.log().contains(wanted), "{}", daemon.log());
         refused(&connection, RequestKind::Home);
-        // Where a stall makes it a fault anew, it waits for a measurement.
+        // If a stall causes another fault, the daemon waits for a measurement.
         wait_until("a reset", || {
             robot.turn();
             connection

@@ -1,5 +1,6 @@
-//! A stop in each mode, beside each thing that could keep it out, with and without floods: accepted and at rest within
-//! the cycles of the ramp, or an error that is true and a robot that rests all the same; never a success that is not.
+//! A stop in each mode, under each condition that could prevent it, with and without floods. Either it is
+//! accepted and the robot rests within the cycles of the ramp, or the error is true and the robot rests
+//! nevertheless. A false success never occurs.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -21,27 +22,28 @@ use crate::own_mounts::name_of;
 
 /// Modes that one daemon is brought to one after the other.
 const MODES: [Mode; 4] = [Mode::Holding, Mode::Tracking, Mode::Homing, Mode::Stopped];
-/// From the shell to the answer; judged only where a bare loop beside it and the starts around it were undisturbed.
+/// Time limit from the shell to the answer. Checked only when a bare loop meanwhile and the starts before and
+/// after were undisturbed.
 const STOP_MAX: Duration = Duration::from_millis(300);
-/// Where nobody answers, a client sends the signal after the first, and gives up after both.
+/// Without an answer, a client sends the signal after the first time, and gives up after both.
 const UNANSWERED: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
-/// A machine on which a program starts and ends in this time, and a thread that sleeps wakes up within the other, is not
-/// disturbed.
+/// An undisturbed machine starts and ends a program within this time, and wakes a sleeping thread within the
+/// next one.
 const START_MAX: Duration = Duration::from_millis(80);
 const OVERSLEPT_MAX: Duration = Duration::from_millis(10);
-/// A stop that the machine disturbed where nobody saw it is tried again so often.
+/// Attempts for a stop that is late without an observed disturbance.
 pub(super) const TRIES: usize = 3;
 
 const BENT: &str = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-/// Nobody measures: it keeps starting.
+/// Without measurements, the daemon keeps starting.
 const UNHEARD: &str = "[link]\nkind = \"driver\"\n";
 
-/// In the body of the robot: a fault.
+/// Inside the robot's body: a fault.
 fn ball_inside() -> Obstacle {
     ball(63, [0.0, 0.0, 0.02])
 }
 
-/// What a stop took, and whether the machine was seen to disturb it.
+/// Duration of a stop, and whether a disturbance of the machine was observed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Timed {
     pub(super) took: Duration,
@@ -49,7 +51,7 @@ pub(super) struct Timed {
 }
 
 impl Timed {
-    /// Longer than is promised, and the machine was not seen to disturb it.
+    /// Whether it took longer than guaranteed without an observed disturbance.
     pub(super) fn is_late(&self) -> bool {
         self.is_longer_than(STOP_MAX)
     }
@@ -59,19 +61,20 @@ impl Timed {
     }
 }
 
-/// A row of the table: what lies in the way of a stop, and what the stops took.
+/// A row of the table: a condition, and the durations of its stops.
 struct Row {
     beside: Beside,
     has_floods: bool,
-    /// To the answer.
+    /// From the request to the answer.
     answers: Vec<Duration>,
-    /// To the release of the first command of a mode that stops, where it was another before.
+    /// From the request to the release of the first command in a stopping mode, if the mode before was
+    /// another one.
     stopped: Vec<Duration>,
 }
 
 impl Row {
-    /// Stops a daemon in `mode` and has it hold again, unless that cannot be; whether within the time that is promised, wherever the
-    /// machine was not seen to disturb it. None: the system lets nobody hang.
+    /// Stops a daemon in `mode`, and makes it hold again if possible. Returns whether the stop was late
+    /// without an observed disturbance. `None` if the system does not permit the condition.
     fn stop_in(&mut self, stage: &mut Stage<'_>, mode: Mode) -> Option<bool> {
         let connection = stage.connection;
         let feeding = (mode == Mode::Tracking).then(|| track(connection, 100, 40));
@@ -86,7 +89,7 @@ impl Row {
         }
         let obstruction = self.beside.obstruct(stage.daemon)?;
         let place: &Place = stage.daemon.place();
-        // A stop that nobody answers takes as long as the queue of the trail lasts.
+        // A stop without an answer takes as long as the queue of the trail lasts.
         let (timed, output, begin_ns) = stage.trail.keep_while(|| {
             let (mut output, mut begin_ns) = (None, 0);
             let timed = timed(place, || {
@@ -113,7 +116,7 @@ impl Row {
         Some(!is_late)
     }
 
-    /// A line for the reader. Whether it was late.
+    /// Prints a line. Returns whether the stop was late.
     fn note(&mut self, mode: Mode, timed: Timed, stopped: Option<Duration>) -> bool {
         let note = if timed.is_undisturbed {
             ""
@@ -159,7 +162,7 @@ impl Row {
         }
     }
 
-    /// Until it took no longer in any mode than is promised.
+    /// Repeats the modes with a late stop.
     fn stop_daemons(&mut self, modes: &[Mode], test: &str) {
         let mut left = modes.to_vec();
         for _ in 0..TRIES {
@@ -171,7 +174,7 @@ impl Row {
         panic!("{left:?} beside {:?}", self.beside);
     }
 
-    /// The modes in which it took longer than is promised.
+    /// Returns the modes with a late stop.
     fn stop_one_daemon(&mut self, modes: &[Mode], test: &str) -> Vec<Mode> {
         let link = if modes == [Mode::Starting] {
             UNHEARD
@@ -181,7 +184,7 @@ impl Row {
         let (mut daemon, _log) = self.beside.start(link);
         let connection = daemon.connect();
         if modes == [Mode::Faulted] {
-            // Before the floods, whose own obstacles may take all the room.
+            // Before the floods, whose obstacles may take all the space.
             let obstacles = connection.obstacle_sender().unwrap();
             obstacles.upsert(&[ball_inside()]).unwrap();
             wait_status(&connection, |status| status.mode == Mode::Faulted.code());
@@ -201,7 +204,7 @@ impl Row {
                 !self.has_floods || begun(&done.updates) && begun(&done.chunks)
             });
             connection.prepare_requests().unwrap();
-            // It takes long to come, beside floods.
+            // Its clients need a long time to connect beside floods.
             let _crowd = (self.beside == Beside::Crowd).then(|| Crowd::of(place.location()));
             let mut stage = Stage {
                 daemon: &daemon,
@@ -219,7 +222,7 @@ impl Row {
     }
 }
 
-/// A daemon that is stopped.
+/// The daemon of a stop.
 struct Stage<'a> {
     daemon: &'a Daemon,
     connection: &'a Connection,
@@ -228,7 +231,7 @@ struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// The robot rests from the cycle on that the answer names, whose record this is.
+    /// Checks that the robot rests from the cycle in the answer on, and returns the record of that cycle.
     fn confirmed(&mut self, output: &std::process::Output, mode: Mode) -> Telemetry {
         let goal = if mode == Mode::Faulted {
             Mode::Faulted
@@ -249,8 +252,8 @@ impl Stage<'_> {
         first
     }
 
-    /// Nobody answers, and it is not said that the robot is stopped; it is. The record of the first cycle that stops it, if it was
-    /// not at rest before.
+    /// Checks that there is no answer, that the output does not claim a stopped robot, and that the robot
+    /// rests. Returns the record of the first cycle that stops it, unless it was at rest before.
     fn not_confirmed(
         &mut self,
         output: &std::process::Output,
@@ -259,7 +262,8 @@ impl Stage<'_> {
     ) -> Option<Telemetry> {
         let printed = text(output);
         assert_eq!(output.status.code(), Some(1), "{printed}");
-        // A daemon that finds its folder emptied before the stop comes rests and ends; its exit status is looked at later.
+        // If the daemon detects its emptied folder before the stop, it comes to rest and ends; its exit
+        // status is checked later.
         let has_ended = self.may_end && printed.contains("no daemon is running");
         for words in ["not confirmed", words] {
             assert!(has_ended || printed.contains(words), "{words}: {printed}");
@@ -273,7 +277,8 @@ impl Stage<'_> {
     }
 }
 
-/// How long `stop` takes, beside a bare loop that sleeps, and between two starts of a program that does nothing.
+/// Duration of `stop`, measured beside a sleeping bare loop and between two starts of a program that does
+/// nothing.
 pub(super) fn timed(place: &Place, stop: impl FnOnce()) -> Timed {
     let started = start_a_program(place);
     let ending = AtomicBool::new(false);
@@ -299,18 +304,18 @@ fn start_a_program(place: &Place) -> Duration {
     begin.elapsed()
 }
 
-/// The cycle that a client says its request was accepted in.
+/// The cycle that accepted the request, according to the client.
 fn accepted_in(printed: &str) -> u64 {
     let (_, cycle) = printed.split_once("accepted in cycle ").unwrap();
     cycle.split(',').next().unwrap().parse().unwrap()
 }
 
-/// Rounds of stops, for a table of what they take.
+/// Number of rounds of stops, for a table of their durations.
 fn rounds() -> usize {
     asked("CDCR_STOP_ROUNDS").unwrap_or(1)
 }
 
-/// Whether each row is flooded in each mode: floods take the cores from the tests beside.
+/// Whether each row is flooded in each mode: floods take the cores from parallel tests.
 fn is_whole() -> bool {
     let asks = |key: &str| std::env::var_os(key).is_some();
     asks("CDCR_WHOLE") || asks("CDCR_STOP_ROUNDS")

@@ -1,5 +1,5 @@
-//! The files by which clients find a daemon are deleted while it runs: it makes them again or ends, no second one
-//! starts beside it, and no stop is said to have succeeded that did not.
+//! The files by which clients find a daemon are deleted while it runs. The daemon creates them again or ends,
+//! no second one starts beside it, and no stop is falsely reported as a success.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -24,7 +24,7 @@ use rustix::process::{Signal, geteuid};
 
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
-/// A second daemon at the same place is refused, and names the first.
+/// Checks that a second daemon at the same place is rejected with a message that names the first.
 fn assert_second_is_refused(daemon: &Daemon) {
     let process = format!("process {}", daemon.id());
     daemon.place().says("cdcrd run", 69, &[&process]);
@@ -50,7 +50,7 @@ fn a_deleted_lock_file_is_made_again_and_lets_no_second_daemon_in() {
     assert!(!lock.exists(), "the end removes it");
 }
 
-/// A second daemon does not start while the first runs.
+/// Checks that a second daemon does not start while the first runs.
 fn assert_none_starts_beside(daemon: &mut Daemon) {
     let mut second = Program::start(daemon.place().command("cdcrd").arg("run"));
     wait_until("one of them ends", || !second.runs() || !daemon.runs());
@@ -58,13 +58,13 @@ fn assert_none_starts_beside(daemon: &mut Daemon) {
         let output = second.output();
         assert_eq!(output.status.code(), Some(69), "{}", text(&output));
     } else if second.runs() {
-        // The machine stalled for so long that the first had come to its end.
+        // The machine stalled for so long that the first had ended.
         second.signal(Signal::TERM);
         second.output();
     }
 }
 
-/// Sends the robot home slowly, says when it moves, and follows it to its rest: it never stops on its way but by its ramp.
+/// Homes the robot slowly, signals when it moves, and follows it to rest: it stops only by its ramp.
 fn follow_to_rest(location: &Location, moves: &Sender<()>) {
     let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
     let mut trail = Trail::new(&connection);
@@ -76,8 +76,8 @@ fn follow_to_rest(location: &Location, moves: &Sender<()>) {
     assert_ramps_to_rest(&mut trail, &stopped, || {});
 }
 
-/// Deletes with `delete` while the robot moves; then it comes to rest, the daemon ends with a number of its own, and nobody took
-/// its place meanwhile.
+/// Calls `delete` while the robot moves. Then it comes to rest, the daemon ends with its own status, and no
+/// other daemon took its place meanwhile.
 fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
     let mut daemon = Daemon::start(&format!(
         "{PATIENT}[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n[motion]\nhome_rate_rad_s = 0.05\n"
@@ -102,12 +102,12 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
     assert_eq!(left, Vec::<PathBuf>::new());
 }
 
-/// Neither a second daemon nor a stop takes a daemon without its files for none.
+/// Checks that neither a second daemon nor a stop takes a daemon without its files for an ended one.
 fn assert_stop_is_not_confirmed(daemon: &mut Daemon) {
     assert_none_starts_beside(daemon);
     let output = daemon.place().cdcrctl(&["stop"]);
     let printed = text(&output);
-    // The daemon may have ended meanwhile, where the machine stalls.
+    // On a stalled machine the daemon may have ended meanwhile.
     assert!(!output.status.success(), "{printed}");
     assert!(
         printed.contains("not confirmed") || !daemon.runs(),
@@ -129,7 +129,7 @@ pub(super) fn empty(folder: &Path) {
         } else {
             fs::remove_file(path)
         };
-        // What goes by itself meanwhile is gone, too.
+        // Files that vanish meanwhile are gone, too.
         assert!(removed.is_ok() || removed.is_err_and(|error| error.kind() == ErrorKind::NotFound));
     }
 }
@@ -151,7 +151,7 @@ fn a_replaced_root_folder_ends_the_daemon_at_rest() {
 fn programs_that_delete_old_files_leave_the_root_folder_alone() {
     let daemon = Daemon::start(PATIENT);
     let root = fs::File::open(daemon.place().location().root()).unwrap();
-    // systemd-tmpfiles takes this lock before it goes into a folder, and passes by one that is taken.
+    // systemd-tmpfiles locks a folder before it enters it, and skips a locked one.
     wait_until("the folder is locked", || {
         let locked = flock(&root, FlockOperation::NonBlockingLockExclusive);
         if locked.is_ok() {
@@ -161,7 +161,7 @@ fn programs_that_delete_old_files_leave_the_root_folder_alone() {
     });
 }
 
-/// Asks without end who has the daemon's name, so that nobody else is answered.
+/// Queries the owner of the daemon's name without end, so that other clients get no answer.
 struct Flood {
     is_over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
@@ -174,7 +174,8 @@ impl Flood {
         let is_over = Arc::new(AtomicBool::new(false));
         let ask = |(address, seen): (SocketAddr, Arc<AtomicBool>)| {
             while !seen.load(Ordering::Relaxed) {
-                // Waits until there is room in the queue, and fills it again. The daemon that ends refuses.
+                // Waits until there is space in the queue, and fills it again. An ending daemon refuses the
+                // connection.
                 let _ = UnixStream::connect_addr(&address);
             }
         };
@@ -211,7 +212,8 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
         .stdout(Stdio::null())
         .stderr(Stdio::piped());
     let mut second = second.spawn().unwrap();
-    // Where the machine stalls for a second, the first saw the other's lock file and came to rest before the other took its place.
+    // If the machine stalls for a second, the first saw the other's lock file and came to rest before the
+    // other took its place.
     let mut is_over = || second.try_wait().unwrap().is_some();
     wait_until("one of them ended", || is_over() || !daemon.runs());
     let _ = second.kill();
@@ -219,7 +221,7 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
     if let Some(status) = output.status.code() {
         let printed = text(&output);
         assert_eq!(status, 69, "{printed}");
-        // Where the machine stalls, the first has made its lock file again.
+        // If the machine stalls, the first has created its lock file again.
         let words = ["writes to the service", "already running"];
         assert!(
             words.iter().any(|words| printed.contains(words)),
@@ -230,7 +232,8 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
     assert_repairs_its_place_or_has_ended(&mut daemon);
 }
 
-/// Two never lived at a time: the first has its lock file again, or saw another's there and came to rest.
+/// Checks that two daemons never ran at a time: the first has its lock file again, or saw the other's and
+/// came to rest.
 fn assert_repairs_its_place_or_has_ended(daemon: &mut Daemon) {
     let lock = daemon.place().location().lock_file(ROBOT);
     wait_until("it has repaired its place, or ended", || {
@@ -243,7 +246,8 @@ fn assert_repairs_its_place_or_has_ended(daemon: &mut Daemon) {
     }
 }
 
-/// A second daemon at the same place, in a network of its own, where nobody has the name. None: the system grants it not; it is said so.
+/// Starts a second daemon at the same place in a private network, where the name is free. `None`, with a
+/// message, if the system does not permit it.
 fn second_in_its_own_network(daemon: &mut Daemon) -> Option<Output> {
     let inner = daemon.place().command("cdcrd");
     let mut command = Command::new("unshare");
@@ -281,7 +285,8 @@ fn a_second_daemon_in_another_network_is_refused_with_and_without_a_lock_file() 
     assert!(daemon.runs(), "{}", daemon.log());
     fs::remove_file(daemon.place().location().lock_file(ROBOT)).unwrap();
     if let Some(second) = second_in_its_own_network(&mut daemon) {
-        // Where the machine stalls, the first saw the other's lock file and came to rest: then its place is free.
+        // If the machine stalls, the first saw the other's lock file and came to rest: then its place is
+        // free.
         let printed = text(&second);
         assert!(
             second.status.code() == Some(69) || !daemon.runs(),

@@ -1,4 +1,4 @@
-//! What signals do: SIGUSR1 stops the robot, SIGHUP reads the configuration again.
+//! Signals: SIGUSR1 stops the robot, SIGHUP reloads the configuration.
 
 use std::time::Duration;
 
@@ -31,15 +31,15 @@ fn a_signal_stops_a_moving_robot_and_latches() {
         assert_eq!(before.mode, Mode::Homing.code());
         assert_eq!(stopped.reason, Reason::Request.code());
         assert_ramps_to_rest(&mut trail, &stopped, || robot.turn());
-        // Once more changes nothing, and nothing but a reset leaves it.
+        // Another signal changes nothing, and only a reset leaves the mode.
         daemon.signal(Signal::USR1);
         refused(&connection, RequestKind::Home);
         let (_, later) = trail.until_while("later", || robot.turn(), |_| true);
         assert_eq!(later.mode, Mode::Stopped.code());
-        // The second signal has been taken, too, or it would stop the robot again.
+        // The second signal has been handled, too, or it would stop the robot again.
         let seen = ask_for(&connection, RequestKind::Stop).cycle;
         trail.until_while("a cycle later", || robot.turn(), |now| now.cycle > seen);
-        // Where a stall delayed the signal, its stop comes in the cycle of the reset.
+        // If a stall delayed the signal, its stop comes in the cycle of the reset.
         wait_until("a reset", || {
             match connection.request_within(RequestKind::Reset, TIMEOUT) {
                 Ok(_) => true,
@@ -54,7 +54,8 @@ fn a_signal_stops_a_moving_robot_and_latches() {
     }
 }
 
-/// Another thread may be kept from its core, by a task of higher priority for example, and the signal with it.
+/// Any other thread may be kept from its core, for example by a task of higher priority, which would delay
+/// the signal.
 #[test]
 fn only_the_cycle_takes_the_signal() {
     let daemon = Daemon::start(PATIENT);
@@ -79,7 +80,7 @@ fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
             return Some(());
         };
         let mut stop = Program::start(daemon.place().command("cdcrctl").arg("stop"));
-        // By then it has sent the signal, and asks again.
+        // By then it has sent the signal, and repeats its request.
         std::thread::sleep(Duration::from_millis(600));
         let is_asking = stop.runs();
         drop(hung);
@@ -156,7 +157,7 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
     let nearer = "controller.safe_distance_m = 0.001 is below 0.01";
     reload("[controller]\nsafe_distance_m = 0.001\n", nearer);
     assert_eq!(connection.settings().unwrap(), in_force);
-    // The file as it was: the settings of the start.
+    // The original file: the settings of the start.
     reload(PATIENT, "applied keys: controller.horizon_steps");
     wait_until("it is in force", || {
         connection.settings().unwrap() == before

@@ -1,4 +1,4 @@
-//! What is recorded around something that happens, and what viewers draw of a recording.
+//! Recordings around an event, and what viewers draw of a recording.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -20,7 +20,7 @@ use cdcr_tests::{
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// What a file holds: bytes of each message by the topic's last name, and the names of the attachments.
+/// Contents of a file: bytes of each message by the last part of its topic, and the names of the attachments.
 fn content(file: &Path) -> (BTreeMap<String, Vec<Vec<u8>>>, BTreeSet<String>) {
     let mut reader = Reader::new(fs::File::open(file).unwrap()).unwrap();
     let (mut messages, mut attachments) = (BTreeMap::<_, Vec<_>>::new(), BTreeSet::new());
@@ -45,7 +45,7 @@ fn info(daemon: &Daemon, file: &str) -> Value {
     serde_json::from_str(&daemon.place().says(&line, 0, &[])).unwrap()
 }
 
-/// Starts one of our commands.
+/// Starts a command of `cdcrctl`.
 fn start(daemon: &Daemon, arguments: &[&str]) -> Program {
     let place = daemon.place();
     let mut command = place.command("cdcrctl");
@@ -84,7 +84,7 @@ fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
             "{topic}"
         );
     }
-    // Records that a machine's stall left out have no picture.
+    // Records lost in a stall of the machine have no scene.
     let pictures = messages["scene"].len() as f64;
     assert!(
         (0.5..1.05).contains(&(pictures / (30.0 * seconds))),
@@ -103,12 +103,12 @@ fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
     );
 }
 
-/// A disk does it beside a build; here, a standard error that nobody reads.
+/// A disk may block under the load of a build; here, standard error is not read.
 #[test]
 fn what_makes_a_recorder_wait_loses_nothing() {
     let daemon = Daemon::start(PATIENT);
     let (mut unread, mut full) = std::io::pipe().unwrap();
-    // A page, however large pages are and whatever pipes begin with.
+    // One page, independent of the page size and of the default capacity of pipes.
     let room = rustix::pipe::fcntl_setpipe_size(&full, 1).unwrap();
     let told = "waiting for mode; Ctrl-C to end\n";
     full.write_all(&vec![b'.'; room - 1 - told.len()]).unwrap();
@@ -123,7 +123,7 @@ fn what_makes_a_recorder_wait_loses_nothing() {
         rustix::io::ioctl_fionread(&unread).unwrap() == room as u64 - 1
     });
     ask_for(&daemon.connect(), RequestKind::Home);
-    // Longer than the queue of telemetry, and than what shall be recorded.
+    // Longer than the queue of telemetry, and than the duration of the recording.
     std::thread::sleep(Duration::from_secs(3));
     std::io::copy(&mut unread, &mut std::io::sink()).unwrap();
     assert!(recorder.wait().unwrap().success());
@@ -131,12 +131,13 @@ fn what_makes_a_recorder_wait_loses_nothing() {
     for (name, channel) in info["channels"].as_object().unwrap() {
         assert_eq!(channel["missing"], 0, "{name}: {info}");
     }
-    // By the stamps of the records, not by when they could be written. A stall parts a release from its stamp.
+    // By the stamps of the records, not by the time of writing. A stall may separate a release from its
+    // stamp.
     let seconds = info["duration_s"].as_f64().unwrap();
     assert!((0.5..2.0).contains(&seconds), "{info}");
 }
 
-/// What a program says that ends by itself; none where it has not after a while, and is ended.
+/// Output of a program that ends by itself; `None` if it has not ended in time and is stopped.
 fn output_of_one_that_ends(mut program: Program) -> Option<Output> {
     let begin = Instant::now();
     while program.runs() && begin.elapsed() < Duration::from_secs(10) {
@@ -153,22 +154,23 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
         let daemon = Daemon::start(PATIENT);
         let recorder = start(&daemon, &around);
         let file = daemon.place().folder().join("mode.mcap");
-        // Long enough that its memory is full.
+        // Long enough to fill its memory.
         std::thread::sleep(Duration::from_secs(2));
         assert!(!file.exists());
         let connection = daemon.connect();
         ask_for(&connection, RequestKind::Stop);
-        // One that the machine held up for longer sees no change.
+        // A recorder delayed for longer by the machine misses the change.
         assert_says(&output_of_one_that_ends(recorder)?, 0, &["mode.mcap"]);
         let found = info(&daemon, "mode.mcap");
         let cycles = |mode: &str| found["modes"][mode].as_u64().unwrap_or(0);
-        // In a second before and half a second after: fewer where the machine skipped periods, more where it held the recorder up.
+        // One second before and half a second after: fewer records if the machine skipped periods, more if it
+        // delayed the recorder.
         let is_meant =
             (100..=201).contains(&cycles("holding")) && (20..=220).contains(&cycles("stopped"));
         is_meant.then_some((daemon, found))
     });
     assert_eq!(found["cut"], false);
-    // The cycles follow no reference: all of them come out again.
+    // The cycles follow no reference, so all of them can be recomputed.
     daemon
         .place()
         .says("cdcrctl replay --verify mode.mcap", 0, &["reproduced"]);
@@ -207,7 +209,7 @@ fn what_does_not_happen_leaves_no_file() {
         std::thread::sleep(Duration::from_millis(500));
         recorder.signal(Signal::INT);
         let output = recorder.output();
-        // Before it listens, the signal ends it.
+        // Before its handler is installed, the signal ends it.
         output.status.signal().is_none().then_some(output)
     });
     assert_eq!(output.status.code(), Some(130), "{}", text(&output));

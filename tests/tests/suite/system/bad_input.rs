@@ -1,4 +1,4 @@
-//! What bad input gets: a clear refusal, and the loop goes on.
+//! Bad input is rejected with a clear error, and the loop continues.
 
 use cdcr_client::{Connection, ReferenceFeed, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::ReferencePoint;

@@ -45,7 +45,7 @@ fn line(line: &str) -> Line {
         "1" => true,
         other => panic!("{other} is no flag: {line}"),
     };
-    // Both are there, or neither where the kernel does not tell.
+    // Both are present, or neither where the kernel does not count them.
     assert_eq!(columns[7].is_empty(), columns[8].is_empty(), "{line}");
     for count in [columns[7], columns[8]] {
         assert!(count.is_empty() || count.parse::<u64>().is_ok(), "{line}");
@@ -136,7 +136,7 @@ fn a_signal_ends_it_early_with_what_there_is() {
     for signal in [Signal::TERM, Signal::INT] {
         let place = Place::new();
         let mut program = Program::start(&mut bare(&place, &["--duration", "1h"]));
-        // It listens to signals before it starts its thread.
+        // It handles signals before it starts its thread.
         wait_until("its thread", || has_thread(program.id(), "cdcr-cycle"));
         program.signal(signal);
         let output = program.output();
@@ -157,7 +157,7 @@ fn what_cannot_be_granted_or_recorded_is_refused() {
         (output.status.code(), text(&output))
     };
     let require = ["--set", "realtime.mode=require", "--set"];
-    // No machine of ours has a core 1000.
+    // No test machine has a core 1000.
     let (status, message) = refused(&[&require[..], &["realtime.core=1000"]].concat());
     assert_eq!(status, Some(77), "{message}");
     assert!(message.contains("core pinning is missing"), "{message}");

@@ -1,5 +1,5 @@
-//! Programs of C with the libraries of `c/`: its examples as somebody runs them who begins with one, and what bad inputs and
-//! bad moments come to.
+//! C programs with the libraries of `c/`: its examples as a new user runs them, and the effects of bad inputs
+//! and bad moments.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -9,22 +9,22 @@ use cdcr_tests::{Daemon, PATIENT, Place, Program, TIMEOUT, assert_says, text, wa
 
 use super::driver_example::run_driver;
 
-/// Lines of the driver that a newcomer begins with.
+/// Largest number of lines of the example driver for beginners.
 const DRIVER_LINES: usize = 60;
 
-/// Which library a program is linked with.
+/// The library that a program is linked with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Linked {
     Shared,
     Static,
 }
 
-/// The folder of the sources of C.
+/// The folder of the C sources.
 fn sources() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../c")
 }
 
-/// Compiles a source of `c/` as docs/c.md says, into the place's folder.
+/// Compiles a source of `c/` into the place's folder, as described in docs/c.md.
 fn built(place: &Place, source: &str, linked: Linked) -> PathBuf {
     let ourselves = std::env::current_exe().unwrap();
     let libraries = ourselves.parent().unwrap();
@@ -99,7 +99,7 @@ impl Probe {
         Self { program, says }
     }
 
-    /// Waits until it has come so far.
+    /// Waits until it has printed `lines` lines.
     fn wait(&mut self, lines: usize) {
         wait_until("it comes so far", || {
             self.program.lines() >= lines || !self.program.runs()
@@ -107,7 +107,7 @@ impl Probe {
     }
 
     fn go_on(&mut self) {
-        // One that has ended says why.
+        // A program that has ended prints the reason.
         let _ = self.says.write_all(b"\n");
     }
 
@@ -144,7 +144,7 @@ fn a_lease_of_another_is_a_refusal_and_one_of_a_program_that_ended_is_free() {
     lease.release().unwrap();
     probe.go_on();
     probe.ends_well();
-    // Sixty seconds before it would have run out.
+    // Sixty seconds before it would have expired.
     drop(connection.acquire_lease_within(TIMEOUT).unwrap());
 }
 

@@ -1,5 +1,5 @@
-//! docs/calibration.md from start to end: its commands, as they stand there, with a real daemon and a robot that is not what it is
-//! configured to be.
+//! docs/calibration.md from start to end: its commands, unchanged, with a real daemon and a robot that
+//! differs from its configuration.
 
 use std::fs;
 use std::path::Path;
@@ -17,7 +17,7 @@ use serde_json::Value;
 
 const PAGE: &str = include_str!("../../../../docs/calibration.md");
 
-/// The blocks of the page in this language.
+/// The code blocks of the page in this language.
 fn blocks(language: &str) -> Vec<&'static str> {
     let begin = format!("```{language}\n");
     let parts = PAGE.split(&begin).skip(1);
@@ -26,7 +26,8 @@ fn blocks(language: &str) -> Vec<&'static str> {
         .collect()
 }
 
-/// The commands of the page, in order; `shorter` by this factor, and then only those before the paste.
+/// The commands of the page, in order. With `shorter`, durations are divided by it, and only the commands
+/// before the paste are returned.
 fn commands(shorter: Option<u32>) -> Vec<Vec<String>> {
     let lines = blocks("console").into_iter().flat_map(str::lines);
     let lines = lines.filter_map(|line| line.strip_prefix("$ "));
@@ -38,7 +39,7 @@ fn commands(shorter: Option<u32>) -> Vec<Vec<String>> {
     let is_geometry = |command: &Vec<String>| command.iter().any(|word| word == "geometry");
     let end = commands.iter().position(is_geometry).unwrap();
     commands.truncate(end + 1);
-    // What only tells what a path takes is tried elsewhere, and two seconds show the noise.
+    // Other tests cover the duration of a path, and two seconds show the noise.
     commands.retain(|command| !command.iter().any(|word| word == "--dry-run"));
     for command in &mut commands {
         if command.iter().any(|word| word == "noise") {
@@ -54,8 +55,8 @@ fn commands(shorter: Option<u32>) -> Vec<Vec<String>> {
     commands
 }
 
-/// What a command of the page prints. Again where a busy machine kept the points of the path from the daemon for too long, or its
-/// commands from the robot.
+/// Output of a command of the page. Repeated if a busy machine delayed the points for the daemon or the
+/// commands for the robot too long.
 fn run(place: &Place, folder: &Path, arguments: &[&str]) -> String {
     until_undisturbed(&arguments.join(" "), || {
         let mut command = place.command("cdcrctl");
@@ -79,7 +80,7 @@ fn run(place: &Place, folder: &Path, arguments: &[&str]) -> String {
     })
 }
 
-/// What a recording says, as JSON, of the robot of a daemon.
+/// Result of a recording for a daemon's robot, as JSON.
 fn geometry(place: &Place, folder: &Path, file: &str) -> Value {
     let arguments = ["calibrate", "geometry", file, "--format", "json"];
     serde_json::from_str(&run(place, folder, &arguments)).unwrap()
@@ -89,10 +90,11 @@ fn rms_mm(found: &Value, robot: &str) -> f64 {
     1e3 * found["tip_error"][robot]["rms_m"].as_f64().unwrap()
 }
 
-/// What was found is what the configuration of the page says of the robot, and all is told that positions can tell.
+/// Checks that the result is the robot of the page's configuration, with everything that positions can
+/// determine.
 ///
-/// The whole page is held to the figures of its end. A part of its data knows less, and says how much less: the truth is within three of the
-/// bounds of 95 % that it states, beside that.
+/// The whole page is checked against its final numbers. A part of its data is less exact: the truth must be
+/// within three of the 95 % bounds stated in the result.
 fn check_found(found: &Value, is_whole: bool) {
     let truth = blocks("toml")[0];
     let (_, truth) = truth.split_once("simulated_geometry = ").unwrap();
@@ -119,7 +121,7 @@ fn check_found(found: &Value, is_whole: bool) {
             check(&name, &one["found"], &one["within_95"], truth, most);
         }
     }
-    // 0.1 mm in the first cable of each section, beside their mean.
+    // 0.1 mm in the first cable of each section, relative to their mean.
     for (cable, zero) in list("cable_zeros").iter().enumerate() {
         let is_first = cable.is_multiple_of(3);
         let truth_m = 1e-4 / 3.0 * if is_first { 2.0 } else { -1.0 };
@@ -141,14 +143,14 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
     let folder = folder.path();
     let mut configuration = blocks("toml")[0].to_owned();
     let (mut daemon, mut printed, mut errors_mm) = (None::<Daemon>, String::new(), Vec::new());
-    // Three minutes; the half of it, in a third of the time, without.
+    // Three minutes; otherwise half of the page, in a third of the time.
     let is_whole = std::env::var_os("CDCR_CALIBRATION_WHOLE").is_some();
     for command in commands((!is_whole).then_some(3)) {
         let command: Vec<&str> = command.iter().map(String::as_str).collect();
         match command[..] {
             ["cdcrd", "run", ..] => {
                 if let Some(mut before) = daemon.take() {
-                    // Between the two the page has the paste.
+                    // Between the two, the page has the paste.
                     assert_eq!(before.stop().code(), Some(0));
                     let sections = printed.split("# Replaces").nth(1).unwrap();
                     configuration = [configuration.as_str(), "\n# Replaces", sections].concat();
@@ -170,7 +172,7 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
             _ => panic!("{command:?}"),
         }
     }
-    // Before and after the paste: with the configuration as it was then, and with what was found.
+    // Before and after the paste: with the configuration of that time, and with the result.
     println!("held out, configured and found: {errors_mm:?} mm");
     let before = errors_mm[0];
     assert!(before.0 > 15.0 && before.1 < 2.0, "{errors_mm:?}");
@@ -187,7 +189,8 @@ fn one_section() -> Daemon {
     Daemon::start(&format!("{PATIENT}{lab}{section}"))
 }
 
-/// A section that is longer than its configuration: straight, its tip is where no reference may be, and its path was refused.
+/// A section longer than configured: when straight, its tip is where no reference is allowed, and its path
+/// used to be rejected.
 #[test]
 fn a_section_that_is_longer_than_configured_is_excited_too() {
     let section = include_str!("../../../../configs/one-section.toml");
@@ -195,7 +198,7 @@ fn a_section_that_is_longer_than_configured_is_excited_too() {
     let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n";
     let daemon = Daemon::start(&format!("{PATIENT}{lab}{longer}{section}"));
     let folder = daemon.place().folder();
-    // Beside its bends from the first on, but that is learnt in some seconds.
+    // The offset exists from the first measurement on, but its estimate takes some seconds.
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_record(&mut telemetry, |record| record.tip_offset_m[2] > 0.0148);
     let excite = "calibrate excite -o moved.csv --duration 20s";
@@ -247,7 +250,7 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
         .says(EXCITE, 1, &["calibration needs cable lengths and the tip"]);
 }
 
-/// Starts it, and waits until rows are in its file. A signal that a full disk would not send is ignored.
+/// Starts it, and waits until its file contains rows. It ignores a signal that a full disk does not cause.
 fn excited(daemon: &Daemon, file: &str) -> Program {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let mut command = daemon.place().command("cdcrctl");
@@ -325,8 +328,8 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     ends(program, 1, &["gone.csv: ", "rows until then"]);
 }
 
-/// What `cdcrctl record` made while an exciting path moved the robot tells of it what the rows of that path tell, also without a daemon; and
-/// what is no such recording is refused with its reason.
+/// A recording of `cdcrctl record` during an exciting path gives the same result as the rows of that path,
+/// also without a daemon. Other files are rejected with a reason.
 #[test]
 fn a_recording_tells_what_its_rows_tell() {
     const LENGTH_M: f64 = 0.3;
@@ -380,7 +383,7 @@ fn a_recording_tells_what_its_rows_tell() {
     ] {
         fs::write(folder.join(name), content).unwrap();
     }
-    // By what it begins with, whatever its name.
+    // Detected by its first bytes, independent of the name.
     fs::copy(&whole, folder.join("whole.dat")).unwrap();
     for (arguments, status, said) in [
         ("cut.mcap", 0, "length of section 1"),

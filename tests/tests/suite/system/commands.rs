@@ -1,4 +1,4 @@
-//! What `cdcrctl` says and does for people: errors with the way out, waiting, saving, completing.
+//! Output and behaviour of `cdcrctl` for people: errors with a remedy, waiting, saving, completion.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -11,17 +11,17 @@ use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, assert_says, text, wait_mode, wait_status};
 
-/// What a command that fails says.
+/// Output of a command that fails.
 fn refused(daemon: &Daemon, line: &str) -> String {
     daemon.place().says(&format!("cdcrctl {line}"), 1, &[])
 }
 
-/// What a command that succeeds says.
+/// Output of a command that succeeds.
 fn done(daemon: &Daemon, line: &str) -> String {
     daemon.place().says(&format!("cdcrctl {line}"), 0, &[])
 }
 
-/// Commands that fail, and what they say.
+/// Failing commands, and their output.
 const REFUSED: &str = "\
 status --robot other => the robot that runs there: cdcr
 track => no client feeds a reference
@@ -91,7 +91,7 @@ fn the_obstacles_that_are_known_are_listed() {
 
 #[test]
 fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
-    // Far from the line at its start, and so slow that it never gets there.
+    // Far from the start of the line, and so slow that it never gets there.
     let far = "[link]\ninitial_bend_rad = [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     let daemon = Daemon::start(&format!(
         "{PATIENT}{far}[motion]\nacceleration_rad_s2 = 0.01\napproach = \"direct\"\n"
@@ -113,7 +113,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
         mean <= max && last <= max && max > 100.0 && cycles > 0.0,
         "{printed}"
     );
-    // The plan wants no more than the acceleration allows.
+    // The plan stays within the acceleration limit.
     assert!(limited_percent < 50.0, "{printed}");
     let line = "ref line --duration 200ms --lead 1s --track --max-error 100mm";
     let words: Vec<_> = line.split(' ').collect();
@@ -126,7 +126,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
 #[test]
 fn waiting_ends_when_the_robot_is_there_and_rests() {
     let bent = "[link]\ninitial_bend_rad = [[0.2, 0.0], [0.0, -0.1], [0.0, 0.0]]\n";
-    // The way home takes four seconds: longer than it takes to see that the robot goes on.
+    // Homing takes four seconds: longer than the check that the robot continues.
     let daemon = Daemon::start(&format!(
         "{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.05\n"
     ));
@@ -146,7 +146,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
         printed.contains("home: done, commanded to rest since cycle"),
         "{printed}"
     );
-    // The cycle that it names is at rest, at home.
+    // The cycle in the output is at rest, at home.
     let cycle = printed
         .split("since cycle ")
         .nth(1)
@@ -167,7 +167,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     done(&daemon, "stop");
     done(&daemon, "reset --wait");
     let status = connection.status(TIMEOUT).unwrap();
-    // What three sections make of it that are as far bent as counts as straight.
+    // The effect of three sections with the largest bend that counts as straight.
     assert!(
         status.tip_position_m[0].abs() < 0.01 * (0.75 + 0.45 + 0.15),
         "{:?}",
@@ -175,7 +175,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     );
 }
 
-/// How long the motors lag behind: so long after a hold they still move.
+/// Lag of the motors, for which they still move after a hold.
 const LAG_S: f64 = 0.4;
 
 #[test]
@@ -196,12 +196,12 @@ fn waiting_ends_when_the_robot_is_measured_to_rest() {
             (stood, (bend - stood).abs())
         });
         assert!((0.1..1.3).contains(&stood), "{stood} is not on the way");
-        // What motors that are found to move by 0.02 rad/s have left, and the noise; it was 0.4 rad/s when it was held.
+        // Remaining motion of motors at 0.02 rad/s, and noise; it was 0.4 rad/s at the hold.
         assert!(moved < 0.02 * LAG_S + 0.01, "{interface:?}: {moved}");
     }
 }
 
-/// The bend when a robot that is held on its way home is said to rest.
+/// The bend at which a robot held during homing is reported to rest.
 fn rest_on_the_way_home(daemon: &Daemon) -> f64 {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
@@ -217,7 +217,7 @@ fn rest_on_the_way_home(daemon: &Daemon) -> f64 {
     record.measurement.bend_rad[0]
 }
 
-/// A robot with a long lag, from a bend of 1.2 rad on. Where it is at the end, in truth.
+/// Runs a robot with a long lag from a bend of 1.2 rad on, and returns its true final bend.
 fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f64 {
     let connection = cdcr_tests::load::connect(daemon.place());
     let mut bends = [0.0; 12];
@@ -242,7 +242,7 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
 fn saved_settings_are_those_of_the_next_daemon() {
     let mut daemon = Daemon::start(PATIENT);
     let file = daemon.place().folder().join("robot.toml");
-    // A file that another program or a unit is told of is there, also where nothing differs.
+    // A file that another program or a unit refers to exists even when nothing differs.
     let made = done(&daemon, "settings save new.toml");
     assert!(
         made.contains("created; all settings have their defaults"),

@@ -1,4 +1,4 @@
-//! The demo: one command, everything real.
+//! The demo: one command, real processes.
 
 use std::fs::{self, File};
 use std::path::PathBuf;
@@ -32,8 +32,8 @@ fn is_braille(character: char) -> bool {
     ('\u{2801}'..='\u{28ff}').contains(&character)
 }
 
-/// Of a demo of 1 s: its cycles are those of a second, and how far the tip was from its reference is explained by those that
-/// are missing.
+/// For a demo of 1 s: the number of cycles is that of one second, and missing ones explain the distance of
+/// the tip from its reference.
 fn assert_error_is_explained(report: &Value) {
     const MOST: u64 = 201;
     const PERIOD_S: f64 = 5e-3;
@@ -47,7 +47,7 @@ fn assert_error_is_explained(report: &Value) {
         count("skipped_periods") + count("lost_records") > 0 || cycles > MOST - 20,
         "{report}"
     );
-    // Where none is missing, the first and the last release may lie on either side of the ends.
+    // Without missing ones, the first and the last release may be on either side of the ends.
     let missing = MOST - cycles;
     let lost_s = if missing <= 2 {
         0.0
@@ -55,7 +55,7 @@ fn assert_error_is_explained(report: &Value) {
         missing as f64 * PERIOD_S
     };
     assert!(max_mm >= mean_mm, "{report}");
-    // A solve that a stall cut short costs a little; where releases were lost, the report does not say.
+    // A solve shortened by a stall costs a little; the report does not contain lost releases in this case.
     let is_whole = count("skipped_periods") + count("lost_records") == 0;
     let exact_m = if is_whole { 1e-5 } else { 1e-3 };
     let error_max_m = error_max_m(exact_m, [(lost_s, PERIOD_S)]);
@@ -168,7 +168,7 @@ fn the_demo_refuses_what_it_cannot_show() {
     }
 }
 
-/// A demo that runs, with a folder for temporary files of its own. Dropping it removes what is left.
+/// A running demo with a private folder for temporary files. Dropping it removes what is left.
 struct RunningDemo {
     program: Program,
     place: Place,
@@ -191,7 +191,7 @@ impl RunningDemo {
         }
     }
 
-    /// Beginning of the names of its files.
+    /// Prefix of its file names.
     fn prefix(&self) -> String {
         format!("{PREFIX}{}_", self.program.id())
     }
@@ -219,7 +219,7 @@ impl RunningDemo {
         daemon.unwrap()
     }
 
-    /// Whether this process is its daemon, and not one that has ended.
+    /// Whether this process is its daemon and has not ended.
     fn is_its_daemon(&self, id: u32) -> bool {
         let line = fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
         String::from_utf8_lossy(&line).contains(&self.prefix())
@@ -279,7 +279,7 @@ fn the_daemon_of_a_killed_demo_ends() {
     demo.wait_tracking();
     demo.program.signal(Signal::KILL);
     demo.program.output();
-    // Nobody may have waited for it.
+    // It may still be a zombie.
     let stat = || fs::read_to_string(format!("/proc/{daemon}/stat")).unwrap_or_default();
     let has_ended = |stat: &str| stat.is_empty() || stat.contains(") Z ");
     wait_until("the end of its daemon", || {
@@ -287,15 +287,15 @@ fn the_daemon_of_a_killed_demo_ends() {
     });
     let left = in_public_memory(&demo.prefix());
     for root in left.iter().filter(|path| path.is_dir()) {
-        // Of a zombie other threads may still be on their way, and hold what it locked.
+        // Threads of a zombie may still be ending, and hold its locks.
         wait_until("its lock is free", || {
             File::open(root).unwrap().try_lock().is_ok()
         });
-        // Of its memory nothing but folders, and the lock of its place.
+        // Only folders and the lock of its place remain in memory.
         let mut entries = fs::read_dir(root).unwrap().flatten();
         assert!(entries.all(|entry| entry.path().is_dir()), "{root:?}");
     }
-    // The next one removes what is left, says so, and leaves nothing itself.
+    // The next demo removes and reports what is left, and leaves nothing itself.
     let next = demo
         .place
         .command("cdcrctl")

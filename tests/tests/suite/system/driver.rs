@@ -1,4 +1,4 @@
-//! A driver process on the measurement and command services, played by the test.
+//! A driver process on the measurement and command services, simulated by the test.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,15 +18,15 @@ use cdcr_tests::{
 
 use super::freeze;
 
-/// The timeouts are long, so that a machine that stalls loses no measurement and no command, and short enough that a
-/// robot that goes on blindly at its largest rates stays inside its limits.
+/// Timeouts long enough that a stalled machine loses no measurement or command. Short enough that a robot
+/// that continues at its largest rates without measurements stays within its limits.
 const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\ncommand_valid_ms = 1000.0\n\
     [cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
-/// So far beside where the bends place it the tip is measured.
+/// Offset of the measured tip from the position given by the bends.
 const OFFSET_M: f64 = 0.02;
 
-/// A robot with a thread of its own, this one.
+/// A robot that runs on this thread.
 struct Robot(DrivenRobot);
 
 impl Robot {
@@ -34,7 +34,7 @@ impl Robot {
         Self(DrivenRobot::new(connection, Interface::Velocity, [0.0; 12]))
     }
 
-    /// One that its daemon holds, and what is published of it.
+    /// A robot that its daemon holds, and its telemetry.
     fn held(connection: &Connection) -> (Self, TelemetryStream) {
         let (mut robot, mut telemetry) = (Self::new(connection), connection.telemetry().unwrap());
         robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
@@ -102,7 +102,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
             if let FeedEvent::Progress(progress) = event {
                 tracking |= progress.tracking;
             }
-            // The driver dies as soon as its robot is moved.
+            // The driver dies as soon as its robot moves.
             if !tracking {
                 robot.turn();
             }
@@ -132,7 +132,7 @@ fn no_command_comes_before_the_first_measurement() {
         None,
         "nobody knows where the robot is"
     );
-    // A stop before that is taken, and is no fault; a reset has to wait.
+    // A stop before that is accepted, and is not a fault; a reset has to wait.
     ask_for(&connection, RequestKind::Stop);
     refused(&connection, RequestKind::Reset);
     assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
@@ -170,7 +170,7 @@ fn home_is_reached_with_noisy_sensors() {
 
 #[test]
 fn a_machine_that_stands_still_is_not_the_drivers_fault() {
-    // A third of the time that the daemon stands still.
+    // A third of the time for which the daemon is stopped.
     let timeout = Duration::from_millis(500);
     let configuration = CONFIGURATION
         .replace("= 2000.0", "= 500.0")
@@ -196,7 +196,7 @@ fn a_machine_that_stands_still_is_not_the_drivers_fault() {
     });
     let record = wait_record(&mut telemetry, |record| record.mode != Mode::Holding.code());
     let (mode, reason) = (record.mode, record.reason);
-    // Unless the driver itself was held up for so long.
+    // Unless the driver itself was delayed for so long.
     assert!(
         (mode, reason) == (Mode::Stopped.code(), Reason::DeadlineMisses.code())
             || silent > timeout / 2,
@@ -219,7 +219,7 @@ fn a_driver_of_the_other_interface_is_refused_and_moves_nothing() {
     let status = connection.status(TIMEOUT).unwrap();
     assert_eq!(status.mode, Mode::Starting.code());
     assert_eq!(robot.bend_rad(), stood);
-    // Once, however many there are.
+    // Once, however many messages there are.
     let line = format!("refused a message: {}", Outcome::WrongInterface.text());
     wait_until("the log says it", || daemon.log().contains(&line));
     for _ in 0..100 {
@@ -240,13 +240,13 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
         .sum();
     let (sensor, second) = (beside.tip_sensor().unwrap(), other.tip_sensor().unwrap());
     let mut sent = 0_u32;
-    // Each position differs from the last one in its bits.
+    // Each position differs from the previous one in its bits.
     let mut sense = |sensor: &TipSensor, x_m: f64| {
         sent += 1;
         let position_m = [x_m, 0.0, length_m + f64::from(sent % 7) * 1e-6];
         sensor.send(monotonic_ns(), position_m).unwrap();
     };
-    // The tip alone does not tell where the robot is.
+    // The tip alone does not determine the configuration.
     let mut seen = 0;
     wait_until("tips are seen", || {
         sense(&sensor, OFFSET_M);
@@ -257,14 +257,14 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
         seen > 10
     });
     let mut robot = Robot::new(&connection);
-    // Another sensor, which says something else, is refused: the offset is that of the first, and stays.
+    // Another sensor with other values is rejected; the offset of the first one remains.
     let (mut newest, mut steady) = (None, 0);
     robot.run_until(|| {
         sense(&sensor, OFFSET_M);
         sense(&second, -OFFSET_M);
         while let Some(record) = telemetry.try_next().unwrap() {
             let missed_m = (record.tip_offset_m[0] - OFFSET_M).abs();
-            // The encoders are 0.1 mm beside: 3 mm at the tip.
+            // The encoders have an offset of 0.1 mm: 3 mm at the tip.
             let is_steady = record.mode == Mode::Holding.code() && missed_m < OFFSET_M / 4.0;
             steady = if is_steady { steady + 1 } else { 0 };
             newest = Some(record);
@@ -273,7 +273,7 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
     });
     let code = Outcome::OtherDriver.code() as usize;
     wait_status(&connection, |status| status.outcomes[code] > 0);
-    // The robot goes on without any.
+    // The robot continues without a tip sensor.
     let offset_m = newest.unwrap().tip_offset_m;
     let begin_ns = monotonic_ns();
     robot.run_until(|| {

@@ -1,4 +1,4 @@
-//! The example of the client library, `client/examples/driver.rs`, as somebody runs it who writes a driver.
+//! The example of the client library, `client/examples/driver.rs`, as the author of a driver runs it.
 
 use std::process::Command;
 
@@ -11,9 +11,9 @@ use rustix::process::Signal;
 
 use super::error_max_m;
 
-/// How near an ideal robot follows a slow line on a machine that does not stall \[m\].
+/// Accuracy of an ideal robot on a slow line, on a machine without stalls \[m\].
 const EXACT_M: f64 = 0.005;
-/// Records at rest that are looked at: half a second.
+/// Observed records at rest: half a second.
 const RESTING: u32 = 100;
 
 #[test]
@@ -26,7 +26,7 @@ fn the_example_of_a_position_driver_tracks_holds_and_ends() {
     run_driver("position", |place| place.command("examples/driver"));
 }
 
-/// Runs a driver that a newcomer begins with.
+/// Runs an example driver for beginners.
 pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Command) {
     let mut daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
@@ -48,7 +48,7 @@ pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Comman
     let error_m = last.position_error_m;
     assert!(error_m < error_max_m(EXACT_M, cycles), "{error_m} m");
 
-    // At rest it stays where it is, to the bit: its encoders have no noise.
+    // At rest it stays at its position, to the bit: its encoders have no noise.
     let rest = |record: &Telemetry| {
         record.mode == Mode::Holding.code()
             && record.cycle > last.cycle + 100
@@ -72,7 +72,7 @@ pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Comman
     daemon.end_clean();
 }
 
-/// Its robot is straight again then, and the daemon commands the old position until a reset.
+/// Its robot is then straight again, and the daemon commands the old position until a reset.
 #[test]
 fn a_position_driver_that_is_started_again_beside_a_stopped_robot_moves_nothing() {
     let daemon = Daemon::start(&format!(

@@ -1,4 +1,4 @@
-//! The end of a daemon: the robot comes to rest, whatever clients ask meanwhile.
+//! The end of a daemon: the robot comes to rest, whatever clients request meanwhile.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ use rustix::process::Signal;
 const ASKED: i32 = 0;
 const NOT_AT_REST: i32 = 82;
 
-/// A daemon that moves its robot home at `rate_rad_s`, and would bring it to rest at `deceleration_rad_s2`.
+/// A daemon that homes its robot at `rate_rad_s`, with `deceleration_rad_s2` to rest.
 fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
     let motion = format!(
         "[motion]\ndeceleration_rad_s2 = {deceleration_rad_s2}\nhome_rate_rad_s = {rate_rad_s}\n"
@@ -37,7 +37,7 @@ fn speed(command: &Command) -> f64 {
 
 #[test]
 fn nothing_moves_the_robot_of_a_daemon_that_ends() {
-    // Seconds of ramp, so that there is time to ask.
+    // A ramp of seconds, so that there is time for requests.
     let mut daemon = moving(0.5, 0.2);
     let (connection, asking) = (daemon.connect(), daemon.connect());
     let mut commands = connection.commands().unwrap();
@@ -87,7 +87,7 @@ fn nothing_moves_the_robot_of_a_daemon_that_ends() {
 
 #[test]
 fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
-    // Ten seconds on, it is still moving, and has met no limit of its bends.
+    // After ten seconds it is still moving, and has reached no bend limit.
     let mut daemon = moving(0.3, 0.01);
     daemon.signal(Signal::TERM);
     let status = daemon.stop_after_signal();

@@ -1,4 +1,4 @@
-//! Every example of the help pages, and of the guides for `cdcrctl`, is typed into a shell as it stands there.
+//! Every example of the help pages, and of the guides for `cdcrctl`, runs in a shell unchanged.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -14,7 +14,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// What has a manual page: each program and command of ours, as words.
+/// Each program and command with a manual page, as words.
 fn commands() -> Vec<Vec<String>> {
     let pages = fs::read_dir(root().join("packaging/generated/man")).unwrap();
     let names = pages.map(|page| page.unwrap().file_name().into_string().unwrap());
@@ -30,7 +30,7 @@ fn commands() -> Vec<Vec<String>> {
     words.collect()
 }
 
-/// The examples of a help page: lines that begin with the program, and end where two spaces begin a remark.
+/// The examples of a help page: lines that begin with the program, up to two spaces before a comment.
 fn of_help(place: &Place, command: &[String]) -> Vec<String> {
     let program = &command[0];
     let output = place
@@ -50,7 +50,7 @@ fn of_help(place: &Place, command: &[String]) -> Vec<String> {
         .collect()
 }
 
-/// The lines of a guide's blocks of commands that call the program, as this user.
+/// The lines of a guide's command blocks that call the program as this user.
 fn of_guide(path: &Path) -> Vec<String> {
     let guide = fs::read_to_string(path).unwrap();
     let blocks = guide.split("```").skip(1).step_by(2);
@@ -65,7 +65,7 @@ fn of_guide(path: &Path) -> Vec<String> {
     lines.filter(|line| line.starts_with("cdcrctl ")).collect()
 }
 
-/// A shell at the daemon's place that is given `line`, and waits for what it left in the background.
+/// A shell at the daemon's place that runs `line`, and waits for its background processes.
 pub(super) fn shell(place: &Place, line: &str) -> Program {
     let programs = binary("cdcrctl");
     let path = std::env::var("PATH").unwrap_or_default();
@@ -89,7 +89,7 @@ fn catches_interrupt(process: u32) -> bool {
     caught.is_some_and(|mask| mask & (1 << (Signal::INT.as_raw() - 1)) != 0)
 }
 
-/// Runs an example, where it can run: a robot that holds, is stopped for a reset, and knows no obstacle.
+/// Runs an example in a suitable state: a robot that holds, or is stopped for a reset, and no obstacle.
 fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     let place = daemon.place();
     let connection = daemon.connect();
@@ -100,7 +100,7 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     let goes_on = ["--watch", "--follow", "telemetry --rate", "--udp"];
     let mut program = if goes_on.iter().any(|option| line.contains(option)) {
         let program = shell(place, &format!("exec {line}"));
-        // For a while: a handler that a library has for a moment, while it connects, is not that of the program.
+        // Repeated, because a library may install a handler for a moment while it connects.
         let mut looks = 0;
         wait_until("it can be interrupted", || {
             looks = if catches_interrupt(program.id()) {
@@ -131,7 +131,7 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     Err(format!("{line}: {}\n{}", output.status, text(&output)))
 }
 
-/// Robots that the examples are given to.
+/// Number of parallel robots for the examples.
 const SIDE_BY_SIDE: usize = 8;
 
 #[test]
@@ -146,12 +146,12 @@ fn every_example_works_as_typed() {
         .map(|entry| entry.unwrap().path())
         .chain([root().join("README.md")]);
     let guides = guides.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
-    // It has a test of its own: each line needs those before.
+    // The tutorial has its own test, because each line needs those before it.
     let guides = guides.filter(|path| !path.ends_with("tutorial.md"));
     let of_guides = guides.flat_map(|path| of_guide(&path));
     let examples: BTreeSet<String> = of_helps.chain(of_guides).collect();
     assert!(examples.len() > 40, "{examples:#?}");
-    // Those take a minute, or tests of their own; these are for another place.
+    // Left out: lines that take a minute, have their own tests, or need another place.
     let is_left_out = |line: &&String| {
         let of_their_own = [
             "cdcrd run",
@@ -166,7 +166,7 @@ fn every_example_works_as_typed() {
         of_their_own.iter().any(|command| line.contains(command)) || line.contains("--root")
     };
     let examples: Vec<_> = examples.iter().filter(|line| !is_left_out(line)).collect();
-    // Each beside as many others, with a daemon of its own; neighbours in the list take equally long, so they are dealt out.
+    // Each thread has its own daemon. Neighbours in the list take similar times, so they are distributed.
     let examples = &examples;
     std::thread::scope(|scope| {
         for first in 0..SIDE_BY_SIDE {
@@ -187,7 +187,8 @@ fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
     ] {
         fs::copy(root().join(from), folder.join(file)).unwrap();
     }
-    // What examples read; those that record are tried elsewhere. It has an obstacle, or there is nothing to feed again.
+    // Files that the examples read; those that record have other tests. There is an obstacle, so that it can
+    // be sent again.
     let obstacle = "cdcrctl obstacle add --id 9 --at 0.5,0,0.5 --radius 0.01";
     daemon.place().says(obstacle, 0, &[]);
     daemon
@@ -199,7 +200,7 @@ fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
         for file in example.split(' ').filter(is_recording) {
             fs::copy(&recorded, folder.join(file)).unwrap();
         }
-        // Where the machine stalls for longer than a reference is sent ahead, the robot does not come to its end.
+        // If the machine stalls for longer than the lead of a reference, the robot does not reach its end.
         until_undisturbed(example, || {
             let tried = run(&daemon, example);
             tried.inspect_err(|error| println!("{error}")).ok()

@@ -1,4 +1,4 @@
-//! What ends a feed before its time, and what then becomes of the lease.
+//! Causes of an early end of a feed, and the effect on the lease.
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
@@ -40,7 +40,7 @@ fn a_refused_chunk_ends_the_feed_with_the_reason_and_the_point() {
         "{error}"
     );
 
-    // 0.85 m upwards at 0.1 m/s: 0.9 m are left behind at 0.5 s, a little later than point 100.
+    // 0.85 m upwards at 0.1 m/s: it leaves 0.9 m at 0.5 s, slightly after point 100.
     let leaving = Line {
         start_m: [0.0, 0.0, 0.85],
         velocity_m_s: [0.0, 0.0, 0.1],
@@ -55,7 +55,7 @@ fn a_refused_chunk_ends_the_feed_with_the_reason_and_the_point() {
         other => panic!("{other:?}"),
     }
 
-    // The lease went back: another client feeds.
+    // The lease was returned: another client feeds.
     wait_status(&connection, |status| status.lease_holder == 0);
     let report = feed(&daemon.connect(), &reachable, true).unwrap();
     assert_eq!(
@@ -91,7 +91,7 @@ fn a_short_lease_is_renewed_in_time() {
     }
 }
 
-/// Feeds with this lease. It may expire only where the machine held up feeder or daemon for a good part of it.
+/// Feeds with this lease. It may expire only if the machine delayed feeder or daemon for a large part of it.
 fn renewed_in_time(lease: Duration) {
     let daemon = Daemon::start(&format!(
         "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = {}.0\n",
@@ -99,7 +99,7 @@ fn renewed_in_time(lease: Duration) {
     ));
     let connection = daemon.connect();
     let line = paper_line(0.5);
-    // The chunks renew the lease too: one that reaches to the end leaves it to the renewals alone.
+    // The chunks renew the lease, too: with one chunk up to the end, only the renewals do.
     let options = FeedOptions {
         lead: Duration::from_millis(500),
         ahead: Duration::from_secs(10),

@@ -7,7 +7,7 @@ use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
 use cdcr_tests::{Daemon, PATIENT, TIMEOUT, wait_status};
 
-/// The same point again and again, from `lead` after now, 0.3 s apart.
+/// The same point repeatedly, from `lead` after now, 0.3 s apart.
 fn points(lead: Duration, count: u64) -> Vec<ReferencePoint> {
     let begin_ns = monotonic_ns() + lead.as_nanos() as u64;
     (0..count)
@@ -39,7 +39,7 @@ fn two_clients_one_lease() {
     let mut telemetry = second.telemetry().unwrap();
     let send = |connection: &cdcr_client::Connection| {
         let feed = connection.reference_feed().unwrap();
-        // The daemon finds a new writer at its next look; what it sent meanwhile waits for it.
+        // The daemon finds a new writer at its next check; earlier messages wait for it.
         std::thread::sleep(Duration::from_millis(50));
         let points = points(TIMEOUT, 20);
         let header = feed

@@ -1,4 +1,4 @@
-//! Start, end, death and return of the daemon.
+//! Start, end, kill and restart of the daemon.
 
 use std::path::PathBuf;
 

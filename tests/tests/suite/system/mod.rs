@@ -1,4 +1,4 @@
-//! The whole system: real processes over real shared memory, each test on a prefix of its own.
+//! The whole system: real processes over real shared memory, each test with its own prefix.
 
 mod access;
 mod around;
@@ -37,7 +37,7 @@ use std::time::Duration;
 use cdcr_tests::{Daemon, wait_until};
 use rustix::process::Signal;
 
-/// Makes a daemon stand still for at least this long.
+/// Stops a daemon for at least this long.
 fn freeze(daemon: &Daemon, duration: Duration) {
     let stat = format!("/proc/{}/stat", daemon.id());
     let stands = || {
@@ -46,19 +46,19 @@ fn freeze(daemon: &Daemon, duration: Duration) {
         state.trim_start().starts_with('T')
     };
     daemon.signal(Signal::STOP);
-    // On a machine that stalls, the signal may be taken late; one that is not taken yet is undone by the next one.
+    // On a stalled machine, the signal may be handled late; a pending one is cancelled by the next one.
     wait_until("it stands still", stands);
     std::thread::sleep(duration);
     daemon.signal(Signal::CONT);
 }
 
-/// How far the tip may be from its reference after `cycles` \[m\], where it is within `exact_m` when none were lost. Of each
-/// cycle the time in which cycles were lost before it, and its period \[s\]: meanwhile the tip goes on with the rates that it
-/// had, and comes back afterwards.
+/// Largest distance of the tip from its reference after `cycles` \[m\], if it is within `exact_m` without
+/// lost cycles. For each cycle: the time of the lost cycles before it, and its period \[s\]. During a loss
+/// the tip continues at its last rates, and returns afterwards.
 fn error_max_m(exact_m: f64, cycles: impl IntoIterator<Item = (f64, f64)>) -> f64 {
-    /// All three sections of 0.3 m at 2 rad/s in both directions, and the reference in between.
+    /// All three sections of 0.3 m at 2 rad/s about both axes, plus the motion of the reference.
     const APART_M_S: f64 = (0.9 + 0.6 + 0.3) * 2.0 * std::f64::consts::SQRT_2 + 0.5;
-    /// A tenth of what one section of 0.3 m at 2 rad/s does.
+    /// A tenth of the speed of one section of 0.3 m at 2 rad/s.
     const BACK_M_S: f64 = 0.3 * 2.0 * 0.1;
     let apart_m = cycles.into_iter().fold(0.0, |apart_m, (lost_s, period_s)| {
         f64::max(apart_m - BACK_M_S * period_s, 0.0) + APART_M_S * lost_s

@@ -1,4 +1,4 @@
-//! Feed, track, hold, stop, reset, home: what the daemon does when it is asked.
+//! Feed, track, hold, stop, reset, home: reactions of the daemon to requests.
 
 use std::ops::ControlFlow;
 
@@ -22,7 +22,7 @@ fn is_at_rest(record: &Telemetry) -> bool {
 
 #[test]
 fn feed_track_hold_stop_reset() {
-    // Ideal: where it is measured at rest is compared to the bit.
+    // Ideal, because the measured position at rest is compared to the bit.
     let daemon = Daemon::ideal(PATIENT);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
@@ -46,7 +46,7 @@ fn feed_track_hold_stop_reset() {
         })
         .unwrap();
     assert_eq!(report.end, FeedEnd::Interrupted);
-    // The feeder gave its lease back: the robot holds.
+    // The feeder returned its lease: the robot holds.
     wait_mode(&mut telemetry, Mode::Tracking);
     let record = wait_record(&mut telemetry, |r| {
         r.mode == Mode::Holding.code() && is_at_rest(r)
@@ -99,7 +99,7 @@ fn home_moves_to_the_straight_robot() {
     let bent = "[link]\ninitial_bend_rad = [[0.1, 0.0], [0.0, -0.05], [0.02, 0.02]]\n";
     let slow = "[motion]\nhome_rate_rad_s = 1.0\n";
     let configuration = format!("{PATIENT}{bent}{slow}");
-    // Ideal: without noise straight is exactly straight.
+    // Ideal: without noise, straight is exactly straight.
     for (daemon, straight_rad) in [
         (Daemon::start(&configuration), HOME_TOLERANCE_RAD),
         (Daemon::ideal(&configuration), 1e-6),

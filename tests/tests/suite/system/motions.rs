@@ -1,4 +1,4 @@
-//! Motions that a person asks for: to a point, by so much, along a reference, and all of it without moving.
+//! Motions requested by a person: to a point, by a distance, along a reference, and all of it as a dry run.
 
 use std::time::Duration;
 
@@ -14,7 +14,8 @@ fn says(daemon: &Daemon, line: &str, status: i32) -> String {
     daemon.place().says(&format!("cdcrctl {line}"), status, &[])
 }
 
-/// The same of a command that ends well. None where a stall took the tip off its way: meanwhile the rates stay as they were.
+/// The same for a command that succeeds. `None` if a stall took the tip off its path, because the rates are
+/// constant meanwhile.
 fn says_unless_stalled(daemon: &Daemon, line: &str) -> Option<String> {
     let mut command = daemon.place().command("cdcrctl");
     command.args(line.split(' '));
@@ -24,7 +25,7 @@ fn says_unless_stalled(daemon: &Daemon, line: &str) -> Option<String> {
     (!is_stalled).then(|| assert_says(&output, 0, &[]))
 }
 
-/// Of the newest cycle.
+/// Tip position of the newest cycle.
 fn tip_m(daemon: &Daemon) -> [f64; 3] {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_record(&mut telemetry, |_| true).tip_position_m
@@ -53,7 +54,7 @@ fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reach
         says(&daemon, &format!("jog 0.02,-0.04,-0.01 {fast}"), 0);
         let by_m = tip_m(&daemon);
         println!("{there_m:?}, then {by_m:?}");
-        // A stall at the end of a way leaves the tip where the last rates took it.
+        // A stall at the end of a motion leaves the tip where the last rates took it.
         let is_there = distance_m(there_m, [0.05, 0.02, 0.87]) < 0.002;
         (is_there && distance_m(by_m, [0.07, -0.02, 0.86]) < 0.004).then_some(())
     });
@@ -66,7 +67,8 @@ fn a_curve_and_a_file_are_changed_before_they_are_sent() {
     daemon.place().write("path.csv", rows);
     says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2", 0);
     let mut telemetry = daemon.connect().telemetry().unwrap();
-    // There and back, at half the speed, in half the size, upright: it lasts longer than its approach, also where a stall delays that.
+    // Forwards and backwards, at half the speed and half the size, upright: longer than its approach, even
+    // when a stall delays the approach.
     let file = "ref file path.csv --speed 0.5 --repeat 2 --scale 0.5 --plane xz --track --max-error 50mm --lead 1s";
     let fed = until_undisturbed(file, || says_unless_stalled(&daemon, file));
     assert!(fed.contains("5 points") && fed.contains("3.20 s"), "{fed}");
@@ -99,7 +101,7 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     ] {
         assert!(reachable.contains(word), "{reachable}");
     }
-    // The first share is that of the path, the second that of the way to it.
+    // The first share belongs to the path, the second to the approach.
     let (_, rate) = reachable.split_once("rad/s, ").unwrap();
     let share: f64 = rate.split_whitespace().next().unwrap().parse().unwrap();
     assert!(share < 60.0, "{reachable}");
@@ -111,7 +113,7 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     );
     assert!(says(&daemon, "ref spiral --dry-run", 0).contains("clearance"));
     assert!(says(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
-    // Also where it was not asked for: the first point that is missed, not the farthest.
+    // Also without a request for it: the first unreachable point, not the farthest one.
     let before_m = tip_m(&daemon);
     let far = "ref line --start 0,0,0.85 --velocity 0,0,0.1 --duration 2s --track";
     let said = daemon
@@ -122,13 +124,13 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     // The robot is 0.9 m long, and 1 mm is allowed.
     assert!((time_s - 0.51).abs() < 0.02, "{said}");
     assert!(distance_m(tip_m(&daemon), before_m) < 1e-3, "{said}");
-    // The approach may be over before the spiral begins: it counts all the same.
+    // The approach may end before the spiral begins; it still counts.
     let spiral = "ref spiral --track --lead 1s --max-error 100mm";
     let said = until_undisturbed(spiral, || says_unless_stalled(&daemon, spiral));
     assert!(said.contains("approached in"), "{said}");
 }
 
-/// What a command prints that ends well, and the largest speed of the tip meanwhile \[m/s\].
+/// Output of a command that succeeds, and the largest speed of the tip meanwhile \[m/s\].
 fn says_and_speed(daemon: &Daemon, line: &str) -> (String, f64) {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let mut before = wait_record(&mut telemetry, |_| true);
@@ -148,11 +150,11 @@ fn says_and_speed(daemon: &Daemon, line: &str) -> (String, f64) {
 
 #[test]
 fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
-    // Tracked at once, it goes there at its largest rates.
+    // With immediate tracking, it moves at its largest rates.
     let daemon = Daemon::ideal(PATIENT);
     let curve = "ref line --start 0.1,0,0.85 --velocity 0,0.03,0 --duration 300ms --track";
     let (_, jumps_m_s) = says_and_speed(&daemon, curve);
-    // Of a way that is gone at 0.05 m/s; where the machine stalls, the tip catches up.
+    // For a path at 0.05 m/s; after a stall of the machine, the tip catches up.
     until_undisturbed("the tip moves slowly", || {
         says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
         let (said, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
@@ -180,7 +182,7 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         let mut command = daemon.place().command("cdcrctl");
         let mut plant = Program::start(command.args(["plant", "--tip", "100", "--preset", preset]));
         wait_mode(&mut daemon.connect().telemetry().unwrap(), Mode::Holding);
-        // Where the tip is measured to be beside the model's is still being learnt.
+        // The estimate of the tip offset is still converging.
         wait_until("the tip rests", || {
             let before_m = tip_m(&daemon);
             std::thread::sleep(Duration::from_millis(200));
@@ -189,7 +191,7 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
         let mut points = ["0.05,0.02,0.87", "0.02,0.05,0.87"].iter().cycle();
         until_undisturbed("the tip goes to a point", || {
-            // A stall at the end of the way leaves the robot where its motors had brought it.
+            // A stall at the end of the path leaves the robot where its motors had brought it.
             says_unless_stalled(&daemon, &format!("goto {} {fast}", points.next().unwrap()))
         });
         plant.signal(Signal::INT);
@@ -199,7 +201,8 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
     }
 }
 
-/// Straight, it is as long as its sections are in truth, on a base that stands elsewhere: its sensor says so, and the daemon takes it in.
+/// When straight, it has the true length of its sections, on a displaced base; its sensor reports this, and
+/// the daemon uses it.
 #[test]
 fn a_simulated_robot_may_be_another_one_than_is_configured() {
     let daemon = Daemon::start(&format!(
@@ -220,7 +223,7 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
     assert_eq!(plant.output().status.code(), Some(0));
 }
 
-/// Each of a thousand commands a second may be refused, and the terminal has one line of it in ten seconds.
+/// Each of a thousand commands a second may be rejected; the terminal gets one line in ten seconds.
 #[test]
 fn a_simulated_robot_that_follows_nothing_says_so_once() {
     let daemon = Daemon::start(&format!(
@@ -241,7 +244,7 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
         stopped.contains("faulted (the measurement is lost)"),
         "{stopped}"
     );
-    // Straight, it is not where it is commanded to be.
+    // When straight, it is not at its commanded position.
     let mut other = plant(&["--force"]);
     std::thread::sleep(Duration::from_secs(1));
     other.signal(Signal::INT);
@@ -252,7 +255,7 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
 
 #[test]
 fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
-    // Home takes 60 s.
+    // Homing takes 60 s.
     let bent = "[link]\ninitial_bend_rad = [[1.2, 0.0], [1.2, 0.0], [1.2, 0.0]]\n";
     let slow = "[motion]\nhome_rate_rad_s = 0.02\n";
     let daemon = Daemon::start(&format!("{PATIENT}{bent}{slow}"));
@@ -267,7 +270,7 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
 #[test]
 fn a_reference_that_ends_before_it_is_reached_is_an_error() {
     let daemon = Daemon::start(PATIENT);
-    // 0.4 m away, at 0.1 m/s at the most.
+    // 0.4 m away, at 0.1 m/s at most.
     let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
     let words: Vec<_> = far.split(' ').collect();
     let output = daemon.place().cdcrctl(&words);

@@ -1,4 +1,4 @@
-//! Obstacles: who is known when and where, and that the body keeps clear of them in every mode.
+//! Obstacles: when each one is known and where, and the clearance of the body in every mode.
 
 use std::ops::ControlFlow;
 
@@ -13,7 +13,7 @@ use iceoryx2::prelude::Node;
 /// The safe distance of the default configuration.
 const SAFE_DISTANCE_M: f64 = 0.01;
 
-/// A client that sends obstacles and hears what becomes of them.
+/// A client that sends obstacles and receives the outcomes.
 struct Client {
     sender: ObstacleSender,
     telemetry: TelemetryStream,
@@ -27,7 +27,7 @@ impl Client {
         }
     }
 
-    /// What the daemon says of a message, and with which detail.
+    /// The daemon's outcome of a message, and its detail.
     fn outcome_of(&mut self, header: &Header) -> (Outcome, u32) {
         let event = self
             .telemetry
@@ -54,7 +54,7 @@ impl Client {
 
 #[test]
 fn obstacles_of_all_clients_come_and_go_by_their_ids() {
-    // Ideal: clearances are compared exactly.
+    // Ideal, because clearances are compared exactly.
     let daemon = Daemon::ideal(PATIENT);
     let (connection, other) = (daemon.connect(), daemon.connect());
     let (mut client, mut second) = (Client::new(&connection), Client::new(&other));
@@ -97,7 +97,7 @@ fn lifetimes_count_from_the_stamp_of_the_obstacle() {
     };
     let expires_ns = fleeting.measured_ns + fleeting.lifetime_ns;
     assert_eq!(client.upsert(&[lasting]), (Outcome::Accepted, 1));
-    // On a machine that stalls it may be over before it comes: then it is refused as such.
+    // On a stalled machine its lifetime may pass before it arrives: then it is rejected for that reason.
     let (outcome, _) = client.upsert(&[fleeting]);
     assert!(matches!(outcome, Outcome::Accepted | Outcome::InThePast));
     wait_record(&mut client.telemetry, |record| {
@@ -147,7 +147,7 @@ fn moving_obstacles_are_predicted_to_each_release() {
 
 #[test]
 fn a_bad_update_is_refused_whole_and_counted() {
-    // Ideal: clearances are compared exactly.
+    // Ideal, because clearances are compared exactly.
     let daemon = Daemon::ideal(PATIENT);
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
@@ -164,7 +164,7 @@ fn a_bad_update_is_refused_whole_and_counted() {
     let nearer = ball(1, [0.1, 0.0, 0.3]);
     let one_more = ball(64, [0.3, 0.0, 0.3]);
     assert_eq!(client.upsert(&[nearer, one_more]), (Outcome::BufferFull, 1));
-    // What no client of ours sends.
+    // A message that the client library cannot send.
     let node: Node<ipc::Service> = daemon
         .place()
         .location()
@@ -208,7 +208,7 @@ fn a_bad_update_is_refused_whole_and_counted() {
     assert!(too_many.to_string().contains("at most 64"), "{too_many}");
 }
 
-/// Watches that the body keeps clear of obstacles that stand, record by record.
+/// Checks the clearance of the body from obstacles at rest, record by record.
 #[derive(Default)]
 struct Watch {
     before: Option<Telemetry>,
@@ -226,10 +226,10 @@ impl Watch {
         self.records += 1;
         self.guarded += u64::from(record.guard_flags & guard::CLEARANCE != 0);
         if let Some(before) = self.before.replace(*record) {
-            // Rates that hold for longer than the period that they were checked for may go too far.
+            // Rates that last longer than the period they were checked for may go too far.
             let one_period = record.cycle == before.cycle + 1;
             self.skipped |= !one_period;
-            // A ramp to rest may end in the millimetre that the command before it was allowed.
+            // A ramp to rest may end within the millimetre that the command before it was allowed.
             let is_ramp = ![Mode::Tracking, Mode::Homing]
                 .map(Mode::code)
                 .contains(&before.mode);
@@ -267,19 +267,19 @@ fn track_line(connection: &Connection, watch: &mut Watch) {
     assert!(cycles > 50, "{cycles}");
 }
 
-/// While the machine stalls, the rates hold and may take the body into an obstacle. That is judged record by record, and
-/// must not end the test.
+/// While the machine stalls, the rates are constant and may move the body into an obstacle. The records are
+/// checked for that, and it must not end the test.
 fn bearing_contact() -> String {
     format!("{PATIENT}[safety]\nclearance_fault_m = -1.0\n")
 }
 
-/// Tracks towards an obstacle; how often the guard had to act.
+/// Tracks towards an obstacle. Returns the number of interventions of the guard.
 fn track_into_obstacle(configuration: &str) -> u64 {
-    // Ideal: the clearances of neighbouring records are compared exactly.
+    // Ideal, because the clearances of consecutive records are compared exactly.
     let daemon = Daemon::ideal(configuration);
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
-    // On the line of the tip.
+    // On the path of the tip.
     let in_the_way = ball(1, [0.07, 0.0, 0.88]);
     assert_eq!(client.upsert(&[in_the_way]).0, Outcome::Accepted);
     client.wait_ids(&[1]);
@@ -298,7 +298,7 @@ fn a_tracking_robot_keeps_the_safe_distance() {
 
 #[test]
 fn the_guard_alone_keeps_the_safe_distance() {
-    // The solver sees no obstacle in its cost, so that the guard has to act.
+    // The solver's cost ignores obstacles, so that the guard has to act.
     let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
     let guarded = track_into_obstacle(&format!("{}{blind}", bearing_contact()));
     assert!(guarded > 10, "{guarded}");
@@ -306,11 +306,11 @@ fn the_guard_alone_keeps_the_safe_distance() {
 
 #[test]
 fn an_obstacle_inside_the_safe_distance_is_never_approached() {
-    // Ideal: clearances are compared exactly.
+    // Ideal, because clearances are compared exactly.
     let daemon = Daemon::ideal(&bearing_contact());
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
-    // 5 mm beside the straight robot, to where the line goes.
+    // 5 mm beside the straight robot, in the direction of the line.
     let beside = ball(1, [0.04, 0.0, 0.85]);
     assert_eq!(client.upsert(&[beside]).0, Outcome::Accepted);
     let first = client.wait_ids(&[1]);
@@ -327,7 +327,7 @@ fn an_obstacle_inside_the_safe_distance_is_never_approached() {
 #[test]
 fn the_way_home_is_guarded_too() {
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    // Ideal: the clearances of neighbouring records are compared exactly.
+    // Ideal, because the clearances of consecutive records are compared exactly.
     let daemon = Daemon::ideal(&format!("{}{bent}", bearing_contact()));
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
@@ -344,7 +344,7 @@ fn the_way_home_is_guarded_too() {
     let least_m = watch.least_m.unwrap();
     assert!(least_m >= SAFE_DISTANCE_M - 1e-4, "{least_m}");
     wait_status(&connection, |status| status.clearance_guarded > 100);
-    // It is free to go on when the way is.
+    // It continues when the path is clear.
     let header = client.sender.clear().unwrap();
     assert_eq!(client.outcome_of(&header).0, Outcome::Accepted);
     wait_record(&mut client.telemetry, |record| {

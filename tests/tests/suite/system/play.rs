@@ -11,7 +11,8 @@ use cdcr_tests::{
 };
 use rustix::process::Signal;
 
-/// A recording `run.mcap` of a curve that is tracked beside an obstacle which moves; `before`: what else is asked before that.
+/// A recording `run.mcap` of a curve that is tracked beside a moving obstacle, after the requests of
+/// `before`.
 pub(super) fn record_beside(
     daemon: &Daemon,
     id: u32,
@@ -44,7 +45,7 @@ pub(super) fn record_beside(
     file
 }
 
-/// Such a recording, and the daemon that drew the curve, at rest elsewhere.
+/// Such a recording, and its daemon, at rest at another position.
 fn recorded() -> (Daemon, PathBuf) {
     let daemon = Daemon::start(PATIENT);
     let file = record_beside(&daemon, 7, [0.4, 0.0, 0.5], |_| ());
@@ -63,12 +64,12 @@ fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
     command.args(["replay", "run.mcap", "--speed", "2"]);
     let mut player = Program::start(command.current_dir(daemon.place().folder()));
     let mut known = wait_record(&mut telemetry, |record| record.obstacle_count == 1);
-    // Twice as fast: so is the obstacle.
+    // Twice as fast, and so is the obstacle.
     assert_eq!(known.obstacles[0].velocity_m_s, [0.0, 0.02, 0.0]);
     known = wait_record(&mut telemetry, |record| {
         record.mode == Mode::Tracking.code()
     });
-    // From where it is, on a smooth way.
+    // From the present position, on a smooth path.
     assert!(known.approach.duration_ns > 0);
     let begin_m = known.reference.position_m;
     let late = wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());

@@ -1,4 +1,4 @@
-//! `cdcrctl` as a user meets it when all is well.
+//! `cdcrctl` in normal use, without faults.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::freeze;
 
-/// A slow line that lasts as long as a test needs it.
+/// A slow line that lasts longer than any test needs it.
 const LONG_LINE: &str = "ref line --velocity 0.001,0,-0.001 --duration 120s --lead 1s";
 const SHORT_LINE: &str = "ref line --duration 300ms --lead 1s";
 
@@ -38,12 +38,12 @@ fn start_into(path: &Path, command: &Command) -> Program {
             None => shell.env_remove(name),
         };
     }
-    // Before the shell has made it, nothing is in it.
+    // The shell may not have created it yet.
     fs::write(path, "").unwrap();
     Program::start(shell.stdin(Stdio::null()))
 }
 
-/// Runs to a good end; what it printed.
+/// Runs a command that must succeed, and returns its output.
 fn good(place: &Place, line: &str) -> String {
     place.says(&format!("cdcrctl {line}"), 0, &[])
 }
@@ -54,7 +54,7 @@ fn status(place: &Place) -> Value {
 
 #[test]
 fn a_reference_is_fed_tracked_and_played_to_its_end() {
-    // Ideal: the tip is where the line begins, which is over sooner than an approach.
+    // Ideal: the tip is at the begin of the line, so that no approach is needed.
     let daemon = Daemon::ideal(PATIENT);
     let place = daemon.place();
     let fed = good(place, &format!("{SHORT_LINE} --track"));
@@ -76,7 +76,7 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
 
 #[test]
 fn an_orientation_is_fed_without_a_warning() {
-    // Ideal: the tip is where the line begins, which is over sooner than an approach.
+    // Ideal: the tip is at the begin of the line, so that no approach is needed.
     let daemon = Daemon::ideal(PATIENT);
     let place = daemon.place();
     let line = format!("{SHORT_LINE} --axis 0,0,1 --track");
@@ -88,7 +88,7 @@ fn an_orientation_is_fed_without_a_warning() {
 
 #[test]
 fn obstacles_are_added_shown_and_removed() {
-    // Ideal: the clearance is compared exactly.
+    // Ideal, because the clearance is compared exactly.
     let daemon = Daemon::ideal(PATIENT);
     let place = daemon.place();
     let says = |line: &str, part: &str| {
@@ -124,7 +124,7 @@ fn whoever_leaves_last_leaves_nothing() {
     drop((telemetry, connection));
     let files = || daemon.place().memory_files();
     assert_eq!(files(), Vec::<PathBuf>::new());
-    // A client that finds nobody.
+    // A client without a daemon.
     assert!(!daemon.place().cdcrctl(&["status"]).status.success());
     assert_eq!(files(), Vec::<PathBuf>::new());
 }
@@ -152,7 +152,7 @@ fn track_follows_what_another_program_feeds_until_sigint_holds() {
     let place = daemon.place();
     let connection = daemon.connect();
     let mut feeding = Program::start(&mut command(place, LONG_LINE));
-    // Refused until the first chunk is in.
+    // Rejected until the first chunk is accepted.
     wait_until("tracking", || {
         let output = place.cdcrctl(&["track"]);
         assert!(
@@ -254,16 +254,16 @@ fn a_watched_status_is_shown_again_and_again() {
     assert!(cycles.is_sorted_by(|a, b| a < b), "{cycles:?}");
 }
 
-/// Longer than a few periods, which makes a bad cycle.
+/// Longer than a few periods, which causes an incident.
 const FROZEN: Duration = Duration::from_millis(100);
 
 #[test]
 fn bad_cycles_are_kept_for_whoever_asks_later() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    // With what the daemon kept only, and at most its newest.
+    // Only incidents that the daemon kept, at most the newest.
     let frozen = |line: &str| {
-        // Of a program that still writes, the last line may be half a one.
+        // While a program still writes, its last line may be incomplete.
         let Ok(incident) = serde_json::from_str::<Value>(line) else {
             return false;
         };
@@ -272,7 +272,7 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
             && record["late_start"] == true
             && record["scheduling"]["late_cause"] != "in time"
     };
-    // Frozen between its command and its sleep a cycle is not late, and the machine makes incidents, too.
+    // If frozen between its command and its sleep, a cycle is not late; the machine causes incidents, too.
     wait_until("the incident", || {
         freeze(&daemon, FROZEN);
         let printed = good(place, "incidents --format json");
@@ -291,7 +291,7 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
     let line = "incidents --follow --count 0 --format json";
     let path = place.folder().join("follow.jsonl");
     let mut follow = start_into(&path, &command(place, line));
-    // How soon it listens is up to the machine.
+    // The time until it listens depends on the machine.
     wait_until("a new incident", || {
         freeze(&daemon, FROZEN);
         fs::read_to_string(&path).unwrap().lines().any(frozen)
@@ -329,7 +329,7 @@ fn settings_are_shown_and_changed_by_their_keys() {
         "settings: accepted",
     ];
     place.says(set, 0, &parts);
-    // One after the other at once: none takes back what the one before changed.
+    // In rapid succession: none reverts the change of the one before.
     good(place, "settings set seed=7");
     good(place, "settings set inertia=0.6");
     let mut expected = before;
@@ -343,10 +343,10 @@ fn settings_are_shown_and_changed_by_their_keys() {
     let refused = |change: &str, status, part: &str| {
         place.says(&format!("cdcrctl settings set {change}"), status, &[part]);
     };
-    // More blocks than steps: in the range of the key, but not for the daemon.
+    // More blocks than steps: in the range of the key, but invalid for the daemon.
     let out_of_range = "control_blocks = 5 is out of range: allowed is 0 to 4";
     refused("control_blocks=5", 1, out_of_range);
-    // As the configuration of a daemon of 5 ms has it.
+    // The value for a daemon with a period of 5 ms.
     refused(
         "budget_ms=9",
         1,
@@ -356,7 +356,7 @@ fn settings_are_shown_and_changed_by_their_keys() {
     assert_eq!(shown(), expected, "a refusal changes nothing");
 }
 
-/// Starts an echo, lets `speak` make messages until the echo has enough, and returns its lines.
+/// Starts an echo, calls `speak` to cause messages until the echo has enough, and returns its lines.
 fn echo(place: &Place, topic: &str, format: &str, speak: &dyn Fn()) -> Vec<String> {
     let line = format!("echo {topic} --count 3 --format {format}");
     let mut echo = Program::start(&mut command(place, &line));
@@ -376,7 +376,7 @@ fn every_topic_is_echoed_as_text_and_as_json() {
     let place = daemon.place();
     let connection = daemon.connect();
     let obstacles = connection.obstacle_sender().unwrap();
-    // A chunk that comes too late is refused, and echoed all the same.
+    // A late chunk is rejected, but echoed.
     let line = ["ref", "line", "--duration", "10ms", "--lead", "100ms"];
     let feed = || drop(place.cdcrctl(&line));
     let clear = || {

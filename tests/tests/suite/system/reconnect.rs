@@ -1,5 +1,5 @@
-//! The daemon is killed at any moment and started again: it is back at once, and the clients that stayed
-//! find it by themselves.
+//! The daemon is killed at any time and restarted: it works at once, and its remaining clients find it by
+//! themselves.
 
 mod home;
 
@@ -24,19 +24,20 @@ use rustix::process::Signal;
 
 use crate::chaos::dice::Dice;
 
-/// Kills of a daemon that held; others are killed while they start.
+/// Kills of a daemon that holds; others are killed during their start.
 const KILLS: usize = 50;
-/// After one in so many of these a daemon starts beside, at a place where none was ever killed.
+/// Number of kills between two starts of a daemon at a place where none was ever killed.
 const BESIDE_EVERY: usize = 5;
-/// The median of the starts after a kill is at most so many times that of the starts beside: both on the same machine.
+/// Upper bound for the median of the starts after a kill, as a multiple of that of the other starts, on the
+/// same machine.
 const RETURN_TIMES_MAX: u32 = 2;
-/// A start that takes so many times as long was held up by something.
+/// A start that takes this multiple of the usual time was blocked.
 const SLOW_TIMES: u32 = 15;
 
 /// A daemon that is killed and reaped when dropped.
 struct Life(Running);
 
-/// What the newest daemon said is part of the report of a test that fails.
+/// Adds the log of the newest daemon to the report of a failing test.
 struct LogOfFailure<'a>(&'a Place);
 
 impl Drop for LogOfFailure<'_> {
@@ -52,7 +53,7 @@ impl Life {
     fn begin(place: &Place) -> Self {
         let config = place.folder().join("robot.toml");
         let mut command = place.command("cdcrd");
-        // With a driver, too, on machines that grant no real time.
+        // With a driver, too, on machines without real time.
         command.env("CDCR_REALTIME_MODE", "prefer");
         command.args(["run", "--config"]).arg(config);
         let log = std::fs::File::create(Self::log(place)).expect("the folder is writable");
@@ -64,7 +65,7 @@ impl Life {
         place.folder().join("cdcrd.log")
     }
 
-    /// A connection to it, or what it says instead.
+    /// Connects, or fails with the log of the daemon.
     fn connect(&mut self, place: &Place) -> Connection {
         Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap_or_else(|error| {
             let ended = self.0.0.try_wait().expect("it is our child");
@@ -73,14 +74,15 @@ impl Life {
         })
     }
 
-    /// Ends it as a service manager does.
+    /// Ends it like a service manager.
     fn end(mut self) {
         self.0.signal(Signal::TERM);
         let status = self.0.wait(String::new);
         assert!(status.success(), "{status}");
     }
 
-    /// Starts the next one of a place, and waits until its client sees that it holds. How long that took.
+    /// Starts the next daemon of a place, and waits until its client sees that it holds. Returns the time
+    /// until then.
     fn start_to_holding(place: &Place, old: &mut Old<'_>) -> (Self, Duration) {
         let begin_ns = monotonic_ns();
         let daemon = Self::begin(place);
@@ -103,12 +105,12 @@ fn place(configuration: &str) -> Place {
     place
 }
 
-/// A client that stays through all lives of the daemon.
+/// A client that remains connected across all restarts of the daemon.
 struct Old<'c> {
     connection: &'c Connection,
     telemetry: TelemetryStream,
     obstacles: ObstacleSender,
-    /// Identity of the daemon that was waited for last.
+    /// Identity of the last awaited daemon.
     daemon: u64,
 }
 
@@ -122,8 +124,8 @@ impl<'c> Old<'c> {
         }
     }
 
-    /// Waits until a daemon that began later than `begin_ns` is in `mode`. What an earlier one sent may
-    /// still be in the queue.
+    /// Waits until a daemon that began later than `begin_ns` is in `mode`. The queue may still contain
+    /// messages of an earlier one.
     fn wait_mode(&mut self, mode: Mode, begin_ns: u64) {
         let record = wait_record(&mut self.telemetry, |record| {
             record.header.sent_ns > begin_ns && record.mode == mode.code()
@@ -131,7 +133,7 @@ impl<'c> Old<'c> {
         self.daemon = record.header.sender_id;
     }
 
-    /// All that a client can do works with the daemon of this process, which is new.
+    /// Checks that all functions of a client work with the new daemon of this process.
     fn use_everything(&mut self, process: u32) {
         let answer = ask_for(self.connection, RequestKind::Hold);
         assert_eq!(answer.header.sender_id, self.daemon);
@@ -147,13 +149,13 @@ impl<'c> Old<'c> {
     }
 }
 
-/// A second old client, always in the middle of something when the daemon is killed. Counts how often it was answered.
+/// A second old client, always in the middle of a request when the daemon is killed. Counts its answers.
 fn keep_asking(connection: &Connection, over: &AtomicBool, answered: &AtomicU64) {
     while !over.load(Ordering::Relaxed) {
         let mut telemetry = connection.telemetry().unwrap();
         match connection.request_within(RequestKind::Hold, Duration::from_secs(1)) {
             Ok(_) => drop(answered.fetch_add(1, Ordering::Relaxed)),
-            // Refused before its first cycle, silent while there is none.
+            // Rejected before the first cycle, unanswered without a daemon.
             Err(RequestError::Refused { .. } | RequestError::Timeout { .. }) => {}
             Err(error) => panic!("{error}"),
         }
@@ -182,7 +184,7 @@ fn fifty_kills_at_any_moment() {
         scope.spawn(|| keep_asking(&connect(&place), &is_over, &answered));
         let _over = EndWhenDropped(&is_over);
         for kill in 0..KILLS {
-            // The busy client is not lost, either: each daemon answers it.
+            // The busy client still works, too: each daemon answers it.
             let before = answers();
             wait_until("an answer to the busy client", || answers() > before);
             thread::sleep(dice.duration_ms(0, 100));
@@ -213,12 +215,12 @@ fn fifty_kills_at_any_moment() {
         "start to holding, {KILLS} times: median {median:.1?}, longest {longest:.1?}; where none was killed {usual:.1?}"
     );
     assert!(median < RETURN_TIMES_MAX * usual, "{returns:?}, {starts:?}");
-    // The machine may hold up a few; files that a killed one left would hold up every third.
+    // The machine may delay a few; files of a killed daemon would delay every third one.
     let slow = returns.iter().filter(|took| **took > SLOW_TIMES * usual);
     assert!(slow.count() <= KILLS / 10, "{returns:?}, {starts:?}");
 }
 
-/// Starts of a daemon that a bad machine may make longer than a feeder waits.
+/// Slow starts, longer than a feeder waits, that a bad machine may cause.
 const SLOW_STARTS_MAX: usize = 10;
 
 #[test]
@@ -227,7 +229,7 @@ fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
     assert!(is_told, "every start of a daemon took more than a second");
 }
 
-/// False: the start took so long that the feeder was told of silence.
+/// False if the start took so long that the feeder detected silence.
 fn is_told_of_the_restart_and_feeds_again() -> bool {
     let place = place(PATIENT);
     let mut daemon = Some(Life::begin(&place));
@@ -259,13 +261,13 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
             "{error}"
         );
     } else {
-        // A start that a bad machine makes long is silence before it is another daemon.
+        // On a bad machine, a long start is detected as silence before the new daemon is.
         let silence = killed.unwrap().elapsed();
         let is_silence = matches!(error, FeedError::Link(LinkError::Silent { .. }));
         assert!(is_silence && silence > Duration::from_secs(1), "{error:?}");
     }
 
-    // Refused until the new daemon has a robot.
+    // Rejected until the new daemon has a robot.
     let connection_lives = || connection.request(RequestKind::Hold).is_ok();
     wait_until("the new daemon holds", connection_lives);
     let feeder = connection.feed(&line, options).unwrap();
@@ -352,8 +354,8 @@ fn a_stop_that_comes_while_no_daemon_runs_stops_the_one_that_is_just_started_aga
     drop(next);
 }
 
-/// Measures a robot whose first section is bent by `bend_rad` every 2 ms; `commanded_by` is the daemon of the newest
-/// command. How often the driver was told of another daemon.
+/// Measures a robot whose first section is bent by `bend_rad` every 2 ms; `commanded_by` is the daemon of the
+/// newest command. Returns how often the driver detected another daemon.
 fn drive(
     connection: &Connection,
     bend_rad: f64,
@@ -405,7 +407,7 @@ fn a_driver_serves_every_daemon() {
             daemon = Some(Life::begin(&place));
         }
         drop(over);
-        // The fifth daemon may not have commanded yet.
+        // The fifth daemon may not have sent a command yet.
         let others = driver.join().unwrap();
         assert!((3..=4).contains(&others), "{others} other daemons");
     });
@@ -417,7 +419,7 @@ fn kills_in_the_middle_of_the_start_leave_nothing_that_hinders_the_next_one() {
     let mut dice = Dice::new(2);
     let mut starts = Vec::new();
     for _ in 0..5 {
-        // Nobody else keeps the services: each of these begins to make them.
+        // No other process keeps the services open: each of these creates them.
         for _ in 0..20 {
             let starting = Life::begin(&place);
             thread::sleep(dice.duration_ms(0, 60));

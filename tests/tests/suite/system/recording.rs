@@ -1,4 +1,4 @@
-//! `cdcrctl record` and what reads its files.
+//! `cdcrctl record`, and the commands that read its files.
 
 mod recorded;
 
@@ -25,7 +25,7 @@ use serde_json::Value;
 use crate::own_mounts::{has_own_mounts, mount, name_of};
 use recorded::Recorded;
 
-/// How many messages of a topic a recorder says that it lost.
+/// Number of lost messages of a topic, as reported by a recorder.
 fn lost(said: &str, topic: Topic) -> u64 {
     let counts = said.lines().filter_map(|line| {
         let (count, of) = line.strip_prefix("lost: ")?.split_once(' ')?;
@@ -42,7 +42,7 @@ fn curve() -> Spiral {
     }
 }
 
-/// The sender stays: one that leaves takes along what a recorder has not read yet.
+/// The sender remains, because pending messages are lost when it leaves.
 fn know_an_obstacle(connection: &Connection) -> ObstacleSender {
     let mut telemetry = connection.telemetry().unwrap();
     let sender = connection.obstacle_sender().unwrap();
@@ -77,7 +77,7 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
     ] {
         let channel = &info["channels"][name];
         assert!(channel["messages"].as_u64().unwrap() > 0, "{name}: {info}");
-        // Of snapshots only two wait for a reader: where it is late by 0.2 s, older ones are lost, and counted.
+        // Only two snapshots wait for a reader: if it is 0.2 s late, older ones are lost, and counted.
         assert_eq!(channel["missing"], lost(&said, topic), "{info}");
     }
     run.cdcrctl(&["convert", "run.mcap", "--csv", "tables"]);
@@ -101,7 +101,7 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
     for record in &records {
         let row = at(record);
         assert_eq!(row[column("command.mode")], "tracking");
-        // Written in full: the same bits when it is read.
+        // Written in full precision: the same bits when read.
         assert_eq!(row[column("bend_rad[2]")].parse(), Ok(record.bend_rad[2]));
         assert_eq!(row.len(), heads.len());
     }
@@ -127,7 +127,8 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
     assert!((1e-9..0.1).contains(&error_m), "{error_m}");
 }
 
-/// Modes change, requests are refused, obstacles come, solves run out of their budget: whatever a cycle did, the recording alone tells it.
+/// Modes change, requests are rejected, obstacles appear, solves exceed their budget: every cycle can be
+/// recomputed from the recording alone.
 #[test]
 fn every_cycle_of_a_recording_is_computed_again() {
     let budget =
@@ -136,7 +137,7 @@ fn every_cycle_of_a_recording_is_computed_again() {
     let connection = run.daemon.connect();
     let _sender = know_an_obstacle(&connection);
     track(&connection, &curve());
-    // Refused: nobody feeds.
+    // Rejected: no client feeds.
     refused(&connection, RequestKind::Track);
     let mut telemetry = connection.telemetry().unwrap();
     for (request, mode) in [
@@ -215,7 +216,7 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     run.recorder.output();
     let info = run.info();
     assert_eq!(info["cut"], true);
-    // Where nobody hears the warning, it is not given.
+    // If the output of the warning fails, there is no warning.
     let (nobody, unread) = std::io::pipe().unwrap();
     drop(nobody);
     let mut command = run.daemon.place().command("cdcrctl");
@@ -223,7 +224,7 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     assert_eq!(command.stderr(unread).status().unwrap().code(), Some(0));
     let seen_s = info["duration_s"].as_f64().unwrap();
     let all_s = (newest.release_ns - begin.release_ns) as f64 * 1e-9;
-    // A machine that stalls delays the recorder, too; it flushes when it runs.
+    // A stalled machine delays the recorder, too; it flushes when it runs.
     assert!(seen_s > all_s - 2.0, "{seen_s} of {all_s} s");
     let said = run.cdcrctl(&["info", "run.mcap", "--repair"]);
     assert!(said.contains("is truncated"), "{said}");
@@ -256,7 +257,8 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     assert_eq!(info["cut"], false);
     let messages = info["channels"]["telemetry"]["messages"].as_u64().unwrap();
     assert!(messages > 10);
-    // A machine that held the recorder up for more than a second made it lose records: it says so.
+    // If the machine delayed the recorder for more than a second, records are lost, and the recorder reports
+    // it.
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(said.contains(&format!(": {messages} cycles, ")), "{said}");
     let missing = info["channels"]["telemetry"]["missing"].as_u64().unwrap();
@@ -264,22 +266,22 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
         missing <= lost(&said, Topic::Telemetry),
         "{missing}: {said}"
     );
-    // Where the disk is full before, as well.
+    // Fails as well if the disk was full before.
     fs::write(disk.join("rest"), vec![0; 1 << 20]).unwrap_err();
     let mut again = Recorded::recorder(&run.daemon, &disk.join("again.mcap"));
     assert_says(&again.output(), 3, &["again.mcap", "No space left"]);
-    // The loop never noticed.
+    // The loop was not affected.
     let status = run
         .daemon
         .connect()
         .status(Duration::from_secs(10))
         .unwrap();
     assert_eq!(status.mode, Mode::Holding.code());
-    // Before the folder goes in which it stands.
+    // Unmounted before the folder that contains it is removed.
     assert!(mount(&format!("umount {folder}")));
 }
 
-/// Copies a recording, with its channels and telemetry changed.
+/// Copies a recording with changed channels and telemetry.
 fn rewrite(
     from: &Path,
     to: &Path,
@@ -378,7 +380,7 @@ fn other_settings_are_compared_with_what_was_commanded() {
     .map(with);
     let most = |found: &Value| found["rates_apart_rad_s"]["max"].as_f64().unwrap();
     assert!(same["cycles"].as_u64().unwrap() > 150, "{same}");
-    // Only a solve that the machine cut short comes out otherwise.
+    // Only a solve that the machine shortened gives another result.
     let is_cut_short = same["recorded_cut_short"].as_u64().unwrap() > 0;
     assert!(most(&same) == 0.0 || is_cut_short, "{same}");
     assert!(most(&others) > 1e-6, "{others}");
@@ -386,7 +388,7 @@ fn other_settings_are_compared_with_what_was_commanded() {
     assert_ne!(same["with"]["evaluations"], others["with"]["evaluations"]);
     let place = run.daemon.place();
     place.says("cdcrctl replay --with horizon=5 run.mcap", 2, &["horizon"]);
-    // The plans of a version with other control blocks have another length.
+    // Plans of a version with other control blocks have another length.
     let other = run.file.with_file_name("other.mcap");
     rewrite(
         &run.file,
@@ -408,7 +410,7 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
         &run.file,
         &other,
         |channel| {
-            // Standard messages have no version of ours.
+            // Standard messages have no version of this project.
             if let Some(version) = channel.metadata.get_mut("wire_type") {
                 version.push_str("99");
             }
@@ -420,7 +422,7 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
     for task in ["info", "replay --verify", "convert --csv tables"] {
         let found = format!("{name}99");
         let ours = format!("reads {name}:");
-        // Which message comes first is chance; each has its two versions.
+        // The order of the messages is random; each one has its two versions.
         let said = place.says(
             &format!("cdcrctl {task} other.mcap"),
             1,
@@ -490,7 +492,7 @@ fn what_is_no_recording_is_refused_with_the_reason() {
     fs::write(&table, "mine").unwrap();
     let refused = exists("tables/telemetry.csv");
     place.says("cdcrctl convert run.mcap --csv tables", 1, &[&refused]);
-    // A table without the others is no result.
+    // A table without the others is not a result.
     assert_eq!(fs::read_dir(table.parent().unwrap()).unwrap().count(), 1);
     assert_eq!(fs::read_to_string(table).unwrap(), "mine");
 }

@@ -1,5 +1,5 @@
-//! A recording of telemetry and reference chunks holds everything: each cycle, with its obstacles, is
-//! computed again from it, bit for bit.
+//! A recording of telemetry and reference chunks is complete: each cycle, with its obstacles, is recomputed
+//! from it, bit for bit.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,7 +19,8 @@ use cdcr_tests::{
     Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, tracked, until_undisturbed, wait_mode,
 };
 
-/// How many cycles solved, and how many commands the guard changed: of those, which only for the play of the cables.
+/// Numbers of solves, of commands changed by the guard, and of those changed only because of the play of the
+/// cables.
 #[derive(Debug, Default)]
 struct Replayed {
     solved: u32,
@@ -60,9 +61,9 @@ impl Recording {
                 ControlFlow::Continue(())
             });
             match fed {
-                // The machine held this reader up for longer than records or chunks wait for it.
+                // The machine delayed this reader for longer than the queues of records or chunks last.
                 Ok(report) if report.lost_records + sent.lost() > 0 => None,
-                // The machine held the exchange up: its inputs were stale.
+                // The machine delayed the exchange: its inputs were stale.
                 Err(FeedError::LeftTracking { reason, .. })
                     if reason == Reason::InputsStale.text() =>
                 {
@@ -73,7 +74,7 @@ impl Recording {
         })
     }
 
-    /// Computes every cycle again.
+    /// Recomputes every cycle.
     fn replay(&self) -> Replayed {
         let mut replayed = Replayed::default();
         for outcome in self.outcomes() {
@@ -88,7 +89,8 @@ impl Recording {
         replayed
     }
 
-    /// How many cycles have no known reference where the record `at` is missing: until the next chunk nobody knows what that record took in.
+    /// Number of cycles without a known reference if the record `at` is missing: the chunks of that record
+    /// are unknown until the next one.
     fn unknown_without(&self, at: usize) -> usize {
         let (before, after) = (&self.records[at - 1], &self.records[at + 1..]);
         let takes = |record: &Telemetry| {
@@ -121,10 +123,10 @@ impl Recording {
     }
 }
 
-/// The solver sees no obstacle in its cost, so that the guard has to act.
+/// The solver's cost ignores obstacles, so that the guard has to act.
 const BLIND: &str = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
 
-/// The bar may come nearer than it should, and what it touches goes on.
+/// The bar may come nearer than the safe distance, and contact is not a fault.
 const CONTACT: &str = "[safety]\nclearance_fault_m = -1.0\n";
 
 fn solves(record: &Telemetry) -> bool {
@@ -138,7 +140,7 @@ fn spiral() -> Spiral {
     }
 }
 
-/// A ball that stands on the paper's line, and a bar that comes from the side.
+/// A ball at rest on the paper's line, and a bar that comes from the side.
 fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
     let bar = cdcr_shared_types::Obstacle {
         shape: ObstacleShape::Capsule.code(),
@@ -153,7 +155,8 @@ fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
 fn a_bit_that_is_wrong_is_found_and_a_missing_record_makes_no_other_wrong() {
     let recording = Recording::make(PATIENT, &[], &spiral());
     let first = recording.records.iter().position(solves).unwrap();
-    // A record whose loss makes some of the cycles after it unknown, and not all: while the machine stalls, a client may send many chunks at once.
+    // A record whose loss makes only some of the later cycles unknown: while the machine stalls, a client may
+    // send many chunks at once.
     let last = recording.records.len() - 1;
     let all = |at: usize| recording.records[at + 1..].iter().filter(|r| solves(r));
     let is_between = |at: &usize| (1..all(*at).count()).contains(&recording.unknown_without(*at));
@@ -221,7 +224,7 @@ fn cycles_of_a_robot_that_obeys_positions_are_computed_again_bit_for_bit() {
     let positions = "[link]\ninterface = \"position\"\n[motion]\napproach = \"direct\"\nacceleration_rad_s2 = 15.0\n";
     let recording = Recording::make(&format!("{PATIENT}{positions}"), &[], &spiral());
     recording.replay();
-    // The plan grows as fast as it may.
+    // The plan grows as fast as allowed.
     let grows = |pair: &[Telemetry]| {
         let most_rad_s = 15.0 * pair[1].period_ns as f64 * 1e-9;
         let [before, now] = [0, 1].map(|i| pair[i].command.bend_rate_rad_s);
@@ -245,10 +248,11 @@ fn cycles_of_a_robot_whose_motors_lag_and_cables_have_play_are_computed_again_bi
     recording.replay();
 }
 
-/// A robot that is longer than its model, and measures its tip beside its cables: the guard keeps the obstacles as much farther away.
+/// A robot that is longer than its model, with a measured tip and measured cables: the guard increases the
+/// distance from obstacles accordingly.
 #[test]
 fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bit() {
-    // On a machine that stalls the driver does not follow in time.
+    // On a stalled machine the driver does not follow in time.
     let driver = "following_fault_rad = 100.0\n[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
     let daemon = Daemon::start(&format!("{PATIENT}{BLIND}{CONTACT}{driver}"));
     let ends = AtomicBool::new(false);

@@ -1,4 +1,4 @@
-//! The page that `cdcrctl report` makes of a recording, read as a file and opened in a browser.
+//! The page that `cdcrctl report` generates from a recording, read as a file and opened in a browser.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ use super::play::record_beside;
 fn page() -> (Daemon, String) {
     let daemon = Daemon::start(PATIENT);
     record_beside(&daemon, 1, [0.3, 0.0, 0.5], |connection| {
-        // Refused: nobody feeds.
+        // Rejected: no client feeds.
         refused(connection, RequestKind::Track);
     });
     let place = daemon.place();
@@ -28,7 +28,7 @@ fn page() -> (Daemon, String) {
     (daemon, page)
 }
 
-/// The block of JSON of a page.
+/// The JSON block of a page.
 fn data(page: &str) -> Value {
     let (_, rest) = page.split_once("id=\"data\">").unwrap();
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
@@ -47,7 +47,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
     ] {
         assert!(!page.contains(word), "{word}");
     }
-    // The name of the vector format is no address.
+    // The name of the vector format is not an address.
     let addresses = page.replace("http://www.w3.org/2000/svg", "");
     assert!(!addresses.contains("http://") && !addresses.contains("https://"));
     assert!(page.len() < 1_000_000, "{}", page.len());
@@ -62,7 +62,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
     assert_eq!(data["cycles"], info["channels"]["telemetry"]["messages"]);
     assert_eq!(data["deadline_misses"], info["deadline_misses"]);
     let [mean, max, last] = [0, 1, 2].map(|k| data["error_mm"][k].as_f64().unwrap());
-    // A robot that is not its model.
+    // A robot that differs from its model.
     assert!(
         0.0 < mean && mean <= max && last <= max && max < 50.0,
         "{mean} {max}"
@@ -75,7 +75,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
         assert_eq!(length(&curves[name]), columns, "{name}");
     }
     let series = curves["series"].as_object().unwrap();
-    // Error, clearance, three latencies; of three sections two rates and three cables each.
+    // Error, clearance, three latencies; for three sections two rates and three cables each.
     assert_eq!(series.len(), 5 + 6 + 9);
     for (name, ends) in series {
         assert!(
@@ -122,8 +122,8 @@ fn a_page_is_not_made_of_what_is_no_recording_nor_over_it() {
     place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
 }
 
-/// What the page's own script made, told by a script of this test at its end: what went wrong, the sections, how many colours the picture of the
-/// robot has, and how far the drawn tip is from the recorded one.
+/// A script of this test that reports the results of the page's own script: errors, the sections, the number
+/// of colours in the picture of the robot, and the distance of the drawn tip from the recorded one.
 const PROBE: &str = r"<script>
 // At once: the page is drawn before it is seen.
 const paths = document.querySelectorAll('svg path').length;
@@ -184,9 +184,10 @@ fn a_browser_draws_the_page_without_an_error() {
         "{told}"
     );
     assert_eq!(told["references"], 2, "{told}");
-    // What is far below the largest error has its own height.
+    // Values far below the largest error are still distinguishable.
     assert!(told["at_the_bottom"].as_f64().unwrap() < 0.1, "{told}");
-    // The tip of bends that are measured: the robot's own is elsewhere, the offset is not known here. Numbers have five digits.
+    // The tip computed from measured bends: the true one differs, because the offset is unknown here. Numbers
+    // have five digits.
     assert!(told["apart_mm"].as_f64().unwrap() < 0.2, "{told}");
 }
 
@@ -210,7 +211,7 @@ fn interrupted(page: &str) -> String {
     format!("{head}id=\"data\">{data}</script>{tail}")
 }
 
-/// What a page says when its scripts have run.
+/// Results of a page after its scripts have run.
 fn in_browser(browser: &str, folder: &Path, page: &Path) -> Value {
     // Beside loops of ordinary priority.
     let mut command = Command::new("nice");

@@ -1,4 +1,4 @@
-//! What `cdcrctl` takes from formulas, files and pipes, figures to follow and scenes to keep away from, and what it gives to other programs.
+//! Inputs of `cdcrctl` from formulas, files and pipes, curves and scenes, and its output for other programs.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
@@ -23,7 +23,7 @@ fn write(child: &mut Child, text: &str) {
     stdin.write_all(text.as_bytes()).unwrap();
 }
 
-/// Ends its standard input.
+/// Closes its standard input and waits for its end.
 fn ended(child: Child) -> Output {
     child.wait_with_output().unwrap()
 }
@@ -74,12 +74,12 @@ fn a_scene_is_played_from_a_file() {
     place.write("scene.json", &scene);
     let played = "4 changes accepted, 1 known";
     says(&daemon, "obstacle file scene.json", 0, played);
-    // What the list prints is a scene, too.
+    // The output of the list is a scene, too.
     let list = says(&daemon, "obstacle list --format json", 0, "\"id\": 3");
     place.write("list.json", &list);
     says(&daemon, "obstacle clear", 0, "0 known");
     says(&daemon, "obstacle file list.json", 0, "1 known");
-    // All is checked before anything is sent.
+    // Everything is checked before anything is sent.
     for (bad, part) in [
         ("{\"id\": 5}\n", "line 5: missing field `start_m`"),
         ("{\"remove\": [1]}\n", "line 5: time_s = 0 is before"),
@@ -114,7 +114,7 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     assert_says(&ended(camera), 1, &["standard input: line 2"]);
     wait_status(&connection, |status| status.obstacle_count == 0);
 
-    // Stamped by a clock that tells the date.
+    // Stamped by a clock that shows the date.
     let mut camera = piped(&daemon, "obstacle stdin");
     write(
         &mut camera,
@@ -122,7 +122,7 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     );
     assert_says(&ended(camera), 1, &["line 1: ", "CLOCK_MONOTONIC"]);
 
-    // The daemon goes away while it waits for a line.
+    // The daemon ends while the program waits for a line.
     let mut camera = piped(&daemon, "obstacle stdin");
     write(
         &mut camera,
@@ -136,7 +136,7 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     assert_says(&output, 1, &["daemon"]);
 }
 
-/// The rate of a line of `hz`.
+/// The rate in a line of `hz`.
 fn rate_hz(line: &str) -> f64 {
     let words: Vec<_> = line.split_whitespace().collect();
     assert_eq!(words.len(), 6, "{line}");
@@ -153,7 +153,7 @@ fn a_daemon_that_stood_still_is_not_counted_as_silent() {
     let line = lines.next().unwrap().unwrap();
     assert!(rate_hz(&line) > 0.0, "{line}");
     assert_says(&ended(hz), 0, &[]);
-    // Nobody feeds: that is a rate, too.
+    // Without a feed, the rate is zero.
     let printed = says(&daemon, "hz reference --count 1", 0, "messages/s");
     assert!(
         rate_hz(printed.lines().nth(1).unwrap()).abs() < 1e-9,
@@ -192,7 +192,7 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
         let length = plotter.recv(&mut packet).unwrap();
         let value: Value = serde_json::from_slice(&packet[..length]).unwrap();
         assert!(length < 2000 && value["tip_position_m"][2].as_f64() > Some(0.5));
-        // Nothing is followed, so there is no error.
+        // Without a reference, there is no error.
         assert!(value.get("position_error_m").is_none(), "{value}");
         let time_s = value["timestamp"].as_f64().unwrap();
         assert!(time_s > last_s);

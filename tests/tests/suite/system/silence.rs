@@ -1,4 +1,4 @@
-//! A daemon that is stopped like a frozen process: everybody notices, and it works again afterwards.
+//! A daemon that is stopped like a frozen process: its clients detect it, and it works again afterwards.
 
 use std::ops::ControlFlow;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use rustix::process::Signal;
 
 use super::freeze;
 
-/// Longer than anything here takes, slow enough to stay within reach.
+/// Longer than any test, slow enough to stay within reach.
 fn long_line() -> Line {
     Line {
         duration_s: 120.0,
@@ -25,7 +25,7 @@ fn long_line() -> Line {
     }
 }
 
-/// Feeds until the daemon, stopped in the middle of its tracking, is given up.
+/// Feeds until the feeder gives up the daemon, which is stopped during tracking.
 fn feed_until_silence(daemon: &Daemon, connection: &Connection) -> FeedError {
     let (line, mut stopped) = (long_line(), false);
     let feeder = connection.feed(&line, tracked()).unwrap();
@@ -68,7 +68,7 @@ fn a_stopped_daemon_is_noticed_everywhere_and_works_again() {
     for arguments in [&["status"][..], &["hold"], &["echo", "--count", "1"]] {
         let output = daemon.place().cdcrctl(arguments);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}");
-        // It is neither dead nor gone, and nobody says so.
+        // It has not ended, and the text does not say so.
         let text = text(&output);
         let process = format!("(process {})", daemon.id());
         assert!(
@@ -102,10 +102,10 @@ fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
     freeze(&daemon, Duration::from_secs(1));
     let record = wait_mode(&mut telemetry, Mode::Stopped);
     assert_eq!(record.reason, Reason::DeadlineMisses.code());
-    // That it can be reset again: faults::timing.
+    // The reset afterwards is tested in faults::timing.
 }
 
-/// As a first trial of a new user: nothing but the robot is configured.
+/// Like the first trial of a new user: only the robot is configured.
 #[test]
 fn a_simulated_robot_goes_on_after_misses_and_the_daemon_says_so() {
     let mut daemon = Daemon::start("");
@@ -131,7 +131,7 @@ fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
         let status = wait_status(&connection, |status| status.header.sent_ns > now_ns);
         status.outcomes[Outcome::Stale.code() as usize]
     };
-    // Where the machine sends the request seconds late, it has not waited for long.
+    // If the machine sends the request seconds late, it has not waited for long.
     until_undisturbed("a request that waits", || {
         let before = stale();
         keep_waiting(&daemon, &connection);
@@ -139,7 +139,8 @@ fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
     });
 }
 
-/// Asks a stopped daemon, which wakes up after longer than a request may wait for it, and sooner than its client gives up.
+/// Sends a request to a stopped daemon. The daemon wakes up after the longest wait of a request, and before
+/// its client gives up.
 fn keep_waiting(daemon: &Daemon, connection: &Connection) {
     daemon.signal(Signal::STOP);
     std::thread::scope(|scope| {

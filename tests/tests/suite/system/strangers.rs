@@ -1,4 +1,4 @@
-//! Whom the client does not talk to: services of another version. What a second user gets of a daemon is in `access`.
+//! Services of another version, which the client rejects. Other users are tested in `access`.
 
 use cdcr_client::{ConnectError, Connection};
 use cdcr_shared_types::message::Struct as _;
@@ -11,7 +11,7 @@ fn node(place: &Place) -> Node<ipc::Service> {
     builder.create().unwrap()
 }
 
-/// The bytes of our status, with another meaning: only the name tells.
+/// The same bytes as the status, with another meaning: only the name differs.
 #[derive(Debug, ZeroCopySend)]
 #[repr(C)]
 #[type_name("cdcr.Status.v999")]
@@ -20,7 +20,7 @@ struct OtherStatus(Status);
 #[test]
 fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
     let place = Place::new();
-    // Opened before, and as it should be.
+    // Opened before, and correct.
     let _reference = node(&place)
         .service_builder(&Service::Reference.name(ROBOT).unwrap())
         .publish_subscribe::<ReferenceChunk>()

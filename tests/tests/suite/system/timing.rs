@@ -1,4 +1,4 @@
-//! Periods, budgets, statistics and bad cycles of a running daemon.
+//! Periods, budgets, statistics and incidents of a running daemon.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -109,7 +109,7 @@ fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
                 "{window:?}"
             );
         }
-        // Each part of a cycle lies inside the whole.
+        // Each part of a cycle lies within the whole.
         assert!(window.compute.p50_ns <= window.response.p50_ns);
         let bad: u64 = window.causes.iter().sum();
         assert!(bad >= window.deadline_misses.max(window.late_starts));
@@ -122,7 +122,7 @@ fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
     assert!(after.cycles > before.cycles);
 }
 
-/// As many as are kept: they come at once, what is new one by one.
+/// All kept incidents: they come at once, new ones one by one.
 fn kept(connection: &Connection) -> Vec<Incident> {
     let mut kept = Vec::new();
     wait_until("all that is kept", || {
@@ -133,13 +133,13 @@ fn kept(connection: &Connection) -> Vec<Incident> {
         {
             kept.push(incident);
         }
-        // A reader that the machine held up loses some.
+        // A reader that the machine delayed loses some.
         stream.lost() == 0
     });
     kept
 }
 
-/// Stalls that are made, each of which newer ones of the machine may push out.
+/// Largest number of stalls that the test causes; newer ones of the machine may displace each of them.
 const STALLS_MAX: usize = 20;
 
 #[test]
@@ -149,13 +149,13 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
     let mut telemetry = connection.telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
     let flags = timing::LATE_START | timing::DEADLINE_MISS;
-    // On a bad machine more than are kept may be late before somebody asks: then it is another stall's turn.
+    // On a bad machine, more cycles than are kept may be late before the read: then the next stall is used.
     let (bad, incident, late) = (0..STALLS_MAX)
         .find_map(|_| {
             freeze(&daemon, Duration::from_millis(200));
             let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
-            // One that began inside a cycle made that one late, and one between a command and the sleep after it made
-            // none late: releases are lost all the same.
+            // A stall that began within a cycle made that one late. One between a command and the sleep after
+            // it made none late, but releases are lost.
             if bad.timing_flags & flags != flags {
                 return None;
             }
@@ -174,7 +174,7 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
     assert_eq!(incident.telemetry.header, bad.header);
     let cause = LateCause::try_from(incident.telemetry.scheduling.late_cause).unwrap();
     assert_ne!(cause, LateCause::None);
-    // The steal may change the cause that the exchange saw, and nothing else.
+    // The steal may change the cause seen by the exchange, and nothing else.
     let mut as_seen = incident.telemetry;
     as_seen.scheduling.late_cause = bad.scheduling.late_cause;
     assert_eq!(as_seen.scheduling, bad.scheduling);
@@ -185,7 +185,7 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
 
 #[test]
 fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
-    // Every start of a thread that does not wake up early is late by this measure.
+    // Without an early wake-up, every start of a thread is late by this measure.
     let daemon = Daemon::start(
         "[cycle]\nlate_start_ms = 0.001\nmiss_limit = 1000000\n[realtime]\nspin_us = 0.0\n",
     );
@@ -213,7 +213,7 @@ fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
 
 #[test]
 fn a_thread_that_spins_starts_more_punctually() {
-    // Of the most punctual tenth: the others say how busy the machine was.
+    // Of the most punctual tenth: the others depend on the load of the machine.
     let wake_ns = |spin_us: f64| {
         let daemon = Daemon::start(&format!("[realtime]\nspin_us = {spin_us}\n{PATIENT}"));
         let connection = daemon.connect();
@@ -235,7 +235,7 @@ fn a_thread_that_spins_starts_more_punctually() {
 
 /// Scheduling policy and real-time priority of a thread: fields 41 and 40 of `stat` (proc(5)).
 fn policy_and_priority(stat: &str) -> (u32, u32) {
-    // The name in field 2 may hold anything; field 3 follows its closing parenthesis.
+    // The name in field 2 may contain anything; field 3 follows its closing parenthesis.
     let (_, rest) = stat.rsplit_once(')').unwrap();
     let fields: Vec<&str> = rest.split_ascii_whitespace().collect();
     (
@@ -268,11 +268,11 @@ fn every_thread_runs_before_those_that_may_wait() {
     let expected = [
         ("cdcr-cycle", (SCHED_FIFO, 80)),
         ("cdcr-exchange", (SCHED_FIFO, 70)),
-        // Off their core, before ordinary tasks.
+        // Off the real-time core, with priority over ordinary tasks.
         ("cdcr-reporter", (SCHED_FIFO, 1)),
         // The supervisor, which shares the lock of the address space with the exchange.
         ("cdcrd", (SCHED_FIFO, 1)),
-        // As the supervisor: it clears away what dead clients left.
+        // As the supervisor: it removes the files of dead clients.
         ("cdcr-caretaker", (SCHED_FIFO, 1)),
         ("cdcr-status", (SCHED_FIFO, 1)),
         ("cdcr-log", (SCHED_OTHER, 0)),

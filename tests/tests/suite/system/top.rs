@@ -1,4 +1,4 @@
-//! `cdcrctl top` and `scope` in a terminal, with keys as people press them.
+//! `cdcrctl top` and `scope` in a terminal, with the keys that people press.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -17,23 +17,24 @@ use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
 
 const NOCTTY: i32 = OFlags::NOCTTY.bits().cast_signed();
 
-/// A terminal, and where keys go.
+/// A terminal, and the file for its keys.
 struct Terminal {
     keys: File,
-    /// What it shows; none, once it is closed.
+    /// Its screen; `None` after it is closed.
     shown: Arc<Mutex<Option<vt100::Parser>>>,
     reader: JoinHandle<()>,
 }
 
 impl Terminal {
-    /// With a side for the program.
+    /// Returns the terminal and the program's side.
     fn new(columns: u16, rows: u16) -> (Self, File) {
         let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
         grantpt(&ours).unwrap();
         unlockpt(&ours).unwrap();
         let name = ptsname(&ours, Vec::new()).unwrap();
         let mut options = std::fs::OpenOptions::new();
-        // A test program that leads a session would get it as its own terminal, and SIGHUP when it is closed.
+        // A test program that leads a session would get it as its controlling terminal, and SIGHUP when it is
+        // closed.
         let theirs = options.read(true).write(true).custom_flags(NOCTTY);
         let theirs = theirs.open(name.to_str().unwrap()).unwrap();
         let size = Winsize {
@@ -55,7 +56,7 @@ impl Terminal {
                         None => return,
                     },
                     Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                    // The last program that had it has ended.
+                    // The last program with the terminal has ended.
                     _ => return,
                 }
             }
@@ -68,7 +69,7 @@ impl Terminal {
         (terminal, theirs)
     }
 
-    /// As when its window is closed; whatever is on the screen draws again.
+    /// Like closing its window; the program then draws again.
     fn close(self) {
         *self.shown.lock().unwrap() = None;
         self.reader.join().unwrap();
@@ -154,7 +155,8 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
 
 #[test]
 fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
-    // A period that a stall does not fill: late cycles would push what is waited for off the list of events. One of them is no lost measurement.
+    // A period that a stall does not fill: late cycles would displace the awaited event from the list. One of
+    // them is not a lost measurement.
     let mut daemon =
         Daemon::start("[cycle]\nperiod_ms = 100.0\n[link]\nmeasurement_timeout_ms = 10000.0\n");
     let (mut terminal, theirs) = Terminal::new(100, 30);

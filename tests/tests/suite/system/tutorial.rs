@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use super::examples::shell;
 
-/// The blocks of commands of a page.
+/// The command blocks of a page.
 fn blocks(page: &str) -> Vec<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
     let page = fs::read_to_string(path).unwrap();
@@ -20,7 +20,8 @@ fn blocks(page: &str) -> Vec<String> {
         .collect()
 }
 
-/// What it says; none where it failed, as where the machine stalls for longer than a reference is sent ahead.
+/// Its output; `None` if it failed, for example when the machine stalls for longer than the lead of a
+/// reference.
 fn typed(place: &Place, block: &str) -> Option<String> {
     let output = shell(place, &format!("set -e\n{block}")).output();
     let said = text(&output);
@@ -68,8 +69,8 @@ fn the_tutorial_works_as_typed() {
     let place = until_undisturbed("the tutorial", type_the_tutorial);
     let said = place.says("cdcrctl info loop.mcap --format json", 0, &["tracking"]);
     let info: serde_json::Value = serde_json::from_str(&said).unwrap();
-    // A robot that is not its model, beside an obstacle that is not in its way.
-    // It had to come from the straight robot first.
+    // A robot that differs from its model, beside an obstacle off its path. The robot had to approach from
+    // the straight shape first.
     let error_m = |of: &str| info[of]["position_error_m"].as_f64().unwrap();
     let along_m = error_m("largest_error_after_approach");
     assert!(along_m > 0.0, "{info}");

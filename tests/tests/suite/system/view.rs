@@ -1,4 +1,4 @@
-//! `cdcr-view`: what a viewer is told of a daemon.
+//! `cdcr-view`: the data that a viewer gets from a daemon.
 
 use std::collections::BTreeMap;
 use std::net::TcpStream;
@@ -15,11 +15,11 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Message, WebSocket};
 
-/// The operation code of a message with data, its subscription and its time stand before the data.
+/// Operation code of a message with data; subscription and time stamp precede the data.
 const MESSAGE_DATA: u8 = 1;
 const BEFORE_DATA: usize = 1 + 4 + 8;
 
-/// A viewer, as Foxglove and Lichtblick begin.
+/// A viewer that connects like Foxglove and Lichtblick.
 fn viewer(port: u16) -> WebSocket<TcpStream> {
     let mut request = format!("ws://127.0.0.1:{port}")
         .into_client_request()
@@ -35,7 +35,7 @@ fn viewer(port: u16) -> WebSocket<TcpStream> {
     socket
 }
 
-/// What `cdcr-view` serves, on a port that is free.
+/// Starts `cdcr-view` on a free port.
 fn serve(daemon: &Daemon) -> (Program, u16) {
     let view = Program::start(daemon.place().command("cdcr-view").args(["--port", "0"]));
     wait_until("it serves", || view.lines() > 0);
@@ -51,7 +51,7 @@ fn serve(daemon: &Daemon) -> (Program, u16) {
     (view, port)
 }
 
-/// All channels that are advertised, by their topics.
+/// All advertised channels by topic.
 fn channels(socket: &mut WebSocket<TcpStream>, count: usize) -> BTreeMap<String, Value> {
     let mut found = BTreeMap::new();
     while found.len() < count {
@@ -114,7 +114,7 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
         let (time_ns, bytes) = next(&mut socket, 0);
         let mut record = Telemetry::default();
         decode(&bytes, &mut record).unwrap();
-        // Since 1970, not since the machine started.
+        // Since 1970, not since the start of the machine.
         assert!(time_ns > record.header.sent_ns + 1_000_000_000);
         if let Some(last) = last {
             assert_eq!(record.header.sequence, last.header.sequence + 1);
@@ -128,7 +128,7 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
     let tip: PoseStamped = cdr::from_bytes(&bytes).unwrap();
     assert!(tip.pose.position.z > 0.5, "{tip:?}");
 
-    // The next daemon's follow.
+    // The records of the next daemon follow.
     daemon.stop();
     std::thread::sleep(Duration::from_millis(100));
     view.signal(Signal::INT);
@@ -151,7 +151,7 @@ fn what_it_was_too_slow_for_is_told() {
     let missed = (0..300).map(|_| telemetry.next_within(TIMEOUT).unwrap().unwrap());
     let newest = missed.last().unwrap().header.sequence;
     view.signal(Signal::CONT);
-    // Until it has read on.
+    // Until the reader has caught up.
     let mut record = Telemetry::default();
     while record.header.sequence <= newest {
         decode(&next(&mut socket, 0).1, &mut record).unwrap();
@@ -169,7 +169,7 @@ fn a_port_that_is_taken_is_named() {
     daemon.place().says(&line, 1, &says);
 }
 
-/// No viewer is here to open the layouts: at least each message and field that they name is one of ours.
+/// There is no viewer here to open the layouts; at least, each message and field in them exists.
 #[test]
 fn the_layouts_name_topics_and_fields_that_there_are() {
     let configs = concat!(env!("CARGO_MANIFEST_DIR"), "/../configs/");

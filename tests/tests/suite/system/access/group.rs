@@ -1,6 +1,6 @@
 //! A group to which the daemon opened its root folder: its members observe, feed and command, others do not.
 //!
-//! The daemon is a user of its own, so that nothing works only because root may do everything.
+//! The daemon runs as its own user, so that nothing works only because of root's rights.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
@@ -18,15 +18,15 @@ use super::stranger::{
     stranger,
 };
 
-/// User and group of the daemon. Nobody has to know them.
+/// User and group of the daemon, which need no names.
 const DAEMON: u32 = 64_320;
 /// The group of the robot.
 const GROUP: u32 = 64_321;
 
-/// Its access control list.
+/// Attribute of the access control list.
 const LIST: &str = "system.posix_acl_access";
 
-/// A root folder as a service manager makes it: the daemon's, in one that is root's.
+/// A root folder as made by a service manager: owned by the daemon, inside a folder of root.
 struct Shared {
     place: Place,
     root: PathBuf,
@@ -35,7 +35,7 @@ struct Shared {
 }
 
 impl Shared {
-    /// None where we can be no other user.
+    /// `None` if the test cannot change its user.
     fn new() -> Option<Self> {
         if !have_a_stranger() {
             return None;
@@ -93,7 +93,7 @@ impl Shared {
         daemon
     }
 
-    /// `cdcrctl` of another user, who keeps from all others whatever it makes.
+    /// `cdcrctl` of another user, whose umask hides its files from all others.
     fn cdcrctl(&self, group: u32, words: &str) -> Command {
         let shell = Path::new("/bin/sh");
         let mut command = of_stranger(shell, self.place.location().prefix(), &self.root);
@@ -108,7 +108,7 @@ impl Shared {
         self.cdcrctl(group, words).output().unwrap()
     }
 
-    /// What the other user left below the root folder.
+    /// Files of the other user below the root folder.
     fn left(&self) -> Vec<PathBuf> {
         let is_theirs = |path: &PathBuf| {
             path.symlink_metadata()
@@ -166,7 +166,8 @@ fn what_a_killed_member_left_is_cleared_away_by_the_daemon() {
     drop(daemon);
 }
 
-/// Not wanted, and true of every memory that two processes share: docs/security.md tells it to whoever chooses the members.
+/// Undesired, but true of any memory shared by two processes; docs/security.md warns whoever selects the
+/// members.
 #[test]
 fn a_member_that_makes_its_own_files_shorter_ends_the_daemon() {
     let Some(shared) = Shared::new() else { return };
@@ -189,7 +190,7 @@ fn a_member_that_makes_its_own_files_shorter_ends_the_daemon() {
 #[test]
 fn a_folder_that_was_open_to_a_group_is_refused_without_it_until_it_is_closed() {
     let Some(shared) = Shared::new() else { return };
-    // Killed, so that its folders and its lock file stay. Another with the group finds its way in them.
+    // Killed, so that its folders and its lock file remain. Another daemon with the group can use them.
     for _ in 0..2 {
         let mut daemon = shared.started();
         daemon.signal(Signal::KILL);
@@ -230,7 +231,7 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
         }
         daemon.signal(Signal::TERM);
         assert_says(&daemon.output(), 0, &[]);
-        // Nobody runs there any more, but who was in the group may have left something.
+        // The daemon has ended, but members of the group may have left files.
         fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
     }
 }
@@ -242,7 +243,7 @@ fn a_list_that_somebody_changed_is_set_back() {
     let files = files_below(&shared.root);
     let mut list = [0; 64];
     let length = getxattr(&shared.root, LIST, &mut list).unwrap();
-    // Another group in the place of the robot's. The mode is the same.
+    // Another group in place of the robot's, with the same mode.
     let at = list.windows(4).position(|part| part == GROUP.to_le_bytes());
     let at = at.expect("the group is in the list");
     list[at..at + 4].copy_from_slice(&NOBODY.to_le_bytes());
@@ -266,12 +267,12 @@ fn a_group_shares_no_folder_that_somebody_else_could_have_made() {
     let refused = Program::start(&mut shared.daemon(&root, &group)).output();
     let words = ["owned by root", "install -d -o", "transport.group"];
     assert_says(&refused, EXIT_ROOT, &words);
-    // Root shares none at all: it could be led out of the folder.
+    // Root shares no folder: it could be led out of it.
     let mut of_root = shared.daemon(&shared.root, &group);
     chown(&shared.root, Some(0), Some(0)).unwrap();
     let refused = Program::start(of_root.uid(0).gid(0)).output();
     assert_says(&refused, EXIT_ROOT, &["runs as root", "transport.group"]);
-    // Nor does a client trust one of another user, in whatever group.
+    // A client does not trust a root folder of another user in any group, either.
     fs::set_permissions(&root, Permissions::from_mode(0o770)).unwrap();
     chown(&root, None, Some(GROUP)).unwrap();
     let mut client = of_stranger(&shared.cdcrctl, shared.place.location().prefix(), &root);

@@ -1,7 +1,8 @@
-//! Another user of the machine: cannot read, feed or command, cannot get in the way unseen, and is told so.
+//! Another user of the machine cannot read, feed or command, cannot interfere unnoticed, and gets a clear
+//! error.
 //!
-//! The other user is a real one, `nobody`. Only root can start programs as another user; elsewhere these tests
-//! say that they were skipped.
+//! The other user is the real user `nobody`. Only root can start programs as another user; elsewhere these
+//! tests report that they were skipped.
 
 mod group;
 mod planted;

@@ -1,4 +1,4 @@
-//! What another user put in our way: folders, files, masks, variables.
+//! Obstructions by another user: folders, files, masks, variables.
 
 use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
@@ -36,7 +36,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     folder_of_stranger(root);
     fs::set_permissions(root, Permissions::from_mode(0o777)).unwrap();
     place.says("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
-    // Ours, but open to all.
+    // Owned by this user, but open to all.
     chown(root, Some(0), Some(0)).unwrap();
     place.says(
         "cdcrd run",
@@ -47,7 +47,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     let words = "every user can write to the root path";
     place.says("cdcrctl status", 1, &[words]);
     assert_eq!(files_below(root), BTreeSet::new());
-    // A link of theirs to a folder of ours.
+    // A link of the other user to a folder of this user.
     let ours = root.with_file_name(format!("{}ours", place.location().prefix()));
     fs::rename(root, &ours).unwrap();
     fs::set_permissions(&ours, Permissions::from_mode(0o700)).unwrap();
@@ -56,7 +56,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     let link = "symbolic link that belongs to user id 65534, not to 0";
     place.says("cdcrd run", EXIT_ROOT, &[link, remedy]);
     assert_eq!(files_below(&ours), BTreeSet::new());
-    // A link of ours to a folder of theirs.
+    // A link of this user to a folder of the other user.
     lchown(root, Some(0), Some(0)).unwrap();
     chown(&ours, Some(NOBODY), Some(NOBODY)).unwrap();
     place.says("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
@@ -65,7 +65,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     fs::remove_dir(&ours).unwrap();
 }
 
-/// Runs a script as the other user, with these arguments, in the folder in memory that is open to all.
+/// Runs a script as the other user, with these arguments, in the public shared-memory folder.
 fn as_stranger(script: &str, arguments: &[String]) {
     let mut command = stranger("/bin/sh");
     command.current_dir(Location::MEMORY).args(["-c", script]);
@@ -73,7 +73,8 @@ fn as_stranger(script: &str, arguments: &[String]) {
     assert!(output.status.success(), "{}", text(&output));
 }
 
-/// A daemon that is disturbed by nothing: it publishes, takes clients that read and feed, and stops when asked.
+/// Checks that the daemon works without disturbance: it publishes, accepts clients that read and feed, and
+/// stops on request.
 fn assert_serves(daemon: &Daemon) {
     let connection = daemon.connect();
     let before = connection.status(TIMEOUT).unwrap();
@@ -91,7 +92,7 @@ fn assert_serves(daemon: &Daemon) {
     }
 }
 
-/// The first eight bytes of a connection, by which iceoryx2 knows its version, for `printf`.
+/// The first eight bytes of a connection, in which iceoryx2 stores its version, in the format of `printf`.
 fn version_of_connection(place: &Place) -> String {
     let is_connection = |path: &PathBuf| path.extension().is_some_and(|end| end == "connection");
     let connection = place.memory_files().into_iter().find(is_connection);
@@ -101,9 +102,9 @@ fn version_of_connection(place: &Place) -> String {
     version.map(|byte| format!("\\{byte:03o}")).concat()
 }
 
-/// What another user could do to a daemon as long as its memory was in `/dev/shm` under names that everybody saw: the
-/// daemon died of a file that it mapped (SIGBUS), clients waited for ever for one that was empty, the supervisor had too
-/// many to look at, and one kept every client and every start away.
+/// Attacks on a daemon that had its memory in `/dev/shm` under public names. The daemon died of a file that
+/// it mapped (SIGBUS), clients waited for ever for an empty one, and the supervisor had too many files to
+/// check. One kept every client and every start away.
 #[test]
 fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
     if !have_a_stranger() {
@@ -112,7 +113,7 @@ fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
     let mut daemon = Daemon::start(PATIENT);
     let _client = daemon.connect();
     let prefix = daemon.place().location().file_prefix();
-    // The very names that the daemon and its clients use, and the one that iceoryx2 gives to its management.
+    // The names used by the daemon and its clients, and the one of iceoryx2's management.
     let mut names: Vec<_> = daemon
         .place()
         .memory_files()
@@ -121,7 +122,7 @@ fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
         .collect();
     names.push(format!("{prefix}node.0_10_0.global_mgmt"));
     assert!(names.len() > 10, "{names:?}");
-    // Whoever opened a planted connection took it for one by its version, mapped it, and died when it got shorter.
+    // A client would accept a planted connection by its version, map it, and die when it became shorter.
     let write = format!(
         r#"for name; do {{ printf '{}'; head -c 100000 /dev/zero; }} > "$name" && chmod 666 "$name"; done"#,
         version_of_connection(daemon.place())
@@ -154,7 +155,7 @@ fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
         println!("{what}");
         as_stranger(script, arguments);
         assert_serves(&daemon);
-        // Neither its end nor its next start minds them, be it killed or asked to end.
+        // Neither its end nor its next start is affected, whether it is killed or asked to end.
         daemon.kill();
         daemon.restart();
         assert!(daemon.stop().success(), "{what}: {}", daemon.log());
@@ -186,11 +187,11 @@ fn a_file_in_the_place_of_the_root_folder_keeps_the_daemon_out_with_words() {
     fs::remove_file(root).unwrap();
 }
 
-/// A socket of this abstract name that belongs to the other user.
+/// An abstract socket of this name that belongs to the other user.
 fn listen_as_stranger(name: String) -> UnixListener {
     let listen = move || {
         let nobody = Uid::from_raw(NOBODY);
-        // Of this thread alone.
+        // For this thread only.
         set_thread_res_uid(nobody, nobody, nobody).unwrap();
         UnixListener::bind_addr(&SocketAddr::from_abstract_name(name).unwrap()).unwrap()
     };
@@ -250,7 +251,7 @@ fn no_umask_opens_a_file_to_others() {
                 .iter()
                 .any(|path| path.extension().is_some_and(|end| end == "connection"))
     });
-    // It is the way to every file.
+    // It is on the path to every file.
     let mode = fs::metadata(location.root()).unwrap().mode();
     assert_eq!(mode & 0o7777, 0o700, "{mode:o}");
     if have_a_stranger() {
@@ -264,7 +265,7 @@ fn the_working_folder_and_foreign_variables_decide_nothing_and_are_not_logged() 
     let elsewhere = place.folder().join("elsewhere");
     let config = place.folder().join("config");
     fs::create_dir(&config).unwrap();
-    // What iceoryx2 would read from the working folder, if it were asked.
+    // Contents that iceoryx2 would read from the working folder by default.
     let hostile = format!(
         "[global]\nroot-path = \"{}\"\nprefix = \"cdcrtest_hostile_\"\n",
         elsewhere.display()

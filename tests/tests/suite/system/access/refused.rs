@@ -1,4 +1,4 @@
-//! What another user asks, reads, sends and kills is refused, and changes nothing.
+//! Requests, reads, messages and signals of another user are rejected without an effect.
 
 use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
@@ -20,7 +20,7 @@ use super::stranger::{
 };
 use crate::own_mounts::{has_own_mounts, mount, name_of};
 
-/// Everything that `cdcrctl` can ask of a daemon. PATH stands for a file that the other user can read.
+/// All requests of `cdcrctl` to a daemon. PATH stands for a file that the other user can read.
 const COMMANDS: &[&str] = &[
     "status",
     "status --format json",
@@ -49,7 +49,7 @@ const COMMANDS: &[&str] = &[
     "obstacle clear",
 ];
 
-/// What a stranger must not be able to change.
+/// The state that the other user must not be able to change.
 fn standing(status: &Status) -> (u32, u64, u32, [u64; Outcome::COUNT], u64, u64) {
     (
         status.mode,
@@ -184,14 +184,14 @@ fn the_kernel_refuses_another_user_every_file() {
     let root = place.location().root();
     let group = fs::metadata(root).unwrap().gid();
     assert_eq!(attempts(&files, group), Vec::<String>::new());
-    // Somebody opened the root folder for all to look into: the daemon closes it again.
+    // The root folder was opened for all to read: the daemon closes it again.
     fs::set_permissions(root, Permissions::from_mode(0o755)).unwrap();
     wait_until("it is closed", || {
         fs::metadata(root).unwrap().mode() & 0o777 == 0o700
     });
     assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
     assert_eq!(everything(place), files);
-    // The attempts succeed where they may.
+    // The attempts succeed where they are permitted.
     let open = place.write("open", "");
     fs::set_permissions(&open, Permissions::from_mode(0o666)).unwrap();
     let name = open.display();
@@ -254,7 +254,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     let cdcrd = open_to_all(place, &binary("cdcrd"));
     let cdcrctl = open_to_all(place, &binary("cdcrctl"));
     let config = place.folder().join("robot.toml");
-    // On our root folder: no.
+    // On this user's root folder: no.
     let mut command = of_stranger(&cdcrd, prefix, place.location().root());
     let output = Program::start(command.arg("run")).output();
     let words = [
@@ -288,7 +288,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     let after = wait_status(&connection, |status| status.cycles > before.cycles);
     assert_eq!(after.process_id, before.process_id);
     assert_eq!(standing(&after), standing(&before));
-    // And what we do does not reach it.
+    // This user's requests do not reach it.
     place.says("cdcrctl stop", 0, &["accepted"]);
     assert_says(&ask(&["reset"]), 0, &["accepted"]);
     let status = wait_status(&connection, |status| status.mode == Mode::Stopped.code());
@@ -299,7 +299,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     fs::remove_dir_all(&root).unwrap();
 }
 
-/// As in a container or a unit that has only `ReadOnlyPaths`.
+/// As in a container or a unit with `ReadOnlyPaths` only.
 #[test]
 fn a_root_folder_that_is_mounted_read_only_is_said_to_be_so() {
     let test = &name_of(&a_root_folder_that_is_mounted_read_only_is_said_to_be_so);
@@ -321,7 +321,7 @@ fn a_root_folder_that_is_mounted_read_only_is_said_to_be_so() {
     let words = ["not confirmed", "read-only"];
     daemon.place().says("cdcrctl stop", 1, &words);
     assert!(mount(&format!("umount '{root}'")));
-    // The signal comes to the next cycle, and that to the next status.
+    // The next cycle takes the signal, and the next status shows it.
     wait_until("stopped", || {
         text(&daemon.place().cdcrctl(&["status"])).contains("stopped")
     });

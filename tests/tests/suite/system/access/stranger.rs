@@ -16,15 +16,15 @@ use cdcr_tests::{PATIENT, Place, Program, ROBOT, TIMEOUT, ball, text, wait_statu
 /// User and group `nobody`.
 pub(super) const NOBODY: u32 = 65_534;
 
-/// The status that the manual gives.
+/// The exit status in the manual.
 pub(super) const EXIT_ROOT: i32 = 73;
 
-/// A place whose folder the other user can see into, for programs and files: what keeps the user out is the root.
+/// Opens the place's folder to the other user, for programs and files; the root folder stays closed.
 pub(super) fn in_view(place: &Place) {
     fs::set_permissions(place.folder(), Permissions::from_mode(0o755)).unwrap();
 }
 
-/// `program` as the other user, with nothing of our environment.
+/// `program` as the other user, without this user's environment.
 pub(super) fn stranger(program: impl AsRef<Path>) -> Command {
     let mut command = Command::new(program.as_ref());
     command
@@ -37,7 +37,7 @@ pub(super) fn stranger(program: impl AsRef<Path>) -> Command {
     command
 }
 
-/// Whether we can be another user here. If not, the test is skipped.
+/// Whether the test can act as another user here. If not, it is skipped.
 pub(super) fn have_a_stranger() -> bool {
     if !rustix::process::geteuid().is_root() {
         skip(Need::Root, "only root can start a program as another user");
@@ -55,8 +55,9 @@ pub(super) fn have_a_stranger() -> bool {
     }
 }
 
-/// A copy that any user may run: the build may lie in a folder that is closed to others. Another process makes it: what
-/// this one holds open to write, another test's child may still hold when it is run ("text file busy").
+/// A copy that any user may run, because the build may be in a folder closed to others. Another process makes
+/// the copy: children of other tests could inherit a file open for writing from this process ("text file
+/// busy").
 pub(super) fn open_to_all(place: &Place, program: &Path) -> PathBuf {
     let copy = place.folder().join(program.file_name().unwrap());
     let copied = Command::new("cp").args([program, &copy]).status().unwrap();
@@ -93,7 +94,7 @@ pub(super) fn everything(place: &Place) -> BTreeSet<PathBuf> {
     files
 }
 
-/// Of all that, what is the other user's.
+/// Those of them that belong to the other user.
 pub(super) fn left_by_stranger(place: &Place) -> Vec<PathBuf> {
     let files = everything(place).into_iter();
     files
@@ -101,8 +102,8 @@ pub(super) fn left_by_stranger(place: &Place) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Starts a daemon, and connects to it when it has everything. A client that comes earlier may take away what the
-/// daemon has just made.
+/// Starts a daemon, and connects when it has created all of its files. An earlier client may remove files
+/// that the daemon has just created.
 pub(super) fn start(place: &Place, cdcrd: &mut Command) -> (Program, Connection) {
     in_view(place);
     let daemon = Program::start(cdcrd);
@@ -114,7 +115,7 @@ pub(super) fn start(place: &Place, cdcrd: &mut Command) -> (Program, Connection)
     (daemon, connection)
 }
 
-/// A daemon, with a client that has every kind of port open, so that every kind of file is there.
+/// A daemon, with a client that has opened every kind of port, so that every kind of file exists.
 pub(super) fn busy_daemon(place: &Place) -> impl Sized {
     let config = place.write("robot.toml", PATIENT);
     let mut command = place.command("cdcrd");
@@ -129,18 +130,18 @@ pub(super) fn busy_daemon(place: &Place) -> impl Sized {
         connection.reference_feed().unwrap(),
         connection.driver(Interface::Velocity).unwrap(),
     );
-    // In the order in which they go.
+    // In the order in which they are dropped.
     (ports, obstacles, connection, daemon)
 }
 
-/// Makes a folder that belongs to the other user.
+/// Creates a folder that belongs to the other user.
 pub(super) fn folder_of_stranger(folder: &Path) {
     fs::create_dir(folder).unwrap();
     chown(folder, Some(NOBODY), Some(NOBODY)).unwrap();
 }
 
-/// What the other user tries with each file: to read it, to write to it, to put something into it, to open it to
-/// all, to take it away. `:` opens and writes nothing; `cat` reads everything.
+/// Attempts of the other user on each file: to read it, to write to it, to put something into it, to open it
+/// to all, to remove it. `:` opens and writes nothing; `cat` reads everything.
 const ATTEMPTS: &str = r#"
 for file in "$@"; do
     if ( cat "$file" > /dev/null ) 2> /dev/null; then echo "read $file"; fi
@@ -155,7 +156,7 @@ done
 echo "tried $#"
 "#;
 
-/// What the other user could do with the files, one line for each success.
+/// Successful attempts on the files, one line each.
 pub(super) fn attempts(files: &BTreeSet<PathBuf>, group: u32) -> Vec<String> {
     let output = stranger("/bin/sh")
         .gid(group)

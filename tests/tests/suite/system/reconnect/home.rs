@@ -1,10 +1,10 @@
-//! A way home that was asked for when nobody was there.
+//! A homing request without a running daemon.
 
 use super::*;
 
 const SLOWLY: &str = "[motion]\nhome_rate_rad_s = 0.05\n";
 
-/// For a robot that is bent, and goes home slowly.
+/// For a bent robot that homes slowly.
 fn far_from_home() -> Place {
     let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     place(&format!("{PATIENT}{SLOWLY}{bent}"))
@@ -31,7 +31,7 @@ fn a_home_reaches_the_next_daemon_and_is_carried_out() {
     });
 }
 
-/// What nobody waits for any more is not carried out.
+/// A request whose client has given up is not executed.
 #[test]
 fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
     let place = far_from_home();
@@ -82,12 +82,12 @@ fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
         });
         drop(daemon);
         is_dead.store(true, Ordering::Relaxed);
-        // It asks, and nobody is there.
+        // It sends its request without a daemon.
         thread::sleep(Duration::from_millis(100));
         let begin_ns = monotonic_ns();
         let _next = Life::begin(&place);
         old.wait_mode(Mode::Starting, begin_ns);
-        // The request has been refused meanwhile, many times.
+        // The request has been rejected many times meanwhile.
         let refused = Outcome::WrongMode.code() as usize;
         wait_status(&connection, |status| status.outcomes[refused] > 3);
         scope.spawn(|| drive(&connect(&place), 1.0, &commanded_by, &is_over));

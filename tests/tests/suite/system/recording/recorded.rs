@@ -6,7 +6,7 @@ use cdcr_tests::{Daemon, Program, assert_says, text, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// A daemon, and a program that records what it does.
+/// A daemon, and a program that records its topics.
 pub(super) struct Recorded {
     pub(super) daemon: Daemon,
     pub(super) recorder: Program,
