@@ -1,4 +1,5 @@
-//! Arrays in and out: each argument is one array of doubles whose last axes have a length that the robot gives.
+//! Conversion of arrays: each argument is one array of doubles whose last axes have lengths given by the
+//! robot.
 
 use numpy::{
     IxDyn, PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
@@ -10,15 +11,16 @@ use pyo3::types::{PyFloat, PyList, PyTuple};
 
 use crate::errors::Failure;
 
-/// An argument: contiguous doubles, without a copy where the array is that already.
+/// An argument as contiguous doubles, without a copy if the array is contiguous already.
 pub(crate) struct Numbers<'py> {
     array: PyReadonlyArrayDyn<'py, f64>,
-    /// How many of its axes are the leading ones.
+    /// Number of leading axes.
     lead: usize,
 }
 
 impl<'py> Numbers<'py> {
-    /// An array whose last axes are `tail` long; `what` says what is along them. Any number of axes may come before.
+    /// Converts an array whose last axes have the lengths `tail`; `what` describes them. Any number of axes
+    /// may precede.
     pub(crate) fn with_tail(
         value: &ArrayLike<'py>,
         name: &str,
@@ -40,7 +42,7 @@ impl<'py> Numbers<'py> {
         Ok(Self { array, lead })
     }
 
-    /// An array of exactly `axes` axes, of which the last are `tail` long.
+    /// Converts an array of exactly `axes` axes, the last of which have the lengths `tail`.
     pub(crate) fn exact(
         value: &ArrayLike<'py>,
         name: &str,
@@ -62,7 +64,7 @@ impl<'py> Numbers<'py> {
         .into())
     }
 
-    /// Refuses what is no finite number.
+    /// Rejects NaN and infinities.
     pub(crate) fn finite(self, name: &str) -> PyResult<Self> {
         match self.values().iter().position(|value| !value.is_finite()) {
             None => Ok(self),
@@ -74,12 +76,12 @@ impl<'py> Numbers<'py> {
         }
     }
 
-    /// Its axes but those of the tail.
+    /// The leading axes.
     pub(crate) fn lead(&self) -> &[usize] {
         &self.array.shape()[..self.lead]
     }
 
-    /// How many rows there are.
+    /// The number of rows.
     pub(crate) fn count(&self) -> usize {
         self.lead().iter().product()
     }
@@ -89,14 +91,14 @@ impl<'py> Numbers<'py> {
     }
 }
 
-/// What functions return: an array of doubles.
+/// Result of functions: an array of doubles.
 pub(crate) struct Doubles {
     shape: Vec<usize>,
     values: Vec<f64>,
 }
 
 impl Doubles {
-    /// An array of these leading axes and those of one row.
+    /// An array with these leading axes, followed by those of one row.
     pub(crate) fn new(lead: &[usize], row: &[usize], values: Vec<f64>) -> Self {
         Self {
             shape: [lead, row].concat(),
@@ -116,7 +118,7 @@ impl<'py> IntoPyObject<'py> for Doubles {
     }
 }
 
-/// What functions take: an array, or what numpy makes one of.
+/// Argument of functions: an array, or anything that numpy converts to one.
 pub(crate) struct ArrayLike<'py>(Bound<'py, PyAny>);
 
 impl<'a, 'py> FromPyObject<'a, 'py> for ArrayLike<'py> {
@@ -163,7 +165,7 @@ fn doubles<'py>(
             ),
         )
     };
-    // Before numpy makes NaN of single masked numbers, with a warning.
+    // Before numpy converts masked numbers to NaN, with a warning.
     refuse_masked(value, name)?;
     let kind = value.get_type().name()?;
     let any = numpy
@@ -179,7 +181,7 @@ fn doubles<'py>(
         return Err(refused(format!("an array of {dtype}")).into());
     }
     let doubles = numpy.call_method1("require", (any, "float64", "CA"))?;
-    // What numpy makes contiguous has an axis at least.
+    // numpy's contiguous arrays have at least one axis.
     let doubles = if axes == 0 {
         doubles.call_method1("reshape", ((),))?
     } else {
@@ -188,12 +190,13 @@ fn doubles<'py>(
     Ok(doubles.cast::<PyArrayDyn<f64>>()?.try_readonly()?)
 }
 
-/// Axes that an array of numpy may have: a list may hold itself.
+/// Largest number of axes of a numpy array; a list may contain itself.
 const AXES_MAX: usize = 64;
-/// Parts of a list that are looked at: one that holds itself twice has 2^64.
+/// Largest number of list items that are searched: a list that contains itself twice has 2^64.
 const PARTS_MAX: usize = 1_000_000;
 
-/// An array of numpy.ma with masked numbers, or a list that holds one: what stands under a mask is no number that was meant.
+/// Rejects an array of numpy.ma with masked numbers, or a list that contains one: a masked number is not
+/// valid.
 fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
     let masks = value.py().import("numpy.ma")?;
     let (class, mask_of) = (masks.getattr("MaskedArray")?, masks.getattr("getmask")?);
@@ -226,7 +229,7 @@ fn refuse_masked(value: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
     Ok(())
 }
 
-/// As numpy writes it; `before` is what any length may be along.
+/// A shape as numpy prints it; `before` stands for axes of any length.
 pub(crate) fn shape_text(shape: &[usize], before: &str) -> String {
     let lengths: Vec<_> = shape.iter().map(ToString::to_string).collect();
     let lone = before.is_empty() && shape.len() == 1;

@@ -1,4 +1,4 @@
-//! One connection to a daemon: what it says, and what is asked of it.
+//! A connection to a daemon: received messages and requests.
 
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -31,16 +31,16 @@ use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
 use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
 
-/// By which obstacles are known.
+/// Range of the numbers of obstacles.
 const NUMBERS: RangeInclusive<u32> = 0..=u32::MAX;
-/// How long a daemon may take to say what became of a message.
+/// Time limit for the outcome of a message.
 const OUTCOME: Duration = Duration::from_secs(1);
-/// How long records may stay away; a daemon makes one in each cycle.
+/// Time without records after which a daemon counts as silent; it publishes one in each cycle.
 const SILENT_AFTER: Duration = Duration::from_secs(1);
-/// How often records are fetched: well before a queue of 256 is full.
+/// Interval between fetches of records, short enough that a queue of 256 does not fill.
 pub(crate) const FETCH_EACH: Duration = Duration::from_millis(20);
 
-/// Where a daemon is.
+/// Location and robot of a daemon.
 #[derive(Clone)]
 pub(crate) struct Address {
     pub(crate) location: Location,
@@ -53,7 +53,7 @@ impl Address {
         cdcr_client::Connection::open_within(&self.location, &self.robot, self.timeout)
     }
 
-    /// An error where the daemon has ended, which explains why nothing came on a service for so long.
+    /// Fails if the daemon has ended, which explains the silence on a service.
     pub(crate) fn check_runs(&self, service: Service, waited: Duration) -> Result<(), LinkError> {
         let error = self.silent(service, waited);
         match error {
@@ -65,7 +65,7 @@ impl Address {
         }
     }
 
-    /// That nothing came on a service for so long.
+    /// The error for silence on a service.
     fn silent(&self, service: Service, waited: Duration) -> LinkError {
         let presence = self.location.presence(&self.robot);
         LinkError::Silent {
@@ -78,7 +78,7 @@ impl Address {
     }
 }
 
-/// What the thread of a connection has.
+/// State owned by the thread of a connection.
 pub(crate) struct Desk {
     connection: cdcr_client::Connection,
     obstacles: Option<ObstacleSender>,
@@ -205,7 +205,7 @@ impl Connection {
         };
         let all = self.settings(py)?.into_pyobject(py)?;
         all.update(changes.as_mapping())?;
-        // A daemon says what "auto" came to.
+        // The daemon reports the value of "auto".
         let settings = settings(Some(&all))?;
         let mut wire = self.wire_settings(py)?;
         change(&mut wire, &settings)?;
@@ -254,7 +254,7 @@ impl Connection {
     /// timeout_s: how long it waits for them, 0 to 2 s. Raises LinkError if the daemon has ended.
     #[pyo3(signature = (timeout_s = 0.3))]
     fn incidents(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Records> {
-        // The thread is held up for that long.
+        // The thread is blocked for that time.
         let waits = Duration::from_secs_f64(within("timeout_s", timeout_s, 0.0..=2.0)?);
         let found = self.worker.ask(py, move |desk| {
             let until = Instant::now() + waits;
@@ -412,7 +412,7 @@ impl Connection {
         Ok(settings.map_err(Failure::from)?)
     }
 
-    /// Adds the records that wait. `heard` is when the last one came.
+    /// Adds the pending records. `heard`: time of the last one.
     pub(crate) fn fetch(
         &self,
         py: Python<'_>,
@@ -440,7 +440,7 @@ impl Connection {
         Ok(())
     }
 
-    /// The time, after which records are new.
+    /// Discards the pending records, and returns the time after which records are new.
     fn skip_waiting_records(&self, py: Python<'_>) -> PyResult<Instant> {
         let mut heard = Instant::now();
         self.fetch(py, &mut Records::new(Telemetry::LAYOUT), &mut heard)?;
@@ -469,7 +469,7 @@ impl Connection {
     }
 }
 
-/// What a mapping of Python holds; `what` says what needs to be in it.
+/// Items of a Python mapping; `what` describes the required contents.
 pub(crate) fn pairs<'py, K, V>(
     name: &str,
     what: &str,

@@ -1,4 +1,4 @@
-//! Exceptions: what was wrong, and beside it, as `.remedy`, what to do. Their classes are in `cdcr/_errors.py`.
+//! Exceptions: the error and, as `.remedy`, what to do. Their classes are in `cdcr/_errors.py`.
 
 use cdcr_client::{
     ConnectError, FeedError, LinkError, Liveness, PlantError, RequestError, StopError, remedy,
@@ -32,7 +32,7 @@ impl Class {
     }
 }
 
-/// An exception that is not yet one of Python's.
+/// An error before its conversion to a Python exception.
 #[derive(Debug, Clone)]
 pub(crate) struct Failure {
     class: Class,
@@ -49,7 +49,7 @@ impl Failure {
         }
     }
 
-    /// Of an argument that a function does not take.
+    /// An invalid argument of a function.
     pub(crate) fn argument(message: impl ToString, remedy: impl ToString) -> Self {
         Self::new(Class::Argument, message, remedy)
     }
@@ -69,7 +69,7 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// Of errors that only a mistake in this package can raise.
+/// Remedy for errors that only a bug in this package can raise.
 pub(crate) const REPORT: &str =
     "This is an error of the package: report it with the call that raised it.";
 const ROOM: &str = "Free memory in the file system of the root folder: df shows how much is left.";

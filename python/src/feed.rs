@@ -1,4 +1,4 @@
-//! Trajectories that are fed while Python does something else: a thread with a connection of its own keeps the lease.
+//! Trajectories fed in the background: a thread with its own connection keeps the lease.
 
 use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,10 +15,10 @@ use crate::numbers::{until, within};
 use crate::running::{Running, leave, until_it_holds};
 use crate::trajectory::{Source, wire_interpolation};
 
-/// From the begin of the `with` to the first point [s].
+/// Range of the time from the begin of the `with` to the first point [s].
 const LEAD_S: RangeInclusive<f64> = 0.05..=60.0;
 
-/// What a feed and its thread share.
+/// State shared by a feed and its thread.
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
@@ -72,7 +72,7 @@ impl FeedReport {
     }
 }
 
-/// As Python writes it.
+/// Truth value in Python's notation.
 fn word(truth: bool) -> &'static str {
     if truth { "True" } else { "False" }
 }
@@ -212,7 +212,7 @@ fn run(
     if !has_begun {
         let _ = begun.send(true);
     }
-    // The lease is given back: the robot holds within a few cycles.
+    // The lease is returned: the robot holds within a few cycles.
     until_it_holds(address, &mut connection.telemetry()?)?;
     Ok(report.into())
 }

@@ -45,7 +45,7 @@ pub(crate) struct FeedStream {
     running: Running<()>,
 }
 
-/// Where points go.
+/// Port for the points of a stream.
 #[derive(Clone)]
 struct Points {
     port: Sender<Vec<ReferencePoint>>,
@@ -65,7 +65,7 @@ impl FeedStream {
             counts: Arc::clone(&stream.counts),
         };
         let run = move |begun: &Sender<bool>| desk.serve(&desk.address.open()?, begun);
-        // An interrupted one drops the port, which ends the thread.
+        // An interrupt drops the port, which ends the thread.
         stream.running.begin(slf.py(), run, || ())?;
         *stream.lock() = Some(Points {
             port,
@@ -153,7 +153,7 @@ impl FeedStream {
     }
 
     fn open(&self) -> Result<Points, Failure> {
-        // The lock of a process that was forked may be held for ever.
+        // In a forked process the lock may be held for ever.
         if self.running.is_forked() {
             return Err(forked());
         }
@@ -234,16 +234,17 @@ fn points(
     Ok(rows.map(point).collect())
 }
 
-/// Chunks under way, at most: three quarters of what waits for a daemon that is held up, which loses what is more.
+/// Largest number of chunks under way: three quarters of the queue of a delayed daemon, which loses any more.
 const UNDER_WAY_MAX: u64 = 24;
-/// So many go at once. Each one more waits longer than the one before it, and takes what comes meanwhile: all of them last 0.42 s without a word, longer
-/// than points are ahead. The daemon takes chunks in real time, but sends its words from a thread that a busy machine holds up.
+/// Chunks that are sent immediately. Each further one waits longer than the one before and collects the
+/// points meanwhile: all of them last 0.42 s without an event, longer than the lead of the points. The daemon
+/// accepts chunks in real time, but sends the events from a thread that a busy machine delays.
 const AT_ONCE: u64 = 4;
 const LONGER_EACH: Duration = Duration::from_millis(2);
-/// After this without a word a chunk goes all the same: a word about chunks may be lost.
+/// Time without an event after which a chunk is sent nevertheless, because events of chunks may be lost.
 const SILENCE: Duration = Duration::from_millis(200);
 
-/// What the thread of a stream works with.
+/// State of the thread of a stream.
 struct Desk {
     address: Address,
     orders: Receiver<Vec<ReferencePoint>>,
@@ -252,25 +253,25 @@ struct Desk {
     counts: Arc<Counts>,
 }
 
-/// How far the daemon has come with it.
+/// Progress of the daemon with the stream.
 #[derive(Default)]
 struct Followed {
     asked: bool,
     tracked: bool,
 }
 
-/// What was sent, what waits to be, and how much of it the daemon has judged.
+/// Sent points, pending points, and how many of them the daemon has evaluated.
 struct Outbox {
     port: ReferenceFeed,
     waiting: VecDeque<ReferencePoint>,
-    /// Numbers of the newest chunks.
+    /// Sequence numbers of the newest chunks.
     sent: u64,
     judged: u64,
     sent_at: Instant,
 }
 
 impl Desk {
-    /// Until nobody has orders any more.
+    /// Runs until the senders of orders are dropped.
     fn serve(&self, connection: &Connection, begun: &Sender<bool>) -> Result<(), Failure> {
         let mut outbox = Outbox::new(connection.reference_feed()?);
         let mut telemetry = connection.telemetry()?;
@@ -317,7 +318,7 @@ impl Desk {
         Ok(())
     }
 
-    /// Reads all records that wait. Returns when the daemon last accepted a chunk, or 0.
+    /// Reads all pending records. Returns the time of the last accepted chunk, or 0.
     fn listen(
         &self,
         connection: &Connection,
@@ -415,7 +416,8 @@ impl Followed {
     }
 }
 
-/// At a fifth of it, so that four renewals may come too late. Each accepted chunk is one: a request waits for its answer, and points wait with it.
+/// Renews the lease at a fifth of its duration, so that four renewals may be late. Each accepted chunk renews
+/// it, too: a request waits for its answer, and points wait with it.
 fn renew(lease: &Lease<'_>, renewed_ns: &mut u64) -> Result<(), Failure> {
     let now_ns = monotonic_ns();
     if now_ns < *renewed_ns + lease.left().as_nanos() as u64 / 5 {

@@ -1,10 +1,10 @@
 //! The Python module `cdcr._cdcr`: `cdcr_controller` and `cdcr_client` as numpy arrays and context managers.
 //!
-//! What people read is the package in `python/cdcr` and `docs/python.md`; the documentation of each class is its docstring. The type
-//! stubs `cdcr/_cdcr.pyi` are generated from the signatures here.
+//! The public package is `python/cdcr`, described in `docs/python.md`; the documentation of each class is its
+//! docstring. The type stubs `cdcr/_cdcr.pyi` are generated from the signatures here.
 //!
-//! Invariant: nothing here computes control or knows a message by its fields. Every wait gives the interpreter's lock back, and
-//! returns to it each 50 ms for signals.
+//! Invariant: nothing here computes control or knows the fields of a message. Every wait releases the
+//! interpreter's lock, and takes it every 50 ms to check for signals.
 
 #![forbid(unsafe_code)]
 #![allow(

@@ -1,4 +1,4 @@
-//! Records as they come, batch by batch.
+//! Live records, batch by batch.
 
 use std::time::{Duration, Instant};
 
@@ -35,7 +35,7 @@ impl Live {
         let mut heard = Instant::now();
         connection.fetch(py, &mut records, &mut heard)?;
         sleep_until(py, Instant::now() + self.batch)?;
-        // Python may have come back late: a second of silence begins here.
+        // Python may have returned late: a second of silence begins here.
         heard = Instant::now();
         loop {
             connection.fetch(py, &mut records, &mut heard)?;

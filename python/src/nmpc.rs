@@ -17,7 +17,7 @@ use crate::robot::Robot;
 use crate::settings::{Settings, settings};
 use crate::trajectory::orientations;
 
-/// Seeds of a swarm.
+/// Range of the seeds of a swarm.
 pub(crate) const SEEDS: RangeInclusive<u64> = 0..=u64::MAX;
 
 /// Nonlinear model predictive control of one robot: the solver of cdcrd, without its clock. It remembers its last plan, the next warm start.
@@ -272,7 +272,7 @@ impl SolveReport {
     }
 }
 
-/// A status in a word.
+/// A status as one word.
 pub(crate) fn status_word(status: SolveStatus) -> &'static str {
     match status {
         SolveStatus::Idle => "idle",

@@ -1,4 +1,5 @@
-//! Numbers that come in beside arrays, and their ranges. Whole numbers come as `i128`, so that each that is too small or too large is refused here, by its name.
+//! Scalar arguments and their ranges. Integers come as `i128`, so that values out of range are rejected here,
+//! with their name.
 
 use std::fmt::{Debug, Display};
 use std::ops::RangeInclusive;
@@ -6,10 +7,10 @@ use std::time::{Duration, Instant};
 
 use crate::errors::{Failure, REPORT};
 
-/// How long anything may be waited for or last [s]: thirty years, which every clock can add.
+/// Range of waits and durations [s]: thirty years, which can be added to any clock.
 pub(crate) const SECONDS: RangeInclusive<f64> = 0.0..=1e9;
 
-/// A number inside its range; NaN is in none.
+/// A number within its range; NaN is outside every range.
 pub(crate) fn within<N: Debug + PartialOrd + Copy>(
     name: &str,
     value: N,
@@ -25,7 +26,7 @@ pub(crate) fn within<N: Debug + PartialOrd + Copy>(
     ))
 }
 
-/// A whole number that is small enough for what it counts.
+/// An integer within the range of its type.
 pub(crate) fn count<N>(name: &str, value: i128, range: RangeInclusive<N>) -> Result<N, Failure>
 where
     N: TryFrom<i128> + Into<i128> + Copy,
@@ -36,12 +37,12 @@ where
     N::try_from(found).map_err(|error| Failure::argument(format!("{name}: {error}"), REPORT))
 }
 
-/// A time to wait or to last.
+/// A wait or duration.
 pub(crate) fn seconds(name: &str, value_s: f64) -> Result<Duration, Failure> {
     Ok(Duration::from_secs_f64(within(name, value_s, SECONDS)?))
 }
 
-/// When a time to wait, which begins now, is over.
+/// End of a wait that begins now.
 pub(crate) fn until(name: &str, value_s: f64) -> Result<Instant, Failure> {
     Ok(Instant::now() + seconds(name, value_s)?)
 }

@@ -82,7 +82,7 @@ impl Obstacle {
         let [start_m, end_m] = self.axis();
         let (radius_m, velocity_m_s) = (self.inner.radius_m(), self.inner.velocity_m_s().into());
         let velocity_m_s: [f64; 3] = velocity_m_s;
-        // A static method of a class in Rust has no name by which pickle finds it.
+        // Pickle cannot find a static method of a Rust class by its name.
         let caller = py.import("operator")?.getattr("methodcaller")?;
         let maker = match self.inner.shape() {
             Shape::Sphere { .. } => caller.call1(("sphere", start_m, radius_m, velocity_m_s)),
@@ -119,7 +119,7 @@ impl Obstacle {
         Ok(Self { inner })
     }
 
-    /// As a message has it: without number, time and lifetime.
+    /// Fields of the message, without number, time and lifetime.
     pub(crate) fn to_wire(self) -> cdcr_shared_types::Obstacle {
         let [start_m, end_m] = self.axis();
         let shape = match self.inner.shape() {
@@ -144,13 +144,13 @@ impl Obstacle {
     }
 }
 
-/// What the controller takes.
+/// Obstacles of the controller.
 pub(crate) fn inner(obstacles: &[Obstacle]) -> Result<Vec<robot::Obstacle>, Failure> {
     check_count(obstacles.len())?;
     Ok(obstacles.iter().map(|obstacle| obstacle.inner).collect())
 }
 
-/// More than the controller and the daemon know of are refused, and never ignored.
+/// Rejects more obstacles than controller and daemon can hold, instead of ignoring them.
 pub(crate) fn check_count(found: usize) -> Result<(), Failure> {
     const { assert!(OBSTACLES_MAX == cdcr_shared_types::limits::OBSTACLES_MAX) };
     if found <= OBSTACLES_MAX {

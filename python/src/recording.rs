@@ -28,7 +28,7 @@ use crate::worker::SIGNALS_EACH;
 pub(crate) fn read(py: Python<'_>, path: PathBuf, every: i128) -> PyResult<Bound<'_, PyDict>> {
     let every = count("every", every, 1..=u32::MAX)? as usize;
     let mut recording = Recording::open(&path, every)?;
-    // An hour takes a while: in between, Python looks at signals.
+    // A recording of an hour takes a while; Python checks for signals in between.
     while py.detach(|| recording.read_on())? {
         py.check_signals()?;
     }
@@ -53,14 +53,14 @@ struct Recording {
     reader: Reader<BufReader<File>>,
     every: usize,
     passed: usize,
-    /// By the number of their topic.
+    /// Records by index of their topic.
     found: Vec<Records>,
     robots: BTreeSet<String>,
     blank: Blank,
     is_cut: bool,
 }
 
-/// Messages to be filled.
+/// Empty messages that are filled in.
 #[derive(Default)]
 struct Blank {
     telemetry: Box<Telemetry>,
@@ -117,7 +117,7 @@ impl Recording {
         })
     }
 
-    /// Reads for a moment; false at the end.
+    /// Reads for a short time; false at the end.
     fn read_on(&mut self) -> Result<bool, Failure> {
         let until = Instant::now() + SIGNALS_EACH;
         while Instant::now() < until {

@@ -17,11 +17,11 @@ use crate::numbers::count;
 use crate::obstacle::{Obstacle, inner};
 use crate::settings::read;
 
-/// Configurations that one thread computes before it takes the next ones.
+/// Configurations that one thread computes before it takes the next block.
 const BLOCK: usize = 1024;
-/// So many are not worth a second thread.
+/// Up to this number, a second thread is not worthwhile.
 const ALONE_MAX: usize = 4096;
-/// Of one shape: 2.4 MB.
+/// Largest number for one shape: 2.4 MB.
 const BACKBONE_POINTS_MAX: u32 = 100_000;
 
 type Place = fn(&mut SectionParameters) -> &mut f64;
@@ -89,7 +89,7 @@ impl Robot {
             }
         }
         let sections = lists.iter().map(|(_, list, _)| list.len()).max();
-        // The paper's longest robot has three; a single number says nothing of how many there are.
+        // The paper's longest robot has three sections; single numbers do not determine their count.
         let sections = sections
             .filter(|sections| *sections > 1 || is_counted)
             .unwrap_or(3);
@@ -127,7 +127,7 @@ impl Robot {
     /// Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
     #[staticmethod]
     fn from_toml(path: PathBuf) -> PyResult<Self> {
-        // What the default configuration has where the file says nothing.
+        // Values of the default configuration for keys that the file does not contain.
         let paper = RobotParameters::paper(3);
         let mut file = read(&path)?;
         let Some(Value::Table(mut table)) = file.remove("robot") else {
@@ -207,7 +207,7 @@ impl Robot {
                 out.copy_from_slice(&quaternion_xyzw(&rotation(robot, shape)));
             }),
             "matrix" => self.each(bend, &[3, 3], |robot, shape, out| {
-                // nalgebra stores column by column, numpy row by row.
+                // nalgebra stores columns, numpy rows.
                 out.copy_from_slice(rotation(robot, shape).transpose().as_slice());
             }),
             "zyx" => self.each(bend, &[3], |robot, shape, out| {
@@ -334,7 +334,7 @@ impl Robot {
         Numbers::with_tail(bend, name, &[2 * sections], &what)
     }
 
-    /// One configuration of this robot, of finite numbers.
+    /// One finite configuration of this robot.
     pub(crate) fn configuration(
         &self,
         bend: &ArrayLike<'_>,
@@ -367,8 +367,8 @@ impl Robot {
         })
     }
 
-    /// Computes `row` numbers for each configuration, block by block, without the interpreter's lock. Cores share the blocks of many: one that does
-    /// something else takes fewer.
+    /// Computes `row` numbers for each configuration, block by block, without the interpreter's lock. With
+    /// many blocks, threads take them from a common queue, so a busy core takes fewer.
     fn blocks(
         &self,
         bend: ArrayLike<'_>,
@@ -407,7 +407,7 @@ impl Robot {
         Ok(Doubles::new(bends.lead(), row, out))
     }
 
-    /// Section and share of it for each of some points at equal distances.
+    /// Section and position within it for each of some equidistant points.
     fn places(&self, points: usize) -> Vec<(usize, f64)> {
         let reach_m = self.inner.reach_m();
         let place = |point: usize| {
@@ -424,11 +424,11 @@ impl Robot {
     }
 }
 
-/// Zeros for so many rows; a process that has no memory for them would end otherwise.
+/// Zeros for `count` rows. Fails without enough memory, which would otherwise end the process.
 fn room(count: usize, numbers: usize) -> Result<Vec<f64>, Failure> {
     let all = count.checked_mul(numbers);
     match all.map(|all| Vec::<f64>::new().try_reserve_exact(all)) {
-        // Zeros from the system: the threads that fill it take its pages.
+        // Zeroed by the kernel: the threads that fill the pages allocate them.
         Some(Ok(())) => Ok(vec![0.0; count * numbers]),
         _ => Err(Failure::argument(
             format!("there is no memory for the result of {count} configurations"),

@@ -1,4 +1,4 @@
-//! What is fed by a thread of its own, from the begin of a `with` to its end.
+//! A thread that feeds from the begin of a `with` to its end.
 
 use std::process;
 use std::sync::mpsc::{Sender, channel};
@@ -15,14 +15,14 @@ use crate::connection::Address;
 use crate::errors::{Class, Failure};
 use crate::worker::{ended, forked, refuse_forked_process, sleep_until, spawn, wait};
 
-/// How often a thread that feeds, and Python that waits for one, looks again: about once a cycle.
+/// Interval between checks of a feeding thread, and of Python waiting for one: about one cycle.
 pub(crate) const TURN: Duration = Duration::from_millis(5);
-/// How long the robot may take to hold once the lease is given back, on a machine that stalls.
+/// Time limit for the robot to hold after the lease is returned, on a machine that stalls.
 const HOLDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// A thread that feeds, and what came of it. It is begun once.
+/// A feeding thread and its result. It can be started once.
 pub(crate) struct Running<T> {
-    /// What the user has: "feed" or "stream".
+    /// Name of the user's object: "feed" or "stream".
     what: &'static str,
     stage: Mutex<Stage<T>>,
     process_id: u32,
@@ -43,7 +43,8 @@ impl<T: Clone + Send + 'static> Running<T> {
         }
     }
 
-    /// Starts the thread, and waits until it has begun: it reports that by a true. Where Python is interrupted meanwhile, `give_up` ends the thread.
+    /// Starts the thread, and waits until it reports true when it has begun. When Python is interrupted
+    /// meanwhile, `give_up` ends the thread.
     pub(crate) fn begin(
         &self,
         py: Python<'_>,
@@ -70,7 +71,7 @@ impl<T: Clone + Send + 'static> Running<T> {
         Err(ended().into())
     }
 
-    /// Waits for its end, at most until a time: then there is no outcome yet.
+    /// Waits for the end, at most until a time; `None` if there is no outcome yet.
     pub(crate) fn wait(&self, py: Python<'_>, until: Option<Instant>) -> PyResult<Option<T>> {
         loop {
             if let Some(outcome) = self.outcome()? {
@@ -85,7 +86,7 @@ impl<T: Clone + Send + 'static> Running<T> {
         }
     }
 
-    /// What came of it, once the thread has ended.
+    /// The result, once the thread has ended.
     fn outcome(&self) -> Result<Option<Result<T, Failure>>, Failure> {
         let mut stage = self.stage()?;
         *stage = match std::mem::replace(&mut *stage, Stage::New) {
@@ -121,7 +122,7 @@ impl<T: Clone + Send + 'static> Running<T> {
         self.process_id != process::id()
     }
 
-    /// A process that was forked has no such thread, and the lock may be held for ever.
+    /// A forked process has no such thread, and the lock may be held for ever.
     fn stage(&self) -> Result<MutexGuard<'_, Stage<T>>, Failure> {
         if self.is_forked() {
             return Err(forked());
@@ -139,7 +140,7 @@ impl<T> Drop for Running<T> {
     }
 }
 
-/// What leaving a `with` returns: what happened in it comes first.
+/// Result of leaving a `with`: an exception raised in it takes precedence.
 pub(crate) fn leave<T>(happened: Option<&Py<PyAny>>, ended: PyResult<T>) -> PyResult<()> {
     match happened {
         None => ended.map(|_| ()),
@@ -147,7 +148,7 @@ pub(crate) fn leave<T>(happened: Option<&Py<PyAny>>, ended: PyResult<T>) -> PyRe
     }
 }
 
-/// Waits until a record says that the robot is not tracking any more.
+/// Waits for a record in which the robot is not tracking.
 pub(crate) fn until_it_holds(
     address: &Address,
     telemetry: &mut TelemetryStream,

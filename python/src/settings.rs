@@ -1,4 +1,4 @@
-//! Settings of the solver: a dictionary in Python whose keys are the names of `NmpcSettings`.
+//! Settings of the solver: a Python dictionary whose keys are the names of `NmpcSettings`.
 
 use std::fs;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use toml::{Table, Value};
 
 use crate::errors::{Failure, REPORT};
 
-/// The settings that a dictionary changes of the defaults, checked.
+/// The defaults with the changes of a dictionary, checked.
 pub(crate) fn settings(given: Option<&Bound<'_, PyDict>>) -> PyResult<NmpcSettings> {
     let mut table = Table::new();
     for (key, value) in given.into_iter().flatten() {
@@ -123,7 +123,7 @@ pub(crate) fn read(path: &PathBuf) -> Result<Table, Failure> {
     })
 }
 
-/// Writes settings into a message: each has one name on both sides. What the message has beyond them stays.
+/// Writes settings into a message, by the common names. Other fields of the message are unchanged.
 pub(crate) fn change(message: &mut SolverSettings, settings: &NmpcSettings) -> Result<(), Failure> {
     let table = Table::try_from(settings).map_err(|error| Failure::argument(error, REPORT))?;
     let mut unknown = None;
@@ -137,7 +137,7 @@ pub(crate) fn change(message: &mut SolverSettings, settings: &NmpcSettings) -> R
                 .iter()
                 .find(|(_, _, text)| text == word)
                 .map(|(code, ..)| Value::Integer(i64::from(*code))),
-            // "auto": what the daemon made of it stays.
+            // "auto": the daemon's value is unchanged.
             (Value::String(_), _) => return,
             (value, _) => Some(value.clone()),
         };

@@ -24,7 +24,7 @@ use crate::settings::settings;
 use crate::trajectory::{DAY_S, Trajectory};
 use crate::worker::SIGNALS_EACH;
 
-/// Largest acceleration of a robot behind a driver, as a daemon has it by default (rad/s²).
+/// Default of a daemon for the largest acceleration of a robot behind a driver (rad/s²).
 const ACCELERATION_RAD_S2: f64 = 40.0;
 
 /// A closed loop, period by period: row k is what was after period k + 1. Every array is made anew when it is asked for.
@@ -163,7 +163,7 @@ pub(crate) fn simulate(
     })
 }
 
-/// All periods, without the interpreter's lock but for a look at signals.
+/// All periods, without the interpreter's lock except for checks of signals.
 fn run<R: Fn(f64) -> ReferenceSample + Send>(
     py: Python<'_>,
     robot: &Model,
@@ -361,11 +361,12 @@ fn check_actuator(actuator: &Actuator, time_constant_s: f64) -> Result<(), Failu
     Ok(())
 }
 
-/// How many periods there are; a simulation of more than a day, or of more memory than that at 5 ms, is a mistake in a unit.
+/// Number of periods. A simulation of more than a day, or with more memory than a day at 5 ms, is rejected as
+/// a wrong unit.
 fn periods(duration_s: f64, period_s: f64) -> Result<usize, Failure> {
     const PERIODS_MAX: f64 = DAY_S / 0.005;
     within("duration_s", duration_s, 0.0..=DAY_S)?;
-    // A rounding below a period must not make one more.
+    // Rounding must not add a period.
     let periods = (duration_s / period_s - 1e-9).ceil().max(0.0);
     if periods > PERIODS_MAX {
         return Err(Failure::argument(

@@ -1,4 +1,4 @@
-//! Trajectories: the curves of `cdcr_client`, and points that are interpolated as the daemon does.
+//! Trajectories: the curves of `cdcr_client`, and points interpolated as in the daemon.
 
 use std::sync::Arc;
 
@@ -18,10 +18,10 @@ use crate::robot::Robot;
 /// A curve that can be fed or simulated.
 pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
 
-/// As long as a feed may last, and a simulation [s].
+/// Longest duration of a feed or a simulation [s].
 pub(crate) const DAY_S: f64 = 86_400.0;
 
-/// Of a figure (m, m/s): farther is no robot, and nearer is none either.
+/// Smallest and largest radius and speed of a curve (m, m/s).
 const SMALLEST: f64 = 1e-6;
 const LARGEST: f64 = 1e6;
 
@@ -173,7 +173,7 @@ impl Source {
         }
     }
 
-    /// The reference at a time, as a solve sees it.
+    /// The reference at a time, as used by a solve.
     pub(crate) fn sample(&self, time_s: f64) -> ReferenceSample {
         match self {
             Self::Curve(curve) => ReferenceSample {
@@ -260,7 +260,7 @@ impl cdcr_client::Trajectory for Points {
         self.buffer.sample(to_ns(time_s)).position_m.into()
     }
 
-    /// Asked for at the points alone.
+    /// Called only at the times of the points.
     fn orientation(&self, time_s: f64) -> Orientation {
         let at = self.times_s.partition_point(|known_s| *known_s < time_s);
         self.orientations[at.min(self.orientations.len() - 1)]
@@ -304,7 +304,7 @@ pub(crate) fn orientations(
         _ => Orientation::Axis([row[0], row[1], row[2]]),
     };
     let rows = numbers.values().chunks_exact(width);
-    // As exact as the daemon asks for.
+    // With the daemon's tolerance.
     let is_unit = |row: &[f64]| (row.iter().map(|x| x * x).sum::<f64>().sqrt() - 1.0).abs() < 1e-6;
     if let Some(at) = rows.clone().position(|row| !is_unit(row)) {
         return Err(Failure::argument(
@@ -329,7 +329,7 @@ fn lengths_m(robot: &Robot) -> Vec<f64> {
         .collect()
 }
 
-/// How positions between points are found.
+/// Interpolation between points, by name.
 pub(crate) fn interpolation(name: &str) -> Result<Interpolation, Failure> {
     match name {
         "cubic" => Ok(Interpolation::Cubic),
@@ -341,7 +341,7 @@ pub(crate) fn interpolation(name: &str) -> Result<Interpolation, Failure> {
     }
 }
 
-/// The same as messages have it.
+/// The code of an interpolation in messages.
 pub(crate) fn wire_interpolation(interpolation: Interpolation) -> codes::Interpolation {
     match interpolation {
         Interpolation::Linear => codes::Interpolation::Linear,

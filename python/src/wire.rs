@@ -1,4 +1,5 @@
-//! Messages as rows of structured arrays. Names, kinds and meanings come from the one declaration of the messages.
+//! Messages as rows of structured arrays. Names, kinds and meanings come from the declaration of the
+//! messages.
 
 use cdcr_shared_types::LAYOUTS;
 use cdcr_shared_types::codes::Codes;
@@ -10,7 +11,7 @@ use pyo3::types::{PyByteArray, PyDict, PyList};
 
 use crate::errors::Failure;
 
-/// Messages of one kind, one after the other.
+/// Consecutive messages of one kind.
 pub(crate) struct Records {
     layout: &'static Layout,
     bytes: Vec<u8>,
@@ -37,7 +38,7 @@ impl Records {
         debug_assert!(self.bytes.len().is_multiple_of(self.layout.size));
     }
 
-    /// Adds those of another stretch of time.
+    /// Appends the records of a later period.
     pub(crate) fn append(&mut self, more: Self) {
         self.bytes.extend(more.bytes);
     }
@@ -69,7 +70,7 @@ impl<'py> IntoPyObject<'py> for Records {
     }
 }
 
-/// The fields of a message lie one after the other without gaps (`shared-types/src/message.rs`), so their values do, too.
+/// The fields of a message are contiguous (`shared-types/src/message.rs`), and so are their values.
 fn pack_struct(message: &dyn Struct, out: &mut Vec<u8>) {
     message.visit(&mut |_, value| pack(value, out));
 }
@@ -91,7 +92,7 @@ fn pack_array(array: &dyn Array, out: &mut Vec<u8>) {
     }
 }
 
-/// The numpy type of a message: its fields with their names, at their offsets.
+/// The numpy type of a message: its fields with names and offsets.
 fn numpy_type<'py>(py: Python<'py>, layout: &'static Layout) -> PyResult<Bound<'py, PyAny>> {
     let (names, formats, offsets) = (PyList::empty(py), PyList::empty(py), PyList::empty(py));
     for field in layout.fields {

@@ -1,5 +1,5 @@
-//! A thread that owns what must stay on one thread. Python asks it from any thread, without the interpreter's lock, and looks at
-//! signals while it waits.
+//! A thread that owns objects that must stay on one thread. Python sends it requests from any thread, without
+//! the interpreter's lock, and checks for signals while it waits.
 
 use std::process;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -11,14 +11,14 @@ use pyo3::prelude::*;
 
 use crate::errors::{Class, Failure};
 
-/// How long Python waits before it looks at signals.
+/// Interval at which a waiting Python checks for signals.
 pub(crate) const SIGNALS_EACH: Duration = Duration::from_millis(50);
-/// The longest job of a thread that has others to do, or may be closed meanwhile: what takes longer is done in slices.
+/// Longest job of a thread with other work, or one that may be closed meanwhile: longer ones are divided.
 pub(crate) const SLICE: Duration = Duration::from_millis(20);
 
 type Job<D> = Box<dyn FnOnce(&mut D) + Send>;
 
-/// The thread with its desk, which is made and dropped on it.
+/// The thread with its desk, which is created and dropped on it.
 pub(crate) struct Worker<D: 'static> {
     open: Mutex<Option<Open<D>>>,
     process_id: u32,
@@ -30,7 +30,7 @@ struct Open<D> {
 }
 
 impl<D: 'static> Worker<D> {
-    /// Starts the thread and makes its desk.
+    /// Starts the thread and creates its desk.
     pub(crate) fn start(
         py: Python<'_>,
         name: &str,
@@ -41,7 +41,7 @@ impl<D: 'static> Worker<D> {
         let (made, is_made) = channel();
         let thread = spawn(name, move || match make() {
             Ok(mut desk) => {
-                // Python may have been interrupted meanwhile: then nobody has orders.
+                // Fails if Python was interrupted meanwhile: then nothing will be asked.
                 let _ = made.send(Ok(()));
                 while let Ok(job) = orders.recv() {
                     job(&mut desk);
@@ -58,7 +58,7 @@ impl<D: 'static> Worker<D> {
         })
     }
 
-    /// Lets the thread compute something and waits for it.
+    /// Runs a computation on the thread and waits for the result.
     pub(crate) fn ask<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -72,7 +72,7 @@ impl<D: 'static> Worker<D> {
         wait(py, answered)
     }
 
-    /// Asks for at most a slice at a time until there is an answer, or until a time: then the last one is none.
+    /// Repeats a request, at most a slice at a time, until it returns a value or the time is over.
     pub(crate) fn ask_until<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -91,7 +91,7 @@ impl<D: 'static> Worker<D> {
     }
 
     fn jobs(&self) -> Result<Sender<Job<D>>, Failure> {
-        // The lock of a process that was forked may be held for ever.
+        // In a forked process the lock may be held for ever.
         if self.process_id != process::id() {
             return Err(forked());
         }
@@ -106,7 +106,7 @@ impl<D: 'static> Worker<D> {
         }
     }
 
-    /// Ends the thread, and waits until everything that it had is given back. Closing twice changes nothing.
+    /// Ends the thread, and waits until it has dropped everything. A second call has no effect.
     pub(crate) fn close(&self, py: Python<'_>) {
         if self.process_id != process::id() {
             return;
@@ -131,7 +131,7 @@ impl<D> Drop for Worker<D> {
         if self.process_id == process::id() {
             end(open);
         } else {
-            // A process that was forked has no such thread, and the lock of the channel may be held for ever.
+            // A forked process has no such thread, and the lock of the channel may be held for ever.
             std::mem::forget(open);
         }
     }
@@ -139,11 +139,11 @@ impl<D> Drop for Worker<D> {
 
 fn end<D>(open: Open<D>) {
     drop(open.jobs);
-    // A thread that panicked has nothing left to give back.
+    // A thread that panicked has nothing left to drop.
     let _ = open.thread.join();
 }
 
-/// Computes something on a thread of its own and waits for it.
+/// Runs a computation on a new thread and waits for the result.
 pub(crate) fn once<T: Send + 'static>(
     py: Python<'_>,
     job: impl FnOnce() -> T + Send + 'static,
@@ -156,7 +156,7 @@ pub(crate) fn once<T: Send + 'static>(
     wait(py, answered)
 }
 
-/// A thread of this module. Python handles signals in its main thread alone.
+/// A thread of this module. Python handles signals in its main thread only.
 pub(crate) fn spawn<T: Send + 'static>(
     name: &str,
     run: impl FnOnce() -> T + Send + 'static,
@@ -164,7 +164,7 @@ pub(crate) fn spawn<T: Send + 'static>(
     Ok(thread::Builder::new().name(name.to_owned()).spawn(run)?)
 }
 
-/// Waits for an answer, and looks at signals meanwhile.
+/// Waits for an answer, and checks for signals meanwhile.
 pub(crate) fn wait<T: Send>(py: Python<'_>, mut answered: Receiver<T>) -> PyResult<T> {
     loop {
         let answer;
@@ -180,7 +180,7 @@ pub(crate) fn wait<T: Send>(py: Python<'_>, mut answered: Receiver<T>) -> PyResu
     }
 }
 
-/// Waits until a time, or until a signal says otherwise.
+/// Waits until a time, or until a signal interrupts.
 pub(crate) fn sleep_until(py: Python<'_>, until: Instant) -> PyResult<()> {
     loop {
         let left = until.saturating_duration_since(Instant::now());
@@ -192,7 +192,7 @@ pub(crate) fn sleep_until(py: Python<'_>, until: Instant) -> PyResult<()> {
     }
 }
 
-/// Where Python may have come from a fork: the shared memory that its parent opened is the parent's.
+/// Rejects a forked process: the shared memory belongs to its parent.
 pub(crate) fn refuse_forked_process() -> Result<(), Failure> {
     static FIRST: OnceLock<u32> = OnceLock::new();
     if *FIRST.get_or_init(process::id) == process::id() {

@@ -73,8 +73,8 @@ struct Row {
 }
 
 impl Row {
-    /// Stops a daemon in `mode`, and makes it hold again if possible. Returns whether the stop was late
-    /// without an observed disturbance. `None` if the system does not permit the condition.
+    /// Stops a daemon in `mode`, and makes it hold again if possible. Returns false if the stop was late
+    /// without an observed disturbance, `None` if the system does not permit the condition.
     fn stop_in(&mut self, stage: &mut Stage<'_>, mode: Mode) -> Option<bool> {
         let connection = stage.connection;
         let feeding = (mode == Mode::Tracking).then(|| track(connection, 100, 40));

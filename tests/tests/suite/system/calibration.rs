@@ -250,7 +250,7 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
         .says(EXCITE, 1, &["calibration needs cable lengths and the tip"]);
 }
 
-/// Starts it, and waits until its file contains rows. It ignores a signal that a full disk does not cause.
+/// Starts it, and waits until its file contains rows. It ignores SIGXFSZ, which a full disk does not send.
 fn excited(daemon: &Daemon, file: &str) -> Program {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let mut command = daemon.place().command("cdcrctl");

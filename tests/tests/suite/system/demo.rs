@@ -55,7 +55,7 @@ fn assert_error_is_explained(report: &Value) {
         missing as f64 * PERIOD_S
     };
     assert!(max_mm >= mean_mm, "{report}");
-    // A solve shortened by a stall costs a little; the report does not contain lost releases in this case.
+    // Beside lost releases, solves may have been cut short, which costs a little and is not in the report.
     let is_whole = count("skipped_periods") + count("lost_records") == 0;
     let exact_m = if is_whole { 1e-5 } else { 1e-3 };
     let error_max_m = error_max_m(exact_m, [(lost_s, PERIOD_S)]);

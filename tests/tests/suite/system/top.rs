@@ -69,7 +69,7 @@ impl Terminal {
         (terminal, theirs)
     }
 
-    /// Like closing its window; the program then draws again.
+    /// Closes the terminal like a window; the reader ends with the next output of a program.
     fn close(self) {
         *self.shown.lock().unwrap() = None;
         self.reader.join().unwrap();
