@@ -10,7 +10,7 @@ from nbclient import NotebookClient
 
 def main(notebook: Path, folder: Path) -> None:
     book = nbformat.read(notebook, as_version=4)
-    # An error in a cell ends this with that error.
+    # An error in a cell ends the program with that error.
     NotebookClient(book, timeout=120, kernel_name="python3").execute(cwd=str(folder))
     pictures = [
         output["data"]["image/png"]

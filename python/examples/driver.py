@@ -18,7 +18,7 @@ NOISE_M = 1e-5
 
 
 class Winches:
-    """Cables on motors that obey speeds."""
+    """Cables moved by motors with a speed interface."""
 
     def __init__(self, robot: cdcr.Robot) -> None:
         self.length_m = robot.cables(np.zeros(2 * robot.sections))
@@ -39,7 +39,7 @@ def main(seconds: float) -> None:
         winches = Winches(driver.robot)
         begin = last = time.monotonic()
         while last - begin < seconds:
-            # The speeds are zero before the first command, and once the newest one has run out.
+            # The speeds are zero before the first command and after the newest one has expired.
             wanted = driver.cable_speeds()
             now = time.monotonic()
             winches.move(wanted, now - last)

@@ -12,7 +12,7 @@ import cdcr
 def main() -> None:
     with cdcr.connect(timeout_s=10) as connection:
         robot = connection.robot()
-        # Near the top of the workspace, whatever the robot's length.
+        # Near the top of the workspace, scaled to the robot's length.
         centre = np.array([0.0, 0.0, 0.85 * robot.reach_m])
         t = np.arange(0.0, 4.0, 0.005)
         turn = 2 * np.pi * t / t[-1]
@@ -26,7 +26,7 @@ def main() -> None:
         tracked = records[records["mode"] == cdcr.Mode.TRACKING]
         error_mm = 1e3 * tracked["position_error_m"]
         print(f"{report.points} points in {report.chunks} chunks, {len(tracked)} cycles tracked")
-        # The way to the beginning of a reference counts, too: of the second half it is over.
+        # The error includes the approach to the reference; it is over in the second half.
         print(f"error: median of the second half {np.median(error_mm[len(error_mm) // 2 :]):.3g} mm, last {error_mm[-1]:.3g} mm")
 
 

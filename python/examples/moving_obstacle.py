@@ -29,7 +29,7 @@ def main() -> None:
         for records in connection.live(batch_s=0.1):
             if records["mode"][-1] != cdcr.Mode.HOMING:
                 break
-        # The tip shall stay where it is: only the body has to give way.
+        # The reference holds the tip at its position: only the body has to give way.
         tip = np.array([0.0, 0.0, 0.97 * robot.reach_m])
         t = np.array([0.0, 1.0, SECONDS + 60.0])
         with connection.feed(t, np.tile(tip, (3, 1)), track=True):
@@ -38,7 +38,7 @@ def main() -> None:
             clearance_m: list[float] = []
             try:
                 while (now := time.monotonic() - begin) < SECONDS:
-                    # It is forgotten half a second after the last of these, if this program dies.
+                    # If this program dies, the obstacle expires half a second after the last update.
                     connection.set_obstacles({1: ball(robot, now)}, lifetime_s=0.5)
                     clearance_m.extend(next(telemetry)["clearance_m"])
             finally:

@@ -1,4 +1,4 @@
-"""A daemon of its own for each test that needs one, at a place that is removed afterwards."""
+"""A separate daemon for each test that needs one, in a place that is removed afterwards."""
 
 import os
 import shutil
@@ -17,16 +17,16 @@ import cdcr
 PROJECT = Path(os.environ.get("CDCR_PROJECT", Path(__file__).resolve().parents[2]))
 PROGRAMS = Path(os.environ.get("CDCR_PROGRAMS", PROJECT / "target" / "release"))
 
-# Long, because a machine with other work may stall: no test waits that long for what does come.
+# Long, because a machine with other work may stall; only a failing test waits that long.
 PATIENCE_S = 60.0
 
 MEMORY = Path("/dev/shm")
-# The number of the process follows, so that the next run knows what a killed one left.
+# The process id follows, so that the next run finds what a killed one left.
 PREFIX = "cdcr-python-"
 
 
 def pytest_report_header() -> list[str]:
-    """Removes what killed runs left in shared memory, and says so."""
+    """Removes what killed runs left in shared memory, and reports it."""
     said = []
     for place in MEMORY.glob(PREFIX + "*"):
         number = place.name.removeprefix(PREFIX).partition("-")[0]
@@ -50,7 +50,7 @@ class Daemon:
 
     def start(self) -> None:
         self.log = (self.root.parent / (self.root.name + ".log")).open("ab")
-        # What these tests show does not depend on a machine that keeps deadlines.
+        # These tests do not depend on a machine that meets deadlines.
         patient = ["--set", "realtime.mode=prefer", "--set", "cycle.miss_limit=1000000"]
         command = [PROGRAMS / "cdcrd", "run", *patient, *self.options]
         self.process = subprocess.Popen(command, env=self.environment, stderr=self.log)
@@ -100,7 +100,7 @@ def eventually(happened, patience_s: float = PATIENCE_S) -> None:
 
 
 def newest(connection: cdcr.Connection) -> np.void:
-    """A record of from now on, however long the machine stalls; the status is up to 0.1 s older."""
+    """A new record, however long the machine stalls; the status may be 0.1 s old."""
     until = time.monotonic() + PATIENCE_S
     while len(records := connection.telemetry(0.05)) == 0:
         assert time.monotonic() < until, "there are no records"

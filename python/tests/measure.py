@@ -23,7 +23,7 @@ SOLVES = 2000
 
 
 def plain_numpy(bends: cdcr.Doubles, length_m: cdcr.Doubles) -> cdcr.Doubles:
-    """Tips by rotation matrices, section by section, all configurations side by side."""
+    """Tips by rotation matrices, section by section, vectorised over all configurations."""
     position = np.zeros((len(bends), 3))
     rotation = np.tile(np.eye(3), (len(bends), 1, 1))
     for j, length in enumerate(length_m):
@@ -79,7 +79,7 @@ def solve() -> None:
 
 
 def feeding(seconds: float) -> None:
-    """A point each 5 ms, 0.2 s ahead, while another process keeps a core busy."""
+    """Feeds a point every 5 ms, 0.2 s ahead, while another process keeps a core busy."""
     with tempfile.TemporaryDirectory(prefix="cdcr-python-", dir="/dev/shm") as root:
         environment = {**os.environ, "CDCR_ROOT": root}
         daemon = subprocess.Popen([PROGRAMS / "cdcrd", "run", "--set", "realtime.mode=prefer"], env=environment, stderr=subprocess.DEVNULL)

@@ -1,4 +1,4 @@
-"""What functions take and refuse, and what their classes are for Python: text, help, pickle, version."""
+"""Accepted and rejected arguments, and Python protocols of the classes: text, help, pickle, version."""
 
 import copy
 import inspect
@@ -223,7 +223,7 @@ def test_threads_share_a_solver_one_after_the_other() -> None:
         thread.start()
     for thread in threads:
         thread.join()
-    # Each of them counts, so each has a seed of its own.
+    # Every solve increments the counter of the seed, so each one has a different seed.
     assert len(solved) == len(set(solved)) == 80
 
 

@@ -1,4 +1,4 @@
-"""Nothing is left: memory, descriptors, threads, shared memory."""
+"""No leaks of memory, descriptors, threads or shared memory."""
 
 import os
 import threading
@@ -21,7 +21,7 @@ def resident_kb() -> int:
 
 
 def held(root: Path | None = None) -> dict[str, int]:
-    """What is counted, not measured."""
+    """The exact counts."""
     return {
         "descriptors": len(os.listdir("/proc/self/fd")),
         "threads": len(os.listdir("/proc/self/task")),
@@ -31,7 +31,7 @@ def held(root: Path | None = None) -> dict[str, int]:
 
 
 def grows_by_kb(run: Callable[[], None], times: int) -> int:
-    """From the first tenth, after which every pool of memory is as large as it gets, to the end."""
+    """Growth from the first tenth, after which every memory pool has its final size, to the end."""
     for _ in range(times // 10):
         run()
     before = resident_kb()
@@ -56,7 +56,7 @@ def test_solves_and_kinematics_keep_no_memory() -> None:
         except cdcr.ArgumentError:
             pass
 
-    # A leak of one small array a time would be 1 MB and more.
+    # A leak of one small array per call would be 1 MB and more.
     assert grows_by_kb(run, SOLVES) < 500
 
 
@@ -72,7 +72,7 @@ def test_connections_leave_nothing(daemon: Daemon) -> None:
 
 
 def settled(root: Path) -> dict[str, int]:
-    """When nothing changes any more: once a second the daemon clears away what clients had."""
+    """Waits until nothing changes: the daemon removes the leftovers of clients once a second."""
     until = time.monotonic() + PATIENCE_S
     found, since = held(root), time.monotonic()
     while time.monotonic() < min(since + 3, until):
@@ -83,7 +83,7 @@ def settled(root: Path) -> dict[str, int]:
 
 
 def use(daemon: Daemon) -> None:
-    """Much of what a connection can have: ports of telemetry, requests and obstacles. Tried again where the machine stalls."""
+    """Uses many ports of a connection: telemetry, requests and obstacles. Repeated when the machine stalls."""
     until = time.monotonic() + PATIENCE_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""The controller from Python: the same numbers as in Rust, in the shapes that arrays have."""
+"""The controller from Python: the same numbers as in Rust, with the array shapes of the arguments."""
 
 import csv
 import io
@@ -247,7 +247,7 @@ def test_simulate_has_the_bits_of_the_closed_loop_in_rust(plant: str) -> None:
     table = np.array(rows, float)
     column = {name: index for index, name in enumerate(header)}
     robot = cdcr.Robot()
-    # The horizon of the last rows sees points that the table does not hold, and the point at 0 counts for no sample at another.
+    # The horizon of the last rows includes points beyond the table, and the point at 0 belongs to no other sample.
     xyz = np.vstack([table[:1, 1:4], table[:, 1:4], table[-1:, 1:4]])
     table = table[:-3]
     trajectory = cdcr.Trajectory.from_arrays(0.005 * np.arange(402), xyz)
@@ -272,7 +272,7 @@ def test_simulate_keeps_clear_and_obeys_its_arguments() -> None:
     ran = cdcr.simulate(robot, cdcr.Trajectory.from_arrays(t, circle), **arguments)
     assert ran.clearance_m.min() > 0.01 - 1e-6 and ran.position_error_m.max() > 1e-3 and ran.position_error_m[-1] < 1e-6
     assert len(ran.status) == len(ran.guarded) == len(ran) and set(ran.status) <= {"converged", "iterations-spent"}
-    # A known lag is made up for.
+    # A known lag is compensated.
     eight = cdcr.Trajectory.helix([0, 0, 0.5], 0.06, rise_m=0.04, speed_m_s=0.08)
     error = {}
     for known_s in (0.0, 0.1):
@@ -308,7 +308,7 @@ def test_trajectories_are_what_they_say() -> None:
 
 
 def test_the_first_call_loads_no_module() -> None:
-    """It would make the first points of a feed late."""
+    """A late import would delay the first points of a feed."""
     program = """
 import sys, cdcr
 loaded = set(sys.modules)

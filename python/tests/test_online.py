@@ -1,4 +1,4 @@
-"""A real daemon, asked, fed and driven from Python."""
+"""Requests, feeds and a driver in Python with a real daemon."""
 
 import multiprocessing
 import os
@@ -41,7 +41,7 @@ def test_a_reference_is_followed_and_the_with_ends_in_hold(daemon: Daemon) -> No
         assert records.dtype.names[:3] == ("header", "cycle", "release_ns") and records.dtype == cdcr.dtype("Telemetry")
         assert (np.diff(records["cycle"]) >= 1).all()
         used = records[records["mode"] == cdcr.Mode.TRACKING]
-        # Behind a release that the machine took, the robot is beside its reference.
+        # After a release lost to the machine, the robot is off its reference.
         assert np.median(used["position_error_m"]) < 1e-6 and (used["robot"]["sections"] == 3).all()
         tip = cdcr.Robot().forward(used["present_rad"][:, :6])
         assert np.abs(tip - used["tip_position_m"]).max() < 1e-12
@@ -100,7 +100,7 @@ def test_settings_change_by_name_and_the_others_stay(daemon: Daemon) -> None:
         for wrong in [{"horizon_steps": 51}, {"horizn": 1}, {"solver": "best"}, {"damping": np.nan}]:
             with pytest.raises(cdcr.ArgumentError):
                 connection.change_settings(**wrong)
-        # Less than the configuration's distance: only the daemon knows that.
+        # Less than the configured distance, which only the daemon knows.
         with pytest.raises(cdcr.RequestError, match="out of range"):
             connection.change_settings(safe_distance_m=0.001)
         assert connection.settings()["horizon_steps"] == 4
@@ -163,7 +163,7 @@ def test_points_can_be_sent_as_they_come_and_what_is_refused_is_told(daemon: Dae
 
 
 def test_points_of_a_stream_wait_while_the_daemon_is_held_up(daemon: Daemon) -> None:
-    """Far more chunks than wait for a daemon: 100 points, one at a time."""
+    """Far more chunks than the daemon's queue holds: 100 single points."""
     with daemon.connect() as connection:
         xyz = curve(connection.robot(), 1.0)[1][:100]
         with connection.stream(track=False) as stream:
@@ -175,13 +175,13 @@ def test_points_of_a_stream_wait_while_the_daemon_is_held_up(daemon: Daemon) -> 
                     time.sleep(0.005)
             finally:
                 daemon.process.send_signal(signal.SIGCONT)
-            # What waited meanwhile shares chunks.
+            # The points that waited meanwhile share chunks.
             eventually(lambda: 4 <= stream.accepted_chunks == stream.sent_chunks < 32)
             eventually(lambda: connection.status()["reference_points"] == 100)
 
 
 def test_points_that_come_at_once_share_chunks(daemon: Daemon) -> None:
-    """As single ones they would be all that may be under way, and the rest would wait for the daemon's words."""
+    """As single chunks, they would fill the number allowed under way, and the rest would wait for events of the daemon."""
     with daemon.connect() as connection:
         xyz = curve(connection.robot(), 1.0)[1]
         with connection.stream(track=False) as stream:
@@ -197,7 +197,7 @@ def test_points_that_come_at_once_share_chunks(daemon: Daemon) -> None:
 
 
 def test_a_stream_whose_chunks_are_accepted_does_not_renew_its_lease_by_requests(daemon: Daemon) -> None:
-    """A request waits for its answer, and the points wait with it."""
+    """A request blocks until its answer, and the points with it."""
     with daemon.connect() as connection:
         xyz = curve(connection.robot(), 1.0)[1]
         watch = connection.live(0.02)
@@ -208,7 +208,7 @@ def test_a_stream_whose_chunks_are_accepted_does_not_renew_its_lease_by_requests
                 for k in range(80):
                     stream.send(30 + 0.02 * k, xyz[k])
                     records.append(next(watch))
-                # Then nothing is accepted any more for longer than the lease lasts, and it is kept.
+                # Then no chunk is accepted for longer than the lease lasts, and the lease is kept.
                 time.sleep(1.5)
                 stream.send(60, xyz[80])
                 eventually(lambda: stream.accepted_chunks == stream.sent_chunks)
@@ -216,7 +216,7 @@ def test_a_stream_whose_chunks_are_accepted_does_not_renew_its_lease_by_requests
             assert sum(event["kind"] == EventKind.REFERENCE for event in used) > 20
             return sum(event["kind"] == EventKind.REQUEST and event["detail"] == RequestKind.ACQUIRE_LEASE for event in used)
 
-        # One is asked for at the begin, by time alone 15; a machine that stalls has some: tried again.
+        # One request at the begin; by time alone there would be 15. A stalled machine causes some: repeated.
         assert any(renewals() < 6 for _ in range(3))
 
 
@@ -288,7 +288,7 @@ def test_nothing_is_printed(daemon: Daemon) -> None:
 
 @pytest.mark.parametrize("interface", ["velocity", "position"])
 def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
-    """A robot in numpy, which is exactly its model."""
+    """A robot in numpy that is equal to its model."""
     daemon = Daemon("--set", "link.kind=driver", "--set", f"link.interface={interface}", "--set", "link.measurement_timeout_ms=2000")
     try:
         with daemon.connect() as connection, connection.driver(interface) as driver:
@@ -322,7 +322,7 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
                 assert command is not None and command["interface"].name.lower() == interface
                 eventually(lambda: mode(connection) is cdcr.Mode.HOLDING)
                 t, xyz = curve(robot, 2.0)
-                # A machine that stalls makes this driver late: then the feed is tried again.
+                # On a stalled machine this driver is late: then the feed is repeated.
                 for attempt in range(5):
                     try:
                         with connection.feed(t, xyz) as feed:
@@ -335,7 +335,7 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
                             raise
                 reached = robot.forward(robot.bend_from_cables(lengths))
                 assert np.linalg.norm(reached - xyz[-1]) < 0.02
-                # Those that ran out while the machine stalled were refused; this one is not.
+                # Commands that expired in a stall were rejected; this one is accepted.
                 refusals = driver.refusals()
                 assert refusals < driver.next_command(PATIENCE_S)["header"]["sequence"]
             finally:
@@ -346,13 +346,13 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
 
 
 def test_commands_that_a_driver_must_not_follow_are_refused_and_counted() -> None:
-    """The second driver obeys positions, and the daemon commands speeds."""
+    """The second driver has a position interface, and the daemon commands speeds."""
     daemon = Daemon("--set", "link.kind=driver", "--set", "link.interface=velocity")
     try:
         with daemon.connect() as connection, connection.driver("velocity") as right, connection.driver("position") as wrong:
 
             def commanded() -> bool:
-                # A measurement that a stall made old is refused: the next one may not be.
+                # A measurement that a stall made stale is rejected; the next one may be accepted.
                 right.send(cable_length=right.robot.cables(np.zeros(6)))
                 return right.next_command(0.1) is not None
 

@@ -1,4 +1,4 @@
-"""The pages' programs, as they stand."""
+"""The programs of the pages run unchanged."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Recordings as arrays, and the figures of them."""
+"""Recordings as arrays, and plots of them."""
 
 import itertools
 import subprocess
@@ -48,7 +48,7 @@ def test_a_recording_is_a_dictionary_of_structured_arrays(recording: Path) -> No
     assert telemetry.dtype == cdcr.dtype("Telemetry") and len(telemetry) > 50
     assert (np.diff(telemetry["cycle"].astype(int)) >= 1).all() and (telemetry["header"]["sender_id"] != 0).all()
     assert (telemetry["mode"] == cdcr.Mode.TRACKING).all()
-    # The record says where the body was, and so do shape and obstacle in it.
+    # Tip and clearance in the record agree with its shape and obstacle.
     tip = cdcr.Robot().forward(telemetry["present_rad"][:, :6])
     assert np.abs(tip - telemetry["tip_position_m"]).max() < 1e-12
     one = cdcr.message(telemetry[0])

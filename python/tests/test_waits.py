@@ -1,4 +1,4 @@
-"""Waits: for how long, what ends them, and what they report of a daemon that has ended."""
+"""Waits: their duration, their end, and their errors after the end of a daemon."""
 
 import signal
 import subprocess
@@ -45,7 +45,7 @@ def test_a_time_that_none_can_wait_for_is_refused_everywhere(daemon: Daemon) -> 
         for time_s in NEVER[:3] + NEVER[5:]:
             with pytest.raises(cdcr.ArgumentError, match="dt_s"):
                 ball.moved(time_s)
-        # The longest that is allowed is no panic either.
+        # The longest allowed wait does not panic, either.
         assert feed.wait(0.0) is None and nmpc.solve(np.zeros(6), [[0, 0, 0.9]], budget_s=1e9)[2].status
         assert c.status(1e9)["process_id"] == daemon.process.pid
     with daemon.connect() as c, c.stream(track=False) as stream:
@@ -71,7 +71,7 @@ def test_what_has_not_begun_says_to_use_with_and_what_has_ended_keeps_its_outcom
             with pytest.raises(cdcr.FeedError, match="begun before"):
                 stream.__enter__()
             assert stream.now() >= 0
-        # What went wrong stays known.
+        # The error is kept.
         far = connection.feed([0, 1], [[0, 0, 5.0], [0, 0, 5.0]])
         for again in (far.__enter__, far.wait, lambda: far.wait(0.0)):
             with pytest.raises(cdcr.FeedError, match="reachable"):
@@ -107,7 +107,7 @@ def test_closing_while_another_thread_waits_ends_that_wait_by_an_error(daemon: D
 
 
 def ended(call: Callable[[], object]) -> None:
-    """The error names the end of the daemon, and its remedy what to do."""
+    """The error reports the end of the daemon, and has a remedy."""
     with pytest.raises(cdcr.LinkError, match="it has ended") as raised:
         call()
     assert "cdcrd run" in raised.value.remedy
@@ -175,18 +175,18 @@ def test_a_driver_hears_of_the_end_and_goes_on_with_the_next_daemon() -> None:
             lengths = driver.robot.cables(np.zeros(6))
 
             def is_commanded() -> bool:
-                # A measurement that a stall made old is refused: the next one may not be.
+                # A measurement that a stall made stale is rejected; the next one may be accepted.
                 driver.send(cable_length=lengths)
                 try:
                     return driver.next_command(0.1) is not None
                 except cdcr.LinkError:
                     return False
 
-            # Without a measurement there is no command, and the daemon runs.
+            # Without a measurement there is no command, although the daemon runs.
             assert driver.next_command(0.05) is None
             eventually(is_commanded)
             daemon.kill()
-            # Those that wait are taken or have run out.
+            # Pending commands have been taken or have expired.
             with pytest.raises(cdcr.LinkError, match="has ended"):
                 while True:
                     driver.next_command(0.05)
@@ -210,7 +210,7 @@ WAITS = {
     "with of a feed": "f = c.feed([0, 600], [[0, 0, .9], [0, 0.1, .89]], track=False)\n    with f: f.wait()",
     "driver": "c.driver('position').next_command(600)",
     "simulate": "cdcr.simulate(cdcr.Robot(), cdcr.Trajectory.from_arrays([0, 80000], [[0, 0, .9]] * 2), settings={'horizon_steps': 50})",
-    # One wait after another, because each of them is short.
+    # Consecutive waits, because each of them is short.
     "requests": "while True: c.hold()",
     "incidents": "while True: c.incidents(2)",
     "obstacles": "while True: c.clear_obstacles()",
@@ -222,7 +222,7 @@ WAITS = {
 def test_ctrl_c_ends_every_wait(daemon: Daemon, what: str) -> None:
     text = f"import os, signal, cdcr\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nwith cdcr.connect(timeout_s={PATIENCE_S}) as c:\n    "
     if what == "status":
-        # Of a daemon that stands still, whose last status is old.
+        # From a stopped daemon, whose last status is stale.
         text += f"os.kill({daemon.process.pid}, signal.SIGSTOP); __import__('time').sleep(1.5)\n    "
     text += f"print('waits', flush=True)\n    {WAITS[what]}"
     program = subprocess.Popen([sys.executable, "-c", text], env=daemon.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
