@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# What each step of docs/realtime.md gains on this machine: the daemon's own statistics with one step more in
-# each run, idle and beside a busy loop on every core. Needs root (it takes privileges away, step by step), python3
-# and setpriv (util-linux).
+# Measures the effect of each step of docs/realtime.md on this machine: the daemon's own statistics with one more step
+# in each run, idle and beside a busy loop on every core. Needs root (to remove privileges step by step), python3 and
+# setpriv (util-linux).
 #
 # usage: packaging/measure-realtime.sh [SECONDS a run] [ROUNDS]
-# PROFILE=debug takes the programs of `cargo build`, to try the script; its figures say nothing.
+# PROFILE=debug uses the programs of `cargo build` to test the script; its numbers are meaningless.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-10}
@@ -29,7 +29,7 @@ end() {
 trap end EXIT
 
 late="--set realtime.spin_us=0"
-# Name of the step | what the daemon is started through | its options.
+# Name of the step | wrapper that starts the daemon | options of the daemon.
 steps=(
   "nothing||$late --set realtime.mode=off"
   "a core of its own|setpriv --bounding-set -sys_nice,-ipc_lock|$late --set realtime.no_deep_sleep=false"
@@ -46,7 +46,7 @@ run() { # load, step
   $through "$cdcrd" run --set cycle.miss_limit=1000000 $options 2>"$folder/log" &
   daemon=$!
   for _ in $(seq 100); do "$cdcrctl" status >/dev/null 2>&1 && break; sleep 0.05; done
-  # Tracked all the time, so that the solver runs.
+  # Tracking all the time, so that the solver runs.
   "$cdcrctl" ref line --velocity 0.001,0,-0.001 --duration "$((seconds + 5))s" --lead 1s --track >/dev/null 2>&1 &
   local feeder=$!
   sleep 1.5

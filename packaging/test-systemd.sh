@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Installs the Debian package in a container with systemd, and tries what docs/service.md promises. Takes two or three minutes, two of
-# them for the container. Needs root, debootstrap, systemd-nspawn and a mirror of Debian; says that it was skipped without.
+# Installs the Debian package in a container with systemd, and tests docs/service.md. Takes two or three minutes, two of
+# them for the container. Needs root, debootstrap, systemd-nspawn and a Debian mirror; otherwise reports a skip.
 #   packaging/test-systemd.sh [PACKAGE.deb]
-# CDCR_DEBIAN: a folder that debootstrap has made with the packages below; it stays as it is.
+# CDCR_DEBIAN: a folder made by debootstrap with the packages below; it is not changed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -43,7 +43,7 @@ systemd-nspawn "${options[@]}" --directory="$debian" --bind-ro="$package:/packag
   </dev/null > "$scratch/console" 2>&1 &
 nspawn=$!
 inside() { nsenter --target "$leader" --all env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin "$@"; }
-# Tries again for 30 s: machines stall.
+# Retries for 30 s, because machines stall.
 until_true() { for _ in $(seq 150); do if "$@" >/dev/null 2>&1; then return 0; fi; sleep 0.2; done; return 1; }
 boots() { leader=$(pgrep --parent "$nspawn") && inside systemctl is-system-running | grep -Eq 'running|degraded'; }
 until_true boots || { cat "$scratch/console"; skip "systemd does not start in a container here"; }
@@ -61,7 +61,7 @@ ends_with() { # status, and what makes it: it is not started again
 }
 comes_back() { # after how it ended: another process, and the robot holds
   local before=$1 status=$2
-  # Asked at once: while it restarts, the old text of the status stays.
+  # In one query: during a restart, the old status text remains.
   another() {
     local now; now=$(inside systemctl show --property MainPID,ActiveState,StatusText cdcrd)
     [[ $now == *ActiveState=active* && $now == *'StatusText=holding (started)'* && $now != *"MainPID=$before"$'\n'* ]]
@@ -91,7 +91,7 @@ inside journalctl --no-pager --unit=cdcrd CDCR_REASON=started | grep -q holding 
 step "clients: the service's user and a member; not root, not others"
 for user in cdcr member; do as "$user" cdcrctl --root /run/cdcr status >/dev/null || fail "$user is refused"; done
 for user in root other; do ! as "$user" cdcrctl --root /run/cdcr status 2>/dev/null || fail "$user is let in"; done
-# Read whole first: grep -q ends at its first match.
+# Read completely first, because grep -q ends at its first match.
 said=$(as member cdcrctl status 2>&1 || true)
 grep -q 'one runs as the service.*--root /run/cdcr' <<<"$said" || fail "no word of the service: $said"
 

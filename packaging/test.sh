@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds the Debian package, or takes the one that is named, installs it, tries what it promises, and purges
-# it. Needs cargo-deb; installing needs root and dpkg, and is skipped without.
+# Builds the Debian package, or uses the named one, installs, tests and purges it. Needs cargo-deb. Installing needs
+# root and dpkg, and is skipped without them.
 #   packaging/test.sh [PACKAGE.deb]
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -9,10 +9,10 @@ step() { printf '\n--- %s\n' "$*"; }
 fail() { echo "FAILED: $*"; exit 1; }
 skipped=
 skip() { echo "skipped: $*"; skipped+=${skipped:+$'\n'}"skipped: $*"; }
-# The account at the end: what this machine could not try.
+# The tests that this machine could not run, listed at the end.
 account() { echo; echo "${skipped:-nothing was skipped}"; }
 trap account EXIT
-# What this machine is said to have is not missing: docs/testing.md.
+# A need in CDCR_REQUIRE must not be missing: docs/testing.md.
 need() { case ",${CDCR_REQUIRE:-}," in *",$1,"*) fail "CDCR_REQUIRE names $1: $2";; *) skip "$2";; esac; }
 
 step "the list of third-party licences is that of Cargo.lock"
@@ -22,7 +22,7 @@ diff <(echo "$licences") packaging/generated/THIRD-PARTY \
 
 step "the unit"
 if command -v systemd-analyze >/dev/null; then
-  # The programs that the unit names need not be installed here.
+  # The programs in the unit need not be installed here.
   root=$(mktemp -d)
   install -D /dev/null "$root/usr/bin/cdcrd"
   install -D /dev/null "$root/bin/sh"
@@ -66,7 +66,7 @@ clean_up() {
   fi
   umount /run/cdcr 2>/dev/null || true
   dpkg --purge cdcr >/dev/null 2>&1 || true
-  # What the test made and the package does not know.
+  # Files made by the test, unknown to the package.
   rm -rf "${scratch:-}"
   account
 }
@@ -92,7 +92,7 @@ for file in /etc/cdcr/cdcr.toml /etc/security/limits.d/cdcr.conf /usr/lib/system
   expect 644 root:root "$file"
 done
 dpkg-query --show --showformat='${Conffiles}\n' cdcr | grep -q /etc/cdcr/cdcr.toml || fail "the configuration is no conffile"
-# Read whole first: grep -q ends at its first match, and dpkg, which writes on, would then fail the pipe.
+# Read completely first: grep -q ends at its first match, and the writing dpkg would then fail the pipe.
 files=$(dpkg --listfiles cdcr)
 # An image without documentation leaves these out (dpkg's path-exclude).
 if grep -qx '/usr/share/man/man8/cdcrd.8.gz' <<<"$files"; then
@@ -124,7 +124,7 @@ unit() { sed -n "s/^$1=//p" /usr/lib/systemd/system/cdcrd.service; }
 [ "$(unit User):$(unit RuntimeDirectory):$(unit Environment)" = cdcr:cdcr:CDCR_ROOT=/run/cdcr ] || fail "the unit changed"
 [ ! -e /run/cdcr ] || fail "/run/cdcr exists already"
 install -d -o cdcr -g cdcr -m 0700 /run/cdcr
-# systemd has it in memory; a container may not.
+# In memory under systemd, but not in every container.
 [ "$(stat -f -c %T /run/cdcr)" = tmpfs ] || mount -t tmpfs -o uid=cdcr,gid=cdcr,mode=0700 tmpfs /run/cdcr
 scratch=$(mktemp -d)
 chmod 755 "$scratch"
@@ -163,7 +163,7 @@ sleep 2
 as_service cdcrctl status || { cat "$scratch/log"; fail "no status"; }
 [ "$(stat -c %U /run/cdcr)" = cdcr ] || fail "/run/cdcr belongs to somebody else"
 [ -n "$(find /run/cdcr -maxdepth 1 -name '*.data' -user cdcr)" ] || fail "no shared memory of the user cdcr"
-# The folder is the barrier (docs/decisions/0013): the files in it are open to whoever gets past it.
+# The folder is the barrier (docs/decisions/0013); its files are open to everyone with access to it.
 [ "$(stat -c %a /run/cdcr)" = 700 ] || fail "/run/cdcr is open to others: $(stat -c %a /run/cdcr)"
 file=$(find /run/cdcr -maxdepth 1 -name '*.data' -user cdcr -print -quit)
 if setpriv --reuid=65534 --regid=65534 --clear-groups cat "$file" >/dev/null 2>&1; then fail "another user reads $file"; fi
@@ -184,7 +184,7 @@ cat "$scratch/log"
 left=$(find /run/cdcr /dev/shm -user cdcr -type f)
 [ -z "$left" ] || fail "left in shared memory: $left"
 
-# What systemd would do with it when the service ends.
+# As systemd does when the service ends.
 umount /run/cdcr 2>/dev/null || true
 
 step "remove and purge"

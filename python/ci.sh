@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# The wheel as a user gets it: built, installed into an empty virtual environment, tested, typed, and its examples and notebook run against a real daemon.
-# Takes 2 minutes on two cores where cdcrd and cdcrctl are built. CDCR_PYTHON names the interpreter, Python 3.10 or later.
+# Tests the wheel of the users: builds it, installs it into an empty virtual environment, runs tests and type checks,
+# and runs its examples and notebook against a real daemon. Takes 2 minutes on two cores if cdcrd and cdcrctl are built.
+# CDCR_PYTHON names the interpreter, Python 3.10 or later.
 set -euo pipefail
 cd "$(dirname "$0")"
 here=$PWD
@@ -23,7 +24,7 @@ step "virtual environments"
 "$python" -c 'import sys; assert sys.version_info >= (3, 10), sys.version'
 "$python" -m venv "$work/build"
 "$work/build/bin/pip" install -q -r requirements-build.txt
-# What tests need comes while the wheel compiles; what the wheel needs, it brings itself.
+# Dependencies of the tests are installed while the wheel compiles; the wheel declares its own.
 "$python" -m venv "$work/venv"
 "$work/venv/bin/pip" install -q -r requirements-test.txt &
 tools=$!
@@ -41,7 +42,7 @@ wait "$tools"
 tools=
 "$work/venv/bin/pip" install -q "$(echo dist/*.whl)[plot]"
 run="$work/venv/bin/python"
-# Not the package of this folder, but the one that was installed.
+# Uses the installed package, not that of this folder.
 (cd "$work" && "$run" -c 'import cdcr; assert "site-packages" in cdcr.__file__, cdcr.__file__')
 
 step "what is generated is what is committed"
@@ -53,7 +54,7 @@ step "types"
 step "tests"
 cp -r tests "$work/tests"
 (cd "$work" && CDCR_PROJECT=$(dirname "$here") "$run" -m pytest -q -rs -n 4 --timeout=240 -p no:cacheprovider tests) | tee "$work/tests.log"
-# All that they need is installed here.
+# All of their dependencies are installed here.
 if grep -qE '[0-9]+ skipped' "$work/tests.log"; then echo "tests were skipped"; exit 1; fi
 
 step "examples and notebook"
@@ -75,7 +76,7 @@ start --set link.kind=driver
 "$run" driver.py 15 &
 driver=$!
 sleep 1
-# A machine that stalls makes a driver without real time late, and the daemon faults: tried again.
+# On a machine that stalls, a driver without real time is late, and the daemon faults: retried.
 fed=
 for try in 1 2; do
   if "$run" feed_helix.py; then fed=$try; break; fi

@@ -25,7 +25,7 @@ const READ_EVERY: Duration = Duration::from_millis(2);
 /// A robot that does not follow with this or a longer period fails because of the set-up, not because of the
 /// rate \[ms\].
 const EASY_MS: f64 = 2.0;
-/// Restarts of a trial in which the daemon sent nothing for a second, which says nothing about its period.
+/// Restarts of a trial in which the daemon sent nothing for a second; such a trial does not rate its period.
 const HELD_UP_MAX: usize = 2;
 /// Share of a core beyond which the system may throttle real-time threads: Linux allows 95 %.
 const FULL: f64 = 0.93;
@@ -126,7 +126,7 @@ fn was_held_up(error: &anyhow::Error) -> bool {
     matches!(error, Some(FeedError::Link(LinkError::Silent { .. })))
 }
 
-/// Whether the robot did not follow; every other error says nothing about the period.
+/// Whether the robot did not follow; no other error rates the period.
 fn did_not_follow(error: &anyhow::Error) -> bool {
     let mut words = error.chain().map(ToString::to_string);
     matches!(feed_error(error), Some(FeedError::LeftTracking { .. }))

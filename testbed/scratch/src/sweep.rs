@@ -1,5 +1,5 @@
-//! Removes what a killed measurement or test run left: folders and files in shared memory, among the
-//! temporary files and on a disk, and the programs that a test ran there.
+//! Removes what a killed measurement or test run left: its files in shared memory, among the temporary files
+//! and on a disk, and the programs that a test ran there.
 //!
 //! These folders are writable for everyone. Therefore the sweep touches only files of this user with the
 //! project's prefix, follows no link and never blocks.

@@ -1,6 +1,6 @@
-//! Guards for the cycle thread of a whole daemon: an allocator that ends the process when the cycle uses the
-//! heap, and a kernel filter that ends it at any other system call than the allowed ones. Meanwhile clients
-//! connect and leave, flood and change settings. `CDCR_GUARD_CYCLES` sets the number of cycles.
+//! Guards for the cycle thread of a whole daemon. An allocator ends the process when the cycle uses the heap,
+//! and a kernel filter ends it at any system call that is not allowed. Meanwhile clients connect and leave,
+//! flood and change settings. `CDCR_GUARD_CYCLES` sets the number of cycles.
 
 #![allow(
     clippy::unwrap_used,

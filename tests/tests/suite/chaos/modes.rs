@@ -122,8 +122,8 @@ fn step(places: &mut BTreeSet<Place>, may: impl Fn(&Arrow) -> bool) {
     places.extend(reached);
 }
 
-/// Whether one cycle can lead from one place to the other: at most one change by an event, then its accepted
-/// requests, then at most one fault found by its solve.
+/// Whether one cycle can lead from one place to the other. It allows at most one change by an event, then its
+/// accepted requests, then at most one fault found by its solve.
 fn one_cycle_leads(from: Place, to: Place, accepted: &[RequestKind]) -> bool {
     let mut places = BTreeSet::from([from]);
     step(&mut places, |arrow| arrow.by == By::World);

@@ -43,8 +43,8 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
-    /// What a run of this length still lacks: records for half of its cycles, every mode, tracking and
-    /// obstacles in one record of fifty, and in a long run every kind of bad message.
+    /// Missing parts of a run of this length. It needs records for half of its cycles, every mode, and
+    /// tracking and obstacles in one record of fifty. A long run also needs every kind of bad message.
     pub(crate) fn missing(&self, duration: Duration) -> Option<String> {
         let meant = duration.as_secs() * 200;
         let counts = [

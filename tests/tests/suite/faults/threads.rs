@@ -74,9 +74,9 @@ pub(crate) fn find_thread(process: u32, name: &str) -> Option<i32> {
 const WATCHDOG: Duration = Duration::from_millis(500);
 /// The watchdog checks every 50 ms: the hang may be up to two checks shorter than the counted time.
 const LOOKS: Duration = Duration::from_millis(100);
-/// The supervisor publishes its status every 100 ms. Not counted in the watchdog's time are at most three
-/// status messages: that of the check under way, that of the check that ends the process, and one of a
-/// supervisor that was delayed between publishing and counting.
+/// The supervisor publishes its status every 100 ms. At most three status messages are not counted in the
+/// watchdog's time. They are that of the check under way, that of the check that ends the process, and one of
+/// a supervisor delayed between publishing and counting.
 const STATUSES_MAX: u64 = WATCHDOG.as_millis() as u64 / 100 + 3;
 /// Message about the end of a hung thread.
 const NO_PROGRESS: &str = "made no progress for 500 ms";

@@ -122,8 +122,9 @@ fn a_page_is_not_made_of_what_is_no_recording_nor_over_it() {
     place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
 }
 
-/// A script of this test that reports the results of the page's own script: errors, the sections, the number
-/// of colours in the picture of the robot, and the distance of the drawn tip from the recorded one.
+/// A script of this test that reports the results of the page's own script. These are errors, the sections,
+/// the number of colours in the picture of the robot, and the distance of the drawn tip from the recorded
+/// one.
 const PROBE: &str = r"<script>
 // At once: the page is drawn before it is seen.
 const paths = document.querySelectorAll('svg path').length;

@@ -166,8 +166,8 @@ fn what_a_killed_member_left_is_cleared_away_by_the_daemon() {
     drop(daemon);
 }
 
-/// Undesired, but true of any memory shared by two processes; docs/security.md warns whoever selects the
-/// members.
+/// Undesired, but true of any memory shared by two processes; docs/security.md warns administrators who
+/// select the members.
 #[test]
 fn a_member_that_makes_its_own_files_shorter_ends_the_daemon() {
     let Some(shared) = Shared::new() else { return };

@@ -94,7 +94,7 @@ pub(super) fn everything(place: &Place) -> BTreeSet<PathBuf> {
     files
 }
 
-/// Those of them that belong to the other user.
+/// The files among them that belong to the other user.
 pub(super) fn left_by_stranger(place: &Place) -> Vec<PathBuf> {
     let files = everything(place).into_iter();
     files
