@@ -21,8 +21,8 @@ use rustix::process::Signal;
 const CONFIGURATION: &str = "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n";
 /// Turns until the daemon has reached its size: the first clients of each kind map its memory and theirs.
 const WARM_UP_TURNS: usize = 3;
-/// Least number of turns after that. A quarter has at least three, so growth in one turn of six shows between
-/// the quarters.
+/// Least number of turns after that. At least six turns lie between the first and the last quarter, so growth
+/// in one turn of six always shows.
 const TURNS_MIN: usize = 12;
 /// Duration of the spiral of one turn, which gives one sample.
 const TURN_S: f64 = 0.15;

@@ -19,7 +19,7 @@ const HOME_RATE_RAD_S: f64 = 0.2;
 /// The largest rate of the default robot.
 const RATE_MAX_RAD_S: f64 = 2.0;
 
-/// Largest part of a measurement's age that the tolerance includes, however many stalls it contains.
+/// Age of a measurement up to which its prediction is checked, however many stalls it contains.
 const MADE_UP_MAX_NS: u64 = 300_000_000;
 
 /// A daemon with a driver; only the measurement can cause a fault.
