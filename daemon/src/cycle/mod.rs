@@ -1,11 +1,11 @@
-//! One cycle of 5 ms: the order of its steps, and nothing else.
+//! One cycle: the order of its steps.
 //!
 //! ```text
 //! measure → estimate → mode → solve → make safe → command → record
 //! ```
 //!
-//! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
-//! in the record, so that the cycle can be computed again.
+//! Invariant: nothing here allocates, locks, logs, panics or makes a system call. The record contains all
+//! inputs of its decisions, so that the cycle can be replayed.
 
 mod observation;
 mod own_costs;
@@ -35,18 +35,17 @@ use crate::rt::schedule::Release;
 use state::RobotState;
 use unsent::LastSent;
 
-/// The controller of one robot, cycle by cycle.
 #[derive(Debug)]
 pub struct Cycle {
     robot: Robot,
     link: RobotLink,
     state: RobotState,
-    /// Another, that rehearsals move on and nobody asks.
+    /// Separate state that only rehearsals advance and read.
     rehearsed: RobotState,
     last_sent: LastSent,
-    /// The cycle to come was.
+    /// The next cycle was rehearsed.
     was_rehearsed: bool,
-    /// What rehearsals take that looks at no clock.
+    /// Cost of the part of a rehearsal that does not check the clock.
     rehearsal_costs: RecentCosts,
     modes: ModeMachine,
     nmpc: Nmpc,
@@ -55,47 +54,49 @@ pub struct Cycle {
     policy: Policy,
     period_ns: u64,
     core_budget: CoreBudget,
-    /// From the end of the solver until the thread sleeps.
+    /// Cost from the end of the solver until the thread sleeps.
     costs_after_solve: RecentCosts,
-    /// What the newest cycle took after the solver, until it is known whether all of that was its own \[ns\].
+    /// Cost of the newest cycle after the solver \[ns\], until the scheduler's count shows whether the thread
+    /// lost its core.
     took_after_solve_ns: Option<u64>,
-    /// As the inputs of the newest cycle have it.
+    /// Interruption count in the inputs of the newest cycle.
     interruptions: u64,
-    /// When the solver had to end \[ns\]; 0: it did not run.
+    /// Time by which the solver had to end \[ns\]; 0: it did not run.
     solve_until_ns: u64,
-    /// Since when what follows the solver runs \[ns\].
+    /// Start of the work that follows the solver \[ns\].
     solve_over_ns: u64,
     settings_revision: u64,
     last_gather: Option<u64>,
-    /// Stops that were carried out.
+    /// Number of stops carried out.
     stops: u64,
-    /// A signal asks for one more.
+    /// A signal requested one more stop.
     stop_signalled: bool,
-    /// Start of the last cycle that was asked to stop, or in which the robot was latched \[ns\].
+    /// Start of the last cycle in which a stop was requested or the robot was latched \[ns\].
     latched_ns: u64,
-    /// Time of cycles in a row that had no new inputs \[ns\].
+    /// Duration of the current series of cycles without new inputs \[ns\].
     stale_ns: u64,
-    /// A latched mode was left, and the robot has not come to rest since.
+    /// The robot left a latched mode and has not come to rest since.
     control_begins: bool,
-    /// Times that the machine slept when the last cycle ran.
+    /// Suspend count of the machine at the last cycle.
     suspends: u64,
-    /// Clearance in the cycle before \[m\].
+    /// Clearance in the newest cycle \[m\].
     clearance_m: f64,
     longest_gap_ns: u64,
     previous_release_ns: Option<u64>,
     rates: BendRates,
-    /// Those of this cycle, where they are at its release.
+    /// Obstacles of this cycle, at their places at its release.
     known_obstacles: ObstacleSet,
-    /// The same where they are when the robot is where its commands lead it.
+    /// The same obstacles at the time when the robot reaches the configuration to which its commands lead it.
     obstacles: Vec<Obstacle>,
     followed: FollowedReference,
 }
 
 impl Cycle {
-    /// A controller at rest. All memory that it will ever use is taken here.
+    /// A controller at rest. Allocates all memory that it ever uses.
     ///
     /// # Errors
-    /// When the solver's settings are out of range, which a validated configuration excludes.
+    ///
+    /// The solver's settings are out of range; a validated configuration excludes this.
     pub fn new(
         validated: &Validated,
         link: RobotLink,
@@ -148,37 +149,38 @@ impl Cycle {
         })
     }
 
-    /// The same on a core of which the kernel leaves `share` to real-time threads.
+    /// Sets the share of the core that the kernel leaves to real-time threads.
     #[must_use]
     pub fn with_kernel_share(mut self, share: f64) -> Self {
         self.core_budget = self.core_budget.with_kernel_share(share);
         self
     }
 
-    /// The same of a robot that was stopped or faulted before: it needs a reset.
+    /// Starts latched, for a robot that was stopped or faulted before: it needs a reset.
     #[must_use]
     pub fn stopped_before(mut self) -> Self {
         self.modes = ModeMachine::stopped_before();
         self
     }
 
-    /// Whether the robot rests: the last command was zero rates.
+    /// The last command was zero rates.
     pub fn is_at_rest(&self) -> bool {
         self.rates.as_slice().iter().all(|rate| *rate == 0.0)
     }
 
-    /// The next cycle stops the robot, as if the count of stops in its inputs had grown.
+    /// Stops the robot in the next cycle, as if the stop count in its inputs had grown.
     pub fn stop(&mut self) {
         self.stop_signalled = true;
     }
 
-    /// The process ends: bring the robot to rest.
+    /// Brings the robot to rest because the process ends.
     pub fn shut_down(&mut self) {
         self.modes.shut_down();
     }
 
-    /// Runs the cycle of `release` and writes its record. Takes requests from `next_request` until it has no more, at most
-    /// [`REQUESTS_PER_CYCLE`](crate::handover::REQUESTS_PER_CYCLE).
+    /// Runs the cycle of `release` and writes its record. Takes at most
+    /// [`REQUESTS_PER_CYCLE`](crate::handover::REQUESTS_PER_CYCLE) requests from `next_request`; in a cycle
+    /// with a counted stop, all that wait.
     pub fn run_into<'a>(
         &mut self,
         memory: &'a mut Option<CycleRecord>,
@@ -199,7 +201,7 @@ impl Cycle {
         record
     }
 
-    /// The same, with its record as a value.
+    /// Same as [`run_into`](Self::run_into), but returns the record by value.
     pub fn run(
         &mut self,
         release: Release,
@@ -250,11 +252,11 @@ impl Cycle {
             self.desired_rates(&release, inputs, elapsed_ns, costs, clock);
         let comes_to_rest = self.modes.mode().comes_to_rest();
         if report.status == SolveStatus::NonFinite {
-            // The solve itself has found a fault.
+            // The solve found a fault.
             desired_rates = self.ramp();
         }
         let solve_end_ns = clock.now_ns();
-        // What a solve takes beyond its end cannot be cut: it belongs to what follows.
+        // A solve that overruns its end cannot be cut short: the excess counts as time after the solver.
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
         let safe = self.make_safe(&desired_rates, comes_to_rest);
@@ -323,11 +325,11 @@ impl Cycle {
         previous.map_or(self.period_ns, |previous| release.release_ns - previous)
     }
 
-    /// Settings change between two cycles, whole. The exchange has validated them.
+    /// Settings change between two cycles, all at once. The exchange has validated them.
     fn take_settings(&mut self, inputs: &CycleInputs) {
         if inputs.settings_revision != self.settings_revision {
             self.settings_revision = inputs.settings_revision;
-            // Refused settings leave the old ones in force, and the record shows which those are.
+            // Rejected settings leave the old ones in force; the record contains the settings in force.
             if self.nmpc.configure(inputs.settings.nmpc).is_ok() {
                 self.budget_ns = inputs.settings.budget_ns;
             }
@@ -341,20 +343,20 @@ impl Cycle {
         }
     }
 
-    /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
+    /// Places the obstacles of this cycle at its release. The list has the capacity for all of them.
     fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) {
         let known = inputs.obstacles.iter_at(release.release_ns);
         self.known_obstacles.fill(known);
         self.obstacles.clear();
-        // The robot is where its commands lead it as much later as its motors are behind them.
+        // The robot reaches the commanded configuration later, by the lag of its motors.
         let lead_s = self.policy.reference_lead_ns as f64 * 1e-9;
         let shapes = self.known_obstacles.iter();
         self.obstacles
             .extend(shapes.map(|known| known.obstacle.moved(lead_s)));
     }
 
-    /// After a latched mode was left, control begins anew. A robot that is still on its ramp goes on along it first, and motors
-    /// that lag come to its end; unless the robot is asked to move before.
+    /// Restarts control after a latched mode. The robot first completes its ramp, and lagging motors complete
+    /// their motion, unless a request to move comes earlier.
     fn begin_control(&mut self, was_latched: bool) {
         let mode = self.modes.mode();
         self.control_begins = (self.control_begins || was_latched) && !mode.is_latched();
@@ -368,7 +370,7 @@ impl Cycle {
             self.begin_unsent();
         } else if matches!(mode, Mode::Tracking { .. } | Mode::Homing) {
             self.control_begins = false;
-            // On the ramp the commanded position must not step back by what the motors lag.
+            // On the ramp the commanded position must not step back by the lag of the motors.
             if self.is_at_rest() {
                 self.state.take_control_moving();
                 self.begin_unsent();
@@ -404,13 +406,13 @@ impl Cycle {
         (rates, SolveReport::default())
     }
 
-    /// The next rates on the way to rest.
+    /// The next rates of the ramp to rest.
     fn ramp(&self) -> BendRates {
         let period_s = self.period_ns as f64 * 1e-9;
         ramp_to_zero(&self.rates, self.policy.deceleration_rad_s2, period_s)
     }
 
-    /// NMPC in the time that is left.
+    /// Runs the NMPC in the remaining time.
     fn track(
         &mut self,
         release: &Release,
@@ -462,7 +464,7 @@ impl Cycle {
         (rates, report)
     }
 
-    /// Every command, in every mode: limits, and the clearance guard.
+    /// Applies the limits and the clearance guard to every command, in every mode.
     fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
         let safe = safe_command(&self.situation(comes_to_rest), desired_rates);
         if safe.limits_hit.non_finite {

@@ -1,4 +1,4 @@
-//! What the mode machine is told of a cycle, before it decides.
+//! Observations that the mode machine receives before it decides.
 
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::safety::{Observation, Reason};
@@ -28,7 +28,7 @@ impl Cycle {
         }
     }
 
-    /// Why the robot should not move on, though nothing is broken.
+    /// Reason to hold although there is no fault.
     fn wait(&self, inputs: &CycleInputs, reference: &ReferenceSample) -> Option<Reason> {
         if self.has_stale_inputs() {
             return Some(Reason::InputsStale);
@@ -42,7 +42,7 @@ impl Cycle {
     }
 
     fn fault(&self, measurement: Option<TimedMeasurement>) -> Option<Reason> {
-        // What was never measured is not lost: the machine waits for it.
+        // Without a first measurement, none can be lost: the mode machine waits for it.
         measurement?;
         if let Some(fault) = self.state.measurement_fault() {
             return Some(fault);
@@ -50,7 +50,7 @@ impl Cycle {
         if self.is_contact() {
             return Some(Reason::ClearanceBroken);
         }
-        // A robot that is stopped or faulted may be moved by hand, until control begins anew.
+        // A stopped or faulted robot may be moved by hand until control begins again.
         let is_in_control = !self.modes.mode().is_latched() && !self.control_begins;
         if is_in_control && self.state.following().is_broken() {
             return Some(Reason::FollowingError);
@@ -58,7 +58,7 @@ impl Cycle {
         self.state.place_fault()
     }
 
-    /// What a wrong tip said before must not refuse the reset of a robot that rests.
+    /// The offset of an implausible tip sensor must not block the reset of a resting robot.
     fn give_up_wrong_tip(&mut self) {
         if self.modes.mode().is_latched() && self.is_at_rest() && self.is_contact() {
             self.state.give_up_wrong_tip();

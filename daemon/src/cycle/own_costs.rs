@@ -1,4 +1,4 @@
-//! What a cycle takes beside its solve, learnt from the cycles before.
+//! Costs of a cycle beside its solve, learnt from earlier cycles.
 
 use super::Cycle;
 use crate::core_budget::Costs;
@@ -6,7 +6,7 @@ use crate::handover::CycleInputs;
 use crate::rt::clock::Clock;
 
 impl Cycle {
-    /// The thread is about to sleep: what followed the solver is over.
+    /// Ends the measurement of the work after the solver: the thread is about to sleep.
     pub fn rest(&mut self, clock: &impl Clock) {
         if self.solve_until_ns > 0 {
             let took_ns = clock.now_ns().saturating_sub(self.solve_over_ns);
@@ -14,7 +14,8 @@ impl Cycle {
         }
     }
 
-    /// Takes note of what the cycle before took, unless it lost its core meanwhile, or nobody has said so far whether it did.
+    /// Records the cost of the previous cycle, unless its thread lost the core or stale inputs leave that
+    /// unknown.
     pub(super) fn learn_cost(&mut self, inputs: &CycleInputs, stale_inputs: bool) {
         let before = core::mem::replace(&mut self.interruptions, inputs.interruptions);
         if let Some(took_ns) = self.took_after_solve_ns.take()
@@ -25,7 +26,7 @@ impl Cycle {
         }
     }
 
-    /// What the core needs in this period beside the solve.
+    /// Time that the core needs in this period beside the solve.
     pub(super) fn costs(&self, inputs: &CycleInputs) -> Costs {
         Costs {
             after_solve_ns: self.costs_after_solve.high_by_clock_ns(),

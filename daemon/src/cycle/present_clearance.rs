@@ -1,7 +1,8 @@
 use super::Cycle;
 
 impl Cycle {
-    /// Clearance \[m\] of the body where it is, thicker where its tip may be beside its bends; `led_m` is that where its commands lead it, infinite where there is no obstacle.
+    /// Clearance \[m\] of the body at its present configuration, with the radius enlarged by the tip margin.
+    /// `led_m` is the clearance of the commanded configuration; infinite without obstacles.
     pub(super) fn present_clearance_m(&self, led_m: f64) -> f64 {
         if self.policy.reference_lead_ns == 0 || !led_m.is_finite() {
             return led_m;
@@ -12,7 +13,7 @@ impl Cycle {
         body.least_clearance_m(obstacles.map(|known| known.obstacle))
     }
 
-    /// Whether the body touched, or was too near, in the cycle before.
+    /// The clearance in the previous cycle was below the fault limit.
     pub(super) fn is_contact(&self) -> bool {
         self.clearance_m < self.policy.clearance_fault_m
     }

@@ -1,8 +1,8 @@
-//! What the cycle thread does when it wakes up before its release: the cycle to come, without any effect.
+//! Rehearsal: the next cycle without any effect, when the cycle thread wakes up before its release.
 //!
-//! After milliseconds of sleep the processor's caches hold other things, and the same code takes two to three times as long.
-//! The time before a release costs no response. A later command depends on nothing here: the plan is put back, the estimate is one of
-//! its own, and what else is computed is thrown away.
+//! After milliseconds of sleep the processor's caches hold other data, and the same code takes two to three
+//! times as long. Time before a release does not count towards the response time. No later command depends on
+//! a rehearsal: the plan is restored, the estimate is a separate one, and other results are discarded.
 
 use std::hint::black_box;
 
@@ -16,8 +16,8 @@ use crate::handover::{CycleInputs, TimedMeasurement};
 use crate::rt::clock::Clock;
 
 impl Cycle {
-    /// Estimates, checks and solves once with what is known before the release of `cycle` at `release_ns`, and forgets it.
-    /// What might not be over by then is left out.
+    /// Estimates, checks and solves once with the inputs known before `release_ns`, the release of `cycle`,
+    /// and discards the result. Omits the steps that might not end in time.
     pub fn rehearse(
         &mut self,
         cycle: u64,
@@ -34,7 +34,7 @@ impl Cycle {
         black_box(inputs.window.get(cycle));
         black_box(safe_command(&self.situation(false), &self.rates));
         self.rehearsal_costs.note(clock.now_ns() - begin_ns);
-        // Whoever looks at the clock may look this late.
+        // A check of the clock may come late by the longest gap between two checks.
         let end_ns = release_ns.saturating_sub(self.longest_gap_ns);
         if matches!(self.modes.mode(), Mode::Tracking { .. }) && clock.now_ns() < end_ns {
             let settings = self.nmpc.settings();
@@ -52,7 +52,7 @@ impl Cycle {
         }
     }
 
-    /// Moves the estimate of rehearsals on by what was commanded and measured.
+    /// Advances the rehearsal's estimate by the commanded rates and the measurements.
     fn rehearse_estimate(&mut self, release_ns: u64, inputs: &CycleInputs) {
         let measurement = inputs.measurement.unwrap_or(TimedMeasurement {
             measurement: Measurement::Configuration(*self.state.configuration()),

@@ -1,4 +1,4 @@
-//! What clients ask of a cycle, and what a stop overrules.
+//! Requests of clients to a cycle, and their precedence after a stop.
 
 use cdcr_controller::safety::{Mode, Observation, Refusal, Request};
 
@@ -9,7 +9,7 @@ use crate::handover::{
 use crate::rt::schedule::Release;
 
 impl Cycle {
-    /// When a stop or a fault latched the robot.
+    /// Notes the time at which a stop or a fault latched the robot.
     pub(super) fn note_latch(&mut self, before: Mode, release: &Release) {
         let now = self.modes.mode();
         if now.is_latched() && now != before {
@@ -17,7 +17,7 @@ impl Cycle {
         }
     }
 
-    /// What was asked before a stop or a fault is not carried out after it, wherever it waited meanwhile.
+    /// Carries out the waiting requests. A request from before a stop or a fault is not carried out after it.
     pub(super) fn answer(
         &mut self,
         mut next_request: impl FnMut() -> Option<CycleRequest>,
@@ -26,7 +26,7 @@ impl Cycle {
         release: &Release,
     ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
         let told = core::mem::take(&mut self.stop_signalled) || inputs.stops > self.stops;
-        // Of those that wait, none stays behind.
+        // A counted stop answers all waiting requests.
         let most = if told {
             REQUESTS_WAITING
         } else {

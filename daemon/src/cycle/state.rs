@@ -9,16 +9,16 @@ use nalgebra::Vector3;
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
-/// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
+/// A measured bend this far beyond its limit is not yet a fault \[rad\]: sensor noise.
 const BEND_TOLERANCE_RAD: f64 = 0.05;
-/// Motors this near to the end of their way have arrived \[rad\].
+/// Motors within this distance of the end of their motion have arrived \[rad\].
 const ARRIVED_RAD: f64 = 1e-3;
-/// All bends below this are straight at once \[rad\].
+/// Bends all below this count as straight at once \[rad\].
 const HOME_EXACT_RAD: f64 = 1e-6;
-/// A robot whose bends are all within the tolerance for this long is straight, too: sensors have noise \[ns\].
+/// Bends within the home tolerance for this long count as straight \[ns\]: sensors have noise.
 const HOME_SETTLED_NS: u64 = 100_000_000;
 
-/// What a cycle knows of the robot: where it was commanded to be, where it was measured, where it is.
+/// State of the robot as a cycle knows it: commanded, measured and estimated.
 #[derive(Debug)]
 pub(super) struct RobotState {
     pub(super) robot: Robot,
@@ -26,33 +26,34 @@ pub(super) struct RobotState {
     period_ns: u64,
     pub(super) estimator: Estimator,
     present: Configuration,
-    /// A state, moved by the commanded rates and by nothing else while the robot is in control. A robot that obeys
-    /// positions is told it.
+    /// Commanded position: while the robot is in control, only the commanded rates change it. A robot with
+    /// the position interface receives it.
     pub(super) commanded: Configuration,
     pub(super) following: FollowingWatch,
     pub(super) plausibility: MeasurementWatch,
     common_mode: CommonModeWatch,
-    /// Of the tip beside bends or cables.
+    /// Of the tip, measured in addition to bends or cables.
     pub(super) tip_plausibility: MeasurementWatch,
     last_tip_ns: u64,
-    /// Sensors that measured it so far.
+    /// Number of tip sensors so far.
     tip_sensors: u64,
-    /// The tip froze or jumped until nobody could say where it is: it is not used before control begins anew.
+    /// The tip measurement froze or jumped too often: it is not used until control begins again or another
+    /// sensor takes over.
     tip_is_wrong: bool,
-    /// Where the robot was last measured, as far as that tells its configuration.
+    /// Last measured configuration; `None` if the measurement does not determine it.
     measured: Option<Configuration>,
     last_measured_ns: u64,
     last_gather_ns: u64,
     /// Time of gathers without a fresh measurement \[ns\].
     unmeasured_ns: u64,
-    /// How long the robot has been straight within the tolerance \[ns\].
+    /// Time for which the robot has been straight within the tolerance \[ns\].
     straight_ns: u64,
-    /// What the measurement of this cycle shows.
+    /// Fault found in the measurement of this cycle.
     measurement_fault: Option<Reason>,
 }
 
 impl RobotState {
-    /// A robot that is taken to be at `initial` until it is measured.
+    /// A robot assumed to be at `initial` until the first measurement.
     pub(super) fn new(
         robot: Robot,
         policy: Policy,
@@ -87,22 +88,24 @@ impl RobotState {
         }
     }
 
-    /// Where the commands up to now lead the robot, as far as that is known.
+    /// Estimated configuration to which the commands so far lead the robot.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
     }
 
-    /// Where they lead its motors: the robot is beside that by the play of its cables.
+    /// Motor positions to which the commands lead; the play of the cables separates them from the
+    /// configuration.
     pub(super) fn motors(&self) -> &Configuration {
         self.estimator.motors()
     }
 
-    /// What of the play of the cables is taken there; `None`: they have none.
+    /// State of the cables' play there; `None`: no play.
     pub(super) fn slack_led(&self) -> Option<&Slack> {
         self.estimator.slack_led()
     }
 
-    /// Where the motors are led, where the robot is beside that: commanded positions, or motors beside cables that have play.
+    /// Motor positions, if they differ from the configuration: commanded positions, or motors whose cables
+    /// have play.
     pub(super) fn motors_led(&self) -> Option<&Configuration> {
         match self.policy.interface {
             Interface::Position => Some(&self.commanded),
@@ -112,14 +115,14 @@ impl RobotState {
         }
     }
 
-    /// Where it is now: behind that where its motors are behind their commands.
+    /// Present configuration; behind the commanded one if the motors lag.
     pub(super) fn present(&self) -> &Configuration {
         &self.present
     }
 
-    /// Whether its motors have come to where the commands lead them, as far as that is known.
+    /// The motors are estimated to have completed their commands.
     pub(super) fn has_arrived(&self) -> bool {
-        // Not the cables, which stand still while motors run through their play.
+        // Motors, not cables: cables stand still while the motors take up the play.
         let here = self.estimator.motors_present();
         let ends = self.estimator.motors().as_slice();
         let mut pairs = here.as_slice().iter().zip(ends);
@@ -134,13 +137,13 @@ impl RobotState {
         &self.following
     }
 
-    /// The robot moved by `rates`, the last command, `elapsed_ns` ago.
+    /// Advances the state by `rates`, the last command, over the `elapsed_ns` since it was given.
     pub(super) fn move_on(&mut self, rates: &BendRates, elapsed_ns: u64) {
         let moving_ns = self.policy.moving_ns(elapsed_ns, self.period_ns);
         let (moving_s, elapsed_s) = (moving_ns as f64 * 1e-9, elapsed_ns as f64 * 1e-9);
         self.estimator.predict(rates, moving_s);
         if elapsed_ns > moving_ns {
-            // Then it held.
+            // Afterwards the robot held.
             let rest = BendRates::zero(self.robot.section_count());
             self.estimator.predict(&rest, elapsed_s - moving_s);
         }
@@ -150,7 +153,7 @@ impl RobotState {
         self.tip_plausibility.commanded(rates, moving_s);
     }
 
-    /// Takes in what was measured before `release_ns`, if it is new and can be.
+    /// Uses a measurement made before `release_ns`, if it is new and plausible.
     pub(super) fn measure(
         &mut self,
         measurement: Option<TimedMeasurement>,
@@ -190,7 +193,7 @@ impl RobotState {
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);
         if is_first {
-            // A tip that was measured before is beside bends that were a guess.
+            // A tip offset measured earlier was relative to assumed bends.
             self.estimator.forget_tip_offset();
             self.take_control();
         }
@@ -200,9 +203,10 @@ impl RobotState {
         MeasurementUse::Used
     }
 
-    /// Takes in a tip that was measured beside bends or cables: it says how far the model is off there. One that cannot be is
-    /// left out; that is no fault, since the bends are measured. What one sensor said is no reason to doubt the next one, of `tip_sensors` so far;
-    /// the offset stays until that has told otherwise: it is the model that is off, and the tip must not jump.
+    /// Uses a tip measured in addition to bends or cables: it shows the error of the model there. An
+    /// implausible one is ignored, without a fault: the bends are measured. A new sensor, counted by
+    /// `tip_sensors`, starts without the history of the last one. The offset remains until the new sensor
+    /// corrects it, so that the tip does not jump.
     pub(super) fn measure_tip(
         &mut self,
         measurement: Option<TimedMeasurement>,
@@ -241,19 +245,19 @@ impl RobotState {
         }
     }
 
-    /// A tip that froze or jumped for good is taken to be where the bends place it.
+    /// Assumes the tip at the place given by the bends if its measurement froze or jumped permanently.
     pub(super) fn give_up_wrong_tip(&mut self) {
         if self.tip_is_wrong {
             self.estimator.forget_tip_offset();
         }
     }
 
-    /// How far the tip is measured beside where the bends place it (m).
+    /// Offset of the measured tip from the place given by the bends \[m\].
     pub(super) fn tip_offset_m(&self) -> Vector3<f64> {
         self.estimator.tip_offset_m()
     }
 
-    /// How far it may be beside that (m): so much thicker the body counts.
+    /// Uncertainty of the tip's place beside that offset \[m\]; added to the body's radius.
     pub(super) fn tip_margin_m(&self) -> f64 {
         self.estimator.tip_margin_m()
     }
@@ -262,13 +266,13 @@ impl RobotState {
         self.tip_at(&self.present)
     }
 
-    /// Whether a reference is farther from the tip than it may be approached from.
+    /// The reference is farther from the tip than the approach distance.
     pub(super) fn is_too_far(&self, reference: &ReferenceSample) -> bool {
         let most_m = self.policy.approach_distance_m;
         most_m.is_finite() && (self.tip().position_m - reference.position_m).norm() > most_m
     }
 
-    /// Where the commands up to now lead the tip.
+    /// Pose of the tip to which the commands so far lead.
     pub(super) fn tip_led(&self) -> Pose {
         self.tip_at(self.configuration())
     }
@@ -281,8 +285,8 @@ impl RobotState {
         }
     }
 
-    /// Control begins where the robot is: at the start, and when a latched mode is left, in which it may have been moved
-    /// by hand.
+    /// Begins control at the robot's position: at the first measurement, and after a latched mode, in which
+    /// the robot may have been moved by hand.
     pub(super) fn take_control(&mut self) {
         let here = self.measured.unwrap_or(*self.estimator.motors());
         self.following.begin(here);
@@ -290,7 +294,8 @@ impl RobotState {
         self.begin_at(here);
     }
 
-    /// The same while the motors are still on their way: control begins where that leads them from where they were measured.
+    /// Begins control while the motors still move: at the end of their motion, computed from the measured
+    /// positions.
     pub(super) fn take_control_moving(&mut self) {
         self.estimator.begin_moving();
         let end = *self.estimator.motors();
@@ -305,14 +310,14 @@ impl RobotState {
         self.trust_tip();
     }
 
-    /// Whatever is measured of the tip next may be right.
+    /// Accepts the next tip measurement without history.
     fn trust_tip(&mut self) {
         self.tip_plausibility = MeasurementWatch::new(self.policy.plausibility);
         self.tip_is_wrong = false;
     }
 
-    /// Counts how long no fresh measurement has come, in time that gathers have seen: after a stall of the machine
-    /// what the driver sent meanwhile must first be taken in.
+    /// Counts the time without a fresh measurement, as seen by gathers: after a stall of the machine, the
+    /// driver's messages must be gathered first.
     pub(super) fn count_silence(
         &mut self,
         measurement: Option<TimedMeasurement>,
@@ -333,8 +338,8 @@ impl RobotState {
         };
     }
 
-    /// Where the robot is after all that was measured and commanded, and how long it has been straight, in time that was
-    /// seen: a stall on the way through is no rest.
+    /// Updates the present configuration and the time for which the robot has been straight. A stall counts
+    /// as two periods at most: a motion through the straight pose is not rest.
     pub(super) fn locate(&mut self, elapsed_ns: u64) {
         self.present = self.estimator.present();
         self.straight_ns = if self.is_within(self.policy.home_tolerance_rad) {
@@ -345,7 +350,7 @@ impl RobotState {
         };
     }
 
-    /// Whether it is straight, exactly or for long enough.
+    /// The robot is straight: exactly, or within the tolerance for long enough.
     pub(super) fn is_at_home(&self) -> bool {
         self.is_within(HOME_EXACT_RAD) || self.straight_ns >= HOME_SETTLED_NS
     }
@@ -362,7 +367,7 @@ impl RobotState {
         self.measurement_fault
     }
 
-    /// What is wrong with where it is.
+    /// Fault of the robot's configuration.
     pub(super) fn place_fault(&self) -> Option<Reason> {
         let estimate = self.configuration();
         if !estimate.is_finite() {
@@ -376,7 +381,7 @@ impl RobotState {
     }
 }
 
-/// The configuration that a measurement tells; a tip position does not.
+/// The configuration given by a measurement; a tip position gives none.
 fn configuration_of(robot: &Robot, measurement: &Measurement) -> Option<Configuration> {
     match measurement {
         Measurement::Configuration(measured) => Some(*measured),

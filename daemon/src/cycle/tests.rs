@@ -1,4 +1,4 @@
-//! Cycles of a robot that is not its model.
+//! Cycles of a robot that differs from its model.
 
 mod approach;
 mod common_mode;
@@ -20,10 +20,10 @@ use crate::config::Interface;
 use crate::handover::MeasurementUse;
 use trial::{PERIOD_S, TRACK, Trial};
 
-/// A reference that is far away is gone to at once.
+/// A distant reference is followed at once.
 const DIRECT: &str = "[motion]\napproach = \"direct\"\n";
 
-/// The solver sees no obstacle in its cost, so that the guard has to act.
+/// The solver's cost ignores obstacles, so that the guard has to act.
 const BLIND_DIRECT: &str = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n[motion]\napproach = \"direct\"\n";
 
 fn is_at_rest(record: &CycleRecord) -> bool {
@@ -34,8 +34,8 @@ fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-/// A driver that measures 0.1 mm beside its command, and motors that come to rest beside it: for a minute in each mode
-/// of rest nothing is commanded to move, to the bit.
+/// The driver measures 0.1 mm beside its command, and the motors come to rest beside it. For a minute in each
+/// mode of rest no command moves the robot, to the bit.
 #[test]
 fn a_resting_robot_with_offset_and_droop_does_not_creep() {
     for interface in [Interface::Position, Interface::Velocity] {
@@ -55,7 +55,7 @@ fn a_resting_robot_with_offset_and_droop_does_not_creep() {
                     "{interface:?} {asked:?}"
                 );
             }
-            // It hangs through when the motors let go, and nothing answers: that is a fault.
+            // The robot sags when the motors release it, and no command reacts: a fault.
             if interface == Interface::Position && asked == Request::Hold {
                 trial.plant.set_flaws(Flaws {
                     offset_m: 0.01,
@@ -76,8 +76,9 @@ fn a_resting_robot_with_offset_and_droop_does_not_creep() {
     }
 }
 
-/// Noise of the encoders, a point to rest at, and three rates of six that do not move the tip: with the rate weight that a driver's robot has
-/// by default they rest, too. With the paper's cost, 0, they turn about the tip.
+/// Encoder noise, a fixed reference, and three of six rates that do not move the tip. With the default rate
+/// weight of a driver's robot they rest, too. With the paper's cost, weight 0, the bends drift around the
+/// tip.
 #[test]
 fn a_noisy_robot_that_rests_at_a_point_does_not_turn_about_its_tip() {
     let lag = "[actuator]\ntime_constant_ms = 20.0\n";
@@ -107,8 +108,8 @@ fn a_noisy_robot_that_rests_at_a_point_does_not_turn_about_its_tip() {
     }
 }
 
-/// Motors with a lag that the configuration does not know, behind either interface: the loop is stable, and an offset is
-/// learnt. Without noise, which reverses small rates.
+/// Motors with a lag that the configuration does not contain, with either interface: the loop is stable and
+/// learns the offset. Without noise, which reverses small rates.
 #[test]
 fn tracking_with_lagging_motors_does_not_oscillate() {
     for (interface, lag_s) in [(Interface::Position, 0.03), (Interface::Velocity, 0.025)] {
@@ -128,7 +129,7 @@ fn tracking_with_lagging_motors_does_not_oscillate() {
     }
 }
 
-/// What the configuration knows of the motors is no error of the robot.
+/// A motor lag in the configuration does not count as an error of the robot.
 #[test]
 fn motors_that_are_known_are_led_and_believed() {
     for interface in [Interface::Position, Interface::Velocity] {
@@ -146,7 +147,7 @@ fn motors_that_are_known_are_led_and_believed() {
             largest_m
         });
         println!("{interface:?}: {errors_m:?}");
-        // What is left is half the square of the time constant times the acceleration.
+        // The rest is half the square of the time constant times the acceleration.
         assert!(
             errors_m[1] < 3e-4 && errors_m[0] > 5.0 * errors_m[1],
             "{errors_m:?}"
@@ -154,8 +155,8 @@ fn motors_that_are_known_are_led_and_believed() {
     }
 }
 
-/// Sections that are longer than their model, and a load: without a sensor at the tip nobody knows, with one the tip is where it shall be.
-/// One that jumps is left out, one that froze is not used any more; the command notices neither.
+/// Sections longer than their model, and a load: only a tip sensor brings the tip to its reference. Its jumps
+/// are ignored, and a frozen sensor is no longer used; neither affects the command.
 #[test]
 fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     let flaws = Flaws {
@@ -169,7 +170,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     let (_, far_m) = reversals(&mut blind);
     let mut trial = Trial::with(Interface::Position, flaws, DIRECT);
     trial.measures_tip = true;
-    // The bends are where they are measured, from the first cycle on.
+    // The bends equal their measurement from the first cycle on.
     let first = trial.turn();
     let bends = trial.measured();
     let pairs = first.configuration.as_slice().iter().zip(bends.as_slice());
@@ -179,11 +180,11 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     );
     let (_, near_m) = reversals(&mut trial);
     println!("{far_m} m, {near_m} m");
-    // On a circle of 0.2 m at 0.3 m/s what the model is off by changes by 0.1 m/s.
+    // On a circle of 0.2 m at 0.3 m/s the model error changes by 0.1 m/s.
     assert!(far_m > 0.05 && near_m < 0.004, "{far_m} {near_m}");
     assert_eq!(trial.turn().tip_use, MeasurementUse::Used);
 
-    // What a jump says does not reach the command: it is that of a sensor which says nothing.
+    // A jump does not affect the command: it equals that with a silent sensor.
     trial.tip_error_m = Vector3::new(0.5, 0.0, 0.0);
     let jump = trial.turn();
     assert_eq!(jump.tip_use, MeasurementUse::Implausible);
@@ -197,7 +198,8 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     assert_eq!(bits(jump.rates.as_slice()), bits(rates.as_slice()));
     trial.tip_error_m = Vector3::zeros();
     assert_eq!(trial.turn().tip_use, MeasurementUse::Used);
-    // It stops: the offset goes along for one and a half of its intervals, of which the jump made the last two cycles long, and stays.
+    // A silent sensor: the offset moves on for one and a half measurement intervals, then stays. The jump
+    // made the last interval two cycles long.
     trial.measures_tip = false;
     let before_m = trial.turns(3).tip_offset_m;
     let after = trial.turns(200);
@@ -206,12 +208,12 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         (MeasurementUse::Repeated, before_m)
     );
     assert!(matches!(after.mode, Mode::Tracking { .. }));
-    // It comes back after a second in which the robot went on: the offset goes there, and does not jump.
+    // The sensor returns after a second in which the robot moved: the offset changes without a jump.
     trial.measures_tip = true;
     let back_m = trial.turn().tip_offset_m;
     assert!((back_m - before_m).norm() < 2.1e-3, "{back_m} {before_m}");
     trial.turns(100);
-    // It stands still while the robot goes on: what it says is no news.
+    // A frozen sensor while the robot moves: its measurements are ignored.
     let before_m = trial.turn().tip_offset_m;
     trial.frozen_tip_m = Some(trial.plant.tip_m());
     let frozen = trial.turns(200);
@@ -222,7 +224,8 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         frozen.tip_offset_m
     );
     trial.frozen_tip_m = None;
-    // It jumps for good: not used before another sensor, whose tip goes on from the offset as it is, or a reset.
+    // A permanent jump: not used until a reset, or another sensor, whose tip continues from the present
+    // offset.
     trial.measures_tip = true;
     trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
     trial.turns(5);
@@ -244,7 +247,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     assert_eq!(trial.turns(5).tip_use, MeasurementUse::Used);
 }
 
-/// Each simulated robot tracks behind either interface, and rests when commands run out.
+/// Each simulated robot tracks with either interface, and rests when commands expire.
 #[test]
 fn every_simulated_robot_tracks_and_rests_without_commands() {
     for preset in Preset::ALL {
@@ -260,7 +263,7 @@ fn every_simulated_robot_tracks_and_rests_without_commands() {
             );
             let error_m = (tracked.tip.position_m - tracked.reference.position_m).norm();
             assert!(error_m < 0.02, "{preset:?} {interface:?}: {error_m} m");
-            // Nobody commands for two seconds; then it stands, whatever it was told last.
+            // Two seconds without commands: then the robot stands, whatever the last command was.
             let after = trial.cycle(400);
             let later = trial.cycle(1);
             let moved = after
@@ -277,7 +280,7 @@ fn every_simulated_robot_tracks_and_rests_without_commands() {
     }
 }
 
-/// Reversals of the rates on a circle, and the largest distance to it.
+/// Reversals of the rates on a circle, and the largest distance to it \[m\].
 fn reversals(trial: &mut Trial) -> (usize, f64) {
     trial.turns(3);
     trial.begin_tracking();
@@ -298,11 +301,11 @@ fn reversals(trial: &mut Trial) -> (usize, f64) {
     (reversals, largest_m)
 }
 
-/// A robot that does not move: a fault with the cause, and after a reset control begins where the robot is.
+/// A robot that does not move is a fault with its cause; after a reset, control begins at its position.
 #[test]
 fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
     for interface in [Interface::Position, Interface::Velocity] {
-        // Compared exactly; bits of noise, or the measurement would be frozen.
+        // Compared exactly; minimal noise, because a constant measurement counts as frozen.
         let flaws = Flaws {
             noise_m: 1e-9,
             ..Flaws::default()
@@ -340,14 +343,14 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
     }
 }
 
-/// A reset is granted while the robot is still on its ramp: the commanded position goes on along it, and control begins
-/// where the robot is once it rests.
+/// A reset on the ramp: the commanded position continues along the ramp, and control begins at the robot's
+/// position once it rests.
 #[test]
 fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
     let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     trial.begin_tracking();
-    // On its way to the first point, which is far from the straight robot.
+    // In motion to the first point, which is far from the straight robot.
     let fastest = trial
         .turns(12)
         .rates
@@ -370,7 +373,7 @@ fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
         ramp += 1;
     }
     assert!(ramp > 1, "{ramp}");
-    // What is left is the following error, taken over once.
+    // The remaining following error is adopted once.
     trial.turns(2);
     let target_rad = bits(&trial.target_rad);
     trial.turns(100);
@@ -378,7 +381,7 @@ fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
     assert!(trial.turn().following.largest_rad() < 0.1);
 }
 
-/// In every message the position is that of the message before, moved on by the speeds.
+/// Each message's position is that of the previous message plus its speeds times the period.
 #[test]
 fn positions_are_the_integral_of_the_speeds() {
     let mut trial = Trial::new(Interface::Position);
@@ -402,7 +405,8 @@ fn positions_are_the_integral_of_the_speeds() {
 fn no_rate_grows_faster_than_the_acceleration() {
     let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
-    // The first point is far from the straight robot: without the limit it would be at its largest rates at once. The plan knows the limit, and uses it.
+    // The first point is far from the straight robot: without the limit its rates would jump to the maximum.
+    // The plan contains the limit and uses it fully.
     trial.begin_tracking();
     let mut most_grown = 0.0_f64;
     for _ in 0..200 {
@@ -426,7 +430,7 @@ fn no_rate_grows_faster_than_the_acceleration() {
     assert!(most_grown > 0.999, "{most_grown}");
 }
 
-/// What a robot behind a driver has without a limit of its own.
+/// Default of a robot behind a driver.
 const MOST_RAD_S2: f64 = crate::config::MotionConfig::ACCELERATION_RAD_S2;
 
 #[test]
@@ -435,7 +439,7 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
     trial.turns(3);
     trial.begin_tracking();
     trial.turns(100);
-    // No gather any more: for as long as a command is valid it goes on.
+    // No further gather: tracking continues while a command is valid.
     let modes: Vec<_> = (0..4).map(|_| trial.cycle(0).mode).collect();
     assert!(
         modes[..3]
@@ -478,7 +482,8 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
     );
 }
 
-/// A stop comes by the ring in the cycle before the inputs that count it: who has its answer may reset the robot.
+/// A stop arrives by the ring one cycle before the inputs that count it. A client that has its answer may
+/// reset the robot.
 #[test]
 fn a_stop_that_was_carried_out_is_not_carried_out_again() {
     let mut trial = Trial::new(Interface::Velocity);

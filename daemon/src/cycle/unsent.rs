@@ -1,5 +1,6 @@
-//! Commands that did not leave. The exchange gathers and publishes in turn: while it brings no inputs, it sends nothing, and when it goes
-//! on, the newest command alone leaves. So the driver obeyed the last one that left until that ran out.
+//! Commands that were not sent. The exchange gathers and publishes in turn: a stalled exchange brings no
+//! inputs and sends nothing. When it continues, it sends the newest command only. Meanwhile the driver
+//! executed the last command sent, until that expired.
 
 use cdcr_controller::estimator::Estimator;
 use cdcr_controller::robot::{BendRates, Configuration};
@@ -9,10 +10,10 @@ use super::Cycle;
 use super::state::RobotState;
 use crate::handover::CycleInputs;
 
-/// What commands move on, as it was when the last one left.
+/// The state that commands advance, as it was when the last command was sent.
 #[derive(Debug)]
 pub(super) struct LastSent {
-    /// That command, and how long ago it was given \[ns\].
+    /// The last command sent; `elapsed_ns` is the time since then.
     rates: BendRates,
     elapsed_ns: u64,
     estimator: Estimator,
@@ -35,7 +36,7 @@ impl LastSent {
         }
     }
 
-    /// Of a command that was given at the last release.
+    /// Saves the state at the last release, with the command given there.
     fn note(&mut self, state: &RobotState, rates: &BendRates) {
         self.rates = *rates;
         self.elapsed_ns = 0;
@@ -46,7 +47,7 @@ impl LastSent {
         self.tip_plausibility.clone_from(&state.tip_plausibility);
     }
 
-    /// The robot has obeyed that command alone since.
+    /// Restores the saved state and advances it by that command alone.
     fn obey_alone(&self, state: &mut RobotState) {
         state.estimator.clone_from(&self.estimator);
         state.commanded = self.commanded;
@@ -58,7 +59,7 @@ impl LastSent {
 }
 
 impl Cycle {
-    /// Whether the inputs are those of the cycle before.
+    /// Counts stale inputs; true if the inputs are those of the previous cycle.
     pub(super) fn count_stale(&mut self, inputs: &CycleInputs) -> bool {
         let is_stale = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
         self.stale_ns = if is_stale {
@@ -69,13 +70,13 @@ impl Cycle {
         is_stale
     }
 
-    /// Whether the inputs are so old that a command which left with the last ones has run out.
+    /// The inputs are so old that a command sent with them has expired.
     pub(super) fn has_stale_inputs(&self) -> bool {
         self.stale_ns > self.policy.stale_inputs_max_ns
     }
 
-    /// The robot moved by the commands that left. Of one or two releases without inputs they may have left all the same: the gather
-    /// was late. A robot that has come to rest meanwhile stays where it is commanded to be: rest is rest.
+    /// Advances the state by the commands sent. Until the inputs count as stale, commands may still have been
+    /// sent: only the gather was late. A robot that has come to rest keeps its commanded position.
     pub(super) fn move_on(&mut self, elapsed_ns: u64) {
         let most_ns = self.policy.stale_inputs_max_ns;
         let runs_out = self.has_stale_inputs() && self.stale_ns - self.period_ns <= most_ns;
@@ -90,7 +91,7 @@ impl Cycle {
         }
     }
 
-    /// Control has begun anew, and no command has left since.
+    /// Control has begun again, and no command has been sent since.
     pub(super) fn begin_unsent(&mut self) {
         let rest = BendRates::zero(self.robot.section_count());
         self.last_sent.note(&self.state, &rest);

@@ -1,4 +1,4 @@
-//! Before the first cycle: whether one fits into its period, and code and data that are in memory.
+//! Before the first cycle: checks that a cycle fits into its period, and brings code and data into memory.
 
 use cdcr_controller::nmpc::{HORIZON_STEPS_MAX, SolveInput};
 use cdcr_controller::optimizer::Budget;
@@ -10,16 +10,17 @@ use super::Cycle;
 use crate::core_budget::Costs;
 use crate::rt::clock::Clock;
 
-/// Longest time that the solver is warmed up \[ns\].
+/// Longest duration of the warm-up \[ns\].
 const WARM_UP_MAX_NS: u64 = 300_000_000;
-/// Solves before the first release.
+/// Solves before the first release, for the check and for the warm-up each.
 const TRIALS: u64 = 20;
 
 impl Cycle {
-    /// Refuses settings that leave no time for a cycle that searches nothing, as measured.
+    /// Rejects settings that leave no time for a cycle without any search, as measured.
     ///
     /// # Errors
-    /// In words, with the numbers.
+    ///
+    /// A message with the numbers.
     pub fn check_that_it_fits(&mut self, clock: &impl Clock) -> Result<(), String> {
         let measured_ns = (0..TRIALS).map(|seed| {
             let begin_ns = clock.now_ns();
@@ -45,7 +46,7 @@ impl Cycle {
         ))
     }
 
-    /// Runs code and data of the solver once, so that the first real solve finds them in memory.
+    /// Runs the solver up to `TRIALS` times, so that the first real solve finds code and data in memory.
     pub fn warm_up(&mut self, clock: &impl Clock) {
         let end_ns = clock.now_ns() + WARM_UP_MAX_NS;
         for seed in 0..TRIALS {
@@ -54,7 +55,7 @@ impl Cycle {
         self.nmpc.forget_plan();
     }
 
-    /// A solve near a reference that is out of reach, beside an obstacle.
+    /// A solve near a reference out of reach, beside an obstacle.
     fn solve_once(&mut self, seed: u64, mut is_over: impl FnMut() -> bool) {
         let tip_m = self.robot.tip_position(self.state.configuration());
         let sample = ReferenceSample {

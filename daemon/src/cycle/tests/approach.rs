@@ -1,4 +1,4 @@
-//! A reference that begins elsewhere than the tip is, or in motion, is reached within the limits of the approach.
+//! A reference that begins away from the tip, or in motion, is reached within the limits of the approach.
 
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::safety::Refusal;
@@ -8,13 +8,13 @@ use super::super::*;
 use super::trial::{PERIOD_S, TRACK, Trial};
 use crate::config::Interface;
 
-/// Of the defaults.
+/// Defaults of the configuration.
 const APPROACH_M_S: f64 = 0.1;
 const APPROACH_M_S2: f64 = 0.5;
-/// Motors with a lag, an offset and a droop move the estimate a little.
+/// Motors with a lag, an offset and a droop shift the estimate slightly.
 const ROUNDING: f64 = 1.05;
 
-/// The laboratory's robot, but for the noise of its encoders: commands follow that, and accelerations show it.
+/// The laboratory's robot without encoder noise, which would appear in commands and accelerations.
 fn trial(approach: &str) -> Trial {
     let more = format!("[motion]\napproach = \"{approach}\"\n");
     let flaws = Flaws {
@@ -26,14 +26,14 @@ fn trial(approach: &str) -> Trial {
     trial
 }
 
-/// The commanded tip over `count` cycles \[m\].
+/// The commanded tip in `count` cycles \[m\].
 fn tips_m(trial: &mut Trial, count: u32) -> Vec<Vector3<f64>> {
     let robot = trial.cycle.robot.clone();
     let next = || robot.tip_position(&trial.turn().commanded);
     core::iter::repeat_with(next).take(count as usize).collect()
 }
 
-/// Largest speed \[m/s\], and largest acceleration \[m/s²\].
+/// Largest speed \[m/s\] and largest acceleration \[m/s²\].
 fn fastest(tips_m: &[Vector3<f64>]) -> (f64, f64) {
     let velocities: Vec<_> = tips_m
         .windows(2)
@@ -102,7 +102,7 @@ fn with_refuse_a_reference_that_is_far_is_not_tracked_and_a_near_one_is() {
     assert_eq!(record.answers[0].unwrap().outcome, Ok(()));
     let seen = fastest(&tips_m(&mut trial, 400));
     assert!(is_gentle(seen), "{seen:?}");
-    // The same of references that replace it.
+    // The same for references that replace it.
     trial.feed_line([0.02, 0.0, 0.89], [0.0; 3], 0.0);
     let mode = trial.turn().mode;
     assert!(matches!(mode, Mode::Tracking { .. }), "{mode:?}");

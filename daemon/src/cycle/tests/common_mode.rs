@@ -1,4 +1,4 @@
-//! A section's three cables together: what no bend explains.
+//! Common mode of a section's three cables: length changes that no bend explains.
 
 use cdcr_controller::plant::{MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
@@ -11,7 +11,8 @@ const COMMON: Mode = Mode::Faulted {
     reason: Reason::CommonMode,
 };
 
-/// How far these cables have drifted from what the encoders said when control began, at 0.1 mm a cycle, when the robot faulted \[mm\]; after 20 mm: none.
+/// Lets the measured lengths of `cables` drift by 0.1 mm per cycle, up to 20 mm. Returns the drift at the
+/// fault \[mm\].
 fn drift_mm(trial: &mut Trial, cables: &[usize]) -> Option<f64> {
     (1..=200)
         .map(f64::from)
@@ -24,7 +25,8 @@ fn drift_mm(trial: &mut Trial, cables: &[usize]) -> Option<f64> {
         })
 }
 
-/// One cable by 9 mm where 3 mm are allowed, or all three of a section by 10: a fault with a reason of its own. All three move no bend, so nothing else sees them.
+/// A drift of 9 mm of one cable with a limit of 3 mm, or of 10 mm of all three of a section, is a fault with
+/// its own reason. A common drift moves no bend, so no other check finds it.
 #[test]
 fn cables_that_no_bend_explains_are_a_fault() {
     let lenient = "[safety]\nfollowing_fault_rad = 3.0\ncable_common_m = 0.003\n";
@@ -46,7 +48,7 @@ fn cables_that_no_bend_explains_are_a_fault() {
             if cables.len() < 3 {
                 continue; // Its bends are wrong, too.
             }
-            // After a reset it counts from there.
+            // After a reset the drift counts from zero.
             trial.turns(20);
             let after = trial.ask(Request::Reset);
             assert!(matches!(after.mode, Mode::Holding { .. }));
@@ -62,7 +64,8 @@ fn cables_that_no_bend_explains_are_a_fault() {
     }
 }
 
-/// A cable that runs off its drum, 0.1 mm a cycle, is a fault with the defaults, too: whichever check sees it first.
+/// A cable that runs off its drum by 0.1 mm per cycle is a fault with the defaults, by whichever check finds
+/// it first.
 #[test]
 fn a_broken_cable_is_a_fault_with_the_defaults() {
     for interface in [Interface::Position, Interface::Velocity] {
@@ -78,7 +81,7 @@ fn a_broken_cable_is_a_fault_with_the_defaults() {
     }
 }
 
-/// Every simulated robot, bent to its limits in every direction, with one cable of three 3° beside where it should be.
+/// Every simulated robot, bent to its limits in every direction, with one of three cables placed 3° off.
 #[test]
 fn bends_are_no_broken_cable() {
     const OFF_RAD: f64 = 0.052;
@@ -95,7 +98,8 @@ fn bends_are_no_broken_cable() {
             plant.order(MotorOrder::Lengths(robot.cable_lengths(&bends)));
             plant.advance(0.005);
             let mut lengths_m = plant.measure_cables().unwrap();
-            // The sum of the bends of the sections that a cable passes, times its radius, times how far its cosine is off.
+            // Error: the sum of the bends of the sections that a cable passes, times its radius, times the
+            // error of its cosine.
             for section in 0..3 {
                 let radius_m = robot.sections()[section].cable_radius_m;
                 let off = (turn_rad - OFF_RAD).cos() - turn_rad.cos();

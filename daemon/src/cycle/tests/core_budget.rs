@@ -1,4 +1,4 @@
-//! What is left to the solver of a period.
+//! The solver's share of a period.
 
 use std::path::Path;
 
@@ -28,18 +28,18 @@ fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
     trial.inputs.exchange_ns = 150_000;
     let record = trial.turn();
     assert_eq!(record.costs.after_solve_ns, 280_100, "a look takes 100 ns");
-    // 92.5 % of the period from the start, which is 0.02 ms late; the rehearsal takes its part.
+    // 92.5 % of the period from the start, which is 0.02 ms late, minus the rehearsal.
     let spent_ns = 75_000 + 280_100 + 150_000;
     assert_eq!(until_ns(&record), 4_625_000 + 20_000 - spent_ns);
     assert!(record.solve_end_ns <= record.solve_until_ns);
-    // However many: in those the thread has lost its core.
+    // Interruptions of the thread do not count, however many.
     for turn in 1..200 {
         trial.turn();
         trial.rest_after(if turn % 3 == 0 { 9_000_000 } else { 280_000 });
         trial.inputs.interruptions += u64::from(turn % 3 == 0);
     }
     assert_eq!(trial.turn().costs.after_solve_ns, 280_100);
-    // What is no stall counts in full, and half as much again is left.
+    // Frequent costs are not stalls and count in full; half as much again is reserved.
     for _ in 0..200 {
         trial.turn();
         trial.rest_after(1_500_000);
@@ -52,7 +52,7 @@ fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
     let check = |text: &str| {
         let validated = Config::parse(text, Path::new("trial")).unwrap();
         let cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
-        // Each look takes 100 ns, and so does a cycle.
+        // Each check of the clock takes 100 ns, and so does a cycle.
         cycle.with_kernel_share(0.9).check_that_it_fits(&clock())
     };
     assert_eq!(check(""), Ok(()));

@@ -1,4 +1,4 @@
-//! Cycles of a robot whose motors are known to be behind their commands.
+//! Cycles of a robot whose motors lag behind their commands by a known time.
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
@@ -14,7 +14,7 @@ use crate::obstacles::KnownObstacle;
 
 const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
 
-/// Motors 0.15 s behind, and as much of it as the configuration knows.
+/// Motors with a lag of 0.15 s; `known` is the configuration of it.
 fn lagging(interface: Interface, known: &str) -> Trial {
     let flaws = Flaws {
         actuator: Actuator {
@@ -22,7 +22,7 @@ fn lagging(interface: Interface, known: &str) -> Trial {
             time_constant_s: 0.1,
             play_m: 0.0,
         },
-        // Bits of noise, or the measurement of a robot that stands would be frozen.
+        // Minimal noise, because a constant measurement counts as frozen.
         noise_m: 1e-9,
         ..Flaws::default()
     };
@@ -45,8 +45,8 @@ fn turns_until_latched(trial: &mut Trial) -> CycleRecord {
     }
 }
 
-/// Somebody holds the robot, resets and lets it track before the motors would have come to the end of their way: control begins
-/// where the robot is, not where it was commanded to be.
+/// A robot is held fast, reset and tracked before the end of its motors' motion: control begins at its
+/// position, not at its commanded position.
 #[test]
 fn track_directly_after_a_reset_begins_where_the_robot_is() {
     for interface in INTERFACES {
@@ -83,7 +83,7 @@ fn track_directly_after_a_reset_begins_where_the_robot_is() {
     }
 }
 
-/// What is known of the lag is no following error; what is not known is one.
+/// A known lag is not a following error; an unknown lag is.
 #[test]
 fn a_known_lag_is_no_following_error_and_an_unknown_one_is() {
     const SHORT: &str = "[safety]\nfollowing_lag_ms = 10.0\n";
@@ -99,7 +99,7 @@ fn a_known_lag_is_no_following_error_and_an_unknown_one_is() {
         let rules = Trial::new(interface).turn().policy.following;
         assert!(errors_rad[1] < rules.warning_rad, "{errors_rad:?}");
         assert!(errors_rad[0] > rules.warning_rad, "{errors_rad:?}");
-        // And one that stands is found all the same.
+        // A robot that stands still is found all the same.
         let mut trial = lagging(interface, &format!("{KNOWN}{SHORT}"));
         trial.turns(3);
         trial.begin_tracking();
@@ -110,15 +110,15 @@ fn a_known_lag_is_no_following_error_and_an_unknown_one_is() {
     }
 }
 
-/// A ball runs into the tracking robot: its clearance is that of the body where the robot and the ball are in truth, 0.15 s before
-/// where the guard compares them, and contact is a fault in that cycle.
+/// A ball hits the tracking robot. The reported clearance is that of the true robot and ball, 0.15 s before
+/// the time at which the guard compares them. Contact is a fault in the next cycle.
 #[test]
 fn contact_is_a_fault_where_robot_and_obstacle_are() {
     const SPEED_M_S: f64 = 0.4;
     // As wide as the circle: it cannot miss the robot.
     const RADIUS_M: f64 = 0.25;
     for interface in INTERFACES {
-        // The solver sees no obstacle: it would go out of the way.
+        // The solver ignores the obstacle: otherwise it would avoid it.
         let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
         let mut trial = lagging(interface, &format!("{KNOWN}{blind}"));
         trial.turns(3);
@@ -142,7 +142,7 @@ fn contact_is_a_fault_where_robot_and_obstacle_are() {
         let mut broken = false;
         loop {
             let record = trial.turn();
-            // A fault follows in the cycle after the one that finds it.
+            // The fault follows in the cycle after the one that finds contact.
             assert_eq!(record.mode.is_latched(), broken, "{:?}", record.mode);
             if broken {
                 assert_eq!(record.mode.reason(), Reason::ClearanceBroken);

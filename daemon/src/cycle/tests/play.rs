@@ -1,4 +1,4 @@
-//! Cycles of a robot whose cables have play between them and their motors.
+//! Cycles of a robot whose cables have play.
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
@@ -14,17 +14,18 @@ use crate::obstacles::KnownObstacle;
 
 const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
 const PLAY_M: f64 = 1.5e-3;
-/// What half of it is of a bend at most \[rad\]: two thirds of twice half the play, over the cables' distance from the backbone.
+/// Largest bend caused by half of the play \[rad\]: two thirds of twice half the play, over the cables'
+/// distance from the backbone.
 const SLACK_RAD: f64 = 2.0 / 3.0 * PLAY_M / 0.0125;
 
-/// A robot with play, of which the configuration knows this.
+/// A robot with play, of which the configuration contains `known_m`.
 fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
     let flaws = Flaws {
         actuator: Actuator {
             play_m: PLAY_M,
             ..Actuator::IDEAL
         },
-        // Bits of noise, or the measurement of a robot that stands would be frozen.
+        // Minimal noise, because a constant measurement counts as frozen.
         noise_m: 1e-9,
         ..Flaws::default()
     };
@@ -32,7 +33,7 @@ fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
     Trial::with(interface, flaws, &known)
 }
 
-/// A ball of 50 mm that stands there.
+/// Adds a resting ball of 50 mm radius.
 fn put_ball(trial: &mut Trial, centre_m: Vector3<f64>) -> Obstacle {
     let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.05, Vector3::zeros()).unwrap();
     let known = KnownObstacle {
@@ -78,7 +79,7 @@ fn home_is_where_the_cables_are_straight_not_the_motors() {
     }
 }
 
-/// After a stop in motion and a reset the cables are where they were taken to be, and no command moves them.
+/// After a stop in motion and a reset the cables are at their estimated position, and no command moves them.
 #[test]
 fn a_stop_and_a_reset_move_no_cable() {
     for interface in INTERFACES {
@@ -96,7 +97,7 @@ fn a_stop_and_a_reset_move_no_cable() {
         assert!(apart(&trial.at_release, &rest) < 1e-6);
         let off_rad = apart(&held.present, &rest);
         assert!(off_rad < 1e-4, "{interface:?}: {off_rad}");
-        // And it goes on from there.
+        // Tracking continues from there.
         trial.begin_tracking();
         let error_m = |trial: &mut Trial| {
             let record = trial.turn();
@@ -111,7 +112,7 @@ fn a_stop_and_a_reset_move_no_cable() {
     }
 }
 
-/// Motors that follow are no following error however much play they have; motors that stand are.
+/// Motors that follow cause no following error, even with play; motors that stand still do.
 #[test]
 fn play_is_no_following_error_and_motors_that_stand_are_one() {
     for interface in INTERFACES {
@@ -130,7 +131,8 @@ fn play_is_no_following_error_and_motors_that_stand_are_one() {
     }
 }
 
-/// The reference is out of reach, so that bends and cables go to their limits: so do the motors, no farther, and that is no fault.
+/// The reference is out of reach, so that bends and cables reach their limits. The motors reach them, too,
+/// but do not exceed them, and no fault follows.
 #[test]
 fn motors_keep_their_limits_where_cables_reach_theirs() {
     const BEND_MAX_RAD: f64 = 0.4;
@@ -165,8 +167,8 @@ fn motors_keep_their_limits_where_cables_reach_theirs() {
     }
 }
 
-/// A ball in the way, which the solver does not see. The guard keeps the body away from it where the cables have the play that is known, and
-/// where they have none: it looks at the motors, too.
+/// A ball in the way, ignored by the solver. The guard keeps the body clear with the known play and without
+/// any play: it checks the motor positions, too.
 #[test]
 fn a_body_whose_cables_may_have_play_keeps_clear() {
     for interface in INTERFACES {
@@ -197,7 +199,8 @@ fn a_body_whose_cables_may_have_play_keeps_clear() {
     }
 }
 
-/// The tip goes on a circle, and slides along a ball: a stop there takes as long as one in the open.
+/// The tip follows a circle and slides along a ball: a stop there slows down as evenly as a stop in free
+/// space.
 #[test]
 fn a_stop_beside_a_ball_slows_down_evenly() {
     const LOSS_RAD_S: f64 = 10.0 * 0.005;

@@ -1,4 +1,4 @@
-//! What is rehearsed has no effect.
+//! Rehearsals have no effect.
 
 use std::path::Path;
 
@@ -13,7 +13,8 @@ use crate::config::{Config, Interface};
 use crate::convert;
 use crate::obstacles::KnownObstacle;
 
-/// Every record of a robot with a tip sensor, noise and a lag, beside a moving ball: at the start, on the way, stopped and reset.
+/// All records of a robot with a tip sensor, noise and a lag, beside a moving ball: at the start, in motion,
+/// stopped and reset.
 fn records(interface: Interface, rehearses: bool) -> (Vec<CycleRecord>, u64) {
     let flaws = Flaws {
         tip_noise_m: 3e-4,
@@ -60,7 +61,7 @@ fn a_rehearsal_changes_no_bit_of_a_record() {
     }
 }
 
-/// The reporter writes all telemetry into one message.
+/// The reporter writes all telemetry into one reused message.
 #[test]
 fn a_message_that_held_another_cycle_tells_nothing_of_it() {
     let (records, _) = records(Interface::Position, false);
@@ -83,7 +84,7 @@ fn a_message_that_held_another_cycle_tells_nothing_of_it() {
     }
 }
 
-/// The cycle writes its record where another one was.
+/// The cycle overwrites an earlier record.
 #[test]
 fn a_record_in_the_memory_of_another_holds_nothing_of_it() {
     let (records, _) = records(Interface::Position, false);

@@ -1,4 +1,4 @@
-//! A body that is known to be beside its model, and what becomes of that when control begins anew.
+//! The tip margin of a body that differs from its model, when control begins again.
 
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Obstacle, Shape};
@@ -17,7 +17,7 @@ const CONTACT: Mode = Mode::Faulted {
 const BALL_RADIUS_M: f64 = 0.03;
 const SAFE_M: f64 = 0.01;
 
-/// Sections 5 % longer than their model, and a sensor of the tip, which has learnt that.
+/// Sections 5 % longer than their model, with a tip sensor that has measured the offset.
 fn longer(interface: Interface) -> Trial {
     let flaws = Flaws {
         length_error: 0.05,
@@ -46,13 +46,14 @@ fn put_ball(trial: &mut Trial, centre_m: Vector3<f64>) -> Obstacle {
     obstacle
 }
 
-/// The true clearance of the body \[m\].
+/// True clearance of the body \[m\].
 fn clearance_m(trial: &Trial, ball: &Obstacle) -> f64 {
     let plant = &trial.plant;
     plant.truth().clearance_m(&plant.configuration(), ball)
 }
 
-/// A stop, a reset, and a sensor that measures on, froze or says nothing any more: the true body keeps the distance, and the offset does not step.
+/// A stop and a reset with a tip sensor that works, froze or is silent: the true body keeps the distance, and
+/// the offset does not step.
 #[test]
 fn a_reset_keeps_what_is_known_of_the_body() {
     for interface in [Interface::Position, Interface::Velocity] {
@@ -72,7 +73,7 @@ fn a_reset_keeps_what_is_known_of_the_body() {
             assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
             let stepped_m = (trial.turn().tip_offset_m - before_m).norm();
             assert!(stepped_m < 2e-3, "{sensor}: {stepped_m} m");
-            // At the ball, from above.
+            // Towards the ball, from above.
             let goal_m = Vector3::new(ball_centre(&ball).x, 0.0, tip_m.z - 0.07);
             trial.feed_line(goal_m.into(), [0.0; 3], 0.0);
             trial.ask(TRACK);
@@ -97,8 +98,8 @@ fn ball_centre(ball: &Obstacle) -> Vector3<f64> {
     }
 }
 
-/// A contact that is possible is one, and refuses a reset, also where the sensor fell silent. Where the tip is known to be wrong, it must not: what it said
-/// before is given up, but not while the robot could still be moving.
+/// A possible contact counts as contact and blocks a reset, even with a silent sensor. A tip known to be
+/// wrong must not block it: its offset is discarded once the robot rests.
 #[test]
 fn a_contact_by_the_margin_alone_stands_until_the_tip_is_known_to_be_wrong() {
     for is_wrong in [false, true] {
@@ -113,7 +114,7 @@ fn a_contact_by_the_margin_alone_stands_until_the_tip_is_known_to_be_wrong() {
         assert_eq!(faulted.mode, CONTACT);
         assert!(faulted.clearance_m < 0.0 && faulted.tip_offset_m.norm() > 0.03);
         if is_wrong {
-            // It fell off its mount.
+            // The sensor fell off its mount.
             trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
         } else {
             trial.measures_tip = false;

@@ -1,4 +1,4 @@
-//! A robot that is not its model, its driver, and the cycle of its daemon, on a clock of the test.
+//! A robot that differs from its model, its driver, and the daemon's cycle, on a test clock.
 
 use std::cell::Cell;
 use std::path::Path;
@@ -17,16 +17,16 @@ use crate::handover::TimedMeasurement;
 use crate::link::RobotLink;
 use crate::rt::clock::ManualClock;
 
-/// Follow the reference of the lease that every inputs here have.
+/// Follow the reference of the lease in the inputs.
 pub(super) const TRACK: Request = Request::Track { lease_number: 0 };
 pub(super) const PERIOD_NS: u64 = 5_000_000;
 pub(super) const PERIOD_S: f64 = 0.005;
-/// A driver measures so long before the release.
+/// Time from a driver's measurement to the release \[ns\].
 pub(super) const MEASURED_BEFORE_NS: u64 = 1_000_000;
 /// Release of cycle 0.
 pub(super) const BEGIN_NS: u64 = 1_000_000_000;
 
-/// A clock that goes on when it is looked at.
+/// A clock that advances with each reading.
 pub(super) fn clock() -> ManualClock {
     ManualClock {
         step_ns: Cell::new(100),
@@ -42,22 +42,22 @@ pub(super) struct Trial {
     interface: Interface,
     /// Each cycle is rehearsed before its release.
     pub(super) rehearses: bool,
-    /// Looks at the clock of the longest rehearsal.
+    /// Clock readings of the longest rehearsal.
     pub(super) rehearsal_looks: u64,
     /// The motors stand still, whatever is commanded.
     pub(super) stands: bool,
-    /// The exchange is held up: commands do not leave.
+    /// The exchange is stalled: commands are not sent.
     pub(super) is_held_up: bool,
-    /// The newest command that left.
+    /// The newest command sent.
     pub(super) sent: Option<cdcr_shared_types::Command>,
     lead_ns: u64,
-    /// So much more than there is do the encoders say \[m\].
+    /// Error added to the encoders' lengths \[m\].
     pub(super) cable_error_m: [f64; CABLES_MAX],
-    /// It has a sensor of the tip beside its encoders.
+    /// The robot has a tip sensor in addition to its encoders.
     pub(super) measures_tip: bool,
-    /// So far beside \[m\].
+    /// Error added to the tip sensor's position \[m\].
     pub(super) tip_error_m: Vector3<f64>,
-    /// What it says, whatever is.
+    /// Constant position reported by a frozen tip sensor.
     pub(super) frozen_tip_m: Option<Vector3<f64>>,
     pub(super) inputs: CycleInputs,
     trajectory: Trajectory,
@@ -66,11 +66,11 @@ pub(super) struct Trial {
     asked: Option<Request>,
     last: Option<CycleRecord>,
     pub(super) target_rad: Vec<f64>,
-    /// The same in lengths \[m\].
+    /// Cable lengths of the command sent \[m\].
     sent_m: [f64; CABLES_MAX],
-    /// Where the tip was at the last release \[m\].
+    /// Place of the tip at the last release \[m\].
     pub(super) tip_m: Vector3<f64>,
-    /// Its bends there.
+    /// Bends of the robot at the last release.
     pub(super) at_release: Configuration,
 }
 
@@ -80,7 +80,7 @@ impl Trial {
         Self::with(interface, Preset::Laboratory.flaws(), "")
     }
 
-    /// A robot with these flaws, and more lines of the configuration.
+    /// A robot with these flaws, and additional lines of the configuration.
     pub(super) fn with(interface: Interface, flaws: Flaws, more: &str) -> Self {
         Self::linked("kind = \"driver\"\n", interface, flaws, more)
     }
@@ -135,7 +135,7 @@ impl Trial {
         self.last.unwrap()
     }
 
-    /// The number of the cycle to come.
+    /// The number of the next cycle.
     pub(super) fn next(&self) -> u64 {
         self.next
     }
@@ -145,7 +145,7 @@ impl Trial {
         self.turn()
     }
 
-    /// What the encoders said a millisecond before the release: the robot is moved on to that.
+    /// Measures the encoders one millisecond before the release; the robot has been moved to that time.
     pub(super) fn measure(&mut self, release_ns: u64) {
         let cables_m = self.plant.measure_cables().unwrap();
         let lengths_m = core::array::from_fn(|cable| cables_m[cable] + self.cable_error_m[cable]);
@@ -164,7 +164,7 @@ impl Trial {
         }
     }
 
-    /// The bends of the newest measurement, moved on to the cycle as an ideal robot is: it has not moved yet.
+    /// The bends of the newest measurement.
     pub(super) fn measured(&self) -> Configuration {
         match self.inputs.measurement.map(|timed| timed.measurement) {
             Some(Measurement::CableLengths(lengths)) => {
@@ -190,9 +190,9 @@ impl Trial {
         self.measure(release_ns);
     }
 
-    /// One cycle, and what the robot does until the next.
+    /// One cycle, and the motion of the robot until the next one.
     pub(super) fn turn(&mut self) -> CycleRecord {
-        // With the inputs of the cycle, with older ones, or too late for anything.
+        // Rehearses with the inputs of the cycle, with older ones, or too late for any step.
         let [early_ns, late_ns] = [75_000, 100];
         match self.next % 3 {
             0 => self.rehearse(early_ns),
@@ -206,7 +206,7 @@ impl Trial {
         self.cycle(0)
     }
 
-    /// The cycle to come, so long before its release.
+    /// Rehearses the next cycle, `before_ns` before its release.
     fn rehearse(&mut self, before_ns: u64) {
         if !self.rehearses {
             return;
@@ -222,7 +222,7 @@ impl Trial {
             .max((now_ns + before_ns - release_ns) / 100);
     }
 
-    /// A cycle with whatever inputs there are, after `skipped` releases without one.
+    /// A cycle with the present inputs, after `skipped` releases without one.
     pub(super) fn cycle(&mut self, skipped: u32) -> CycleRecord {
         self.next += u64::from(skipped);
         let release_ns = BEGIN_NS + self.next * PERIOD_NS;
@@ -259,13 +259,13 @@ impl Trial {
         record
     }
 
-    /// What follows the solver takes so long.
+    /// Lets the work after the solver take `took_ns`.
     pub(super) fn rest_after(&mut self, took_ns: u64) {
         self.clock.now_ns.set(self.cycle.solve_over_ns + took_ns);
         self.cycle.rest(&self.clock);
     }
 
-    /// The motors go on with the old command until the release, and take the new one then.
+    /// The motors continue with the old command until the release, and then take the new one.
     pub(super) fn obey(&mut self, command: &cdcr_shared_types::Command) {
         const STEPS: u32 = 5;
         let before_m = self.sent_m;
@@ -273,7 +273,7 @@ impl Trial {
         self.tip_m = self.plant.tip_m();
         self.at_release = self.plant.configuration();
         self.sent_m = command.cable_length_m;
-        // Evenly to the target, as `cdcr_client::Driver` goes; the last step ends where the next measurement is made.
+        // Evenly to the target, as `cdcr_client::Driver` moves; the last step ends at the next measurement.
         for step in 1..=STEPS {
             let part = f64::from(step) / f64::from(STEPS);
             self.plant.order(match self.interface {
@@ -289,7 +289,7 @@ impl Trial {
         }
     }
 
-    /// The motors obey the command that left until it runs out, for a period from `release_ns` on.
+    /// From `release_ns` on, the motors execute the last command sent for one period, until it expires.
     fn go_on(&mut self, release_ns: u64) {
         self.plant.advance(MEASURED_BEFORE_NS as f64 * 1e-9);
         self.at_release = self.plant.configuration();
@@ -311,7 +311,7 @@ impl Trial {
         self.last.unwrap()
     }
 
-    /// A reference on a circle of `radius_m` about the axis, from now on, `duration_s` long.
+    /// Feeds a reference on a circle of `radius_m` about the axis, from now on, for `duration_s`.
     pub(super) fn feed_circle(&mut self, radius_m: f64, duration_s: f64) {
         let start_ns = BEGIN_NS + (self.next + 2) * PERIOD_NS;
         let count = (duration_s / 0.02) as u64;
@@ -319,7 +319,7 @@ impl Trial {
         let points = (0..count).map(|k| {
             let time_s = k as f64 * 0.02;
             let (sin, cos) = (1.5 * time_s).sin_cos();
-            // Beginning where the robot is, at rest.
+            // Begins at the robot's position, at rest.
             let radius_m = radius_m * (0.5 * time_s).min(1.0).powi(2);
             ReferencePoint {
                 time_ns: start_ns + k * 20_000_000,
@@ -331,7 +331,7 @@ impl Trial {
         self.trajectory.replace(points).unwrap();
     }
 
-    /// A reference that moves evenly, from `begins_in_s` after now on.
+    /// Feeds a reference of constant velocity that begins `begins_in_s` from now.
     pub(super) fn feed_line(
         &mut self,
         start_m: [f64; 3],

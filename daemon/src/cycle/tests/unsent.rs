@@ -5,9 +5,9 @@ use cdcr_controller::plant::Preset;
 use cdcr_controller::robot::Configuration;
 
 const BOTH: [Interface; 2] = [Interface::Position, Interface::Velocity];
-/// The ramp is over by then, and the leaky bucket, which counts stale inputs, not full.
+/// By then the ramp is over, and the leaky bucket, which counts stale inputs, is not yet full.
 const HELD_UP: usize = 35;
-/// A command is valid for twenty periods: much is commanded before the inputs are stale.
+/// A command is valid for twenty periods: many are computed before the inputs are stale.
 const LONG: &str = "command_valid_ms = 100.0\n";
 
 fn largest_apart(a: &Configuration, b: &Configuration) -> f64 {
@@ -15,7 +15,8 @@ fn largest_apart(a: &Configuration, b: &Configuration) -> f64 {
     pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }
 
-/// A robot that tracks, moves, and whose exchange is then held up for `cycles`: the way of the commands that did not leave \[rad\].
+/// Tracks, then stalls the exchange for `cycles`. Returns the motion of the commands that were not sent
+/// \[rad\].
 fn hold_up(trial: &mut Trial, cycles: usize) -> f64 {
     trial.turns(3);
     trial.begin_tracking();
@@ -32,8 +33,8 @@ fn hold_up(trial: &mut Trial, cycles: usize) -> f64 {
     way_rad.iter().fold(0.0, |most, way| most.max(way.abs()))
 }
 
-/// The last command that left is where the robot is commanded to be, however many were computed since: when the exchange goes on, a robot
-/// that obeys positions is sent nowhere.
+/// The last command sent remains the commanded position, however many were computed since. When the exchange
+/// continues, a robot with the position interface does not move.
 #[test]
 fn commands_that_did_not_leave_move_no_position() {
     for cycles in [21, 25, HELD_UP] {
@@ -41,7 +42,7 @@ fn commands_that_did_not_leave_move_no_position() {
         let way_rad = hold_up(&mut trial, cycles);
         assert!(way_rad > 0.005, "{way_rad}");
         let sent = trial.sent.unwrap();
-        // It leaves before the next gather.
+        // The newest command is sent before the next gather.
         let newest = trial.last().rates;
         for (i, rate) in newest.as_slice().iter().enumerate() {
             let moved_rad = sent.bend_target_rad[i] + PERIOD_S * rate;
@@ -55,7 +56,7 @@ fn commands_that_did_not_leave_move_no_position() {
     }
 }
 
-/// The model is where the robot is: it obeyed the last command that left until that ran out, and no other.
+/// The model matches the robot: it executed only the last command sent, until that expired.
 #[test]
 fn the_model_knows_of_commands_that_did_not_leave() {
     for interface in BOTH {
@@ -70,13 +71,13 @@ fn the_model_knows_of_commands_that_did_not_leave() {
         let first = trial.turn();
         assert!(first.following.largest_rad() < 0.02 + 0.2 * way_rad);
         assert!(largest_apart(&first.configuration, &told.configuration) < 0.005);
-        // And goes on tracking as if nothing had been.
+        // Tracking then continues normally.
         trial.begin_tracking();
         assert!(trial.turns(200).following.largest_rad() < 0.1);
     }
 }
 
-/// A gather that is late by less than the validity of a command changes nothing: its command has left.
+/// A gather delayed by less than the validity of a command changes nothing: its command was sent.
 #[test]
 fn late_gathers_take_no_command_back() {
     let mut trial = Trial::new(Interface::Position);
