@@ -7,17 +7,17 @@ use super::{
 };
 use crate::rt::record_ring::{RecordReceiver, RecordSender, Used, record_ring};
 
-/// Requests that one cycle carries out; the rest waits for the next.
+/// Requests carried out by one cycle; the others wait for the next.
 pub const REQUESTS_PER_CYCLE: usize = 4;
-/// Requests that wait for a cycle. One that stops answers all of them.
+/// Requests that can wait for a cycle. A cycle with a stop answers all of them.
 pub const REQUESTS_WAITING: usize = 4 * REQUESTS_PER_CYCLE;
 /// Records between cycle and exchange: 0.48 s at 5 ms.
 const RECORDS: usize = 96;
-/// Records between exchange and reporter: 0.64 s at 5 ms.
+/// Reports between exchange and reporter: 0.64 s at 5 ms.
 const REPORTS: usize = 128;
 /// Summaries between reporter and supervisor: 5 s at 5 ms.
 const SUMMARIES: usize = 1024;
-/// Bad cycles between reporter and supervisor.
+/// Incidents between reporter and supervisor, and between supervisor and status desk.
 const INCIDENTS: usize = 16;
 
 #[derive(Debug)]
@@ -32,17 +32,17 @@ pub struct ExchangeEnds {
     pub inputs: Input<CycleInputs>,
     pub requests: Producer<CycleRequest>,
     pub records: RecordReceiver<CycleRecord>,
-    /// Records with what belongs to them.
+    /// Records with the data that belong to them.
     pub reports: Producer<CycleReport>,
-    /// Settings of a configuration that was read again.
+    /// Changed settings of a reloaded configuration.
     pub reloaded: Consumer<ChangedSettings>,
 }
 
 #[derive(Debug)]
 pub struct ReporterEnds {
-    /// Records with what belongs to them.
+    /// Records with the data that belong to them.
     pub reports: Consumer<CycleReport>,
-    /// Their records go back to the cycle.
+    /// Returns records to the cycle.
     pub used: Used<CycleRecord>,
     pub summaries: Producer<Summary>,
     pub incidents: Producer<Incident>,
@@ -52,39 +52,38 @@ pub struct ReporterEnds {
 pub struct SupervisorEnds {
     pub summaries: Consumer<Summary>,
     pub incidents: Consumer<Incident>,
-    /// The same with their steal, to be published.
+    /// Incidents with their steal time, to be published.
     pub explained: Producer<Incident>,
     pub status: Input<Status>,
 }
 
-/// Ends of the thread that publishes status and bad cycles.
+/// Ends of the thread that publishes status and incidents.
 #[derive(Debug)]
 pub struct StatusDeskEnds {
     pub incidents: Consumer<Incident>,
     pub status: Output<Status>,
 }
 
-/// The ends of every thread.
+/// The channel ends of every thread.
 #[derive(Debug)]
 pub struct Channels {
     pub cycle: CycleEnds,
     pub exchange: ExchangeEnds,
     pub reporter: ReporterEnds,
     pub supervisor: SupervisorEnds,
-    /// Of the thread that publishes status and bad cycles.
+    /// For the thread that publishes status and incidents.
     pub status_desk: StatusDeskEnds,
-    /// Of who reads the configuration again.
+    /// For the code that reloads the configuration.
     pub reloaded: Producer<ChangedSettings>,
 }
 
-/// Settings between who reads the configuration again and the exchange.
+/// Changed settings between the reload and the exchange.
 const RELOADED: usize = 4;
 
-/// The channels between all threads.
 pub fn channels(settings: Settings) -> Channels {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
-    // The reporter has one more in its hands.
+    // The reporter holds one more.
     let (record_in, record_out, record_used) = record_ring(RECORDS, REPORTS + 1);
     let (report_in, report_out) = RingBuffer::new(REPORTS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);

@@ -5,53 +5,51 @@ use cdcr_controller::safety::{LeaseState, Refusal, Request};
 use super::Settings;
 use crate::obstacles::ObstacleSet;
 
-/// A measurement with its time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimedMeasurement {
     pub measurement: Measurement,
-    /// When \[ns\].
     pub measured_ns: u64,
 }
 
-/// Everything that one gather found out, as one consistent whole.
+/// Results of one gather, consistent with each other.
 #[derive(Debug, Clone)]
 pub struct CycleInputs {
-    /// Number of the gather; 0: there was none yet.
+    /// Number of the gather; 0: none yet.
     pub gather: u64,
-    /// Its time \[ns\].
+    /// Time of the gather \[ns\].
     pub gather_ns: u64,
-    /// The reference on the grid.
+    /// Reference on the grid.
     pub window: ReferenceWindow,
     pub lease: LeaseState,
-    /// Its number: leases are counted as they are acquired.
+    /// Number of leases acquired so far.
     pub lease_number: u32,
-    /// Stops that were asked for so far. When it has grown, the cycle stops whatever else waits in the ring.
+    /// Number of stops requested so far. When it grows, the cycle stops, whatever else waits in the ring.
     pub stops: u64,
-    /// Times that the machine slept (suspend to memory or disk) so far. When it has grown, the cycle stops.
+    /// Number of suspends of the machine (to memory or disk) so far. When it grows, the cycle stops.
     pub suspends: u64,
-    /// The source of the obstacles is silent, and the configuration wants the robot to hold then.
+    /// A source of obstacles is silent, and the configuration requires the robot to hold then.
     pub obstacle_source_silent: bool,
-    /// The driver's newest measurement of bends or cables; of the tip where it measures nothing else.
+    /// The driver's newest measurement of bends or cables, or of the tip if it measures nothing else.
     pub measurement: Option<TimedMeasurement>,
-    /// Its newest measurement of the tip beside those.
+    /// The newest measurement of the tip in addition to bends or cables.
     pub tip: Option<TimedMeasurement>,
-    /// Processes that measured the tip so far. When it has grown, another sensor does.
+    /// Number of processes that measured the tip so far. It grows with each new sensor.
     pub tip_sensors: u64,
-    /// The obstacles, each at its own stamp.
+    /// Obstacles, each at its own time stamp.
     pub obstacles: ObstacleSet,
-    /// What the exchange took of the core in a period, of late \[ns\].
+    /// Recent core time of the exchange per period \[ns\].
     pub exchange_ns: u64,
-    /// Times that the cycle thread lost its core while it ran, until its newest record. When it has grown, the time that
-    /// the newest cycle took is not its own.
+    /// Number of times that the cycle thread lost its core while it ran, up to its newest record. When it
+    /// grows, the measured time of the newest cycle includes other work.
     pub interruptions: u64,
-    /// The settings in force, checked.
+    /// Settings in force, validated.
     pub settings: Settings,
     /// Grows with each change of the settings.
     pub settings_revision: u64,
 }
 
 impl CycleInputs {
-    /// Before the first gather.
+    /// Inputs before the first gather.
     pub fn new(settings: Settings) -> Self {
         Self {
             gather: 0,
@@ -76,18 +74,19 @@ impl CycleInputs {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleRequest {
-    /// Its ticket: the exchange finds the waiting client by it.
+    /// Identifies the waiting client for the exchange.
     pub ticket: u64,
     pub request: Request,
-    /// When its client sent it \[ns\].
+    /// Time at which the client sent the request \[ns\].
     pub asked_ns: u64,
-    /// Of a stop: how many were asked for until then, itself among them. It may come before the inputs that count it.
+    /// Number of stops requested up to and including this request. A stop may arrive before the inputs that
+    /// count it.
     pub stops: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleAnswer {
     pub ticket: u64,
-    /// Taken, or why not.
+    /// Accepted, or the reason of the refusal.
     pub outcome: Result<(), Refusal>,
 }

@@ -1,17 +1,17 @@
-//! What the threads hand to each other, and the lock-free channels between them.
+//! Data exchanged between the threads, and the lock-free channels that carry them.
 //!
 //! ```text
-//!  exchange ── CycleInputs (newest counts: triple buffer) ──► cycle
-//!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
-//!  exchange ◄── CycleRecord (every one, the newest for sure: `record_ring`, drops counted) ── cycle
-//!  reporter ◄── CycleReport (every one: ring, drops counted) ── exchange
-//!  reload ── ChangedSettings (of a configuration that was read again: ring) ──► exchange
-//!  supervisor ◄── Summary (every one: ring, drops counted) ──── reporter
-//!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
-//!  status desk ◄── Status (newest counts: triple buffer), Incident (ring) ── supervisor
+//!  exchange ── CycleInputs (newest only: triple buffer) ────► cycle
+//!  exchange ── CycleRequest (all: ring) ──────────────► cycle
+//!  exchange ◄── CycleRecord (all, the newest always: `record_ring`, drops counted) ── cycle
+//!  reporter ◄── CycleReport (all: ring, drops counted) ── exchange
+//!  reload ── ChangedSettings (of a reloaded configuration: ring) ──► exchange
+//!  supervisor ◄── Summary (all: ring, drops counted) ──── reporter
+//!  supervisor ◄── Incident (bad cycles in full: ring, drops counted) ── reporter
+//!  status desk ◄── Status (newest only: triple buffer), Incident (ring) ── supervisor
 //! ```
 //!
-//! It lies below the threads: it must not know what any of them does with these things.
+//! Invariant: this module is below the threads and knows nothing of their use of the data.
 
 mod channels;
 mod inputs;

@@ -6,50 +6,50 @@ use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 use crate::accounting::Limits;
 use crate::config::{Config, CycleConfig, Interface, LinkKind, MotionConfig, ns};
 
-/// The fixed rules of a cycle, from the configuration.
+/// Fixed rules of a cycle, from the configuration.
 #[derive(Debug, Clone, Copy)]
 pub struct Policy {
-    /// How fast rates shrink when holding or stopping \[rad/s²\].
+    /// Deceleration of the rates when holding or stopping \[rad/s²\].
     pub deceleration_rad_s2: f64,
-    /// How fast the rate of a component may grow \[rad/s²\]; infinite: as it likes.
+    /// Largest growth of a component's rate \[rad/s²\]; infinite: no limit.
     pub acceleration_rad_s2: f64,
-    /// Rate of the fastest component on the way home \[rad/s\].
+    /// Rate of the fastest component when homing \[rad/s\].
     pub home_rate_rad_s: f64,
-    /// Bends that count as straight when they last \[rad\].
+    /// Bends below this count as straight if they last \[rad\].
     pub home_tolerance_rad: f64,
-    /// What of a command the robot obeys.
+    /// Part of a command that the robot executes.
     pub interface: Interface,
-    /// How the motors follow their commands.
+    /// Model of the motors' response to commands.
     pub actuator: Actuator,
-    /// How far ahead of the reference they are commanded \[ns\].
+    /// Time by which commands lead the reference \[ns\].
     pub reference_lead_ns: u64,
-    /// Time constant with which the estimate follows what is measured \[s\].
+    /// Time constant of the estimate's correction by measurements \[s\].
     pub estimator_time_constant_s: f64,
-    /// How fast a reference is approached; `None`: it is followed at once.
+    /// Limits of the approach to a reference; `None`: it is followed at once.
     pub approach: Option<ApproachLimits>,
     /// A reference farther from the tip than this is not approached \[m\].
     pub approach_distance_m: f64,
     /// Standard deviation of a measured coordinate of the tip \[m\].
     pub tip_noise_m: f64,
-    /// How long after its release a command is valid \[ns\].
+    /// Validity of a command after its release \[ns\].
     pub command_valid_ns: u64,
     /// Deadline after the release \[ns\].
     pub deadline_ns: u64,
-    /// A start later than this is a late start \[ns\].
+    /// A start later than this after the release is a late start \[ns\].
     pub late_start_ns: u64,
-    /// A measurement older than this is lost \[ns\].
+    /// A measurement older than this counts as lost \[ns\].
     pub measurement_timeout_ns: u64,
     /// Level at which the leaky bucket stops the robot; 0: misses are counted only.
     pub miss_limit: u32,
     /// A smaller clearance is a fault \[m\].
     pub clearance_fault_m: f64,
-    /// The common mode of a section's cables may change by this \[m\]; 0: by any amount.
+    /// Largest change of the common mode of a section's cables \[m\]; 0: no limit.
     pub cable_common_m: f64,
-    /// Which measurements are taken for true.
+    /// Rules for plausible measurements.
     pub plausibility: PlausibilityRules,
-    /// How far the robot may be from where it is commanded to be.
+    /// Limits of the following error.
     pub following: FollowingRules,
-    /// Inputs that are older than this make the robot hold \[ns\].
+    /// Inputs older than this make the robot hold \[ns\].
     pub stale_inputs_max_ns: u64,
 }
 
@@ -79,7 +79,7 @@ impl Policy {
             plausibility: PlausibilityRules {
                 jump_rad: config.safety.measurement_jump_rad,
                 jump_limit: config.safety.measurement_jump_limit,
-                // What is commanded comes later by the lead of the motors.
+                // Commands have an effect later, by the lead of the motors.
                 frozen_rad: config.safety.measurement_frozen_rad
                     + lead_s(config) * fastest_rad_s(config),
             },
@@ -92,8 +92,8 @@ impl Policy {
         }
     }
 
-    /// How long of the `elapsed_ns` since a command the robot moved by it \[ns\]: to its target, or for as long as it
-    /// was valid.
+    /// Time of the `elapsed_ns` since a command for which the robot executed it \[ns\]: until its target, or
+    /// until the end of its validity.
     pub fn moving_ns(&self, elapsed_ns: u64, period_ns: u64) -> u64 {
         elapsed_ns.min(match self.interface {
             Interface::Position => period_ns,
@@ -112,18 +112,18 @@ impl Policy {
         }
     }
 
-    /// Whether a full bucket stops the robot.
+    /// A full leaky bucket stops the robot.
     pub fn stops_on_misses(&self) -> bool {
         self.miss_limit > 0
     }
 
-    /// Whether a bucket at `level` would stop a robot behind a driver, and does not stop this one.
+    /// A bucket at `level` would stop a robot behind a driver, but does not stop this one.
     pub fn tolerates(&self, level: u32) -> bool {
         !self.stops_on_misses() && level >= self.limits().miss_limit
     }
 }
 
-/// By how much the motors are known to be behind their commands \[s\].
+/// Known lag of the motors behind their commands \[s\].
 fn lead_s(config: &Config) -> f64 {
     config.actuator.model().lead_s()
 }
@@ -134,7 +134,7 @@ fn reach_m(config: &Config) -> f64 {
     sections.map(|section| section.length_m).sum()
 }
 
-/// The largest rate of any section \[rad/s\].
+/// Largest rate of any section \[rad/s\].
 fn fastest_rad_s(config: &Config) -> f64 {
     let rates = config
         .robot
@@ -144,8 +144,8 @@ fn fastest_rad_s(config: &Config) -> f64 {
     rates.fold(0.0, f64::max)
 }
 
-/// Without a limit of its own, a robot behind a driver has the default one, and a simulated robot has none: a first
-/// trial on a machine that stalls should end with a report, not with a stop.
+/// Without a configured limit, a robot behind a driver has the default one. A simulated robot has none: a
+/// first trial on a machine that stalls should end with a report, not with a stop.
 fn miss_limit(config: &Config) -> u32 {
     match (config.cycle.miss_limit, config.link.kind) {
         (0, LinkKind::Simulated) => 0,
@@ -154,8 +154,8 @@ fn miss_limit(config: &Config) -> u32 {
     }
 }
 
-/// Without a limit of its own, a robot with motors has the default one. The ideal robot has none: the paper's has
-/// none.
+/// Without a configured limit, a robot with motors has the default one. The ideal robot has none, as in the
+/// paper.
 fn acceleration_rad_s2(config: &Config) -> f64 {
     match (config.motion.acceleration_rad_s2, config.link.is_ideal()) {
         (0.0, true) => f64::INFINITY,
@@ -173,8 +173,8 @@ fn estimator_time_constant_s(config: &Config) -> f64 {
     }
 }
 
-/// A driver measures what the inputs bring: without them the cycle steers by prediction alone, for as long as a command
-/// may be followed and no longer. A simulated robot is measured in the cycle itself.
+/// With a driver, measurements come with the inputs: without inputs the cycle relies on prediction alone, for
+/// at most the validity of a command. A simulated robot is measured in the cycle itself.
 fn stale_inputs_max_ns(config: &Config) -> u64 {
     match config.link.kind {
         LinkKind::Simulated => u64::MAX,
@@ -182,17 +182,17 @@ fn stale_inputs_max_ns(config: &Config) -> u64 {
     }
 }
 
-/// What can be changed while the loop runs.
+/// Settings that can change while the loop runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// The optimal control problem and its solver.
     pub nmpc: NmpcSettings,
-    /// Longest time of one solve \[ns\]; 0: all that is left until the deadline, less the margin.
+    /// Longest time of one solve \[ns\]; 0: all the time until the deadline, less the margin.
     pub budget_ns: u64,
 }
 
 impl Settings {
-    /// Those that the configuration begins with.
+    /// Initial settings of the configuration.
     pub fn new(config: &Config) -> Self {
         Self {
             nmpc: config.controller,
@@ -201,10 +201,10 @@ impl Settings {
     }
 }
 
-/// Settings of a configuration before and after it was changed. What is the same in both, clients may have set otherwise.
+/// Settings of a configuration before and after a reload. Clients may have changed those that are equal in
+/// both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChangedSettings {
-    /// As it was read before.
     pub before: Settings,
     pub after: Settings,
 }

@@ -17,25 +17,26 @@ use crate::rt::schedule::Release;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeasurementUse {
-    /// There was none yet.
+    /// No usable measurement.
     None,
     /// It corrected the estimate.
     Used,
-    /// It is the one of the cycle before: the estimate was predicted.
+    /// Not newer than the last one: the estimate was predicted.
     Repeated,
-    /// It was left out: no robot moves like that.
+    /// Ignored: an implausible jump, a frozen value, or an offset beyond its limit.
     Implausible,
 }
 
-/// Everything of one cycle: what it used, what it did, when.
+/// All inputs and results of one cycle, with its times.
 ///
-/// It has 18 kB and is written where it stays, in memory that held another cycle: of obstacles and plans, as many as there are.
+/// A record has 18 kB. It is written in place over an earlier one; of obstacles and plans only the used part
+/// is written.
 #[derive(Debug, Clone, Copy)]
 pub struct CycleRecord {
     pub facts: CycleFacts,
-    /// The obstacles, where they are at the release.
+    /// Obstacles at their places at the release.
     pub obstacles: ObstacleSet,
-    /// Scalars used of the two plans; 0: the solver did not run. The others are 0.
+    /// Used scalars of the two plans; 0: the solver did not run. The others are 0.
     pub plan_length: usize,
     /// Warm start of the solver.
     pub warm_plan: [f64; PLAN_MAX],
@@ -43,7 +44,7 @@ pub struct CycleRecord {
 }
 
 impl CycleRecord {
-    /// Without obstacles and plans.
+    /// A record without obstacles and plans.
     pub fn new(facts: CycleFacts) -> Self {
         Self {
             facts,
@@ -54,7 +55,7 @@ impl CycleRecord {
         }
     }
 
-    /// Writes another cycle over this one; `plans` are its warm start and its plan, or nothing.
+    /// Overwrites the record with another cycle; `plans` are its warm start and its plan, or empty.
     pub fn write(&mut self, facts: CycleFacts, obstacles: &ObstacleSet, plans: [&[f64]; 2]) {
         self.facts = facts;
         self.obstacles.fill(obstacles.iter().copied());
@@ -75,83 +76,85 @@ impl Deref for CycleRecord {
     }
 }
 
-/// What a cycle used and did, all but its obstacles and plans.
+/// Inputs and results of a cycle, except its obstacles and plans.
 #[derive(Debug, Clone, Copy)]
 pub struct CycleFacts {
     pub release: Release,
-    /// It was rehearsed: the thread woke up before the release.
+    /// The cycle was rehearsed: the thread woke up before the release.
     pub rehearsed: bool,
-    /// The solver began \[ns\].
+    /// Start of the solver \[ns\].
     pub solve_start_ns: u64,
-    /// The solver ended \[ns\].
+    /// End of the solver \[ns\].
     pub solve_end_ns: u64,
-    /// The command was handed over \[ns\].
+    /// Hand-over of the command \[ns\].
     pub handed_over_ns: u64,
     /// Time since the release of the previous cycle \[ns\].
     pub elapsed_ns: u64,
-    /// When the solver had to end \[ns\]; 0: it did not run.
+    /// Time by which the solver had to end \[ns\]; 0: it did not run.
     pub solve_until_ns: u64,
-    /// How the real-time threads share out their core.
+    /// Division of the core among the real-time threads.
     pub core_budget: CoreBudget,
-    /// What the parts beside the solver were known to take.
+    /// Measured costs of the parts beside the solver.
     pub costs: Costs,
-    /// Longest time between two looks at the clock until the solver was done \[ns\].
+    /// Longest time between two checks of the clock until the end of the solver \[ns\].
     pub longest_gap_ns: u64,
     pub lateness: Lateness,
-    /// Whether it used the inputs of the cycle before again.
+    /// The cycle used the inputs of the previous cycle again.
     pub stale_inputs: bool,
     /// Counts including this cycle.
     pub totals: Totals,
     /// Level of the leaky bucket after this cycle.
     pub miss_bucket: u32,
-    /// A latched mode was left, and the robot had not come to rest since when the cycle looked for faults.
+    /// After a latched mode, the robot had not yet come to rest when the cycle checked for faults.
     pub control_begins: bool,
-    /// Mode in which the command was made.
+    /// Mode in which the command was computed.
     pub mode: Mode,
-    /// Faults since the start.
+    /// Number of faults since the start.
     pub faults: u64,
     /// Number of the gather whose inputs were used.
     pub gather: u64,
-    /// Its time \[ns\].
+    /// Time of that gather \[ns\].
     pub gather_ns: u64,
     pub window_first_cycle: u64,
     pub lease: LeaseState,
     pub lease_number: u32,
     pub policy: Policy,
-    /// The newest measurement.
+    /// Newest measurement.
     pub measurement: Option<TimedMeasurement>,
     pub measurement_use: MeasurementUse,
-    /// The newest measurement of the tip beside that of bends or cables.
+    /// Newest measurement of the tip in addition to bends or cables.
     pub tip_measurement: Option<TimedMeasurement>,
     pub tip_use: MeasurementUse,
-    /// How far the tip was measured beside where the bends place it (m): the plan's reference is moved back by it.
+    /// Offset of the measured tip from the place given by the bends \[m\]; subtracted from the plan's
+    /// reference.
     pub tip_offset_m: Vector3<f64>,
-    /// How far it may be beside that (m): so much thicker the body counts.
+    /// Uncertainty of the tip's place beside that offset \[m\]; added to the body's radius.
     pub tip_margin_m: f64,
-    /// Where the commands up to now lead the robot: what the next one is planned from.
+    /// Configuration to which the commands so far lead; the next command is planned from it.
     pub configuration: Configuration,
-    /// Where they lead its motors: the robot is beside that by the play of its cables.
+    /// Motor positions to which the commands lead; the play of the cables separates them from the
+    /// configuration.
     pub motors: Configuration,
-    /// What of the play of the cables is taken there; `None`: they have none.
+    /// State of the cables' play there; `None`: no play.
     pub slack: Option<Slack>,
-    /// Where it is at the release.
+    /// Configuration at the release.
     pub present: Configuration,
     pub commanded: Configuration,
-    /// How far the robot was from it at its last measurement.
+    /// Following error at the last measurement.
     pub following: FollowingError,
     /// Tip at the release.
     pub tip: Pose,
     pub previous_rates: BendRates,
     /// Reference at the release.
     pub reference: ReferenceSample,
-    /// The way to it, as the plan followed it.
+    /// Approach to the reference, as the plan followed it.
     pub approach: Approach,
     /// Settings in force.
     pub settings: Settings,
     pub report: SolveReport,
     pub rates: BendRates,
     pub limits_hit: LimitsHit,
-    /// Whether the clearance guard changed it.
+    /// The clearance guard changed the command.
     pub clearance_hit: bool,
     /// Smallest clearance at the release \[m\].
     pub clearance_m: f64,

@@ -6,40 +6,41 @@ use super::CycleRecord;
 use crate::rt::attribution::Scheduling;
 use crate::rt::record_ring::Sent;
 
-/// A cycle on its way to those who watch: what it did, and what the exchange knows of it.
+/// A cycle's record with the data of the exchange, for monitoring clients.
 #[derive(Debug)]
 pub struct CycleReport {
-    /// Its number; those that found no room leave gaps.
+    /// Number of the record; lost reports leave gaps.
     pub number: u64,
-    /// What the scheduler did to the cycle thread since the look before; none where the kernel does not tell.
+    /// Scheduler statistics of the cycle thread since the previous reading; `None` if the kernel does not
+    /// provide them.
     pub scheduling: Option<Scheduling>,
-    /// Whoever is done with it gives it back ([`ReporterEnds::used`](super::ReporterEnds)).
+    /// The last reader returns it ([`ReporterEnds::used`](super::ReporterEnds)).
     pub record: Sent<CycleRecord>,
-    /// Its command as it was published, or would have been.
+    /// The command as it was published, or would have been.
     pub command: wire::Command,
-    /// From the hand-over of the record until the command was out \[ns\].
+    /// Time from the hand-over of the record until the command was published \[ns\].
     pub publish_ns: u64,
-    /// What clients have to do with it.
+    /// Messages of clients up to this cycle.
     pub inputs: InputReport,
 }
 
-/// What the exchange took in until a cycle.
+/// Messages and requests processed by the exchange up to a cycle.
 #[derive(Debug)]
 pub struct InputReport {
-    /// What was taken or refused and belongs to this record; the first `event_count` count.
+    /// Accepted or refused messages that belong to this record; the first `event_count` are valid.
     pub events: [wire::InputEvent; EVENTS_MAX],
     pub event_count: usize,
-    /// Events lost so far because no record took them.
+    /// Events lost so far because no record could hold them.
     pub dropped_events: u64,
-    /// How often each outcome was given so far.
+    /// Number of messages by outcome so far.
     pub outcomes: [u64; Outcome::COUNT],
-    /// How long the newest gather took \[ns\].
+    /// Duration of the newest gather \[ns\].
     pub gather_took_ns: u64,
-    /// Who holds the reference lease; 0: nobody.
+    /// Holder of the reference lease; 0: none.
     pub lease_holder: u64,
-    /// Time of the reference's last point \[ns\]; 0: there is none.
+    /// Time of the reference's last point \[ns\]; 0: no reference.
     pub reference_end_ns: u64,
-    /// Points of the reference that are still ahead.
+    /// Points of the reference in the future.
     pub reference_points: u32,
     pub obstacles_refused: u64,
 }

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use crate::latch::Latch;
 
-/// A flag of one thread. Who sees it sees all that its thread did before.
+/// A flag set by one thread. A reader that sees it set also sees all earlier writes of that thread.
 #[derive(Debug, Default)]
 pub struct Flag(AtomicBool);
 
@@ -17,7 +17,7 @@ impl Flag {
     }
 }
 
-/// A number that only grows. Who sees it sees all that was done before it grew.
+/// A counter. A reader that sees a new value also sees all writes before the increment.
 #[derive(Debug, Default)]
 pub struct Count(AtomicU64);
 
@@ -31,23 +31,23 @@ impl Count {
     }
 }
 
-/// Flags and counters that all threads see.
+/// Flags and counters visible to all threads.
 #[derive(Debug, Default)]
 pub struct Shared {
     ending: Flag,
-    /// The cycle thread has made its last record.
+    /// The cycle thread has written its last record.
     pub cycle_ended: Flag,
-    /// The exchange thread has handed its last report on.
+    /// The exchange thread has passed on its last report.
     pub exchange_ended: Flag,
-    /// The supervisor has handed its last status on.
+    /// The supervisor has passed on its last status.
     pub supervisor_ended: Flag,
-    /// The last command of the cycle thread lets the robot move on.
+    /// The cycle thread's last command moves the robot.
     pub still_moving: Flag,
-    /// The newest command that left lets the robot move on.
+    /// The newest command sent moves the robot.
     pub last_word_moves: Flag,
-    /// Records, reports, incidents and summaries that were lost because a ring was full.
+    /// Records, reports, incidents and summaries lost because a ring was full.
     pub dropped_records: Count,
-    /// How often a client wanted the statistics to begin anew.
+    /// Resets of the statistics requested by clients.
     pub statistics_resets: Count,
     pub cycle_beats: Count,
     pub exchange_beats: Count,
@@ -55,14 +55,14 @@ pub struct Shared {
     pub status_beats: Count,
     origin_ns: AtomicU64,
     cycle_thread: AtomicU32,
-    /// Set by a signal, so that neither shared memory nor another thread is needed for a stop.
+    /// Set by a signal, so that a stop needs neither shared memory nor another thread.
     stop_asked: Arc<AtomicBool>,
-    /// What outlives this process.
+    /// State that outlives the process.
     pub latch: Latch,
 }
 
 impl Shared {
-    /// With a flag that a signal sets when it asks for a stop, and what outlives the process.
+    /// `stop_asked` is set by the signal that requests a stop; `latch` outlives the process.
     pub fn new(stop_asked: Arc<AtomicBool>, latch: Latch) -> Self {
         Self {
             stop_asked,
@@ -71,23 +71,23 @@ impl Shared {
         }
     }
 
-    /// Whether a stop was asked for by a signal since the last call.
+    /// A signal requested a stop since the last call.
     pub fn take_stop(&self) -> bool {
-        // The flag is hardly ever set: a look costs less than a write.
+        // The flag is rarely set: a load costs less than a write.
         self.stop_asked.load(Ordering::Relaxed) && self.stop_asked.swap(false, Ordering::AcqRel)
     }
 
-    /// The cycle thread says who it is, so that others can read what the scheduler counts of it.
+    /// Publishes the id of the cycle thread, so that other threads can read its scheduler statistics.
     pub fn set_cycle_thread(&self, id: u32) {
         self.cycle_thread.store(id, Ordering::Release);
     }
 
-    /// Id of the cycle thread, once it has said it.
+    /// Id of the cycle thread, once published.
     pub fn cycle_thread(&self) -> Option<u32> {
         Some(self.cycle_thread.load(Ordering::Acquire)).filter(|id| *id != 0)
     }
 
-    /// Signs of life of cycle, exchange, reporter and status so far.
+    /// Heartbeats of cycle, exchange, reporter and status so far.
     pub fn beats(&self) -> [u64; 4] {
         [
             &self.cycle_beats,
@@ -98,7 +98,7 @@ impl Shared {
         .map(Count::get)
     }
 
-    /// Asks every thread to come to an end: the cycle brings the robot to rest first.
+    /// Asks every thread to end; the cycle first brings the robot to rest.
     pub fn end(&self) {
         self.ending.set(true);
     }
@@ -107,12 +107,11 @@ impl Shared {
         self.ending.is_set()
     }
 
-    /// The origin of the time grid, once it is chosen.
     pub fn set_origin_ns(&self, origin_ns: u64) {
         self.origin_ns.store(origin_ns, Ordering::Release);
     }
 
-    /// The origin of the time grid; 0 before it is chosen.
+    /// Origin of the time grid; 0 before it is chosen.
     pub fn origin_ns(&self) -> u64 {
         self.origin_ns.load(Ordering::Acquire)
     }

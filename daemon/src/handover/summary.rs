@@ -6,61 +6,60 @@ use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
 use crate::rt::schedule::Lateness;
 
-/// What the supervisor learns of a cycle.
+/// Data of a cycle for the supervisor.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Summary {
     /// Number on the grid.
     pub cycle: u64,
-    /// Release to start \[ns\].
+    /// Wake-up latency \[ns\].
     pub wake_ns: u64,
-    /// The solver \[ns\].
+    /// Duration of the solve \[ns\].
     pub solve_ns: u64,
-    /// How the real-time threads share out their core.
+    /// Division of the core among the real-time threads.
     pub core_budget: CoreBudget,
-    /// What the parts beside the solver were known to take.
+    /// Measured costs of the parts beside the solver.
     pub costs: Costs,
     pub solved: bool,
     /// Start to hand-over \[ns\].
     pub compute_ns: u64,
-    /// Release to hand-over \[ns\].
+    /// Response time \[ns\].
     pub response_ns: u64,
-    /// The gather before it \[ns\].
+    /// Duration of the gather before the cycle \[ns\].
     pub gather_ns: u64,
-    /// Hand-over to the command being in the readers' queues \[ns\].
+    /// Time from the hand-over until the command is in the readers' queues \[ns\].
     pub publish_ns: u64,
-    /// Releases before it that got no cycle.
+    /// Skipped releases before the cycle.
     pub skipped_periods: u32,
     /// Time of the release that was due \[ns\].
     pub due_ns: u64,
-    /// [`wire::codes::LateCause`]; none, too, when it only skipped the releases that the late cycle before it
-    /// took.
+    /// [`wire::codes::LateCause`]; also none if the cycle only skipped the releases during the late cycle
+    /// before it.
     pub late_cause: u32,
-    /// What it adds to the counters of the statistics, beside the totals and what the supervisor finds out.
+    /// Increments of the statistics' counters, except the totals and the supervisor's own.
     pub counts: wire::Statistics,
-    /// Distance of the tip from its reference \[m\], while it follows one.
+    /// Distance of the tip from its reference \[m\], while tracking.
     pub position_error_m: Option<f64>,
     pub lateness: Lateness,
-    /// Whether the leaky bucket is full and the robot, a simulated one, goes on.
+    /// The leaky bucket is full, and the robot, a simulated one, continues.
     pub misses_tolerated: bool,
     pub totals: Totals,
     pub mode: Mode,
     pub reason: Reason,
-    /// Faults since the start.
+    /// Number of faults since the start.
     pub faults: u64,
     pub settings: wire::SolverSettings,
-    /// Holder of the lease, 0: nobody.
+    /// Holder of the lease; 0: none.
     pub lease_holder: u64,
-    /// Last time of the reference \[ns\], 0: none.
+    /// Time of the reference's last point \[ns\]; 0: none.
     pub reference_end_ns: u64,
-    /// Points ahead.
+    /// Points of the reference in the future.
     pub reference_points: u32,
-    /// Obstacles of this cycle.
     pub obstacle_count: u32,
     /// Obstacle updates refused since the start.
     pub obstacles_refused: u64,
     /// Smallest clearance \[m\].
     pub clearance_m: f64,
-    /// Whether the clearance guard changed the command.
+    /// The clearance guard changed the command.
     pub clearance_guarded: bool,
     /// Tip at the release \[m\].
     pub tip_position_m: [f64; 3],
@@ -68,14 +67,14 @@ pub struct Summary {
     pub reference_distance_m: f64,
     /// Reference at the release \[m\]; NaN without one.
     pub reference_position_m: [f64; 3],
-    /// Distance of tip and reference when a sensor of the tip measured it last \[m\]; NaN without either.
+    /// Distance of tip and reference at the last measurement of the tip sensor \[m\]; NaN without one of
+    /// them.
     pub measured_error_m: f64,
-    /// How far the robot is from where it is commanded to be.
     pub following: FollowingError,
-    /// Whether that is more than the warning.
+    /// The following error exceeds its warning limit.
     pub following_warning: bool,
-    /// Events that no record took.
+    /// Events that no record could hold.
     pub dropped_events: u64,
-    /// Messages by outcome.
+    /// Number of messages by outcome.
     pub outcomes: [u64; Outcome::COUNT],
 }
