@@ -1,6 +1,6 @@
-/// The process whose measurements count: the first that is heard, until it is lost. With two drivers on one robot the
-/// measurements would be those of two robots, in turn. A lost driver is a fault that the cycle detects; what is counted here
-/// only tells that fault from others. A lost tip sensor is no fault.
+/// The process whose measurements are accepted: the first one received, until it is lost. Two drivers of one
+/// robot would alternate measurements of two robots. The cycle detects a lost driver and faults; this type
+/// only decides who may replace it. A lost tip sensor is not a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct BoundSender {
     /// A process without an accepted measurement for longer than this is lost \[ns\].
@@ -15,7 +15,7 @@ struct Heard {
 }
 
 impl BoundSender {
-    /// No process yet; each is lost after `lost_after_ns` of silence.
+    /// No process yet; a process is lost after `lost_after_ns` of silence.
     pub(super) fn new(lost_after_ns: u64) -> Self {
         Self {
             lost_after_ns,
@@ -23,7 +23,8 @@ impl BoundSender {
         }
     }
 
-    /// Whether measurements of `sender` count at `now_ns`; `may_change`: whether another process may take the place of a silent one.
+    /// True if measurements of `sender` are accepted at `now_ns`; `may_change` lets another process replace a
+    /// silent one.
     pub(super) fn is(&self, sender: u64, now_ns: u64, may_change: bool) -> bool {
         self.heard.is_none_or(|heard| {
             let is_silent = now_ns.saturating_sub(heard.heard_ns) > self.lost_after_ns;
@@ -32,18 +33,18 @@ impl BoundSender {
         })
     }
 
-    /// Whether `sender` was the last that was heard.
+    /// `sender` is the process bound last.
     pub(super) fn is_bound_to(&self, sender: u64) -> bool {
         self.heard.is_some_and(|heard| heard.sender == sender)
     }
 
-    /// A measurement of `sender` was accepted at `now_ns`.
+    /// Binds `sender`, whose measurement was accepted at `now_ns`.
     pub(super) fn hear(&mut self, sender: u64, now_ns: u64) {
         let heard_ns = now_ns;
         self.heard = Some(Heard { sender, heard_ns });
     }
 
-    /// Nobody listened for `unheard_ns`: that is no silence of the process.
+    /// Excludes the `unheard_ns` without a gather from the silence of the process.
     pub(super) fn extend(&mut self, unheard_ns: u64) {
         if let Some(heard) = &mut self.heard {
             heard.heard_ns += unheard_ns;
@@ -62,7 +63,7 @@ mod tests {
         driver.hear(1, 50);
         assert!(driver.is(1, 60, false) && !driver.is(2, 60, true));
         assert!(!driver.is(2, 150, true));
-        // A cycle that has not noticed yet would take the other robot for the first.
+        // A cycle that has not yet detected the loss would mix up the two robots.
         assert!(!driver.is(2, 151, false));
         assert!(driver.is(2, 151, true) && driver.is(1, 151, true));
         driver.extend(30);

@@ -1,25 +1,25 @@
-//! What the scheduler did to the cycle thread, read on its core and before its next cycle: the reporter may come later, and would
-//! tell the next cycle's lateness of this one.
+//! Scheduler statistics of the cycle thread, read on its core before its next cycle. The reporter may read
+//! them later, and would assign the next cycle's lateness to this one.
 
 use crate::handover::CycleRecord;
 use crate::rt::attribution::Scheduling;
 use crate::rt::schedule::Lateness;
 use crate::rt::scheduler::SchedulerLooks;
 
-/// Page faults are read in one of so many cycles that were in time.
+/// Page faults are read in one of this many punctual cycles.
 const PAGE_FAULT_LOOKS: u64 = 16;
 
 #[derive(Debug, Default)]
 pub(super) struct CycleWatch {
     scheduler: SchedulerLooks,
-    /// There were some at the last look.
+    /// The last reading showed page faults.
     page_faults: bool,
-    /// Times that the thread lost its core while it ran.
+    /// Number of times that the thread lost its core while it ran.
     interruptions: u64,
 }
 
 impl CycleWatch {
-    /// Watches the thread of that number, or none: then nothing is ever told.
+    /// Watches the thread with id `thread`; with `None`, `look` always returns `None`.
     pub(super) fn at(thread: Option<u32>) -> Self {
         Self {
             scheduler: SchedulerLooks::at(thread),
@@ -27,8 +27,9 @@ impl CycleWatch {
         }
     }
 
-    /// What happened since the look before; `number` counts the records. Page faults are dear to read: of a cycle that was late or waited
-    /// beside another, in each cycle while there are some, and else now and then, so that few are told of another cycle.
+    /// Statistics since the previous call; `number` counts the records. Page faults are expensive to read.
+    /// They are read for a cycle that was late or shares a reading, in each cycle while there are some, and
+    /// in one of `PAGE_FAULT_LOOKS` others. So few are assigned to a wrong cycle.
     pub(super) fn look(
         &mut self,
         record: &CycleRecord,

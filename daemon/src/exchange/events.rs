@@ -6,7 +6,7 @@ use cdcr_shared_types::{Header, InputEvent};
 
 use crate::convert::Refused;
 
-/// What was taken in and not yet reported, and the counts of all outcomes.
+/// Events not yet reported, and the counts of all outcomes.
 #[derive(Debug)]
 pub(super) struct Events {
     queue: VecDeque<(u64, InputEvent)>,
@@ -15,11 +15,12 @@ pub(super) struct Events {
     dropped: u64,
 }
 
-/// Events that wait for a record. Accepted messages are few per gather, so only a cycle thread that
-/// hangs for seconds fills it.
+/// Events that can wait for a record. Accepted messages are few per gather: only a cycle thread that stalls
+/// for seconds fills the queue.
 const QUEUE_MAX: usize = 1024;
-/// Refusals of measurements and requests that one gather reports one by one; all are counted. A flood of refused messages
-/// must not push out what was accepted. References and obstacles are few in a gather, and what became of each is told.
+/// Refused measurements and requests that one gather reports individually; all are counted. A flood of
+/// refused messages must not displace accepted ones. References and obstacles are few per gather: each is
+/// reported.
 pub(super) const REFUSALS_PER_GATHER: usize = 4;
 
 impl Events {
@@ -32,12 +33,12 @@ impl Events {
         }
     }
 
-    /// A new gather may report refusals again.
+    /// Lets a new gather report refusals again.
     pub(super) fn begin_gather(&mut self) {
         self.refusals_left = REFUSALS_PER_GATHER;
     }
 
-    /// Counts a message and what became of it, and reports it.
+    /// Counts a message by its outcome, and reports it.
     pub(super) fn note(
         &mut self,
         gather: u64,
@@ -79,7 +80,7 @@ impl Events {
         self.outcomes[outcome.code() as usize] += 1;
     }
 
-    /// Takes out the events that a cycle with the inputs of `newest` knew of, as many as one record holds.
+    /// Removes the events known to a cycle with the inputs of gather `newest`, as many as one record holds.
     pub(super) fn report(&mut self, newest: u64) -> ([InputEvent; EVENTS_MAX], usize) {
         let mut events = [InputEvent::default(); EVENTS_MAX];
         let mut count = 0;
@@ -98,7 +99,7 @@ impl Events {
         (events, count)
     }
 
-    /// Events that were lost because no record took them.
+    /// Events lost because no record could hold them.
     pub(super) fn dropped(&self) -> u64 {
         self.dropped
     }

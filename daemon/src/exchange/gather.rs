@@ -1,4 +1,4 @@
-//! Shortly before each release: drain, check, hand over.
+//! Shortly before each release: receive and check messages, hand over the inputs.
 
 use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::{EventKind, Mode};
@@ -10,26 +10,26 @@ use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
 use crate::services::Received;
 
-/// Chunks that one gather takes or refuses. A client streams one in half a second; more than this wait.
+/// Chunks accepted or refused by one gather. A client streams one in half a second; any more wait.
 pub(super) const CHUNKS_PER_GATHER: usize = 4;
-/// Obstacle updates that one gather takes or refuses, where there is time for them: half of what one client's queue holds;
-/// more than this wait.
+/// Obstacle updates accepted or refused by one gather, if its time allows: half of one client's queue. Any
+/// more wait.
 pub(super) const UPDATES_PER_GATHER: usize = 8;
-/// Time before a release that is there for one obstacle update \[ns\]. A full one takes a fifth of it.
+/// Time before a release that is planned for one obstacle update \[ns\]. A full one takes a fifth of it.
 const UPDATE_NS: u64 = 25_000;
-/// Measurements that one gather looks at: all that the queues can hold.
+/// Measurements read by one gather: all that the queues can hold.
 const MEASUREMENTS_PER_GATHER: usize = {
     let queues = Service::Measurement.queues();
     queues.publishers * queues.queue
 };
 
-/// Obstacle updates that a gather so long before its release takes or refuses.
+/// Obstacle updates accepted or refused by a gather that begins `gather_lead_ns` before its release.
 pub(super) fn updates_per_gather(gather_lead_ns: u64) -> usize {
     ((gather_lead_ns / UPDATE_NS) as usize).clamp(1, UPDATES_PER_GATHER)
 }
 
 impl Exchange {
-    /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
+    /// Receives the messages of clients and driver, and hands over the inputs of `cycle`.
     pub(super) fn gather(
         &mut self,
         schedule: &Schedule,
@@ -106,7 +106,8 @@ impl Exchange {
             let Some(Received { message, is_newer }) = self.ports.obstacles.receive() else {
                 break;
             };
-            // This thread may have stood still since the gather began: what was seen meanwhile is not of the future.
+            // The thread may have stalled since the gather began: a time stamp from meanwhile is not in the
+            // future.
             let now_ns = clock.now_ns();
             let gather_ns = self.gather.began_ns;
             let result = self.obstacles.take(&message, is_newer, gather_ns, now_ns);
@@ -116,7 +117,7 @@ impl Exchange {
         }
     }
 
-    /// Good ones are many and not reported one by one.
+    /// Accepted measurements are many and only counted.
     fn take_measurements(&mut self, clock: &impl Clock) {
         for _ in 0..MEASUREMENTS_PER_GATHER {
             let Some(Received { message, is_newer }) = self.ports.measurement.receive() else {
@@ -124,7 +125,7 @@ impl Exchange {
             };
             let arrival = Arrival {
                 gather_ns: self.gather.began_ns,
-                // As for obstacles: it may be newer than the gather.
+                // As for obstacles, the measurement may be newer than the gather.
                 now_ns: clock.now_ns(),
                 is_faulted: self.newest.mode == Mode::Faulted,
             };

@@ -1,6 +1,6 @@
 use cdcr_controller::safety::LeaseState;
 
-/// Who may feed the reference: one client at a time, for as long as it keeps renewing.
+/// The right to feed the reference: one client at a time, as long as it renews.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Lease {
     duration_ns: u64,
@@ -14,7 +14,7 @@ struct Holder {
 }
 
 impl Lease {
-    /// A lease that nobody holds, of `duration_ns` from each renewal.
+    /// A free lease that lasts `duration_ns` from each renewal.
     pub(super) fn new(duration_ns: u64) -> Self {
         Self {
             duration_ns,
@@ -22,14 +22,14 @@ impl Lease {
         }
     }
 
-    /// The client that holds it at `now_ns`.
+    /// The client that holds the lease at `now_ns`.
     pub(super) fn holder(&self, now_ns: u64) -> Option<u64> {
         self.holder
             .filter(|holder| holder.expires_ns > now_ns)
             .map(|holder| holder.client)
     }
 
-    /// The lease as the cycle sees it.
+    /// State of the lease for the cycle.
     pub(super) fn state(&self, now_ns: u64) -> LeaseState {
         match self.holder {
             None => LeaseState::Free,
@@ -38,13 +38,13 @@ impl Lease {
         }
     }
 
-    /// How long it still runs \[ns\].
+    /// Remaining time of the lease \[ns\].
     pub(super) fn left_ns(&self, now_ns: u64) -> u64 {
         self.holder
             .map_or(0, |holder| holder.expires_ns.saturating_sub(now_ns))
     }
 
-    /// Acquires or renews it. False when another client holds it, or `client` is 0, which is nobody.
+    /// Acquires or renews the lease. False if another client holds it, or `client` is 0 (no client).
     pub(super) fn acquire(&mut self, client: u64, now_ns: u64) -> bool {
         let free = self.holder(now_ns).is_none_or(|holder| holder == client) && client != 0;
         if free {
@@ -54,12 +54,13 @@ impl Lease {
         free
     }
 
-    /// Renews it for its holder. False when `client` does not hold it.
+    /// Renews the lease for its holder. False if `client` does not hold it.
     pub(super) fn renew(&mut self, client: u64, now_ns: u64) -> bool {
         self.holder(now_ns) == Some(client) && self.acquire(client, now_ns)
     }
 
-    /// Lets one that still ran at `heard_ns` run for `unheard_ns` longer: who was not listened to was not silent.
+    /// Extends a lease still valid at `heard_ns` by `unheard_ns`, a time without gathers: the holder could
+    /// not renew it.
     pub(super) fn extend(&mut self, heard_ns: u64, unheard_ns: u64) {
         if let Some(holder) = &mut self.holder
             && holder.expires_ns > heard_ns
@@ -68,7 +69,7 @@ impl Lease {
         }
     }
 
-    /// Gives it back. False when `client` does not hold it.
+    /// Releases the lease. False if `client` does not hold it.
     pub(super) fn release(&mut self, client: u64, now_ns: u64) -> bool {
         let held = self.holder(now_ns) == Some(client);
         if held {
@@ -108,7 +109,7 @@ mod tests {
         assert!(lease.acquire(1, 0));
         lease.extend(90, 400);
         assert_eq!((lease.holder(499), lease.holder(500)), (Some(1), None));
-        // One that had run out before stays so.
+        // A lease that had expired before remains expired.
         lease.extend(600, 400);
         assert_eq!(lease.holder(500), None);
     }

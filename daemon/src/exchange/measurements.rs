@@ -8,35 +8,36 @@ use crate::config::{Config, Interface, LinkKind, TipSensor, ns};
 use crate::convert::{self, Refused};
 use crate::handover::TimedMeasurement;
 
-/// The newest measurements of driver and tip sensor, and whose measurements count.
+/// The newest measurements of driver and tip sensor, and the processes bound to send them.
 #[derive(Debug)]
 pub(super) struct Measurements {
     has_driver: bool,
     interface: Interface,
-    /// A measurement that is older than this when it arrives is refused \[ns\].
+    /// A measurement older than this at its arrival is refused \[ns\].
     timeout_ns: u64,
     driver: BoundSender,
-    /// A process that measures only the tip, where the configuration says that there is one.
+    /// The process that measures only the tip, if the configuration has one.
     tip_sensor: Option<BoundSender>,
-    /// Of the bends or cables; of the tip where the driver measures nothing else.
+    /// Of the bends or cables, or of the tip if the driver measures nothing else.
     newest: Option<TimedMeasurement>,
-    /// Of the tip, beside the bends or cables.
+    /// Of the tip, in addition to bends or cables.
     newest_tip: Option<TimedMeasurement>,
-    /// Processes that measured it so far.
+    /// Number of processes that measured the tip so far.
     tip_sensors: u64,
 }
 
-/// A tip sensor that is silent for this long may be replaced by another one \[ns\]: some pictures of a slow camera.
+/// A tip sensor silent for this long may be replaced by another one \[ns\]: some frames of a slow camera.
 const TIP_SENSOR_LOST_NS: u64 = 1_000_000_000;
 
-/// When a measurement arrives.
+/// Circumstances of a measurement's arrival.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Arrival {
-    /// When the gather began \[ns\].
+    /// Start of the gather \[ns\].
     pub(super) gather_ns: u64,
-    /// Now: the gather may have stood still since it began \[ns\].
+    /// Present time \[ns\]: the gather may have stalled since its start.
     pub(super) now_ns: u64,
-    /// Whether the cycle has noticed a fault: it sees first that a driver is lost, and the robot rests before another one has it.
+    /// The cycle has faulted. It must detect the loss of a driver, and bring the robot to rest, before
+    /// another driver is accepted.
     pub(super) is_faulted: bool,
 }
 
@@ -56,7 +57,7 @@ impl Measurements {
         }
     }
 
-    /// Nobody listened for `unheard_ns`: that is no silence of the driver.
+    /// Excludes the `unheard_ns` without a gather from the silence of driver and tip sensor.
     pub(super) fn extend(&mut self, unheard_ns: u64) {
         self.driver.extend(unheard_ns);
         if let Some(tip_sensor) = &mut self.tip_sensor {
@@ -64,22 +65,23 @@ impl Measurements {
         }
     }
 
-    /// The newest one of the tip beside the bends or cables.
+    /// The newest measurement of the tip in addition to bends or cables.
     pub(super) fn newest_tip(&self) -> Option<TimedMeasurement> {
         self.newest_tip
     }
 
-    /// Processes of their own that have measured the tip so far.
+    /// Number of separate tip sensors so far.
     pub(super) fn tip_sensors(&self) -> u64 {
         self.tip_sensors
     }
 
-    /// The newest one of what tells where the robot is.
+    /// The newest measurement that determines the robot's configuration.
     pub(super) fn newest(&self) -> Option<TimedMeasurement> {
         self.newest
     }
 
-    /// Keeps the newest measurement. One that is good and not newer than the newest is stale, and nobody's mistake.
+    /// Keeps the newest measurement. A valid one that is not newer is stale, which is not an error of its
+    /// sender.
     pub(super) fn take(
         &mut self,
         message: &Measurement,
@@ -93,7 +95,7 @@ impl Measurements {
         let sender = message.header.sender_id;
         let is_tip = message.kind == MeasurementKind::TipPose.code();
         if is_tip && let Some(mut tip_sensor) = self.tip_sensor {
-            // Without it the robot goes on, so no fault has to come before its successor.
+            // The robot continues without a tip sensor: its successor needs no preceding fault.
             let timed = self.checked(message, tip_sensor, true, robot, arrival)?;
             let outcome = keep(&mut self.newest_tip, timed, is_newer);
             if outcome == Outcome::Accepted {
@@ -104,7 +106,7 @@ impl Measurements {
             return Ok(outcome);
         }
         let timed = self.checked(message, self.driver, arrival.is_faulted, robot, arrival)?;
-        // What another driver measured does not say what this one does.
+        // Measurements of another driver do not show what this one measures.
         let is_bound = self.driver.is_bound_to(sender);
         let has_bends = is_bound && self.newest.as_ref().is_some_and(|newest| !is_a_tip(newest));
         let newest = if has_bends && is_tip {
@@ -122,8 +124,8 @@ impl Measurements {
         Ok(outcome)
     }
 
-    /// One that is old at its arrival does not tell where the robot is, though its sender may be well: it is never
-    /// believed, and a first one least of all.
+    /// Refuses an invalid measurement, or one too old at its arrival: it does not show where the robot is,
+    /// even if its sender works.
     fn checked(
         &self,
         message: &Measurement,
@@ -165,7 +167,7 @@ mod tests {
 
     use super::*;
 
-    /// A desk, and the time that goes on by 1 ms with each measurement.
+    /// A `Measurements` whose time advances by 1 ms with each measurement.
     struct Rig {
         desk: Measurements,
         robot: Robot,
@@ -206,13 +208,13 @@ mod tests {
             taken.unwrap_or_else(|refused| refused.outcome)
         }
 
-        /// A measurement that is accepted, and when.
+        /// Takes a measurement that must be accepted; returns its time.
         fn accept(&mut self, sender_id: u64, kind: MeasurementKind) -> u64 {
             assert_eq!(self.take(sender_id, kind), Outcome::Accepted);
             self.now_ns
         }
 
-        /// Stamps of the newest measurement, and of the newest tip beside it.
+        /// Time stamps of the newest measurement, and of the newest tip beside it.
         fn newest(&self) -> (Option<u64>, Option<u64>) {
             let stamp = |timed: Option<TimedMeasurement>| timed.map(|timed| timed.measured_ns);
             (stamp(self.desk.newest()), stamp(self.desk.newest_tip()))
@@ -231,7 +233,7 @@ mod tests {
         assert_eq!(rig.newest().0, Some(bends));
         let tip = rig.accept(1, TIP);
         assert_eq!(rig.newest(), (Some(bends), Some(tip)));
-        // The encoders of a driver that is gone say nothing of one that has none.
+        // Bends measured by a lost driver do not count for one without encoders.
         rig.desk.driver = BoundSender::new(0);
         let tip = rig.accept(2, TIP);
         assert_eq!(rig.newest(), (Some(tip), None));
@@ -247,7 +249,7 @@ mod tests {
     #[test]
     fn a_tip_sensor_and_a_driver_are_bound_each_for_itself() {
         let mut rig = Rig::new("tip_sensor = \"separate\"\n");
-        // Whichever is first: the tip alone never tells where the robot is.
+        // In any order: the tip alone does not determine the configuration.
         let tip = rig.accept(2, TIP);
         assert_eq!(rig.newest(), (None, Some(tip)));
         let bends = rig.accept(1, BENDS);
@@ -264,7 +266,7 @@ mod tests {
         assert_eq!(rig.desk.tip_sensors(), 2);
         assert_eq!(rig.take(3, BENDS), Outcome::OtherDriver);
         assert_eq!(rig.newest(), (Some(bends), Some(tip)));
-        // While nobody listens nobody is silent.
+        // Time without gathers does not count as silence.
         rig.now_ns += TIP_SENSOR_LOST_NS;
         rig.desk.extend(TIP_SENSOR_LOST_NS);
         assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);

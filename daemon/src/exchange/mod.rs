@@ -1,17 +1,17 @@
-//! Shared memory on one side, hand-over on the other: the exchange thread.
+//! The exchange thread: transfers messages between shared memory and the cycle.
 //!
 //! ```text
-//! loop { sleep to shortly before the next release, or until the cycle has a record
+//! loop { sleep until shortly before the next release, or until the cycle has a record
 //!        publish: command, answers, a report to the reporter (right after the cycle)
 //!        gather:  references, obstacles, measurements, requests → inputs of the next cycle }
 //! ```
 //!
-//! What clients bring is taken in by a desk each: `references`, `measurements`, `obstacles`, `settings`, `requests`.
+//! One part handles each kind of message: `references`, `measurements`, `obstacles`, `settings`, `requests`.
 //!
-//! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
-//! client does (connect, flood, stop reading) costs time here and not there. Everything that it reads
-//! has a limit per gather, and writers are served in turn. Who only watches costs nothing here, readers of commands excepted: that is the
-//! [reporter](crate::reporter)'s.
+//! The exchange runs on the core of the cycle at a lower priority: with `SCHED_FIFO` the cycle pre-empts it.
+//! Clients that connect, flood or stop reading cost time here, not in the cycle. Each kind of message has a limit
+//! per gather, and writers are served in turn. Except readers of commands, monitoring clients cost nothing here:
+//! the [reporter](crate::reporter) serves them.
 
 mod bound_sender;
 mod cycle_watch;
@@ -60,30 +60,30 @@ pub struct Exchange {
     obstacles: Obstacles,
     settings: SettingsInForce,
     requests: RequestDesk,
-    /// What became of all that.
+    /// Outcomes of all messages.
     events: Events,
     gather: NewestGather,
     newest: Newest,
     daemon_id: u64,
     commands_sent: u64,
-    /// Records so far, also those that the reporter had no room for.
+    /// Records so far, including those dropped because the reporter's ring was full.
     reports: u64,
     cycle_watch: CycleWatch,
     own_costs: OwnCosts,
     suspend_watch: SuspendWatch,
 }
 
-/// What the configuration says of the time of a cycle \[ns\].
+/// Times of a cycle, from the configuration \[ns\].
 #[derive(Debug)]
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 struct Timing {
     period_ns: u64,
     gather_lead_ns: u64,
-    /// How long before its release the cycle thread wakes up.
+    /// Time before its release at which the cycle thread wakes up.
     spin_ns: u64,
 }
 
-/// The gather that is under way, or was the last.
+/// The gather in progress, or the last one.
 #[derive(Debug, Default)]
 struct NewestGather {
     number: u64,
@@ -92,15 +92,15 @@ struct NewestGather {
     took_ns: u64,
 }
 
-/// Of the newest record.
+/// Data of the newest record.
 #[derive(Debug)]
 struct Newest {
     cycle: u64,
     mode: Mode,
 }
 
-/// What one gather and its cycle can bring fits one record: chunks and obstacle updates, other refusals, requests that are
-/// answered at once, and requests that the cycle decides.
+/// All events of one gather and its cycle fit into one record: chunks, obstacle updates, other refusals, and
+/// requests answered at once or by the cycle.
 const _: () = assert!(
     gather::CHUNKS_PER_GATHER
         + gather::UPDATES_PER_GATHER
@@ -111,7 +111,6 @@ const _: () = assert!(
 );
 
 impl Exchange {
-    /// The exchange of a validated configuration over `ports`.
     pub fn new(validated: &Validated, ports: Ports, ends: ExchangeEnds, daemon_id: u64) -> Self {
         let config = &validated.config;
         Self {
@@ -149,7 +148,7 @@ impl Exchange {
 
     /// Runs until the cycle thread has ended and its last record is published.
     pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
-        // While the cycle thread spins to a release, nobody else has the core.
+        // While the cycle thread rehearses and spins before a release, no other thread gets the core.
         let lead_ns = self.timing.gather_lead_ns + self.timing.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
         self.cycle_watch = CycleWatch::at(shared.cycle_thread());
@@ -158,7 +157,7 @@ impl Exchange {
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;
             let left_ns = gather_ns.saturating_sub(clock.now_ns());
             if left_ns > 0 {
-                // The cycle ends this early when it has a record.
+                // The cycle ends this sleep when it has a record.
                 std::thread::park_timeout(Duration::from_nanos(left_ns));
             }
             self.publish(clock, shared);
@@ -168,7 +167,7 @@ impl Exchange {
                 self.gather.took_ns = clock.now_ns() - now_ns;
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
-            // In this order: the last record was handed over before the end was said.
+            // In this order: the cycle hands over its last record before it sets the flag.
             if shared.cycle_ended.is_set() {
                 self.publish(clock, shared);
                 break;

@@ -1,10 +1,10 @@
-//! Whether those who send obstacles still live: the heartbeat of perception.
+//! Supervision of the clients that send obstacles: the heartbeat of perception.
 //!
-//! A source is a client that has sent an obstacle with a limited lifetime. By that it promises to send again. A lifetime
-//! says when an obstacle is out of date while its source lives. When the source has died, nobody knows where the obstacle
-//! is, and it must not vanish by that.
+//! A source is a client that has sent an obstacle with a limited lifetime, and must therefore send again. An
+//! obstacle whose lifetime is over expires while its source is alive. When the source is dead, the place of
+//! the obstacle is unknown, and it must not disappear.
 //!
-//! A source that has removed the last of its obstacles has kept its promise, and may end: nothing that it told can vanish any more.
+//! A source that has removed its last obstacle may end: none of its obstacles can disappear any more.
 
 use cdcr_shared_types::ObstacleUpdate;
 use cdcr_shared_types::codes::ObstacleAction;
@@ -13,13 +13,13 @@ use cdcr_shared_types::limits::OBSTACLES_MAX;
 use crate::config::{ObstaclesConfig, SourceSilent, ns};
 use crate::obstacles::{KnownObstacle, ObstacleSet};
 
-/// Sources that are watched at one time: one for each obstacle that can be known.
+/// Sources that can be watched at one time: one for each obstacle in the list.
 const SOURCES_MAX: usize = OBSTACLES_MAX;
 
-/// Every source since the obstacles were cleared, and what was heard of it when.
+/// All watched sources, with the times of their newest messages.
 #[derive(Debug)]
 pub(super) struct ObstacleSources {
-    /// A source that sends nothing for longer is silent \[ns\]; 0: nobody is watched.
+    /// A source that sends nothing for longer is silent \[ns\]; 0: no source is watched.
     timeout_ns: u64,
     holds: bool,
     sources: Vec<Source>,
@@ -28,9 +28,9 @@ pub(super) struct ObstacleSources {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Source {
     sender: u64,
-    /// When its newest message was sent: what it says of its obstacles holds then \[ns\].
+    /// Time at which its newest message was sent \[ns\]: the message describes its obstacles at that time.
     sent_ns: u64,
-    /// Since when it is silent, without the time in which nobody listened \[ns\].
+    /// Begin of its silence \[ns\], shifted by the time without gathers.
     silent_since_ns: u64,
 }
 
@@ -43,14 +43,15 @@ impl ObstacleSources {
         }
     }
 
-    /// Whether the sender of `update` is watched already, or need not be, or can be.
+    /// True if the sender of `update` is already watched, need not be watched, or can be added.
     pub(super) fn have_room_for(&self, update: &ObstacleUpdate) -> bool {
         let is_known = self.watched(update.header.sender_id).is_some();
         is_known || !self.begins_source(update) || self.sources.len() < SOURCES_MAX
     }
 
-    /// An update came at `now_ns`; it may have waited since it was sent, and who sent it may have died meanwhile. Whoever clears
-    /// the list ends the watch over all sources; each begins it again with its next obstacle that has a lifetime.
+    /// Registers an update received at `now_ns`. It may have waited since it was sent, and its sender may
+    /// have died meanwhile. Clearing the list ends the watch over all sources. Each is watched again from its
+    /// next obstacle with a lifetime.
     pub(super) fn hear(&mut self, update: &ObstacleUpdate, now_ns: u64) {
         let heard = Source {
             sender: update.header.sender_id,
@@ -70,8 +71,8 @@ impl ObstacleSources {
         }
     }
 
-    /// `sender` has removed obstacles, and left these. The watch over it ends where none of them is its own. One that is out of
-    /// date does not count: its source has lived to let it expire.
+    /// Ends the watch over `sender`, which has removed obstacles, if none of those left in `known` is its
+    /// own. Expired obstacles do not count: their source was alive after their end.
     pub(super) fn let_leave(&mut self, sender: u64, known: &ObstacleSet, now_ns: u64) {
         let is_left =
             |known: &KnownObstacle| known.source == sender && !self.let_expire(known, now_ns);
@@ -80,7 +81,8 @@ impl ObstacleSources {
         }
     }
 
-    /// Nobody listened for `unheard_ns` after `before_ns`: that is no silence of those who were not silent before.
+    /// Excludes the `unheard_ns` after `before_ns`, a time without gathers, from the silence of sources that
+    /// were not silent before.
     pub(super) fn extend(&mut self, before_ns: u64, unheard_ns: u64) {
         for source in &mut self.sources {
             if before_ns.saturating_sub(source.silent_since_ns) <= self.timeout_ns {
@@ -89,21 +91,22 @@ impl ObstacleSources {
         }
     }
 
-    /// Whether the robot has to hold at `now_ns`, because a source is silent.
+    /// True if a source is silent at `now_ns` and the robot has to hold.
     pub(super) fn want_hold(&self, now_ns: u64) -> bool {
         let is_silent =
             |source: &Source| now_ns.saturating_sub(source.silent_since_ns) > self.timeout_ns;
         self.holds && self.sources.iter().any(is_silent)
     }
 
-    /// Whether `known` is out of date at `now_ns`: its lifetime is over, and if its source is watched, that has sent
-    /// something since and has not renewed it.
+    /// True if `known` is expired at `now_ns`: its lifetime is over, and its source, if watched, has sent a
+    /// message since without renewing it.
     pub(super) fn let_expire(&self, known: &KnownObstacle, now_ns: u64) -> bool {
         let sent_since = |source: &Source| !known.is_known_at(source.sent_ns);
         !known.is_known_at(now_ns) && self.watched(known.source).is_none_or(sent_since)
     }
 
-    /// The obstacle as the cycles until the next gather see it: one of a watched source does not expire by itself.
+    /// The obstacle for the cycles until the next gather: an obstacle of a watched source does not expire by
+    /// itself.
     pub(super) fn hand_over(&self, known: &KnownObstacle, now_ns: u64) -> KnownObstacle {
         if self.watched(known.source).is_some() && !self.let_expire(known, now_ns) {
             known.kept(now_ns)
@@ -185,13 +188,13 @@ mod tests {
         assert!(!sources.want_hold(10_000 * MS));
         hear(&mut sources, 3, ObstacleAction::Upsert, &[0, 50], 0);
         assert!(!sources.want_hold(100 * MS) && sources.want_hold(100 * MS + 1));
-        // Whatever it sends, it is heard.
+        // Any message counts as a sign of life.
         hear(&mut sources, 3, ObstacleAction::Upsert, &[], 500 * MS);
         assert!(!sources.want_hold(600 * MS) && sources.want_hold(601 * MS));
-        // Another one that is heard does not help.
+        // Messages of another source do not count.
         hear(&mut sources, 4, ObstacleAction::Upsert, &[50], 600 * MS);
         assert!(sources.want_hold(601 * MS));
-        // An operator knows better.
+        // An operator's clear ends the watch.
         hear(&mut sources, 9, ObstacleAction::Clear, &[], 700 * MS);
         assert!(!sources.want_hold(10_000 * MS));
     }
@@ -211,7 +214,7 @@ mod tests {
             let mut sources = sources(rule);
             hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
             let known = known(1, 50);
-            // Whether its source has died is not known yet, and then it is.
+            // Until the source sends again, it may be dead.
             for now_ns in [49 * MS, 50 * MS, 90 * MS, 10_000 * MS] {
                 assert!(!sources.let_expire(&known, now_ns), "{now_ns}");
                 assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
@@ -245,7 +248,7 @@ mod tests {
             "another's stay"
         );
         assert!(removes(&[long], 10) && removes(&[short], 10));
-        // Its source has lived to let the short one expire, and removed the other.
+        // Its source was alive after the short one expired, and removed the other.
         assert!(removes(&[short], 49) && !removes(&[short], 50));
         assert!(removes(&[short, long], 60));
     }
@@ -256,7 +259,7 @@ mod tests {
         hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
         sources.extend(90 * MS, 400 * MS);
         assert!(!sources.want_hold(500 * MS) && sources.want_hold(501 * MS));
-        // One that was silent before stays so.
+        // A source that was silent before remains silent.
         sources.extend(600 * MS, 900 * MS);
         assert!(sources.want_hold(601 * MS));
     }
@@ -266,19 +269,19 @@ mod tests {
         let mut sources = sources(SourceSilent::Hold);
         let known = known(1, 50);
         hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
-        // The daemon stands still for longer than the obstacle lives: that is no news of its source.
+        // The daemon stalls for longer than the obstacle's lifetime: its source may be alive or dead.
         sources.extend(10 * MS, 400 * MS);
         for now_ns in [51 * MS, 401 * MS, 10_000 * MS] {
             assert!(!sources.let_expire(&known, now_ns), "{now_ns}");
             assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
         }
-        // Nor is a message that waited meanwhile.
+        // The same for a message that waited meanwhile.
         let mut waited = update(1, ObstacleAction::Upsert, &[]);
         waited.header.sent_ns = 49 * MS;
         sources.hear(&waited, 410 * MS);
         assert!(!sources.let_expire(&known, 410 * MS));
         assert!(!sources.want_hold(510 * MS) && sources.want_hold(511 * MS));
-        // Nobody speaks from the future.
+        // A time stamp in the future counts as the present.
         waited.header.sent_ns = u64::MAX;
         sources.hear(&waited, 45 * MS);
         assert!(!sources.let_expire(&known, 10_000 * MS));

@@ -6,12 +6,12 @@ use crate::config::ObstaclesConfig;
 use crate::convert::{self, Refused};
 use crate::obstacles::ObstacleSet;
 
-/// The obstacles that clients have told of, and who they are.
+/// The obstacles sent by clients, and their sources.
 #[derive(Debug)]
 pub(super) struct Obstacles {
     known: ObstacleSet,
     sources: ObstacleSources,
-    /// When the newest message was sent that cleared the list \[ns\].
+    /// Time at which the newest message that cleared the list was sent \[ns\].
     cleared_ns: u64,
     refused: u64,
 }
@@ -26,20 +26,20 @@ impl Obstacles {
         }
     }
 
-    /// Nobody listened for `unheard_ns` after `heard_ns`: that is no silence of the sources.
+    /// Excludes the `unheard_ns` after `heard_ns`, a time without gathers, from the silence of the sources.
     pub(super) fn extend(&mut self, heard_ns: u64, unheard_ns: u64) {
         self.sources.extend(heard_ns, unheard_ns);
     }
 
-    /// Forgets those that are out of date.
+    /// Removes expired obstacles.
     pub(super) fn let_expire(&mut self, now_ns: u64) {
         let sources = &self.sources;
         self.known
             .retain(|known| !sources.let_expire(known, now_ns));
     }
 
-    /// Takes an update whole, or refuses it whole. Says how many obstacles are known after it. `gather_ns`: when the gather
-    /// began.
+    /// Accepts or refuses an update as a whole. Returns the number of obstacles after it. `gather_ns` is the
+    /// start of the gather.
     pub(super) fn take(
         &mut self,
         update: &ObstacleUpdate,
@@ -56,8 +56,8 @@ impl Obstacles {
         result
     }
 
-    /// Whether the list was cleared after `update` was sent: senders are served in turn, and it waited longer than another's clear.
-    /// One that does not say when it was sent is not older than anything.
+    /// True if the list was cleared after `update` was sent: senders are served in turn, so an update may
+    /// wait longer than another sender's clear. An update without a time of sending never counts as older.
     fn is_cleared(&self, update: &ObstacleUpdate) -> bool {
         (1..self.cleared_ns).contains(&update.header.sent_ns)
     }
@@ -74,7 +74,8 @@ impl Obstacles {
         } else {
             Err(full)
         };
-        // Where there is no room, its own obstacles that are out of date may take it: they go when their source is heard.
+        // If the list is full, expired obstacles of the sender may occupy it: they are removed once their
+        // source is heard.
         let is_full = |refused: &Refused| refused.outcome == full.outcome;
         if updated.as_ref().err().is_none_or(is_full) {
             self.sources.hear(update, gather_ns);
@@ -90,13 +91,13 @@ impl Obstacles {
         Ok(self.known.count() as u32)
     }
 
-    /// Fills in the obstacles as the cycles until the next gather see them.
+    /// Writes the obstacles for the cycles until the next gather.
     pub(super) fn hand_over(&self, obstacles: &mut ObstacleSet, now_ns: u64) {
         let known = self.known.iter();
         obstacles.fill(known.map(|known| self.sources.hand_over(known, now_ns)));
     }
 
-    /// Whether the robot has to hold, because a source is silent.
+    /// A source is silent, and the robot has to hold.
     pub(super) fn want_hold(&self, now_ns: u64) -> bool {
         self.sources.want_hold(now_ns)
     }

@@ -1,4 +1,4 @@
-//! Right after each cycle: the command first, then answers, then a report for those who watch.
+//! Right after each cycle: first the command, then the answers, then a report for monitoring clients.
 
 use cdcr_shared_types as wire;
 
@@ -8,8 +8,8 @@ use crate::rt::clock::Clock;
 use crate::{convert, services};
 
 impl Exchange {
-    /// Publishes the command of the newest record that the cycle has handed over, and hands every record on. More than one
-    /// waits when this thread was held up; the commands of the older ones are out of date and never leave.
+    /// Publishes the command of the newest record from the cycle, and passes on every record. Several records
+    /// wait if this thread stalled; the commands of the older ones are out of date and are not sent.
     pub(super) fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
         let mut scheduling = None;
         let lost = self.ends.records.lost();
@@ -27,8 +27,8 @@ impl Exchange {
             let scheduling = *scheduling
                 .get_or_insert_with(|| self.cycle_watch.look(&record, is_newest, number));
             self.reports += 1;
-            // A reporter that is held up loses records, which its readers see by the gap; what clients did is told with
-            // a later one.
+            // A stalled reporter loses records, which monitoring clients detect by the gap. The events follow
+            // with a later record.
             if self.ends.reports.is_full() {
                 shared.dropped_records.add(1);
                 self.ends.records.give_back(record);
@@ -42,7 +42,7 @@ impl Exchange {
                 command,
                 publish_ns,
             };
-            // Nobody else fills the ring.
+            // Only this thread fills the ring.
             let _ = self.ends.reports.push(report);
         }
         shared.dropped_records.add(self.ends.records.lost() - lost);
@@ -51,8 +51,8 @@ impl Exchange {
         }
     }
 
-    /// The command of `record`. It leaves if the record is the newest, the robot's configuration is known, and the command
-    /// is worth something; else its sequence is 0.
+    /// The command of `record`. It is sent if the record is the newest, the configuration is known, and the
+    /// command is still worth sending; otherwise its sequence number is 0.
     fn publish_command(
         &mut self,
         record: &CycleRecord,
@@ -60,7 +60,7 @@ impl Exchange {
         now_ns: u64,
         shared: &Shared,
     ) -> wire::Command {
-        // While nobody knows where the robot is, there is no target to go to.
+        // While the robot's configuration is unknown, there is no target.
         let is_known = record.measurement.is_some() && record.configuration.is_finite();
         let mut command = wire::Command {
             header: self.header(0, now_ns),
@@ -69,7 +69,7 @@ impl Exchange {
         if is_newest && is_known && is_worth_sending(&command, now_ns) {
             self.commands_sent += 1;
             command.header.sequence = self.commands_sent;
-            // One that failed may have reached the driver and not another reader: it counts as the worse of both.
+            // A failed send may have reached the driver and not another reader: assume the worse of both.
             let has_left = services::send(&self.ports.command, &command);
             if has_left || moves(&command) {
                 shared.last_word_moves.set(moves(&command));
@@ -94,8 +94,8 @@ impl Exchange {
     }
 }
 
-/// A command that has run out does not leave: the driver rests since then, and must not be told to move, not even by
-/// a command that it would have to refuse. Rest is rest at any time, and the last command of a daemon that ends.
+/// An expired command is not sent: the driver has rested since, and must not receive motion, even if it would
+/// refuse it. Zero rates are valid at any time: they are the last command of a daemon that ends.
 fn is_worth_sending(command: &wire::Command, now_ns: u64) -> bool {
     now_ns < command.valid_until_ns || !moves(command)
 }

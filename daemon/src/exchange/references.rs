@@ -9,19 +9,19 @@ use super::lease::Lease;
 use crate::convert::{self, Refused};
 use crate::rt::schedule::Schedule;
 
-/// The reference, and who may feed it. A reference belongs to its lease: when that ends, so does the reference.
+/// The reference and its lease. A reference belongs to its lease and ends with it.
 #[derive(Debug)]
 pub(super) struct References {
-    /// How far ahead of the reference the motors are commanded \[ns\].
+    /// Time by which commands lead the reference \[ns\].
     lead_ns: u64,
     trajectory: Trajectory,
     lease: Lease,
-    /// Leases so far: each is acquired by a client that did not hold it.
+    /// Number of leases so far: each is acquired by a client that did not hold it.
     leases: u32,
     last_chunk: Option<LastChunk>,
 }
 
-/// The newest chunk that was accepted.
+/// The newest accepted chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct LastChunk {
     client: u64,
@@ -29,7 +29,7 @@ struct LastChunk {
 }
 
 impl References {
-    /// No reference, and a lease that nobody holds.
+    /// No reference, and a free lease.
     pub(super) fn new(robot: &Robot, lease_ns: u64, lead_ns: u64) -> Self {
         Self {
             lead_ns,
@@ -40,24 +40,24 @@ impl References {
         }
     }
 
-    /// Nobody listened for `unheard_ns` after `heard_ns`: that is no silence of the holder.
+    /// Extends the lease by `unheard_ns`, a time without gathers after `heard_ns`.
     pub(super) fn extend_lease(&mut self, heard_ns: u64, unheard_ns: u64) {
         self.lease.extend(heard_ns, unheard_ns);
     }
 
-    /// Drops the reference of a lease that is over.
+    /// Drops the reference of a lease that has expired.
     pub(super) fn end_silent_lease(&mut self, now_ns: u64) {
         if self.is_fed() && self.holder(now_ns).is_none() {
             self.drop_reference();
         }
     }
 
-    /// Whether a chunk was accepted since the reference was dropped last.
+    /// A chunk was accepted since the reference was last dropped.
     pub(super) fn is_fed(&self) -> bool {
         self.last_chunk.is_some()
     }
 
-    /// Takes a chunk whole, or refuses it whole.
+    /// Accepts or refuses a chunk as a whole.
     pub(super) fn take(
         &mut self,
         chunk: &ReferenceChunk,
@@ -89,7 +89,7 @@ impl References {
         Ok(0)
     }
 
-    /// An appended chunk continues the last one without a gap; a new trajectory is newer than it.
+    /// An appended chunk continues the last one without a gap; a new trajectory is newer than the last chunk.
     fn check_sequence(&self, mode: ChunkMode, client: u64, sequence: u64) -> Result<(), Refused> {
         let last = self.last_chunk.filter(|last| last.client == client);
         match (mode, last) {
@@ -100,8 +100,8 @@ impl References {
         }
     }
 
-    /// Who acquires the lease begins without a reference. One that has expired just now, since the gather, has left its
-    /// reference behind.
+    /// Acquires or renews the lease. A new holder begins without a reference: a lease that expired since the
+    /// gather has left its reference behind.
     pub(super) fn acquire_lease(&mut self, client: u64, now_ns: u64) -> Outcome {
         let renews = self.holder(now_ns) == Some(client);
         if !self.lease.acquire(client, now_ns) {
@@ -127,7 +127,7 @@ impl References {
         self.last_chunk = None;
     }
 
-    /// Forgets what is before the release before `cycle`.
+    /// Removes the points before the release of the previous cycle.
     pub(super) fn forget_before(&mut self, schedule: &Schedule, cycle: u64) {
         self.trajectory
             .forget_before(schedule.release_ns(cycle.saturating_sub(1)));
@@ -155,17 +155,17 @@ impl References {
         self.lease.holder(now_ns)
     }
 
-    /// How long the lease still runs \[ns\].
+    /// Remaining time of the lease \[ns\].
     pub(super) fn lease_left_ns(&self, now_ns: u64) -> u64 {
         self.lease.left_ns(now_ns)
     }
 
-    /// The lease as the cycle sees it.
+    /// State of the lease for the cycle.
     pub(super) fn lease_state(&self, now_ns: u64) -> LeaseState {
         self.lease.state(now_ns)
     }
 
-    /// Number of the lease that was acquired last.
+    /// Number of the lease acquired last.
     pub(super) fn lease_number(&self) -> u32 {
         self.leases
     }

@@ -1,4 +1,5 @@
-//! Requests of clients: answered at once (lease, settings) or after the cycle that carries them out.
+//! Requests of clients: answered at once (lease, settings, statistics), or after the cycle that carries them
+//! out.
 
 use cdcr_controller::safety::Request as ModeRequest;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
@@ -12,22 +13,22 @@ use crate::handover::{CycleAnswer, CycleRecord, CycleRequest, Shared};
 /// A request whose client waits for an answer.
 type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
 
-/// Requests that one gather carries out; of the others only a stop is.
+/// Requests carried out by one gather; others are refused as busy, except stops.
 pub(super) const REQUESTS_PER_GATHER: usize = 4;
-/// Requests that one gather looks at, so that a stop is found behind a flood of others.
+/// Requests read by one gather, so that a stop is found behind a flood of others.
 const REQUESTS_SEEN_PER_GATHER: usize = Service::CONTROL_CLIENTS * Service::CONTROL_REQUESTS;
-/// A request that is older was waiting while the daemon or its client was stopped \[ns\].
+/// An older request waited while the daemon or its client was stopped \[ns\].
 const REQUEST_AGE_MAX_NS: u64 = 1_000_000_000;
-/// Requests that wait for their cycle.
+/// Requests that can wait for their cycle.
 const WAITING_MAX: usize = 16;
 
-/// What clients ask: how much of it a gather carries out, and what waits for the cycle.
+/// The requests that wait for a cycle, and the counts of a gather.
 #[derive(Debug)]
 pub(super) struct RequestDesk {
     waiting: Vec<(u64, Asked)>,
     next_ticket: u64,
     answers_sent: u64,
-    /// Requests that were carried out since the newest gather began.
+    /// Requests carried out since the newest gather began.
     taken: usize,
     stops: u64,
 }
@@ -43,12 +44,12 @@ impl RequestDesk {
         }
     }
 
-    /// A new gather may carry out requests again.
+    /// Lets a new gather carry out requests again.
     pub(super) fn begin_gather(&mut self) {
         self.taken = 0;
     }
 
-    /// Stops that were asked for so far.
+    /// Stops requested so far.
     pub(super) fn stops(&self) -> u64 {
         self.stops
     }
@@ -57,7 +58,7 @@ impl RequestDesk {
         self.waiting.len() < WAITING_MAX
     }
 
-    /// The client that waits with `ticket`.
+    /// Removes the request with `ticket`.
     fn take_out(&mut self, ticket: u64) -> Option<Asked> {
         let mut waiting = self.waiting.iter();
         let at = waiting.position(|(waiting, _)| *waiting == ticket)?;
@@ -83,15 +84,15 @@ impl Exchange {
         }
     }
 
-    /// A stop is never refused, and waits behind nothing: the inputs of the next cycle tell it. Where the ring has no
-    /// room for the cycle's answer, it is answered now.
+    /// A stop is never refused and never waits: the inputs of the next cycle count it. If the ring has no
+    /// space for the cycle's answer, it is answered now.
     fn pass_stop_on(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
         shared.latch.stop_asked();
         self.requests.stops += 1;
         let ring_has_room = self.ends.requests.slots() > 0 && self.requests.has_room();
         if ring_has_room {
             self.pass_on(asked, ModeRequest::Stop, now_ns);
-            // A reset before it may have been carried out meanwhile.
+            // A reset before the stop may have been carried out meanwhile.
             shared.latch.stop_asked();
         } else {
             shared.latch.stop_asked();
@@ -104,7 +105,7 @@ impl Exchange {
         let (Ok(kind), 0) = (kind, asked.payload().reserved) else {
             return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
         };
-        // Who asked this long ago has been told that there was no answer; only a stop is never late.
+        // The client of so old a request has already timed out; only a stop is never too late.
         let age_ns = now_ns.saturating_sub(asked.payload().header.sent_ns);
         if age_ns > REQUEST_AGE_MAX_NS {
             return self.answer_now(&asked, Outcome::Stale, now_ns);
@@ -117,7 +118,7 @@ impl Exchange {
         }
     }
 
-    /// Requests about the mode are the cycle's to decide.
+    /// Requests about the mode are decided by the cycle.
     fn pass_on(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
         let ticket = self.requests.next_ticket;
         let ring = &mut self.ends.requests;
@@ -160,11 +161,11 @@ impl Exchange {
         let Request { header, kind, .. } = *asked.payload();
         self.note_request(&header, kind, outcome, self.gather.number, now_ns);
         let response = self.response(&header, outcome, now_ns);
-        // A client that left does not get its answer; that is its own doing.
+        // A client that has left gets no answer.
         let _ = asked.send_copy(response);
     }
 
-    /// Answers the requests that a cycle decided.
+    /// Answers the requests decided by a cycle.
     pub(super) fn answer_decided(&mut self, record: &CycleRecord, now_ns: u64) {
         for CycleAnswer { ticket, outcome } in record.answers.iter().flatten() {
             let Some(asked) = self.requests.take_out(*ticket) else {
@@ -172,7 +173,7 @@ impl Exchange {
             };
             let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);
             let Request { header, kind, .. } = *asked.payload();
-            // Of records that wait together, only the hand-over tells which cycle decided.
+            // With several waiting records, only the hand-over time identifies the cycle that decided.
             let decided_ns = record.handed_over_ns;
             self.note_request(&header, kind, outcome, record.gather, decided_ns);
             let response = Response {

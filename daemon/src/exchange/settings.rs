@@ -11,11 +11,11 @@ pub(super) struct SettingsInForce {
     pub(super) settings: Settings,
     /// Grows with each change.
     pub(super) revision: u64,
-    /// Of the cycle: no solve may take longer \[ns\].
+    /// Period of the cycle: the longest allowed solve \[ns\].
     period_ns: u64,
-    /// The least safe distance that clients may set: the configured one \[m\].
+    /// Configured safe distance: the smallest that clients may set \[m\].
     safe_distance_min_m: f64,
-    /// The safe distance that a client set last; 0: none has \[m\].
+    /// Safe distance last set by a client \[m\]; 0: none.
     safe_distance_set_m: f64,
 }
 
@@ -30,7 +30,8 @@ impl SettingsInForce {
         }
     }
 
-    /// Nobody who is connected may let the body come nearer than the configuration does, or a solve take longer than a period.
+    /// Clients can neither reduce the safe distance below the configured one, nor let a solve take longer
+    /// than a period.
     pub(super) fn change(&mut self, wanted: &SolverSettings) -> Outcome {
         match convert::settings_from_wire(wanted, self.period_ns) {
             Ok(settings) if settings.nmpc.safe_distance_m < self.safe_distance_min_m => {
@@ -38,7 +39,7 @@ impl SettingsInForce {
             }
             Ok(settings) => {
                 let safe_distance_m = settings.nmpc.safe_distance_m;
-                // Clients send all settings, also those that they leave as they are.
+                // Clients send all settings, including those that they do not change.
                 if safe_distance_m != self.settings.nmpc.safe_distance_m {
                     self.safe_distance_set_m = safe_distance_m;
                 }
@@ -49,8 +50,9 @@ impl SettingsInForce {
         }
     }
 
-    /// What has changed in the configuration comes into force, beside what clients have set; where the two do not go together,
-    /// the configuration alone does. A safe distance that a client set wider stays in either case.
+    /// Applies the changes of the configuration to the settings of the clients; if the combination is
+    /// invalid, only the configuration applies. A larger safe distance set by a client remains in either
+    /// case.
     pub(super) fn reload(&mut self, changed: &ChangedSettings) {
         let together = convert::with_changes(&self.settings, changed);
         let go_together = together.nmpc.validate().is_ok();
@@ -60,7 +62,7 @@ impl SettingsInForce {
         self.take(settings);
     }
 
-    /// Checked settings come into force.
+    /// Puts validated settings into force.
     fn take(&mut self, settings: Settings) {
         self.settings = settings;
         self.revision += 1;

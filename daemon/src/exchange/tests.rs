@@ -1,4 +1,4 @@
-//! The exchange with real ports and a clock that stands still: who sends what when is up to the test.
+//! The exchange with real ports and a manual clock: the test decides who sends what and when.
 
 mod measurements;
 mod obstacles;
@@ -34,12 +34,12 @@ use crate::services;
 
 const MS: u64 = 1_000_000;
 const PERIOD_NS: u64 = 5 * MS;
-/// The first release of the grid.
+/// The origin of the grid.
 const BEGIN_NS: u64 = 100_000 * MS;
-/// The robot is lost after this without a measurement.
+/// The robot is lost after this time without a measurement \[ms\].
 const TIMEOUT_MS: u64 = 50;
 
-/// An exchange, a cycle, and one end of everything that clients and drivers have.
+/// An exchange, a cycle, and the other ends of all ports.
 struct Rig {
     exchange: Exchange,
     cycle: Cycle,
@@ -120,14 +120,14 @@ impl Rig {
         self.ends.inputs.read()
     }
 
-    /// Gathers until as much time has passed.
+    /// Gathers for `duration_ms`.
     fn gather_for(&mut self, duration_ms: u64) {
         for _ in 0..duration_ms * MS / PERIOD_NS {
             self.gather();
         }
     }
 
-    /// Runs `cycle` with the inputs that are there, and what a client or else the test asks; its mode.
+    /// Runs `cycle` with the present inputs and a waiting request, or else `request`; returns its mode.
     fn run(
         &mut self,
         cycle: u64,
@@ -160,13 +160,13 @@ impl Rig {
         self.exchange.publish(&self.clock, &self.shared);
     }
 
-    /// The commands that a driver has got since the last look.
+    /// The commands received by a driver since the last call.
     fn commands(&self) -> Vec<Command> {
         let received = std::iter::from_fn(|| self.commands.receive().unwrap());
         received.map(|sample| *sample).collect()
     }
 
-    /// The cycles whose records those who watch have got since the last look.
+    /// The cycles of the records reported since the last call.
     fn reported(&mut self) -> Vec<u64> {
         let ends = &mut self.reports;
         let reports = std::iter::from_fn(|| ends.reports.pop().ok());
@@ -178,12 +178,12 @@ impl Rig {
         reports.map(cycle).collect()
     }
 
-    /// When the next gather begins \[ns\].
+    /// Start of the next gather \[ns\].
     fn gather_ns(&self) -> u64 {
         self.schedule.release_ns(self.next_cycle) - self.exchange.timing.gather_lead_ns
     }
 
-    /// A driver says that the robot was bent like this some time before the next gather.
+    /// A driver reports this bend, measured `age_ms` before the next gather.
     fn measure(&self, sender_id: u64, bend_rad: f64, age_ms: u64) {
         self.measure_at(sender_id, bend_rad, self.gather_ns() - age_ms * MS);
     }
@@ -227,7 +227,7 @@ impl Rig {
         self.control.send_copy(request).unwrap()
     }
 
-    /// An obstacle far from the robot that moves away, seen at the next gather, or a clear.
+    /// Sends obstacles far from the robot that move away, measured at the next gather, or a clear.
     fn tell(&self, sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) {
         let update = self.update(sender_id, action, lifetimes_ms);
         self.obstacles.send_copy(update).unwrap();
@@ -263,7 +263,7 @@ impl Rig {
         update
     }
 
-    /// As many writers of a service as are allowed beside the first, which is the rig's.
+    /// All allowed writers of a service except the first, which the rig has.
     fn crowd<T: ZeroCopySend + std::fmt::Debug + 'static>(
         &self,
         service: Service,
@@ -275,7 +275,7 @@ impl Rig {
     }
 }
 
-/// Each of `crowd` sends as much as its queue holds, before each gather.
+/// Each of `crowd` fills its queue.
 fn flood<T: ZeroCopySend + Copy + std::fmt::Debug + 'static>(
     crowd: &[Publisher<ipc::Service, T, ()>],
     service: Service,
@@ -292,7 +292,7 @@ fn moves_at_all(command: &Command) -> bool {
     command.bend_rate_rad_s.iter().any(|rate| *rate != 0.0)
 }
 
-/// A robot that goes home: its cycles command it to move. The cycles 1 and 2 are over.
+/// A robot that is homing: its cycles command motion. Cycles 1 and 2 are over.
 fn homing(configuration: &str) -> Rig {
     let mut rig = Rig::new(configuration);
     rig.measure(1, 1.5, 0);
@@ -336,8 +336,8 @@ fn what_changed_in_the_configuration_is_in_the_next_inputs_and_what_clients_set_
     (wanted.nmpc.horizon_steps, wanted.budget_ns) = (7, 1_000_000);
     assert_eq!(inputs.settings, wanted);
     drop(asked);
-    // Seven blocks, set by a client, have no room in five steps of the configuration: that alone is in force, but for the
-    // safe distance, which the client set wider.
+    // Seven blocks, set by a client, do not fit into five steps of the configuration. Only the configuration
+    // applies, except the larger safe distance of the client.
     wanted.nmpc.control_blocks = 7;
     let outcome = rig
         .exchange
@@ -377,7 +377,7 @@ fn a_safe_distance_that_a_client_set_wider_stays_when_that_of_the_configuration_
         rig.reloaded.push(changed).unwrap();
         rig.gather().settings.nmpc.safe_distance_m
     };
-    // Where no client has set one, that of the configuration is in force.
+    // Without one of a client, the configured safe distance is in force.
     assert_eq!(reload(&mut rig, 0.02, 0.01), 0.01);
     assert_eq!(reload(&mut rig, 0.01, 0.02), 0.02);
     set(&mut rig, safe(file, 0.05));
@@ -389,7 +389,7 @@ fn a_safe_distance_that_a_client_set_wider_stays_when_that_of_the_configuration_
     ] {
         assert_eq!(reload(&mut rig, before_m, after_m), in_force_m);
     }
-    // What it set narrower again, and what it only sent along, holds back no file.
+    // A distance that a client reset, or only sent along, does not override the file.
     set(&mut rig, safe(file, 0.02));
     assert_eq!(reload(&mut rig, 0.04, 0.06), 0.06);
     set(&mut rig, safe(file, 0.06));
@@ -409,7 +409,7 @@ fn of_several_commands_that_wait_only_the_newest_leaves() {
     assert!(moves_at_all(&command));
     assert_eq!((command.cycle, command.header.sequence), (5, 3));
     assert!(rig.now_ns() < command.valid_until_ns);
-    // Those who watch get every record.
+    // Monitoring clients get every record.
     assert_eq!(rig.reported(), [3, 4, 5]);
     assert_eq!(rig.shared.dropped_records.get(), 0);
 }
@@ -439,7 +439,7 @@ fn a_command_that_has_run_out_leaves_only_if_it_is_rest() {
     let mut rig = homing("");
     rig.run(3, None);
     assert!(rig.shared.last_word_moves.is_set());
-    // Three periods after its release it runs out.
+    // The command expires three periods after its release.
     rig.clock.sleep_until(rig.schedule.release_ns(6));
     rig.publish();
     assert_eq!(rig.commands().len(), 0);

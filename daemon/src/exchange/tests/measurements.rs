@@ -1,4 +1,4 @@
-//! Measurements and who sends them.
+//! Measurements and their senders.
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::robot::Configuration;
@@ -40,7 +40,8 @@ fn a_robot_has_one_driver_until_that_is_lost() {
     };
     rig.measure(1, 0.5, 0);
     turn(&mut rig);
-    // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
+    // Refused measurements do not keep a driver bound: first the robot is lost, then another driver is
+    // accepted.
     let (mut silent_ns, last_ns) = (0, rig.now_ns());
     while rig.exchange.measurements.newest().unwrap().measured_ns <= last_ns {
         silent_ns = rig.now_ns() - last_ns;
@@ -61,7 +62,7 @@ fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
     let mut rig = Rig::new("");
     rig.measure(1, 0.5, 0);
     rig.gather();
-    // No cycle runs, and inputs replace each other unseen.
+    // No cycle runs, and inputs are replaced unread.
     for _ in 0..3 * TIMEOUT_MS * MS / PERIOD_NS {
         rig.measure(2, 1.0, 0);
         rig.gather();

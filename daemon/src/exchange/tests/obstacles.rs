@@ -1,4 +1,4 @@
-//! Obstacles: whose count, for how long, and that nobody keeps another's out.
+//! Obstacles: which are accepted, for how long, and that no sender excludes another.
 
 use cdcr_shared_types::codes::ObstacleAction;
 
@@ -11,7 +11,7 @@ fn an_obstacle_whose_source_died_does_not_expire_while_the_daemon_stands_still()
     rig.gather();
     rig.tell(4, ObstacleAction::Upsert, &[50]);
     rig.gather();
-    // The last sign of life waits while the daemon stands still for longer than the obstacle lives.
+    // The last sign of life waits while the daemon stalls for longer than the obstacle's lifetime.
     rig.tell(4, ObstacleAction::Upsert, &[]);
     rig.next_cycle += 80;
     for _ in 0..3 {
@@ -25,7 +25,7 @@ fn an_obstacle_whose_source_died_does_not_expire_while_the_daemon_stands_still()
     assert!(inputs.obstacle_source_silent);
 }
 
-/// What drivers and cameras see while this thread stands still, after its gather began, is not of the future.
+/// A time stamp from a stall of this thread, after the start of its gather, is not in the future.
 #[test]
 fn what_was_seen_while_the_gather_stood_still_is_taken() {
     for (stall_ns, outcome) in [(0, Outcome::OutOfRange), (30 * MS, Outcome::Accepted)] {
@@ -69,13 +69,13 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
         (100 * MS..=100 * MS + 2 * PERIOD_NS).contains(&silent_ns),
         "{silent_ns}"
     );
-    // It is heard again, and says nothing of the obstacle.
+    // The source sends again, without this obstacle.
     rig.tell(4, ObstacleAction::Upsert, &[]);
     rig.gather();
     let inputs = rig.gather();
     assert!(!inputs.obstacle_source_silent);
     assert_eq!(inputs.obstacles.count(), 0);
-    // It dies again, now with no obstacle known; an operator clears.
+    // The source dies again, now without a known obstacle; an operator clears the list.
     rig.gather_for(200);
     assert!(rig.gather().obstacle_source_silent);
     rig.tell(5, ObstacleAction::Clear, &[]);
@@ -94,7 +94,7 @@ fn a_source_of_obstacles_that_removes_them_and_ends_holds_nobody_up() {
     assert_eq!(rig.gather().obstacles.count(), 0);
     rig.gather_for(300);
     assert!(!rig.gather().obstacle_source_silent);
-    // With one left it has not ended, and that one stays.
+    // A source with an obstacle left has not ended, and the obstacle stays.
     rig.tell(4, ObstacleAction::Upsert, &[50, 50]);
     rig.gather();
     rig.tell(4, ObstacleAction::Remove, &[0]);
@@ -122,7 +122,8 @@ fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
     assert_eq!(rig.gather().obstacles.count(), 0);
 }
 
-/// Senders are served in turn, so an obstacle may wait longer than another's clear that was sent after it.
+/// Senders are served in turn: an obstacle may wait longer than another sender's clear that was sent after
+/// it.
 #[test]
 fn an_obstacle_that_was_sent_before_the_list_was_cleared_does_not_come_back() {
     let mut rig = Rig::new("");
@@ -133,7 +134,7 @@ fn an_obstacle_that_was_sent_before_the_list_was_cleared_does_not_come_back() {
     rig.obstacles.send_copy(waited).unwrap();
     assert_eq!(rig.gather().obstacles.count(), 0);
     assert_eq!(rig.counted(Outcome::Stale), 1);
-    // What is sent after it counts, and what does not say when.
+    // A later update is accepted, and one without a time of sending.
     rig.tell(4, ObstacleAction::Upsert, &[0]);
     assert_eq!(rig.gather().obstacles.count(), 1);
     let mut undated = rig.update(6, ObstacleAction::Upsert, &[0, 0]);
@@ -147,7 +148,7 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
     let mut rig = Rig::new("");
     let mut crowd = rig.crowd(Service::Obstacles);
     std::mem::swap(&mut crowd[0], &mut rig.obstacles);
-    // Taken in, or refused at the last of 64 obstacles, which costs most.
+    // Accepted, or refused at the last of 64 obstacles, which costs most.
     let taken = |rig: &Rig| rig.update(9, ObstacleAction::Upsert, &[1_000; 8]);
     let refused = |rig: &Rig| {
         let mut update = rig.update(9, ObstacleAction::Upsert, &[1_000; 64]);
@@ -176,10 +177,10 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
             let judged = rig.exchange.events.outcomes().iter().sum::<u64>() - before;
             assert_eq!(judged, gather::UPDATES_PER_GATHER as u64);
             gathers += 1;
-            // Two messages of each of eight are 16, and a round may have begun.
+            // Two messages from each of eight senders are 16, and a round may have begun.
             assert!(gathers <= 4);
         }
-        // What became of each is told.
+        // Each outcome is reported.
         let told = std::iter::from_fn(|| {
             let (events, count) = rig.exchange.events.report(u64::MAX);
             (count > 0).then_some(events)
@@ -188,7 +189,7 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
         rig.tell(4, ObstacleAction::Clear, &[]);
         rig.gather_for(100);
     }
-    // Where a gather has little time, it does less.
+    // A gather with less time accepts fewer updates.
     assert_eq!(gather::updates_per_gather(200_000), 8);
     assert_eq!(gather::updates_per_gather(100_000), 4);
     assert_eq!(gather::updates_per_gather(20_000), 1);
@@ -205,7 +206,7 @@ fn a_message_that_is_repeated_or_older_than_its_writers_last_is_refused() {
     assert_eq!(rig.gather().obstacles.count(), 1);
     assert_eq!(rig.counted(Outcome::Stale), 2);
     assert_eq!(rig.exchange.obstacles.refused(), 2);
-    // Two writers of one client come in any order.
+    // Messages from two writers of one client arrive in any order.
     let crowd = rig.crowd(Service::Obstacles);
     crowd[0].send_copy(older).unwrap();
     assert_eq!(rig.gather().obstacles.count(), 2);

@@ -17,7 +17,7 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
     let ahead = |inputs: &CycleInputs, cycle| inputs.window.get(cycle).state;
     let cycle = rig.next_cycle;
     assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-    // 20 ms after the gather that took the chunk.
+    // The lease expires 20 ms after the gather that accepted the chunk.
     rig.gather_for(15);
     let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
     assert_eq!(ahead(rig.gather(), cycle), ReferenceState::None);
@@ -49,8 +49,8 @@ fn track(lease_number: u32) -> ModeRequest {
     ModeRequest::Track { lease_number }
 }
 
-/// The cycle skips the gathers in which the lease passes to another client: it sees a held lease and a reference before and
-/// after.
+/// The cycle skips the gathers in which the lease passes to another client: before and after, its inputs show
+/// a held lease and a reference.
 #[test]
 fn tracking_does_not_pass_to_a_client_that_did_not_ask_for_it() {
     let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
@@ -91,7 +91,7 @@ fn who_asked_to_track_and_lost_the_lease_does_not_start_the_next_holders_referen
     send_reference(&rig, 1);
     let asked = rig.ask(1, RequestKind::Track);
     rig.gather();
-    // No cycle comes to carry it out until another client has the lease and a reference.
+    // No cycle carries it out until another client has the lease and a reference.
     rig.gather_for(15);
     let second = rig.ask(2, RequestKind::AcquireLease);
     rig.gather();

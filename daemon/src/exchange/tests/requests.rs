@@ -6,7 +6,7 @@ use cdcr_shared_types::codes::{Outcome, RequestKind};
 use super::homing;
 use crate::handover::CycleReport;
 
-/// A replay knows no other sign of it.
+/// A replay has no other information about the deciding cycle.
 #[test]
 fn of_records_that_wait_together_a_request_names_the_cycle_that_decided_it() {
     let mut rig = homing("");
@@ -28,7 +28,7 @@ fn of_records_that_wait_together_a_request_names_the_cycle_that_decided_it() {
     );
 }
 
-/// The exchange stands still while a reset and a motion wait for it, and a signal stops the robot.
+/// The exchange stalls with a reset and a motion waiting, and a signal stops the robot.
 #[test]
 fn what_was_asked_before_a_signal_is_not_carried_out_after_it() {
     let mut rig = homing("");
@@ -40,7 +40,7 @@ fn what_was_asked_before_a_signal_is_not_carried_out_after_it() {
     rig.next_cycle = 5;
     rig.measure(1, 1.5, 0);
     rig.gather();
-    // One request a cycle, in this rig.
+    // This rig passes one request per cycle.
     for cycle in [5, 6] {
         assert!(matches!(rig.run(cycle, None), Mode::Stopped { .. }));
     }
