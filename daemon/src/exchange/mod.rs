@@ -9,9 +9,9 @@
 //! One part handles each kind of message: `references`, `measurements`, `obstacles`, `settings`, `requests`.
 //!
 //! The exchange runs on the core of the cycle at a lower priority: with `SCHED_FIFO` the cycle pre-empts it.
-//! Clients that connect, flood or stop reading cost time here, not in the cycle. Each kind of message has a limit
-//! per gather, and writers are served in turn. Except readers of commands, monitoring clients cost nothing here:
-//! the [reporter](crate::reporter) serves them.
+//! Clients that connect, flood or stop reading cost time here, not in the cycle. Each kind of message has a
+//! limit per gather, and writers are served in turn. Except readers of commands, monitoring clients cost
+//! nothing here: the [reporter](crate::reporter) serves them.
 
 mod bound_sender;
 mod cycle_watch;

@@ -1,4 +1,4 @@
-//! Why a cycle was late: the largest part of its lateness.
+//! Attribution of a cycle's lateness to the cause of its largest part.
 //!
 //! ```text
 //!  release ──── wake-up ────► start ──────── compute ────────► hand-over
@@ -6,44 +6,43 @@
 //! ```
 //!
 //! A wake-up is late because another task had the core (the scheduler counts that time as run delay), or
-//! because the timer itself came late: firmware or hypervisor. A computation is long because it lost the
-//! core, waited for memory, stood still with the core its own, or had that much to do.
+//! because the timer was late: firmware or hypervisor. A computation is long because it lost the core, waited
+//! for memory, stalled on its own core, or had that much work.
 //!
-//! An overrun that takes the next release with it is one event: the punctual cycle after it has no cause of
-//! its own.
+//! An overrun that skips the next release is one event: the punctual cycle after it has no cause of its own.
 
 use cdcr_shared_types::codes::LateCause;
 
 use super::schedule::Lateness;
 
-/// What the scheduler knows about the cycle thread, counted since the thread began.
+/// Counts of the scheduler for the cycle thread since its start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SchedulerCounts {
     /// Time on a core \[ns\].
     pub on_core_ns: u64,
-    /// Time ready to run while another had the core \[ns\].
+    /// Time ready to run while another task had the core \[ns\].
     pub run_delay_ns: u64,
-    /// Times that it came onto a core.
+    /// Number of times that the thread was put on a core.
     pub turns: u64,
     /// Page faults, minor and major.
     pub page_faults: u64,
 }
 
-/// What the system did to the thread during one cycle.
+/// Scheduler statistics of the thread during one cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Scheduling {
     /// Time on a core \[ns\].
     pub on_core_ns: u64,
-    /// Time ready to run while another had the core \[ns\].
+    /// Time ready to run while another task had the core \[ns\].
     pub run_delay_ns: u64,
-    /// Times that it lost the core other than by its sleep.
+    /// Number of times that the thread lost the core other than by its sleep.
     pub switches: u32,
     /// Page faults, minor and major.
     pub page_faults: u32,
 }
 
 impl SchedulerCounts {
-    /// What happened since `before`, a stretch in which the thread slept once.
+    /// Difference to `before`, over a time in which the thread slept once.
     #[must_use]
     pub fn since(&self, before: &Self) -> Scheduling {
         let turns = self.turns.saturating_sub(before.turns);
@@ -56,47 +55,48 @@ impl SchedulerCounts {
     }
 }
 
-/// The times of one cycle, as far as its lateness is concerned.
+/// Times of one cycle that concern its lateness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Timing {
-    /// How long before the release the thread asked to be woken, to rehearse and spin until then \[ns\].
+    /// Planned time from the wake-up of the thread to the release, for rehearsal and spinning \[ns\].
     pub early_ns: u64,
-    /// It woke up before the release and rehearsed: a late start is none of the timer's.
+    /// The thread woke up before the release and rehearsed: the timer did not cause a late start.
     pub woke_early: bool,
-    /// From the release that was due to the start \[ns\].
+    /// Wake-up latency \[ns\].
     pub wake_ns: u64,
     /// From the start to the hand-over \[ns\].
     pub compute_ns: u64,
-    /// From the start to the end that the solver was given, which leaves time for what follows: as much work is what
-    /// the cycle is for, and makes none late \[ns\].
+    /// From the start to the planned end of the solver \[ns\], which leaves time for the rest. Work up to
+    /// this end is planned and makes no cycle late.
     pub planned_ns: u64,
-    /// Longest time between two looks at the clock until the solver was done \[ns\].
+    /// Longest time between two checks of the clock until the end of the solver \[ns\].
     pub longest_gap_ns: u64,
     /// From the end of the solver to the hand-over: limits and clearance guard \[ns\].
     pub after_solve_ns: u64,
 }
 
-/// Two looks at the clock are a few microseconds apart; so far apart, the processor stood still \[ns\].
+/// Checks of the clock are a few microseconds apart; a longer gap than this is a stall of the processor
+/// \[ns\].
 const STALL_NS: u64 = 100_000;
-/// Limits and clearance guard take at most 0.4 ms, with 64 obstacles around six sections; so long, the
-/// processor stood still \[ns\].
+/// Limits and clearance guard take at most 0.4 ms, with 64 obstacles around six sections; a longer time than
+/// this is a stall of the processor \[ns\].
 const STALL_AFTER_SOLVE_NS: u64 = 600_000;
 
-/// The largest part of a late cycle's time after its release. `scheduling` is `None` where the system does
-/// not tell; then load cannot be told from platform, and counts as platform.
+/// The largest part of a late cycle's time after its release. `scheduling` is `None` if the kernel does not
+/// provide it: load is then indistinguishable from platform and counts as platform.
 fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
     let delay_ns = scheduling.map_or(0, |scheduling| scheduling.run_delay_ns);
     let faults = scheduling.map_or(0, |scheduling| scheduling.page_faults);
     let (waited_ns, interrupted_ns) = split(delay_ns, timing);
     let worked_ns = timing.compute_ns - interrupted_ns;
     let stalled_ns = standstill_ns(timing, interrupted_ns).min(worked_ns);
-    // A fault that takes long leaves a gap; one inside steady work costs a microsecond.
+    // A page fault that takes long leaves a gap; one within steady work costs a microsecond.
     let stall = if faults > 0 {
         LateCause::PageFault
     } else {
         LateCause::Stall
     };
-    // A rehearsal that could be over by its release was.
+    // A rehearsal ends before its release unless the processor stalls.
     let late_start = if timing.woke_early {
         stall
     } else {
@@ -115,11 +115,11 @@ fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
     largest.map_or(LateCause::Platform, |(_, cause)| cause)
 }
 
-/// What of a run delay lies between release and start, and what interrupted the computation \[ns\].
+/// Splits a run delay into the wait between release and start, and the interruption of the computation
+/// \[ns\].
 ///
-/// The wait before the start comes first, and its end is what made the start late. What is left lies in the
-/// computation as far as a gap there shows it; the rest was over before the release, while the thread was
-/// to spin.
+/// The wait before the start comes first: it made the start late. The rest interrupted the computation, as
+/// far as a gap there shows it. Any more was over before the release, in the time for spinning.
 fn split(delay_ns: u64, timing: &Timing) -> (u64, u64) {
     let waited_ns = delay_ns.min(timing.wake_ns);
     let left_ns = delay_ns - waited_ns;
@@ -128,7 +128,7 @@ fn split(delay_ns: u64, timing: &Timing) -> (u64, u64) {
     (waited_ns, (left_ns - early_ns).min(timing.compute_ns))
 }
 
-/// The longest gap in the computation that work does not explain, without `known_ns` of it \[ns\].
+/// The longest unexplained gap in the computation, less `known_ns` \[ns\].
 fn standstill_ns(timing: &Timing, known_ns: u64) -> u64 {
     let beyond = |gap_ns: u64, stall_ns| {
         let unexplained_ns = gap_ns.saturating_sub(known_ns);
@@ -141,30 +141,30 @@ fn standstill_ns(timing: &Timing, known_ns: u64) -> u64 {
     beyond(timing.longest_gap_ns, STALL_NS).max(beyond(timing.after_solve_ns, STALL_AFTER_SOLVE_NS))
 }
 
-/// A cycle, as its accounting saw it.
+/// A cycle with its lateness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EvaluatedCycle {
-    /// How many cycles ran, this one included.
+    /// Number of cycles so far, including this one.
     pub count: u64,
     pub lateness: Lateness,
-    /// Releases before it that got no cycle.
+    /// Skipped releases before the cycle.
     pub skipped: u32,
     pub timing: Timing,
 }
 
-/// What a cycle has to answer for.
+/// Assignment of a late cause to a cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Blame {
-    /// Nothing: it was in time and skipped no release.
+    /// None: the cycle was in time and skipped no release.
     InTime,
-    /// It was late, or skipped releases that no late cycle before it took.
+    /// The cycle was late, or skipped releases not taken by a late cycle before it.
     Own(LateCause),
-    /// It was in time. The cycle before it ran past the releases that it skipped, for this cause.
+    /// The cycle was in time. The previous cycle overran the skipped releases, for this cause.
     Before(LateCause),
 }
 
 impl Blame {
-    /// The cause that its record names.
+    /// The cause in the cycle's record.
     #[must_use]
     pub fn cause(self) -> Option<LateCause> {
         match self {
@@ -174,15 +174,15 @@ impl Blame {
     }
 }
 
-/// Finds the cause of each bad cycle, one after the other.
+/// Finds the cause of each bad cycle, in order.
 #[derive(Debug, Default)]
 pub struct Attribution {
-    /// The newest cycle that missed its deadline: its count, and why.
+    /// The newest cycle that missed its deadline: its count and cause.
     missed: Option<(u64, LateCause)>,
 }
 
 impl Attribution {
-    /// What the next cycle has to answer for.
+    /// Evaluates the next cycle.
     pub fn evaluate(&mut self, cycle: &EvaluatedCycle, scheduling: Option<&Scheduling>) -> Blame {
         let Lateness {
             late_start,
@@ -192,7 +192,7 @@ impl Attribution {
         if !late_start && !deadline_miss {
             return match before {
                 _ if cycle.skipped == 0 => Blame::InTime,
-                // A deadline is at most a period, so only a miss can run past the next release.
+                // A deadline is at most a period: only a deadline miss can overrun the next release.
                 Some((count, cause)) if count + 1 == cycle.count => Blame::Before(cause),
                 _ => Blame::Own(attribute(&cycle.timing, scheduling)),
             };
@@ -209,7 +209,7 @@ mod tests {
 
     const US: u64 = 1000;
 
-    /// A cycle that nobody woke early and that planned nothing \[µs\].
+    /// A cycle without early wake-up and planned time; the arguments are in µs.
     fn timing([wake, compute, gap]: [u64; 3]) -> Timing {
         Timing {
             wake_ns: wake * US,
@@ -237,18 +237,18 @@ mod tests {
         assert_eq!(cause([6000, 50, 3], [0, 0]), LateCause::Platform);
         assert_eq!(cause([6000, 50, 3], [5900, 0]), LateCause::Load);
         assert_eq!(cause([6000, 50, 3], [2000, 0]), LateCause::Platform);
-        // The core was lost while computing.
+        // The core was lost during the computation.
         assert_eq!(cause([40, 6000, 5800], [5830, 0]), LateCause::Load);
-        // One gap in the solver that nobody accounts for.
+        // One unexplained gap in the solver.
         assert_eq!(cause([40, 6000, 5800], [10, 0]), LateCause::Stall);
         assert_eq!(cause([40, 6000, 5800], [10, 2]), LateCause::PageFault);
         // Steady work without a gap.
         assert_eq!(cause([40, 6000, 4], [10, 0]), LateCause::Compute);
-        // A fault explains a gap, and no steady work.
+        // A page fault explains a gap, but not steady work.
         assert_eq!(cause([40, 6000, 4], [10, 1]), LateCause::Compute);
         assert_eq!(cause([40, 6000, 99], [0, 3]), LateCause::Compute);
         assert_eq!(cause([40, 6000, 200], [0, 3]), LateCause::Compute);
-        // It woke up in time, and started late: the timer was punctual.
+        // Woke up in time and started late: the timer was punctual.
         let late = Timing {
             early_ns: 75 * US,
             woke_early: true,
@@ -273,10 +273,10 @@ mod tests {
             };
             attribute(&timing, Some(&Scheduling::default()))
         };
-        // The solver would have ended in time but for the gap.
+        // Without the gap the solver would have ended in time.
         assert_eq!(cause(14, 5700, 1630, 220), LateCause::Stall);
         assert_eq!(cause(1300, 4400, 4, 220), LateCause::Platform);
-        // It did not end when it should have.
+        // The solver overran its planned end.
         assert_eq!(cause(14, 7000, 4, 220), LateCause::Compute);
     }
 
@@ -321,15 +321,15 @@ mod tests {
 
     #[test]
     fn a_wait_before_the_release_interrupts_no_computation() {
-        // It waited for the core while it was to spin, and then computed for long.
+        // The thread waited for the core while it should spin, and then computed for long.
         assert_eq!(spinning(0, 700, 4, 400), LateCause::Compute);
         assert_eq!(spinning(0, 700, 300, 400), LateCause::Compute);
-        // The same delay, seen in the computation.
+        // The same delay, within the computation.
         assert_eq!(spinning(0, 700, 405, 400), LateCause::Load);
-        // So long a delay made the start late, too.
+        // A delay long enough to make the start late, too.
         assert_eq!(spinning(6000, 50, 4, 6500), LateCause::Load);
         assert_eq!(spinning(6000, 50, 4, 500), LateCause::Platform);
-        // More than the time to spin lies in the computation, gap or not.
+        // More than the time for spinning lies in the computation, with or without a gap.
         assert_eq!(spinning(0, 6000, 90, 5900), LateCause::Load);
     }
 
@@ -356,13 +356,13 @@ mod tests {
         let after = evaluate(evaluated(3, false, 1, 30));
         assert_eq!(after, Blame::Before(LateCause::Compute));
         assert_eq!(after.cause(), overrun.cause());
-        // The overrun is paid for: the next skip is another event, with the parts of its own cycle.
+        // The overrun is accounted for: the next skip is another event, with its own cause.
         let own = Blame::Own(LateCause::Platform);
         assert_eq!(evaluate(evaluated(4, false, 1, 30)), own);
         // Late itself, whatever came before.
         assert_eq!(evaluate(evaluated(5, true, 0, 6000)), overrun);
         assert_eq!(evaluate(evaluated(6, true, 1, 6000)), overrun);
-        // The record between was lost, so nobody knows what the cycle before did.
+        // The record between was lost, so the previous cycle is unknown.
         assert_eq!(evaluate(evaluated(8, false, 1, 30)), own);
     }
 

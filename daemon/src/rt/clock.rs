@@ -6,22 +6,21 @@ use std::ops::RangeInclusive;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 pub trait Clock {
-    /// Now \[ns\]. Never goes back; costs tens of nanoseconds; no system call on the platforms that
-    /// matter (vDSO).
+    /// Present time \[ns\]. Monotonic; costs tens of nanoseconds; no system call on the supported platforms
+    /// (vDSO).
     fn now_ns(&self) -> u64;
 
-    /// Returns at `time_ns` or later, at once when it has passed. The only call of the cycle that may
+    /// Returns at `time_ns` or later; at once if that time has passed. The only call of the cycle that may
     /// block.
     fn sleep_until(&self, time_ns: u64);
 
-    /// For how long the calling thread has had a core so far \[ns\]. A system call. A clock that nobody runs by need not
-    /// say it.
+    /// Core time of the calling thread so far \[ns\]. A system call. Test clocks may omit it.
     fn on_core_ns(&self) -> u64 {
         0
     }
 
-    /// For how long the machine has slept so far (suspended), in which time [`now_ns`](Self::now_ns) stood still: least
-    /// and most \[ns\]. No system call either. A clock of a machine that never sleeps need not say it.
+    /// Lower and upper bound of the time for which the machine was suspended so far \[ns\].
+    /// [`now_ns`](Self::now_ns) stands still during a suspend. No system call. Test clocks may omit it.
     fn slept_ns(&self) -> RangeInclusive<u64> {
         0..=0
     }
@@ -41,7 +40,7 @@ impl Clock for MonotonicClock {
             tv_sec: (time_ns / 1_000_000_000).cast_signed(),
             tv_nsec: (time_ns % 1_000_000_000).cast_signed(),
         };
-        // A signal may end the sleep early; then the rest of it is slept.
+        // A signal may end the sleep early; then the rest is slept.
         while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until)
             == Err(rustix::io::Errno::INTR)
         {}
@@ -52,8 +51,8 @@ impl Clock for MonotonicClock {
     }
 
     fn slept_ns(&self) -> RangeInclusive<u64> {
-        // The thread may stand still between two readings. So the one between is later than the first of the others and
-        // earlier than the second.
+        // The thread may stall between two readings. The middle reading is later than the first and earlier
+        // than the last.
         let before_ns = read_ns(ClockId::Monotonic);
         let awake_or_not_ns = read_ns(ClockId::Boottime);
         let after_ns = read_ns(ClockId::Monotonic);
@@ -61,14 +60,14 @@ impl Clock for MonotonicClock {
     }
 }
 
-/// A clock that goes on by what a test says, all \[ns\].
+/// A clock that a test advances; all times in \[ns\].
 #[derive(Debug, Default)]
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 pub struct ManualClock {
     pub now_ns: Cell<u64>,
-    /// What passes with each look at it: a coarse one is a computation that is slow.
+    /// Advance per reading: a large one simulates a slow computation.
     pub step_ns: Cell<u64>,
-    /// How late each sleep ends.
+    /// Lateness of the end of each sleep.
     pub late_ns: Cell<u64>,
     pub slept_ns: Cell<u64>,
 }

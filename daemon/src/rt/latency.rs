@@ -3,15 +3,14 @@
 use cdcr_shared_types::LatencySummary;
 use hdrhistogram::{CreationError, Histogram};
 
-/// Latencies above this are counted as this \[ns\].
+/// Higher latencies are counted as this \[ns\].
 const LATENCY_MAX_NS: u64 = 10_000_000_000;
 
-/// A histogram of latencies whose percentiles have so many `digits`. `saturating_record` never allocates.
+/// A histogram of latencies with `digits` significant digits. `saturating_record` never allocates.
 pub(crate) fn histogram(digits: u8) -> Result<Histogram<u64>, CreationError> {
     Histogram::new_with_bounds(1, LATENCY_MAX_NS, digits)
 }
 
-/// What is told of it.
 pub(crate) fn summary(histogram: &Histogram<u64>) -> LatencySummary {
     LatencySummary {
         count: histogram.len(),

@@ -1,8 +1,8 @@
-//! What the operating system owes a real-time loop: clock, grid, accounting, privileges.
+//! System services for a real-time loop: clock, grid, attribution of lateness, privileges.
 //!
-//! It must not know: the robot, the configuration, anything else of this crate. Of the messages it knows two: percentiles, and
-//! the bits of what real time lacks. `sys` is the only file of the
-//! workspace with `unsafe` in it.
+//! Invariant: nothing here knows the robot, the configuration, or other modules of this crate. Of the
+//! messages it knows percentiles, late causes, and the bits of missing real-time privileges. `sys` contains
+//! all `unsafe` code of the daemon.
 
 pub mod attribution;
 pub mod clock;

@@ -1,4 +1,4 @@
-//! What makes threads real-time: memory that stays, a core of their own, a priority.
+//! Real-time properties of threads: locked memory, a core of their own, a priority.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -13,21 +13,22 @@ use rustix::thread::{
 
 use super::sys;
 
-/// What a thread asks for.
+/// Properties requested for a thread.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ThreadPlan {
-    /// Core, or none to stay where the system puts it.
+    /// Core to which the thread is pinned; `None`: the kernel chooses.
     pub core: Option<usize>,
-    /// `SCHED_FIFO` priority, or none for an ordinary thread.
+    /// `SCHED_FIFO` priority; `None`: an ordinary thread.
     pub priority: Option<i32>,
-    /// A core to keep off, where there is another one.
+    /// Core that the thread must not use, if there is another one.
     pub keep_off: Option<usize>,
 }
 
-/// `SCHED_FIFO` priority of the threads beside the real-time core: before every ordinary task, and after all else.
+/// `SCHED_FIFO` priority of threads outside the real-time core: above ordinary tasks, below all other
+/// real-time threads.
 const BESIDE_PRIORITY: i32 = 1;
 
-/// How late the kernel may let an ordinary thread wake up to save a wake-up \[ns\]; 50 µs by default.
+/// Timer slack \[ns\]: delay of wake-ups that the kernel may add for an ordinary thread; 50 µs by default.
 const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 
 /// Stack that a real-time thread touches beforehand.
@@ -56,11 +57,11 @@ impl ThreadPlan {
         }
     }
 
-    /// Makes the calling thread what is planned, as far as the system grants it. Returns the
-    /// [`realtime`] bits of what is missing.
+    /// Applies the plan to the calling thread, as far as the system permits. Returns the [`realtime`] bits of
+    /// missing properties.
     ///
-    /// The priority comes before the core: an ordinary thread that is moved to a core where a
-    /// real-time thread runs may starve there.
+    /// The priority comes before the core: an ordinary thread that is moved to a core with a real-time thread
+    /// may starve there.
     pub fn apply(&self) -> u32 {
         let mut missing = 0;
         if let Some(priority) = self.priority
@@ -83,17 +84,18 @@ impl ThreadPlan {
     }
 }
 
-/// Lets the calling thread wake up when it asked to, also where it has no `SCHED_FIFO`, with which there is no slack.
+/// Minimises the timer slack of the calling thread: wake-ups are punctual without `SCHED_FIFO`, too (which
+/// has no slack).
 fn wake_up_exactly() {
     if let Err(error) = set_current_timer_slack(Some(TIMER_SLACK_NS)) {
         tracing::info!(%error, "PR_SET_TIMERSLACK refused: ordinary threads may wake up late");
     }
 }
 
-/// Keeps the calling thread, and those that it starts from now on, off the core of the real-time threads, where
-/// it may use another one. Ordinary work there would empty the caches of the cycle.
+/// Excludes the calling thread, and threads started by it later, from the core of the real-time threads, if
+/// it may use another one. Ordinary work there would displace the cycle's data from the caches.
 ///
-/// To be called after [`last_core`], which counts the cores that the calling thread may use.
+/// Call it after [`last_core`], which counts the cores that the calling thread may use.
 pub fn stay_off_core(core: Option<usize>) {
     let Some(core) = core.filter(|core| *core < CpuSet::MAX_CPU) else {
         return;
@@ -110,19 +112,20 @@ pub fn stay_off_core(core: Option<usize>) {
     }
 }
 
-/// Lets the calling thread, the supervisor, run before all ordinary tasks, and after every other real-time thread.
+/// Lets the calling thread, the supervisor, run before all ordinary tasks, and after all other real-time
+/// threads.
 ///
-/// It is not that what it does is urgent. Threads of one process share the lock of their address space, which has no
-/// priority inheritance: mapping the memory of a client takes it. A supervisor that holds it and is not let run, on a
-/// core that is crowded, holds up the exchange (measured: 45 ms in one mmap of 358 bytes).
+/// The reason is a lock, not urgency. Threads of one process share the lock of their address space, which has
+/// no priority inheritance; mapping the memory of a client takes it. A supervisor that holds the lock without
+/// getting a crowded core delays the exchange (measured: 45 ms in one mmap of 358 bytes).
 pub fn go_before_ordinary_tasks() {
     if let Err(error) = sys::set_fifo(BESIDE_PRIORITY) {
         tracing::warn!(%error, "the supervisor runs at ordinary priority");
     }
 }
 
-/// Locks all memory of the process, present and future, and keeps the kernel from moving it together into huge
-/// pages. Returns what is missing.
+/// Locks all present and future memory of the process, and exempts it from transparent huge pages. Returns
+/// the missing properties.
 pub fn lock_memory() -> u32 {
     sys::keep_freed_memory();
     keep_pages_small();
@@ -135,17 +138,17 @@ pub fn lock_memory() -> u32 {
     }
 }
 
-/// Exempts the process from transparent huge pages: to make one of many small pages, the kernel moves memory
-/// that is in use, also locked memory, and whoever touches it meanwhile waits.
+/// Exempts the process from transparent huge pages. To build one from small pages, the kernel moves memory in
+/// use, also locked memory, and a thread that accesses it meanwhile waits.
 fn keep_pages_small() {
     if let Err(error) = disable_transparent_huge_pages(true) {
         tracing::info!(%error, "PR_SET_THP_DISABLE refused: the kernel may create huge pages");
     }
 }
 
-/// Keeps the processor out of deep sleep for as long as the file lives: `/dev/cpu_dma_latency` with the value
-/// zero (<https://docs.kernel.org/power/pm_qos_interface.html>). None where the system does not grant it; then wake-ups take
-/// longer, and nothing else.
+/// Prevents deep sleep states of the processor while the file is open: `/dev/cpu_dma_latency` with the value
+/// zero (<https://docs.kernel.org/power/pm_qos_interface.html>). `None` if the system refuses it; then
+/// wake-ups only take longer.
 pub fn keep_awake() -> Option<File> {
     let opened = OpenOptions::new().write(true).open("/dev/cpu_dma_latency");
     let held = opened.and_then(|mut file| file.write_all(&0_i32.to_ne_bytes()).map(|()| file));
@@ -158,7 +161,7 @@ pub fn keep_awake() -> Option<File> {
     }
 }
 
-/// Touches the stack that a thread will use, so that its pages are there before the first cycle.
+/// Touches the stack of a thread, so that its pages are present before the first cycle.
 #[inline(never)]
 #[allow(
     clippy::large_stack_arrays,
@@ -179,7 +182,7 @@ mod tests {
 
     use super::*;
 
-    /// Runs on a thread of its own, whose cores are nobody else's matter.
+    /// Runs on a separate thread, whose core affinity affects no other test.
     fn apart<T: Send + 'static>(run: fn() -> T) -> T {
         std::thread::spawn(run).join().unwrap()
     }
@@ -242,7 +245,7 @@ mod tests {
             }
             (before, cores())
         });
-        // A machine with so many cores may lose the last of them.
+        // On a machine with this many cores, the last one may be removed.
         if !before.contains(&(CpuSet::MAX_CPU - 1)) {
             assert_eq!(after, before);
         }

@@ -1,17 +1,17 @@
-//! A ring whose newest element is never lost, and whose elements stay where they were written.
+//! A ring that never loses its newest element, with elements written in place.
 //!
 //! ```text
-//!  sender ── ring (every element, as long as there is room) ──────────► receiver ── (any channel) ──► last reader
-//!    ▲    └─ spill (triple buffer: the newest that found no room) ──► receiver │                          │
-//!    └───────────────────────────── memory to be used again ◄──────────────────┴──────────────────────────┘
+//!  sender ── ring (every element, while there is space) ──────► receiver ── (any channel) ──► last reader
+//!    ▲    └─ spill (triple buffer: the newest without space) ─► receiver                            │
+//!    └──────────────────────────── memory to be reused ───────────────┴───────────────────────────┘
 //! ```
 //!
-//! When the ring is full, the element goes to the spill and replaces the one that was there. So what a receiver that was
-//! held up gets is the oldest elements, as many as the ring holds, and the newest one; those between are lost. The
-//! oldest matter, too: they hold the answers to the requests that were made before the hold-up.
+//! If the ring is full, an element goes to the spill and replaces the one there. A receiver that stalled gets
+//! the oldest elements, as many as the ring holds, and the newest one; those between are lost. The oldest
+//! matter, too: they contain the answers to requests made before the stall.
 //!
-//! What travels is the address of an element: it is written once and read where it is. Whoever is done with it gives it back, and the
-//! memory that came back last is written first, while it is still in the caches.
+//! The ends exchange addresses of elements: an element is written once and read in place. The last reader
+//! returns it, and the memory returned last is written first, while it is still in the caches.
 //!
 //! Invariant: all ends are wait-free, and nothing here allocates or frees after [`record_ring`].
 
@@ -20,7 +20,7 @@ use core::ops::Deref;
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, TripleBuffer};
 
-/// An element that was sent, with its place in the order of sending, counted from 1.
+/// A sent element with its number in the order of sending, counted from 1.
 #[derive(Debug)]
 pub struct Sent<T> {
     number: u64,
@@ -39,11 +39,11 @@ impl<T> Deref for Sent<T> {
 pub struct RecordSender<T: Send> {
     ring: Producer<Sent<T>>,
     spill: Input<Option<Sent<T>>>,
-    /// From the receiver and the last reader.
+    /// From the receiver and from the last reader.
     returned: [Consumer<Sent<T>>; 2],
-    /// Nobody reads these.
+    /// Memory not in use.
     free: Vec<Box<Option<T>>>,
-    /// Written to when none is free, and not sent.
+    /// Written when no memory is free, and not sent.
     spare: Box<Option<T>>,
     sent: u64,
 }
@@ -53,21 +53,21 @@ pub struct RecordReceiver<T: Send> {
     ring: Consumer<Sent<T>>,
     spill: Output<Option<Sent<T>>>,
     used: Used<T>,
-    /// Number of the newest element that was taken out.
+    /// Number of the newest element received.
     taken: u64,
     lost: u64,
 }
 
-/// Where elements go that were read.
+/// Returns elements that were read.
 #[derive(Debug)]
 pub struct Used<T: Send>(Producer<Sent<T>>);
 
-/// A ring of `capacity` elements. So many more can be `beyond` the receiver, which hands them on.
+/// A ring of `capacity` elements, with up to `beyond` more elements passed on by the receiver.
 pub fn record_ring<T: Send>(
     capacity: usize,
     beyond: usize,
 ) -> (RecordSender<T>, RecordReceiver<T>, Used<T>) {
-    // Those in the spill, and one in the hands of the receiver.
+    // Three in the spill, and one held by the receiver.
     let elements = capacity + beyond + 4;
     let (ring_in, ring_out) = RingBuffer::new(capacity);
     let (spill_in, spill_out) = TripleBuffer::default().split();
@@ -92,8 +92,8 @@ pub fn record_ring<T: Send>(
 }
 
 impl<T: Send> RecordSender<T> {
-    /// Sends the element that `write` leaves in memory where another one was, or none. Never fails: in a full ring it takes the
-    /// place of the newest one before it that found no room.
+    /// Sends the element that `write` leaves in memory, which may contain an earlier element. Never fails: if
+    /// the ring is full, the element replaces the one in the spill.
     pub fn send(&mut self, write: impl FnOnce(&mut Option<T>)) {
         self.sent += 1;
         for returned in &mut self.returned {
@@ -101,7 +101,7 @@ impl<T: Send> RecordSender<T> {
                 self.free.push(read.memory);
             }
         }
-        // There are as many as all the others can hold; what a reader does not give back is missing one day.
+        // There is memory for all ends; it runs out only if a reader does not return elements.
         let Some(mut memory) = self.free.pop() else {
             return write(&mut self.spare);
         };
@@ -116,10 +116,11 @@ impl<T: Send> RecordSender<T> {
 }
 
 impl<T: Send> RecordReceiver<T> {
-    /// The oldest element that waits. Elements come in the order in which they were sent.
+    /// The oldest waiting element. Elements arrive in the order of sending.
     pub fn receive(&mut self) -> Option<Sent<T>> {
-        // The spill first, then the ring. What is spilled between the two found the ring full, and nobody but this end
-        // makes room: then the front is older. The other way round the ring could fill up in between, unseen.
+        // Check the spill first, then the ring. An element spilled between the two checks found the ring
+        // full; only this end removes elements, so the front of the ring is older. In the other order the
+        // ring could fill up unseen between the checks.
         let spilled = self.spilled();
         let front = self.ring.peek().ok().map(|front| front.number);
         let next = match (spilled, front) {
@@ -132,7 +133,7 @@ impl<T: Send> RecordReceiver<T> {
         Some(next)
     }
 
-    /// Gives back what was received and is not handed on.
+    /// Returns an element that is not passed on.
     pub fn give_back(&mut self, read: Sent<T>) {
         self.used.give_back(read);
     }
@@ -141,12 +142,12 @@ impl<T: Send> RecordReceiver<T> {
         self.ring.is_empty() && self.spilled().is_none()
     }
 
-    /// Elements so far that were lost because the ring was full.
+    /// Number of elements lost so far because the ring was full.
     pub fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Number of the newest spilled element, if it is newer than what was taken out.
+    /// Number of the newest spilled element, if it is newer than the newest one received.
     fn spilled(&mut self) -> Option<u64> {
         self.spill.update();
         let spilled = self.spill.output_buffer().as_ref();
@@ -156,9 +157,8 @@ impl<T: Send> RecordReceiver<T> {
 }
 
 impl<T: Send> Used<T> {
-    /// Gives back what was read.
     pub fn give_back(&mut self, read: Sent<T>) {
-        // There is room for all that there are.
+        // The ring has the capacity for all elements.
         let _ = self.0.push(read);
     }
 }
@@ -203,7 +203,7 @@ mod tests {
         assert_eq!(receive(&mut receiver), Some(1));
         send(&mut sender, 4);
         send(&mut sender, 5);
-        // 3 and 5 found no room, and 5 took the place of 3.
+        // 3 and 5 were spilled, and 5 replaced 3.
         assert_eq!(all(&mut receiver), [2, 4, 5]);
         assert_eq!(receiver.lost(), 1);
         (6..=8).for_each(|number| send(&mut sender, number));
@@ -240,7 +240,7 @@ mod tests {
         let mut beyond = std::collections::VecDeque::new();
         for number in 1..=1000 {
             send(&mut sender, number);
-            // A receiver that is held up now and then, and a reader that lags.
+            // A receiver that stalls now and then, and a reader that lags.
             while number % 7 < 3
                 && let Some(sent) = receiver.receive()
             {
@@ -261,7 +261,7 @@ mod tests {
         all(&mut receiver);
         send(&mut sender, 1001);
         assert_eq!(all(&mut receiver), [1001], "there is memory left");
-        // With readers that keep up it is always the same.
+        // With punctual readers the memory is always the same.
         let addresses = (0..9).map(|number| {
             send(&mut sender, number);
             let sent = receiver.receive().unwrap();

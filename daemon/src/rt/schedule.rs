@@ -1,12 +1,10 @@
-//! The absolute time grid.
-
 use crate::rt::clock::Clock;
 
 /// The absolute time grid: cycle k is released at `origin + k · period`.
 ///
-/// Lateness is counted from the release that was due, never from the actual start, so a stall cannot
-/// hide. After an overrun whole periods are skipped; there is never a burst of cycles that catch up. Who runs over into
-/// a release by little takes it late.
+/// Lateness is counted from the release that was due, never from the actual start, so a stall cannot hide.
+/// After an overrun whole periods are skipped; cycles are never made up in a burst. A short overrun into a
+/// release starts that cycle late instead of skipping it.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     origin_ns: u64,
@@ -15,24 +13,25 @@ pub struct Schedule {
     last_cycle: u64,
 }
 
-/// An overrun of at most this part of a period does not skip the release that it ran into: 0.5 ms of 5 ms.
+/// An overrun of at most this part of a period does not skip the release into which it extends: 0.5 ms of 5
+/// ms.
 const OVERRUN_PART: u64 = 10;
-/// After such an overrun the thread sleeps for this part of a period: the exchange has to publish what the cycle made,
-/// and to gather for the next.
+/// After such an overrun the thread sleeps for this part of a period: the exchange must publish the command
+/// and gather for the next cycle.
 const BREATH_PART: u64 = 20;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Release {
     /// Number on the grid.
     pub cycle: u64,
-    /// Its time on the grid \[ns\].
+    /// Time of the release on the grid \[ns\].
     pub release_ns: u64,
-    /// The release that the thread slept for \[ns\]: earlier than `release_ns` when it slept through
-    /// whole periods. Lateness counts from here.
+    /// The release that was due \[ns\]: earlier than `release_ns` if the thread slept through whole periods.
+    /// Lateness counts from here.
     pub due_ns: u64,
-    /// When the thread ran \[ns\].
+    /// Start of the cycle \[ns\].
     pub start_ns: u64,
-    /// Releases that passed since the previous cycle without a cycle.
+    /// Releases without a cycle since the previous cycle.
     pub skipped: u32,
 }
 
@@ -44,7 +43,7 @@ pub struct Lateness {
 }
 
 impl Schedule {
-    /// A grid whose first release, that of cycle 1, comes one period after `origin_ns`.
+    /// A grid whose first release, that of cycle 1, is one period after `origin_ns`.
     pub fn new(origin_ns: u64, period_ns: u64) -> Self {
         Self {
             origin_ns,
@@ -54,34 +53,33 @@ impl Schedule {
         }
     }
 
-    /// The same grid; who waits wakes up `spin_ns` before each release and spins to it.
+    /// The same grid with waits that wake up `spin_ns` before each release and spin until then.
     #[must_use]
     pub fn with_spin(self, spin_ns: u64) -> Self {
         Self { spin_ns, ..self }
     }
 
-    /// Period \[ns\].
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
-    /// When `cycle` is due \[ns\].
+    /// Time of the release of `cycle` \[ns\].
     pub fn release_ns(&self, cycle: u64) -> u64 {
         self.origin_ns + cycle * self.period_ns
     }
 
-    /// The newest cycle that was due at `now_ns`.
+    /// The newest cycle released at `now_ns`.
     pub fn cycle_at(&self, now_ns: u64) -> u64 {
         now_ns.saturating_sub(self.origin_ns) / self.period_ns
     }
 
-    /// Sleeps to the next release that is still to come, and says which one was met.
+    /// Sleeps until the next release, or briefly after a short overrun, and returns the release that starts.
     pub fn wait(&mut self, clock: &impl Clock) -> Release {
         self.wait_with(clock, |_, _| ())
     }
 
-    /// The same; who wakes up before the release runs `rehearse` first, with the number of the cycle and the time of its
-    /// release \[ns\], and spins for what is left.
+    /// Same as [`wait`](Self::wait), but after a wake-up before the release it first runs `rehearse`, with
+    /// the number of the cycle and the time of its release \[ns\], and then spins for the rest.
     pub fn wait_with(&mut self, clock: &impl Clock, rehearse: impl FnOnce(u64, u64)) -> Release {
         let earliest = self.last_cycle + 1;
         let now_ns = clock.now_ns();
@@ -206,9 +204,9 @@ mod tests {
         for (ran_until, cycle, skipped, start) in [
             (200, 2, 0, 205),
             (310, 3, 0, 315),
-            // More than a tenth: the next one.
+            // More than a tenth: the next release.
             (411, 5, 1, 500),
-            // Releases that passed long ago are skipped.
+            // Earlier releases are skipped.
             (803, 8, 2, 808),
             (1230, 13, 4, 1300),
         ] {

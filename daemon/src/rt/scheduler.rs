@@ -1,12 +1,12 @@
-//! What the scheduler tells about one thread, read by another: `/proc/self/task/<id>/{schedstat,stat}`.
+//! Statistics of the scheduler for one thread, read by another: `/proc/self/task/<id>/{schedstat,stat}`.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 
 use super::attribution::{SchedulerCounts, Scheduling};
 
-/// Reads the counts of one thread from files that stay open, without allocation. `schedstat` is quickly told; for `stat` the kernel
-/// puts together fifty numbers: 20 µs with cold caches.
+/// Reads the counts of one thread from files that stay open, without allocation. `schedstat` is fast; for
+/// `stat` the kernel formats fifty numbers: 20 µs with cold caches.
 #[derive(Debug)]
 pub struct SchedulerReader {
     schedstat: File,
@@ -14,8 +14,8 @@ pub struct SchedulerReader {
 }
 
 impl SchedulerReader {
-    /// A reader for the thread `id` of this process. None where the kernel does not count
-    /// (`CONFIG_SCHED_INFO`), or `/proc` is not there.
+    /// A reader for the thread `id` of this process. `None` if the kernel does not count
+    /// (`CONFIG_SCHED_INFO`), or `/proc` is missing.
     pub fn open(id: u32) -> Option<Self> {
         let open = |name: &str| File::open(format!("/proc/self/task/{id}/{name}")).ok();
         let reader = Self {
@@ -25,12 +25,12 @@ impl SchedulerReader {
         reader.read().map(|_| reader)
     }
 
-    /// The counts now. None when the thread has ended.
+    /// The present counts. `None` if the thread has ended.
     pub fn read(&self) -> Option<SchedulerCounts> {
         self.read_with(self.page_faults()?)
     }
 
-    /// The same with a number of page faults that is known.
+    /// The present counts with a known number of page faults.
     fn read_with(&self, page_faults: u64) -> Option<SchedulerCounts> {
         let mut text = [0; 128];
         let length = self.schedstat.read_at(&mut text, 0).ok()?;
@@ -50,7 +50,7 @@ impl SchedulerReader {
     }
 }
 
-/// What the scheduler did to one thread from one look to the next.
+/// Differences of one thread's scheduler statistics between readings.
 #[derive(Debug, Default)]
 pub struct SchedulerLooks {
     reader: Option<SchedulerReader>,
@@ -58,7 +58,7 @@ pub struct SchedulerLooks {
 }
 
 impl SchedulerLooks {
-    /// Looks at the thread `id` of this process, or at none: then nothing is ever told.
+    /// Reads the thread `id` of this process; with `None`, every reading is `None`.
     pub fn at(id: Option<u32>) -> Self {
         Self {
             reader: id.and_then(SchedulerReader::open),
@@ -66,13 +66,14 @@ impl SchedulerLooks {
         }
     }
 
-    /// What happened since the look before. None at the first look, and where the kernel does not tell.
+    /// Statistics since the previous reading. `None` at the first one, and if the kernel does not provide
+    /// them.
     pub fn look(&mut self) -> Option<Scheduling> {
         let counts = self.reader.as_ref()?.read()?;
         self.since_before(counts)
     }
 
-    /// The same, less its page faults: those are told with the next whole look.
+    /// Same as [`look`](Self::look) without page faults, which the next complete reading includes.
     pub fn look_quickly(&mut self) -> Option<Scheduling> {
         let Some(before) = self.before else {
             return self.look();
@@ -94,7 +95,7 @@ pub fn this_thread() -> u32 {
         .unsigned_abs()
 }
 
-/// Time on a core, run delay, turns: the three numbers of `schedstat`
+/// Core time, run delay and number of turns: the three numbers of `schedstat`
 /// (<https://docs.kernel.org/scheduler/sched-stats.html>).
 fn schedstat(text: &[u8]) -> Option<[u64; 3]> {
     let mut numbers = core::str::from_utf8(text).ok()?.split_ascii_whitespace();
@@ -102,8 +103,8 @@ fn schedstat(text: &[u8]) -> Option<[u64; 3]> {
     Some([next()?, next()?, next()?])
 }
 
-/// Minor and major faults: fields 10 and 12 of `stat` (proc(5)). The name in field 2 may hold anything, so
-/// they are counted from its closing parenthesis.
+/// Minor and major faults: fields 10 and 12 of `stat` (proc(5)). The name in field 2 may contain any
+/// character, so fields are counted from its closing parenthesis.
 fn page_faults(text: &[u8]) -> Option<u64> {
     let end = text.iter().rposition(|byte| *byte == b')')?;
     let rest = core::str::from_utf8(&text[end + 1..]).ok()?;
@@ -158,7 +159,7 @@ mod tests {
         while begin.elapsed() < std::time::Duration::from_millis(30) {
             sum = std::hint::black_box(sum.wrapping_add(1));
         }
-        // Leaving the core brings the counts up to date.
+        // Leaving the core updates the counts.
         std::thread::sleep(std::time::Duration::from_millis(1));
         let ran = reader.read().expect("the thread lives").since(&before);
         assert!(ran.on_core_ns > 0, "{ran:?}");

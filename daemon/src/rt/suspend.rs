@@ -1,27 +1,28 @@
-//! Whether the machine slept: suspended to memory or to disk.
+//! Detection of suspends of the machine, to memory or to disk.
 //!
-//! `CLOCK_MONOTONIC` stands still meanwhile, and so does every time stamp of the daemon; `CLOCK_BOOTTIME` goes on. What
-//! one is ahead of the other grows by the sleep and by nothing else.
+//! `CLOCK_MONOTONIC` stands still during a suspend, and with it every time stamp of the daemon;
+//! `CLOCK_BOOTTIME` continues. Only a suspend increases their difference.
 
 use std::ops::RangeInclusive;
 
-/// A shorter sleep does not count \[ns\]: no machine sleeps and wakes up again in this time.
+/// A shorter suspend does not count \[ns\]: no machine suspends and resumes in this time.
 const SLEEP_MIN_NS: u64 = 10_000_000;
 
-/// Counts how often the machine slept.
+/// Counts the suspends of the machine.
 #[derive(Debug, Default)]
 pub struct SuspendWatch {
-    /// The machine slept for at most so long until the newest look \[ns\]; none before the first.
+    /// Upper bound of the suspended time at the newest reading \[ns\]; `None` before the first.
     most_ns: Option<u64>,
     suspends: u64,
 }
 
 impl SuspendWatch {
-    /// Takes note of how long the machine has slept in all, between a least and a most \[ns\]
-    /// ([`Clock::slept_ns`](crate::rt::clock::Clock::slept_ns)). Returns how often it slept since the first look.
+    /// Takes the lower and upper bound of the total suspended time \[ns\]
+    /// ([`Clock::slept_ns`](crate::rt::clock::Clock::slept_ns)). Returns the number of suspends since the
+    /// first call.
     ///
-    /// The two are apart by the time that passed between the readings of the clocks, which may be long. It counts only
-    /// what is certain: the least of now is more than the most of before.
+    /// The bounds differ by the time between the readings of the clocks, which may be long. Only a certain
+    /// suspend counts: the new lower bound exceeds the earlier upper bound.
     pub fn look(&mut self, slept_ns: &RangeInclusive<u64>) -> u64 {
         let most_ns = self.most_ns.unwrap_or(*slept_ns.end());
         if *slept_ns.start() > most_ns + SLEEP_MIN_NS {
@@ -43,7 +44,7 @@ mod tests {
     #[test]
     fn each_sleep_counts_once() {
         let mut watch = SuspendWatch::default();
-        // It may have slept before the daemon began.
+        // A suspend before the start of the daemon does not count.
         assert_eq!(watch.look(&(7000 * MS..=7000 * MS)), 0);
         assert_eq!(watch.look(&(7009 * MS..=7009 * MS)), 0, "shorter than any");
         assert_eq!(watch.look(&(7500 * MS..=7500 * MS)), 1);
@@ -63,7 +64,7 @@ mod tests {
         ] {
             assert_eq!(watch.look(&slept_ns), 0, "{slept_ns:?}");
         }
-        // A sleep is found in spite of it, at the latest at the next look.
+        // A suspend is found nevertheless, at the latest by the next reading.
         assert_eq!(watch.look(&(105 * MS..=500 * MS)), 0);
         assert_eq!(watch.look(&(300 * MS..=300 * MS)), 1);
     }

@@ -1,6 +1,6 @@
-//! The few things that no safe crate offers. The only `unsafe` code of the workspace is here.
+//! System calls that no safe crate offers. All `unsafe` code of the daemon is here.
 //!
-//! One operation per block; each says why it is sound.
+//! One operation per block, each with the reason why it is sound.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -10,7 +10,8 @@ use std::mem::MaybeUninit;
 use std::os::fd::AsRawFd;
 use std::sync::atomic::AtomicU64;
 
-/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99); `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
+/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99); `EPERM` without `CAP_SYS_NICE` or a large
+/// enough `RLIMIT_RTPRIO`.
 pub fn set_fifo(priority: i32) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: priority,
@@ -25,8 +26,9 @@ pub fn set_fifo(priority: i32) -> io::Result<()> {
     }
 }
 
-/// Whether the calling thread, and those that it starts from now on, take `signal`. The kernel gives a signal of the process
-/// to one that does, preferably the main thread, and keeps it where none does.
+/// Unblocks or blocks `signal` for the calling thread and threads started by it later. The kernel delivers a
+/// signal of the process to a thread that accepts it, preferably the main thread; until there is one, the
+/// signal stays pending.
 pub fn take_signal(signal: i32, takes: bool) {
     let how = if takes {
         libc::SIG_UNBLOCK
@@ -34,17 +36,17 @@ pub fn take_signal(signal: i32, takes: bool) {
         libc::SIG_BLOCK
     };
     let mut set = MaybeUninit::<libc::sigset_t>::uninit();
-    // SAFETY: `set` is memory for a set, which this call fills.
+    // SAFETY: `set` is memory for a signal set, which this call initialises.
     unsafe { libc::sigemptyset(set.as_mut_ptr()) };
-    // SAFETY: `set` is a set since the call before.
+    // SAFETY: `set` was initialised by the previous call.
     unsafe { libc::sigaddset(set.as_mut_ptr(), signal) };
-    // SAFETY: `set` is a set, and only read; the old mask is not asked for.
+    // SAFETY: `set` is initialised and only read; the null pointer omits the old mask.
     unsafe { libc::pthread_sigmask(how, set.as_ptr(), std::ptr::null_mut()) };
 }
 
-/// Keeps freed memory in the process, so that no later allocation asks the kernel for pages.
+/// Keeps freed memory in the process, so that later allocations rarely need new pages of the kernel.
 ///
-/// Only glibc has the knob; elsewhere this does nothing.
+/// Only with glibc; elsewhere this does nothing.
 pub fn keep_freed_memory() {
     #[cfg(target_env = "gnu")]
     for (option, value) in [(libc::M_TRIM_THRESHOLD, -1), (libc::M_MMAP_MAX, 0)] {
@@ -53,11 +55,11 @@ pub fn keep_freed_memory() {
     }
 }
 
-/// Maps the first eight bytes of `file`, which has them, for as long as the process lives. What is written there stays in the
-/// file, however the process ends.
+/// Maps the first eight bytes of `file`, which must have them, for the life of the process. Written values
+/// remain in the file, however the process ends.
 pub fn map_word(file: &File) -> io::Result<&'static AtomicU64> {
     let access = libc::PROT_READ | libc::PROT_WRITE;
-    // SAFETY: the kernel chooses the place, so nothing that is mapped is replaced; `file` is open for the whole call.
+    // SAFETY: the kernel chooses the address, so no mapping is replaced; `file` is open for the whole call.
     let place = unsafe {
         libc::mmap(
             std::ptr::null_mut(),
@@ -71,12 +73,13 @@ pub fn map_word(file: &File) -> io::Result<&'static AtomicU64> {
     if place == libc::MAP_FAILED {
         return Err(io::Error::last_os_error());
     }
-    // SAFETY: the mapping begins at a page, so it is aligned, is never undone, and any eight bytes are a number. Only the user of
-    // this process may open the file and make it shorter, which would end the process and not lead it elsewhere.
+    // SAFETY: the mapping starts at a page boundary, so it is aligned. It is never removed, and any eight
+    // bytes are a valid number. Only the user of this process may open the file and shorten it, which would
+    // end the process with a signal, not redirect the access.
     Ok(unsafe { &*place.cast::<AtomicU64>() })
 }
 
-/// What the allocator does about the heap operations of a thread.
+/// Reaction of the allocator to the heap operations of a thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Watch {
     Off,
@@ -89,13 +92,13 @@ thread_local! {
     static OPERATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system allocator, which watches what one thread takes and gives back.
+/// The system allocator with a watch over the heap operations of one thread.
 ///
 /// A test binary installs it with `#[global_allocator]` and watches the cycle thread.
 #[derive(Debug, Default)]
 pub struct WatchedAllocator;
 
-/// Heap operations (allocate, grow, free) of the calling thread while `work` runs, and its result.
+/// Counts the heap operations (allocate, grow, free) of the calling thread in `work`, and returns its result.
 /// Zero unless [`WatchedAllocator`] is the global allocator.
 pub fn count_allocations<R>(work: impl FnOnce() -> R) -> (u64, R) {
     OPERATIONS.set(0);
@@ -105,8 +108,8 @@ pub fn count_allocations<R>(work: impl FnOnce() -> R) -> (u64, R) {
     (OPERATIONS.get(), result)
 }
 
-/// Runs `work` and aborts the process at the first heap operation of the calling thread in it, with a
-/// message and the place. Does nothing more than `work` unless [`WatchedAllocator`] is the global allocator.
+/// Runs `work` and aborts the process at the first heap operation of the calling thread, with a message and a
+/// backtrace. Only runs `work` unless [`WatchedAllocator`] is the global allocator.
 pub fn forbid_allocations<R>(work: impl FnOnce() -> R) -> R {
     WATCH.set(Watch::Forbid);
     let result = work();
@@ -128,8 +131,8 @@ fn watch() {
     }
 }
 
-// SAFETY: every method looks at const-initialised thread-locals without a destructor, which neither
-// allocates nor unwinds (or ends the process), and hands the call on to the system allocator unchanged.
+// SAFETY: every method reads const-initialised thread-locals without a destructor, which neither allocates
+// nor unwinds (or aborts the process). It passes the call on to the system allocator unchanged.
 unsafe impl GlobalAlloc for WatchedAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         watch();
@@ -145,7 +148,7 @@ unsafe impl GlobalAlloc for WatchedAllocator {
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
         watch();
-        // SAFETY: `memory` came from `System` with this layout; the caller vouches for `new_size`.
+        // SAFETY: `memory` came from `System` with this layout; the caller guarantees a valid `new_size`.
         unsafe { System.realloc(memory, layout, new_size) }
     }
 }
