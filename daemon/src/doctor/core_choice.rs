@@ -1,4 +1,5 @@
-//! The core of the real-time threads where the configuration leaves it open (`realtime.core = -1`).
+//! The choice of the core for the real-time threads, if the configuration leaves it open (`realtime.core =
+//! -1`).
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -10,13 +11,13 @@ use super::cores::SIBLING_SHARE;
 use super::sample::{allowed_cores, core_loads, cores as cores_of};
 use super::{CPU, CoreSet, System, daemon_process};
 
-/// How long hyper-threads are watched, where there are some.
+/// Time for which hyper-threads are observed, if there are any.
 const WATCHED: Duration = Duration::from_millis(100);
-/// The thread of a loop, and the program that it belongs to.
+/// Name of a loop's thread, and of its program.
 const LOOP: (&str, &str) = ("cdcr-cycle", "cdcrd");
 
-/// The configuration with the core that was chosen, where it leaves that open and the system tells which there are. The
-/// daemon of this robot keeps the core that it has.
+/// The configuration with the chosen core, if it leaves the core open and the system reports its cores. A
+/// running daemon of this robot keeps its core.
 #[must_use]
 pub(crate) fn with_core(validated: &Validated) -> Validated {
     let mut validated = validated.clone();
@@ -30,14 +31,14 @@ pub(crate) fn with_core(validated: &Validated) -> Validated {
     validated
 }
 
-/// Whether this process may have a thread on `core`: isolated cores are none of those that it begins on.
+/// This process may have a thread on `core`: its initial affinity does not include isolated cores.
 fn can_be_pinned(core: usize) -> bool {
     let pin = move || core_affinity::set_for_current(core_affinity::CoreId { id: core });
     std::thread::spawn(pin).join().unwrap_or(false)
 }
 
-/// The best core for a loop. In this order: one that no other loop has, an isolated one, one of the fast ones, one with
-/// idle hyper-threads, the last one. Where the process `ours` has a loop, its core.
+/// The best core for a loop, in order of preference: without another loop, isolated, fast, with idle
+/// hyper-threads, the last one. If the process `ours` has a loop, its core.
 pub(super) fn choose(
     system: &System,
     ours: Option<u32>,
@@ -68,7 +69,7 @@ pub(super) fn choose(
     })
 }
 
-/// The processes that have a loop on a core, and the core.
+/// The processes with a loop pinned to a core, and that core.
 fn loops(system: &System) -> Vec<(u32, usize)> {
     let is_named = |folder: &str, name: &str| {
         let comm = system.read(&format!("{folder}/comm"));
@@ -89,7 +90,7 @@ fn loops(system: &System) -> Vec<(u32, usize)> {
     loops
 }
 
-/// Those of `cores` that compute slower by design: efficiency cores, and the small ones of big.LITTLE.
+/// Cores that are slower by design: efficiency cores, and the small ones of big.LITTLE.
 fn slow_cores(system: &System, cores: &[usize]) -> Vec<usize> {
     let efficient = system.read("/sys/devices/cpu_atom/cpus");
     let efficient = CoreSet::parse(&efficient.unwrap_or_default());
@@ -99,7 +100,7 @@ fn slow_cores(system: &System, cores: &[usize]) -> Vec<usize> {
     cores.iter().copied().filter(is_slow).collect()
 }
 
-/// Those of `cores` that share their hardware with a core that is at work.
+/// Cores that share their hardware with a busy core.
 fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
     let siblings = |core: &usize| (*core, system.siblings(*core).unwrap_or_default());
     let siblings: BTreeMap<usize, CoreSet> = cores.iter().map(siblings).collect();
@@ -126,7 +127,7 @@ mod tests {
     use super::super::tests::Machine;
     use super::*;
 
-    /// Which cores there are, and whom a machine is taken by: `findings.txt`.
+    /// `findings.txt` has the cases of online, allowed and occupied cores.
     #[test]
     fn a_core_whose_hyper_thread_is_at_work_is_left_alone() {
         let files = [
@@ -146,7 +147,7 @@ mod tests {
         machine.write("/proc/stat", &stat(0));
         let system = &machine.scene.system;
         assert_eq!(choose(system, None, |_| true), Some(3));
-        // Written while it is watched.
+        // Written during the observation.
         std::thread::scope(|scope| {
             let choice = scope.spawn(|| choose(system, None, |_| true));
             let mut used = 0;

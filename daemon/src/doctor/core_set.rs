@@ -1,9 +1,9 @@
-//! Sets of cores, as the kernel writes them.
+//! Sets of cores in the kernel's notation.
 
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// No machine has more cores. A bound for lists that say `all`, or nonsense.
+/// No machine has more cores. Limit for `all`, and for invalid lists.
 const CORES_MAX: usize = 8192;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -11,8 +11,8 @@ const CORES_MAX: usize = 8192;
 pub(crate) struct CoreSet(BTreeSet<usize>);
 
 impl CoreSet {
-    /// Reads a list such as `0-3,8`. `all` is every core; parts that are no numbers (`(null)`, the flags of
-    /// `isolcpus=`) are left out.
+    /// Parses a list such as `0-3,8`. `all` is every core; parts that are not numbers (`(null)`, the flags of
+    /// `isolcpus=`) are ignored.
     pub(crate) fn parse(list: &str) -> Self {
         let parts = list.split(',').map(str::trim);
         Self(parts.flat_map(range_of).collect())
@@ -31,7 +31,7 @@ impl CoreSet {
         Self(self.iter().filter(|other| *other != core).collect())
     }
 
-    /// The cores, smallest first.
+    /// The cores in ascending order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = usize> {
         self.0.iter().copied()
     }
@@ -48,7 +48,7 @@ fn range_of(part: &str) -> std::ops::Range<usize> {
     }
 }
 
-/// As the kernel writes it; the empty set is `none`.
+/// In the kernel's notation; the empty set is `none`.
 impl fmt::Display for CoreSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.0.is_empty() {

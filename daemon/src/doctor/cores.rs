@@ -1,4 +1,4 @@
-//! The core of the real-time threads: whom it is kept from, with whom it shares, how fast it wakes up.
+//! The core of the real-time threads: its isolation, its siblings, its wake-up.
 
 use super::Severity::Warning;
 use super::finding::{Assessed, problem};
@@ -7,7 +7,7 @@ use super::{CPU, CoreSet, Scene};
 
 /// A sibling with less load is idle.
 pub(super) const SIBLING_SHARE: f64 = 0.05;
-/// A sleep with a shorter way out is not deep \[µs\].
+/// A sleep state with a shorter exit latency is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
 pub(super) fn cores(scene: &Scene) -> Assessed {
@@ -44,7 +44,7 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
     let has_no_tick = scene.has_no_tick()?;
     let callbacks = CoreSet::parse(&scene.system.boot_option("rcu_nocbs")?.unwrap_or_default());
     let value = match (has_no_tick, callbacks.contains(core)) {
-        // A core without the tick is freed from callbacks, too.
+        // A core without the tick is also freed from callbacks.
         (true, _) => "nohz_full: tick gone; rcu_nocbs: callbacks gone",
         (false, true) => "nohz_full: tick stays; rcu_nocbs: callbacks gone",
         (false, false) => "nohz_full: tick stays; rcu_nocbs: callbacks stay",
@@ -75,8 +75,8 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
     problem!(Warning, "{value}" => "{remedy}")
 }
 
-/// How the core gets its hardware alone. The siblings are switched off only where another core is left for
-/// everything else; core 0 cannot be.
+/// The remedy that gives the core its hardware exclusively. Siblings are switched off only if another core is
+/// left for everything else; core 0 cannot be.
 fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Assessed {
     let others = scene.other_cores()?;
     let apart = siblings
@@ -122,7 +122,7 @@ pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
     }
 }
 
-/// Longest way out \[µs\] and name of the deepest sleep that is allowed.
+/// Exit latency \[µs\] and name of the deepest enabled sleep state.
 fn deepest_sleep(scene: &Scene) -> Assessed<Option<(i64, String)>> {
     let system = &scene.system;
     let folder = format!("{CPU}/cpu{}/cpuidle", scene.core()?);

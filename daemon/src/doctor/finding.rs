@@ -1,17 +1,17 @@
-//! What was found: one assessed line for each thing that matters.
+//! Findings: one assessed line for each aspect.
 
 use serde::Serialize;
 
-/// How bad it is. The order is that of badness.
+/// Severity of a finding, in ascending order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Severity {
     Ok,
-    /// It could not be read, so that nobody can call it good.
+    /// It could not be read, so it cannot be assessed as good.
     Unknown,
     /// The daemon runs, and its timing suffers.
     Warning,
-    /// The daemon does not start, or the configuration requires what is not there.
+    /// The daemon does not start, or the configuration requires something missing.
     Fault,
 }
 
@@ -23,26 +23,26 @@ impl Severity {
         ["ok", "unknown", "warning", "fault"][self as usize]
     }
 
-    /// Exit status of a report whose worst severity this is. The numbers stay clear of 1 (any other error),
-    /// 2 (wrong command line) and those from 64 on.
+    /// Exit status of a report with this worst severity. The numbers avoid 1 (any other error), 2 (wrong
+    /// command line) and those from 64 on.
     pub(crate) fn exit_status(self) -> u8 {
         [0, 10, 10, 20][self as usize]
     }
 }
 
-/// What was seen where it is as it should be, or the problem.
+/// The observation if it is good, or the problem.
 pub(super) type Assessed<T = String> = Result<T, Problem>;
 
-/// Something that is not as it should be, or cannot be read.
+/// An aspect that is not good, or cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Problem {
     pub(super) severity: Severity,
-    /// What was seen.
+    /// The observation.
     pub(crate) value: String,
     pub(super) remedy: String,
 }
 
-/// A problem of a severity: what was seen, and the remedy, both as in `format!`.
+/// A problem of a severity: observation and remedy, both as in `format!`.
 macro_rules! problem {
     ($severity:expr, $value:literal => $remedy:literal) => {
         Err($crate::doctor::finding::Problem {
@@ -54,7 +54,7 @@ macro_rules! problem {
 }
 pub(super) use problem;
 
-/// The problem of a file, or of what stands in it.
+/// The problem of a file that cannot be read, or whose content is invalid.
 pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Problem {
     Problem {
         severity: Severity::Unknown,
@@ -63,20 +63,20 @@ pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Problem {
     }
 }
 
-/// One thing that matters, and how it is.
+/// One aspect and its assessment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct Finding {
-    /// Name for programs; it stays the same from version to version.
+    /// Name for programs; stable across versions.
     pub(crate) key: &'static str,
     /// Name for people.
     pub(crate) title: &'static str,
     #[serde(rename = "verdict")]
     pub(crate) severity: Severity,
-    /// What was seen.
+    /// The observation.
     pub(crate) value: String,
     /// Why it matters, in one sentence.
     pub(crate) why: &'static str,
-    /// The command that corrects it, or `nothing to do`.
+    /// The remedy, often a command, or `nothing to do`.
     pub(crate) remedy: String,
 }
 

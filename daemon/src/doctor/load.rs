@@ -1,18 +1,18 @@
-//! Who else uses the core.
+//! Other users of the core: steal, threads, interrupts.
 
 use super::Severity::Warning;
 use super::finding::{Assessed, problem, unreadable};
 use super::sample::{Load, Thread};
 use super::{CoreSet, Scene};
 
-/// A smaller stolen share is a matter of how time is counted.
+/// A smaller share of steal is within the accuracy of its accounting.
 const STEAL_SHARE: f64 = 0.01;
-/// Neighbours that use less together are housekeeping.
+/// Neighbours with a smaller total share are housekeeping.
 const NEIGHBOUR_SHARE: f64 = 0.05;
-/// Interrupts of devices below this rate are rare beside the periods \[1/s\].
+/// Device interrupts below this rate are rare compared with the periods \[1/s\].
 const INTERRUPT_HZ: f64 = 100.0;
 
-/// The first ones in words.
+/// The first three, as text.
 fn named(all: impl Iterator<Item = String>) -> String {
     all.take(3).collect::<Vec<_>>().join(", ")
 }
@@ -59,12 +59,12 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
     problem!(Warning, "{value}" => "{remedy}")
 }
 
-/// A thread that another daemon of ours has pinned here: its core is a matter of its configuration.
+/// A pinned thread of another daemon of ours: its core depends on its configuration.
 fn is_daemons(thread: &Thread) -> bool {
     !thread.is_kernel && matches!(&*thread.name, "cdcr-cycle" | "cdcr-exchange")
 }
 
-/// What to do about two daemons on one core.
+/// The remedy for two daemons on one core.
 fn apart(others: &CoreSet) -> String {
     if others.count() == 0 {
         return "use a machine with two cores or more: another cdcrd uses the only core".to_owned();
@@ -96,7 +96,7 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
     problem!(Warning, "{count} can use core {core}: {described}" => "{remedy}")
 }
 
-/// A real-time thread; one of the kernel with what it is there for.
+/// A real-time thread; a kernel thread with its purpose.
 fn described(thread: &Thread) -> String {
     let Thread {
         name, id, priority, ..
@@ -110,8 +110,8 @@ fn described(thread: &Thread) -> String {
     format!("{name} ({id}) {policy} {priority}{errand}")
 }
 
-/// What a real-time thread of the kernel does. All of them are idle unless the kernel itself needs them, and
-/// the machine needs them then: their priorities are left alone.
+/// Purpose of a real-time kernel thread. All of them are idle unless the kernel needs them, and then the
+/// machine needs them, too: their priorities are left alone.
 fn errand(name: &str) -> &'static str {
     let known = [
         ("migration/", ", moves threads between cores"),
@@ -126,7 +126,7 @@ fn errand(name: &str) -> &'static str {
     found.map_or("", |(_, errand)| errand)
 }
 
-/// Threads that may go before the exchange on the core, and programs that are there for good.
+/// Threads that may precede the exchange on the core, and programs pinned there.
 fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
     let is_rival = |thread: &&Thread| {
         let goes_before = thread.is_deadline || thread.priority >= exchange_priority;

@@ -1,4 +1,4 @@
-//! What kind of machine this is, its memory (shared, huge, swapped), and the folder in which daemon and clients find each other.
+//! The machine, its memory (shared, huge pages, swap), and the root folder of daemon and clients.
 
 use std::io::ErrorKind;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
@@ -75,7 +75,7 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
         => "run without a hypervisor, or pin this virtual machine to dedicated cores")
 }
 
-/// What one client and one driver add that write everything they can \[bytes\].
+/// Memory added by one client and one driver that use every service they can \[bytes\].
 const fn client_bytes() -> u64 {
     Service::Reference
         .queues()
@@ -88,7 +88,7 @@ const fn client_bytes() -> u64 {
             .writer_bytes(size_of::<Measurement>())
 }
 
-/// Files (inodes) of a daemon, and what a client and a driver add.
+/// Files (inodes) of a daemon, and those added by a client and a driver.
 const DAEMON_FILES: u64 = 60;
 const CLIENT_FILES: u64 = 60;
 
@@ -96,7 +96,7 @@ pub(super) fn shared_memory(scene: &Scene) -> Assessed {
     let probe = &scene.probe;
     let hidden = |cause| unreadable(&scene.root().display().to_string(), cause);
     let (size, free) = probe.shared_memory_bytes.as_ref().map_err(hidden)?;
-    // A daemon that runs has taken its part.
+    // A running daemon has already allocated its memory.
     let (daemon, daemon_files) = if scene.daemon_runs() {
         (0, 0)
     } else {
@@ -139,7 +139,7 @@ pub(super) fn huge_pages(scene: &Scene) -> Assessed {
 
 pub(super) fn swap(scene: &Scene) -> Assessed {
     let areas = scene.system.read_if_there("/proc/swaps")?;
-    // The first line is the head.
+    // The first line is the header.
     match areas.unwrap_or_default().lines().skip(1).count() {
         0 => Ok("none".to_owned()),
         count if scene.probe.memory_lock.is_ok() => {
@@ -182,7 +182,7 @@ pub(super) fn root_folder(scene: &Scene) -> Assessed {
     problem!(Fault, "{fault}" => "use a folder of your own: --root DIR, or transport.root")
 }
 
-/// The daemon creates the folder, with all above it, if the first one that is there lets it.
+/// The daemon creates the folder and its parents, if the nearest existing one permits it.
 fn can_be_created(path: &Path) -> bool {
     let above = path.ancestors().skip(1).find(|folder| folder.exists());
     above.is_some_and(|folder| {
@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(with_free(daemon_bytes() - 1), Fault);
         assert_eq!(with_free(daemon_bytes()), Warning);
         assert_eq!(with_free(daemon_bytes() + client_bytes()), Good);
-        // A daemon that runs has taken its part.
+        // A running daemon has already allocated its memory.
         assert_eq!(with_free(client_bytes()), Fault);
         machine.write("/proc/12/stat", "");
         assert_eq!(machine.finding("shared_memory").severity, Good);

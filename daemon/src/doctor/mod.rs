@@ -1,11 +1,11 @@
-//! `cdcrd doctor`: what on this machine matters to a loop that must be on time, how it is, and what to do
-//! about it.
+//! `cdcrd doctor`: findings about this machine that affect the timing of the loop, with their remedies.
 //!
-//! A [`Scene`] holds all that was seen: files ([`System`]), trials ([`Probe`]), one second of counters
-//! ([`Load`]), and the configuration. Each check assesses one thing of it and changes nothing, so that tests assess scenes of
-//! their own.
+//! A [`Scene`] contains all observations: files ([`System`]), trials ([`Probe`]), one second of counters
+//! ([`Load`]), and the configuration. Each check assesses one aspect of it and changes nothing, so that tests
+//! can assess scenes of their own.
 //!
-//! Where the configuration asks for no real time, what matters only to real time is shown and assessed good.
+//! If the configuration asks for no real time, checks that matter only to real time are shown and assessed as
+//! good.
 
 mod core_choice;
 mod core_set;
@@ -38,14 +38,14 @@ use crate::config::{RealtimeConfig, RealtimeMode, Validated};
 /// The kernel's folder of the cores.
 const CPU: &str = "/sys/devices/system/cpu";
 
-/// All that was seen.
+/// All observations.
 #[derive(Debug, Clone)]
 struct Scene {
     system: System,
-    /// The configuration, with the core that was chosen.
+    /// The configuration with the chosen core.
     validated: Validated,
     probe: Probe,
-    /// What happened on the core meanwhile.
+    /// Load of the core during the observation.
     load: Assessed<Load>,
 }
 
@@ -56,7 +56,7 @@ struct Check {
     assess: fn(&Scene) -> Assessed,
 }
 
-/// The function of each check (its name is the key), title, and why it matters.
+/// The function of each check (its name is the key), its title, and the reason why it matters.
 macro_rules! checks {
     ($($file:ident::$assess:ident, $title:literal, $why:literal;)+) => {
         &[$(Check { key: stringify!($assess), title: $title, why: $why, assess: $file::$assess }),+]
@@ -115,10 +115,10 @@ const CHECKS: &[Check] = checks! {
         "Users with write access can disturb the robot; without write access the daemon does not start.";
 };
 
-/// Checks that matter to every daemon; the others only where the configuration asks for real time.
+/// Checks that matter to every daemon; the others matter only if the configuration asks for real time.
 const ALWAYS: [&str; 2] = ["shared_memory", "root_folder"];
 
-/// Looks at this machine with the eyes of a daemon of this configuration. Takes a second.
+/// Examines this machine for a daemon with this configuration. Takes a second.
 pub(crate) fn examine(validated: &Validated) -> DoctorReport {
     let system = System("/".into());
     let validated = with_core(validated);
@@ -141,7 +141,7 @@ fn no_core() -> Problem {
     unreadable("the core", "the system does not report its cores")
 }
 
-/// The process id that the daemon of this robot left in its lock file.
+/// The process id in the lock file of this robot's daemon.
 fn daemon_process(system: &System, validated: &Validated) -> Option<u32> {
     let name = &validated.config.robot.name;
     let lock_file = validated.location.lock_file(name);
@@ -181,18 +181,18 @@ impl Scene {
         Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(self.core()?))
     }
 
-    /// Whether the daemon of this robot runs.
+    /// The daemon of this robot is running.
     fn daemon_runs(&self) -> bool {
         let process = daemon_process(&self.system, &self.validated);
         process.is_some_and(|id| self.system.path(format!("/proc/{id}")).exists())
     }
 
-    /// The cores that run, without that of the real-time threads.
+    /// The online cores without that of the real-time threads.
     fn other_cores(&self) -> Assessed<CoreSet> {
         Ok(self.system.online()?.without(self.core()?))
     }
 
-    /// How bad it is that a privilege is not granted.
+    /// Severity of a refused privilege.
     fn missing(&self) -> Severity {
         match self.realtime().mode {
             RealtimeMode::Require => Severity::Fault,

@@ -3,17 +3,17 @@
 use super::Scene;
 use super::finding::{Assessed, problem, unreadable};
 
-/// A daemon had 179 to 215 MB locked; each client that connects adds what it shares.
+/// A daemon had 179 to 215 MB locked; each client adds its shared memory.
 const LOCKED_BYTES: u64 = 512 << 20;
 
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-/// The priority that the unit of the service and the package's `limits.d` file grant.
+/// The priority granted by the service unit and the package's `limits.d` file.
 const RTPRIO: i32 = 90;
 
-/// How to get a resource limit. No capabilities on the program file: the unit drops them all, so that it could
-/// not even start a file that has some, and everybody who may run the file would get them.
+/// The remedy for a resource limit. It grants no file capabilities: the unit drops all capabilities and could
+/// not even start such a file, and every user who may execute the file would get them.
 fn grant(limit: &str, container: &str) -> String {
     format!(
         "run it as the service (sudo systemctl start cdcrd); or manually as a member of group cdcr (sudo \
@@ -30,7 +30,7 @@ fn is_capable(scene: &Scene, capability: u32) -> Assessed<bool> {
     Ok(bits >> capability & 1 == 1)
 }
 
-/// Whether the kernel's rules for processes allow the cycle's priority.
+/// The resource limit or a capability allows the cycle's priority.
 pub(super) fn may_have_priority(scene: &Scene) -> Assessed<bool> {
     let asked = u64::try_from(scene.realtime().cycle_priority).unwrap_or(0);
     let limit_is_enough = scene.probe.rtprio_max.is_none_or(|limit| limit >= asked);
@@ -64,7 +64,7 @@ pub(super) fn pin(scene: &Scene) -> Assessed {
         return problem!(scene.missing(), "core {core} is offline; online are {online}"
             => "set realtime.core to one of {allowed}");
     }
-    // An affinity that was inherited refuses nothing, only the cpuset of the group does.
+    // An inherited affinity does not prevent pinning; only the cpuset of the control group does.
     problem!(scene.missing(), "core {core} is refused by the control group; allowed are {allowed}"
         => "set realtime.core to one of {allowed}, or also give the group core {core} (a unit: AllowedCPUs=, a \
             container: --cpuset-cpus)")

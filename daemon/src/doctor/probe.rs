@@ -1,4 +1,4 @@
-//! What no file tells: it is tried, and undone.
+//! Properties that no file reports: they are tried, and undone.
 
 use std::fmt::Display;
 use std::fs::OpenOptions;
@@ -18,25 +18,25 @@ use crate::rt::sys;
 #[derive(Debug, Clone)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct Probe {
-    /// `SCHED_FIFO` at the cycle's priority, on a thread that ended at once; what the kernel said.
+    /// `SCHED_FIFO` at the cycle's priority, on a thread that ended at once; otherwise the kernel's error.
     pub(super) fifo: Result<(), String>,
-    /// Whether that thread could be pinned to the core.
+    /// That thread could be pinned to the core.
     pub(super) pinned: bool,
-    /// All memory of this process locked, and unlocked again; what the kernel said.
+    /// All memory of this process locked, and unlocked again; otherwise the kernel's error.
     pub(super) memory_lock: Result<(), String>,
-    /// This process exempted from transparent huge pages, and put back; what the kernel said.
+    /// This process exempted from transparent huge pages, and restored; otherwise the kernel's error.
     pub(super) no_huge_pages: Result<(), String>,
-    /// `RLIMIT_RTPRIO`; none: unlimited.
+    /// `RLIMIT_RTPRIO`; `None`: unlimited.
     pub(super) rtprio_max: Option<u64>,
-    /// `RLIMIT_MEMLOCK` \[bytes\]; none: unlimited.
+    /// `RLIMIT_MEMLOCK` \[bytes\]; `None`: unlimited.
     pub(super) memlock_max_bytes: Option<u64>,
     /// `/dev/cpu_dma_latency` opened for writing, without a request.
     pub(super) deep_sleep_lock: Result<(), String>,
-    /// Where the file system of the root folder begins, or of the folder that it will be made in.
+    /// Mount point of the root folder, or of the nearest existing parent.
     pub(super) shared_memory_mount: PathBuf,
-    /// Its size and free space \[bytes\].
+    /// Size and free space of that file system \[bytes\].
     pub(super) shared_memory_bytes: Result<(u64, u64), String>,
-    /// Files (inodes) that can still be made there; none: as many as fit, or the system does not tell.
+    /// Files (inodes) that can still be created there; `None`: no limit, or unknown.
     pub(super) shared_memory_files: Option<u64>,
     pub(super) root_in_memory: Result<bool, String>,
     pub(super) user_id: u32,
@@ -49,7 +49,7 @@ impl Probe {
         let root = system.path(validated.location.root());
         let folder = root.ancestors().find(|folder| folder.exists());
         let folder = folder.unwrap_or(&root);
-        // Opening it changes nothing: a request would be made by writing a number.
+        // Opening has no effect: only a written number is a request.
         let deep_sleep = system.path("/dev/cpu_dma_latency");
         let deep_sleep_lock = OpenOptions::new().write(true).open(deep_sleep);
         Self {
@@ -69,12 +69,12 @@ impl Probe {
     }
 }
 
-/// What the kernel said, in words.
+/// Converts the kernel's error to text.
 fn told<T, E: Display>(tried: Result<T, E>) -> Result<T, String> {
     tried.map_err(|error| error.to_string())
 }
 
-/// What the cycle thread will do first, on a thread that ends right after it.
+/// The first steps of the cycle thread, on a thread that ends right after them.
 fn try_thread(priority: i32, core: Option<usize>) -> (Result<(), String>, bool) {
     let trial = std::thread::spawn(move || {
         let fifo = told(sys::set_fifo(priority));
@@ -91,7 +91,7 @@ fn try_no_huge_pages() -> rustix::io::Result<()> {
     disable_transparent_huge_pages(before)
 }
 
-/// Size and free space of the file system of a folder.
+/// Size and free space of the file system of a folder \[bytes\].
 fn shared_memory_bytes(folder: &Path) -> rustix::io::Result<(u64, u64)> {
     let sizes = statvfs(folder)?;
     let bytes = |blocks: u64| blocks.saturating_mul(sizes.f_frsize);

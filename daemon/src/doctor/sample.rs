@@ -1,4 +1,4 @@
-//! What happens on the core meanwhile: two snapshots of the kernel's counters, and their difference.
+//! Load of the core: two snapshots of the kernel's counters, and their difference.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ const WATCHED: Duration = Duration::from_secs(1);
 struct Snapshot {
     cores: BTreeMap<usize, CoreTicks>,
     threads: HashMap<u32, Thread>,
-    /// Description and count of each, by its label.
+    /// Description and count of each interrupt, by its label.
     interrupts: BTreeMap<String, (String, u64)>,
 }
 
@@ -24,30 +24,30 @@ struct Snapshot {
 pub(super) struct Thread {
     pub(super) process: u32,
     pub(super) id: u32,
-    /// Its name, without control characters.
+    /// Name without control characters.
     pub(super) name: String,
-    /// Whether it is one of the kernel's.
+    /// A thread of the kernel.
     pub(super) is_kernel: bool,
-    /// Whether its policy is `SCHED_DEADLINE`, which goes before every priority.
+    /// Its policy is `SCHED_DEADLINE`, which precedes every priority.
     pub(super) is_deadline: bool,
     /// Real-time priority (`SCHED_FIFO`, `SCHED_RR`); 0 for other threads.
     pub(super) priority: i32,
-    /// Cores that it may run on; read for real-time threads only.
+    /// Cores that it may use; read for real-time threads only.
     pub(super) allowed: CoreSet,
-    /// Core on which it was seen last.
+    /// Core on which it last ran.
     pub(super) core: usize,
-    /// Time that it has used, in the kernel's ticks.
+    /// Core time used, in the kernel's ticks.
     ticks: u64,
-    /// Share of our core's time that it used between the snapshots.
+    /// Share of our core's time used between the snapshots.
     pub(super) share: f64,
 }
 
-/// What happened between two snapshots.
+/// Load between two snapshots.
 #[derive(Debug, Clone, Default)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct Load {
     pub(super) cores: BTreeMap<usize, CoreLoad>,
-    /// Every thread of other processes, the busiest first.
+    /// Threads of other processes, the busiest first.
     pub(super) threads: Vec<Thread>,
     /// Interrupts on our core, the most frequent first.
     pub(super) interrupts: Vec<InterruptRate>,
@@ -58,7 +58,7 @@ pub(super) struct Load {
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct CoreLoad {
     pub(super) busy: f64,
-    /// Given to somebody else by the hypervisor, between the snapshots.
+    /// Given to another machine by the hypervisor between the snapshots.
     pub(super) steal: f64,
     pub(super) steal_since_start: f64,
 }
@@ -66,14 +66,14 @@ pub(super) struct CoreLoad {
 #[derive(Debug, Clone, Default, PartialEq)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
 pub(super) struct InterruptRate {
-    /// Number of a device's interrupt, name of another.
+    /// Number of a device's interrupt, or name of another interrupt.
     pub(super) label: String,
     pub(super) description: String,
     pub(super) rate_hz: f64,
 }
 
 impl InterruptRate {
-    /// Whether it is one of a device, which can be moved to another core.
+    /// An interrupt of a device, which can be moved to another core.
     pub(super) fn is_device(&self) -> bool {
         is_number(&self.label)
     }
@@ -84,7 +84,7 @@ fn is_number(label: &str) -> bool {
 }
 
 impl Snapshot {
-    /// The counters now; those of interrupts on `core`.
+    /// The present counters; interrupts on `core` only.
     fn take(system: &System, core: usize) -> Assessed<Self> {
         let cores = cores(&system.read("/proc/stat")?);
         if cores.is_empty() {
@@ -99,13 +99,13 @@ impl Snapshot {
     }
 }
 
-/// The time of each core by a text of `/proc/stat`.
+/// The time of each core, from the text of `/proc/stat`.
 pub(super) fn cores(stat: &str) -> BTreeMap<usize, CoreTicks> {
     let each = core_ticks(stat).filter_map(|(core, ticks)| Some((core?, ticks)));
     each.collect()
 }
 
-/// Every thread. One that ends while we look is left out.
+/// All threads. One that ends meanwhile is omitted.
 fn threads(system: &System) -> HashMap<u32, Thread> {
     let mut threads = HashMap::new();
     for process in system.numbers("/proc") {
@@ -124,22 +124,23 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
     threads
 }
 
-/// The cores that the thread of a folder may use; none where that cannot be read.
+/// The cores that the thread of a folder may use; none if they cannot be read.
 pub(super) fn allowed_cores(system: &System, folder: &str) -> CoreSet {
     let status = system.read(&format!("{folder}/status")).unwrap_or_default();
     CoreSet::parse(&field_of(&status, "Cpus_allowed_list").unwrap_or_default())
 }
 
-/// Flag of a thread of the kernel.
+/// Flag of a kernel thread.
 const PF_KTHREAD: u64 = 0x0020_0000;
 const SCHED_DEADLINE: u64 = 6;
 
-/// One thread of its `stat`. The name is in parentheses, and may hold anything, parentheses too.
+/// Parses a thread's `stat`. The name is in parentheses, and may contain any character, including
+/// parentheses.
 fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
     let (head, rest) = stat.rsplit_once(')')?;
     let (_, name) = head.split_once('(')?;
     let fields: Vec<&str> = rest.split_whitespace().collect();
-    // proc(5) counts from 1, and the state after the name is its field 3.
+    // proc(5) counts from 1, and the state after the name is field 3.
     let number = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();
     Some(Thread {
         process,
@@ -166,7 +167,7 @@ fn printable(name: &str) -> String {
     name.chars().map(safe).collect()
 }
 
-/// A head of the cores that run, then lines `label: count for each core, description`.
+/// Parses a header of the online cores, then lines `label: count for each core, description`.
 fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
@@ -177,7 +178,7 @@ fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
         let (label, rest) = line.split_once(':')?;
         let (label, words) = (label.trim(), rest.split_whitespace().collect::<Vec<_>>());
         let count = words.get(column)?.parse().ok()?;
-        // Before the name of a device stand its controller and pin.
+        // The controller and pin precede the name of a device.
         let described = words.get(head.len()..).unwrap_or_default();
         let skipped = if is_number(label) {
             described.len().saturating_sub(1)
@@ -191,7 +192,7 @@ fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
 }
 
 impl Load {
-    /// What happens in a second; what is ours as in [`Load::between`].
+    /// Observes the load for a second; `ours` as in [`Load::between`].
     pub(super) fn watch(system: &System, core: usize, ours: &[u32]) -> Assessed<Self> {
         let before = Snapshot::take(system, core)?;
         let start = Instant::now();
@@ -201,8 +202,8 @@ impl Load {
         Ok(Self::between(&before, after, core, seconds, ours))
     }
 
-    /// The difference of two snapshots that were taken `seconds` apart. `ours` are the processes that do not
-    /// count: this one, and the daemon of this robot when it runs.
+    /// The difference of two snapshots taken `seconds` apart. The processes `ours` are excluded: this one,
+    /// and a running daemon of this robot.
     fn between(
         before: &Snapshot,
         after: Snapshot,
@@ -213,7 +214,7 @@ impl Load {
         let total = since(&before.cores, &after.cores, core).total;
         let threads = after.threads.into_values().map(|thread| {
             let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
-            // A thread that is new has used all its time meanwhile; so has one with the id of another.
+            // A new thread has used all its time meanwhile; so has one that reuses an id.
             let used = thread.ticks.checked_sub(earlier).unwrap_or(thread.ticks);
             Thread {
                 share: share(used, total),
@@ -249,7 +250,8 @@ impl Load {
 
 type Cores = BTreeMap<usize, CoreTicks>;
 
-/// The time of a core between two readings. Counters that run backwards (of a core that was off) count nothing.
+/// The time of a core between two readings. Counters that run backwards (of a core that was off) count as
+/// zero.
 fn since(before: &Cores, after: &Cores, core: usize) -> CoreTicks {
     let [before, after] =
         [before, after].map(|cores| cores.get(&core).copied().unwrap_or_default());
@@ -260,7 +262,7 @@ fn since(before: &Cores, after: &Cores, core: usize) -> CoreTicks {
     }
 }
 
-/// 0 to 1, and 0 of nothing.
+/// 0 to 1; 0 if `total` is 0.
 fn share(part: u64, total: u64) -> f64 {
     (part as f64 / total.max(1) as f64).min(1.0)
 }
@@ -284,7 +286,7 @@ mod tests {
     use super::super::tests::Machine;
     use super::*;
 
-    /// A line of a thread, with those fields that matter here; `rt` is its priority and policy.
+    /// A `stat` line of a thread with the fields that matter here; `rt` is its priority and policy.
     fn stat(id: u32, name: &str, ticks: u64, core: usize, rt: (u32, u32)) -> String {
         // As proc(5) counts them; the first two are the id and the name.
         let mut fields = [0; 53];

@@ -1,4 +1,4 @@
-//! The kernel's scheduler: pre-emption, what it takes from real-time threads, and settings that let it disturb them.
+//! The kernel's scheduler: pre-emption model, limits of real-time threads, and settings that disturb them.
 
 use crate::core_budget::{CoreBudget, Costs, KERNEL_SHARE};
 
@@ -8,11 +8,11 @@ use super::privileges::may_have_priority;
 use super::system::chosen_of;
 use super::{Scene, System};
 
-/// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
+/// Run time of real-time threads per period of the limit \[µs\]; -1: no limit.
 const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 
-/// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one is kept:
-/// ordinary tasks of the core starve otherwise, those of the kernel among them.
+/// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one
+/// applies: otherwise ordinary tasks on the core would starve, including those of the kernel.
 pub(crate) fn kernel_share(system: &System) -> Assessed<f64> {
     let runtime_us = system.number(RT_RUNTIME_US)?;
     let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
@@ -24,8 +24,8 @@ pub(crate) fn kernel_share(system: &System) -> Assessed<f64> {
     })
 }
 
-/// Below this period, microseconds count: a kernel that can be interrupted everywhere, and the tick, are good enough above
-/// \[ms\].
+/// Below this period, microseconds matter \[ms\]. From this period on, a fully pre-emptible kernel and the
+/// tick are good enough.
 pub(super) const PERIOD_MS_FINE: f64 = 1.0;
 
 pub(super) fn preemption(scene: &Scene) -> Assessed {
@@ -48,7 +48,7 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
     }
 }
 
-/// The model can be chosen at run time; the file that tells it is readable for root only.
+/// The model can be chosen at run time; the file with the present model is readable for root only.
 fn dynamic_preemption(scene: &Scene) -> Assessed {
     let text = scene.system.read("/sys/kernel/debug/sched/preempt");
     if let Some(model) = chosen_of(&text.unwrap_or_default(), ['(', ')']) {
@@ -63,7 +63,7 @@ fn dynamic_preemption(scene: &Scene) -> Assessed {
 
 fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
     let period_ms = scene.period_ms();
-    // A lazy kernel is lazy towards ordinary threads only.
+    // The lazy model delays ordinary threads only.
     match model {
         "full" | "lazy" if period_ms >= PERIOD_MS_FINE => Ok(value.to_owned()),
         "full" | "lazy" => problem!(Warning, "{value}; the period is {period_ms} ms"
@@ -109,8 +109,8 @@ pub(super) fn rt_group(scene: &Scene) -> Assessed {
     }
 }
 
-/// The file and the real-time runtime of this process's group, where the kernel has version 1 of control
-/// groups with real-time groups.
+/// File and real-time runtime of this process's control group, if the kernel has version 1 of control groups
+/// with real-time groups.
 fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
     let system = &scene.system;
     let has_cpu = |list: &str| list.split(',').any(|name| name == "cpu");
@@ -141,9 +141,8 @@ fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
     Ok(None)
 }
 
-/// A setting of the kernel, the value from which on it is good or, at 0, the only good one, when it matters (always; where the
-/// core has no tick, and so should be left alone; where microseconds count: without the tick, or at short periods), and what
-/// it does otherwise.
+/// A setting of the kernel, its smallest good value (0: the only good one), when it matters, and its effect
+/// otherwise. `tickless`: on a core without the tick; `fine`: also with short periods.
 const SETTINGS: &str = "\
 kernel.timer_migration | 0 | tickless | moves timers of idle cores to busy ones, even with nohz_full
 kernel.numa_balancing | 0 | always | unmaps pages to track their use, including locked ones

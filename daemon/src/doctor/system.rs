@@ -1,6 +1,6 @@
-//! The files in which the kernel tells about itself, below one root folder.
+//! Files in which the kernel reports its state, below one root folder.
 //!
-//! Invariant: whatever stands in a file, reading it does not panic. Tests lay out a tree of their own.
+//! Invariant: reading never panics, whatever a file contains. Tests create a folder tree of their own.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read};
@@ -10,26 +10,26 @@ use super::CPU;
 use super::core_set::CoreSet;
 use super::finding::{Assessed, unreadable};
 
-/// No file that is read here is longer: the longest, `/proc/interrupts`, has 5 MB on a machine with 512 cores.
+/// Limit for files read here: the longest, `/proc/interrupts`, has 5 MB on a machine with 512 cores.
 const FILE_BYTES_MAX: u64 = 64 << 20;
 
-/// The system whose files are below a folder: `/` for the real one.
+/// The system with its files below a folder: `/` for the real one.
 #[derive(Debug, Clone)]
 pub(crate) struct System(pub(crate) PathBuf);
 
 impl System {
-    /// Where the file `path` of the system is.
+    /// The real path of the system's file `path`.
     pub(super) fn path(&self, path: impl AsRef<Path>) -> PathBuf {
         let path = path.as_ref();
         self.0.join(path.strip_prefix("/").unwrap_or(path))
     }
 
-    /// The text of a file without the white space around it. Bytes that are no UTF-8 are replaced.
+    /// The text of a file without surrounding white space. Invalid UTF-8 is replaced.
     pub(super) fn read(&self, path: &str) -> Assessed {
         self.text(path).map_err(|cause| unreadable(path, cause))
     }
 
-    /// As [`System::read`]; none when there is no such file.
+    /// As [`System::read`]; `None` if the file does not exist.
     pub(super) fn read_if_there(&self, path: &str) -> Assessed<Option<String>> {
         match self.text(path) {
             Ok(text) => Ok(Some(text)),
@@ -38,14 +38,14 @@ impl System {
         }
     }
 
-    /// A number that stands alone in a file.
+    /// A file that contains one number.
     pub(super) fn number(&self, path: &str) -> Assessed<i64> {
         let text = self.read(path)?;
         let odd = |_| unreadable(path, format!("invalid number {text:?}"));
         text.parse().map_err(odd)
     }
 
-    /// The names in a folder, in order; none when there is no such folder.
+    /// The sorted names in a folder; none if it does not exist.
     pub(super) fn names(&self, folder: &str) -> Vec<String> {
         let entries = std::fs::read_dir(self.path(folder));
         let names = entries.into_iter().flatten().flatten();
@@ -56,13 +56,13 @@ impl System {
         names
     }
 
-    /// The names in a folder that are numbers: processes, threads.
+    /// The numeric names in a folder: processes, threads.
     pub(super) fn numbers(&self, folder: &str) -> Vec<u32> {
         let names = self.names(folder);
         names.iter().filter_map(|name| name.parse().ok()).collect()
     }
 
-    /// The cores that a file below the folder of the cores lists.
+    /// The cores listed by a file in the kernel's folder of the cores.
     pub(super) fn cores(&self, file: &str) -> Assessed<CoreSet> {
         Ok(CoreSet::parse(&self.read(&format!("{CPU}/{file}"))?))
     }
@@ -115,7 +115,7 @@ pub(super) fn field_of(text: &str, field: &str) -> Option<String> {
     })
 }
 
-/// The chosen one of alternatives: the word in brackets.
+/// The chosen alternative: the word in brackets.
 pub(super) fn chosen_of(text: &str, brackets: [char; 2]) -> Option<&str> {
     let (_, rest) = text.split_once(brackets[0])?;
     let (chosen, _) = rest.split_once(brackets[1])?;
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(system.read_if_there("/nowhere"), Ok(None));
         let missing = system.read("/nowhere").unwrap_err().value;
         assert!(missing.starts_with("cannot read /nowhere"), "{missing}");
-        // A folder is no file: there, but not to be read.
+        // A folder exists, but cannot be read as a file.
         assert!(system.read_if_there("/folder").is_err());
         assert_eq!(system.names("/"), ["folder", "number"]);
     }

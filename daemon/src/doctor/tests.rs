@@ -1,4 +1,4 @@
-//! Machines of their own, and what is found on them: `findings.txt`.
+//! Simulated machines and the findings on them: `findings.txt`.
 
 use std::collections::HashSet;
 use std::fs::{Permissions, set_permissions};
@@ -13,10 +13,10 @@ use super::core_choice::choose;
 use super::*;
 use crate::config::Config;
 
-/// A scene over a folder that plays the system.
+/// A scene over a folder that replaces the system's files.
 pub(super) struct Machine {
     folder: Scratch,
-    /// The scene. Everything that is tried works, nothing happens on core 1, real time is preferred.
+    /// All trials succeed, core 1 is idle, real time is preferred.
     pub(super) scene: Scene,
 }
 
@@ -61,13 +61,13 @@ impl Machine {
         std::fs::write(path, text).unwrap();
     }
 
-    /// What the check with this key says.
+    /// The finding of the check with this key.
     pub(super) fn finding(&self, key: &str) -> Finding {
         let check = CHECKS.iter().find(|check| check.key == key);
         check.expect("a known key").finding(&self.scene)
     }
 
-    /// Reads one line of `findings.txt`.
+    /// Executes one line of `findings.txt`.
     fn read(&mut self, line: &str) {
         let (name, rest) = line.split_once(' ').unwrap_or((line, ""));
         match rest.strip_prefix('=').map(str::trim_start) {
@@ -85,7 +85,7 @@ impl Machine {
         }
     }
 
-    /// Sets something of the scene.
+    /// Sets a field of the scene.
     fn set(&mut self, name: &str, value: Value) {
         let Scene {
             validated,

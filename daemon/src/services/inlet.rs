@@ -6,30 +6,30 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::ZeroCopySend;
 use iceoryx2::sample::Sample;
 
-/// The reading end of a service with several writers, who are served in turn.
+/// The reading end of a service with several writers, which are served in turn.
 ///
-/// iceoryx2 looks for a message at the oldest writer first, and would hear nobody else beside one that writes as fast as
-/// is read. But it passes over a writer of which two messages are held (`subscriber_max_borrowed_samples`). So what was
-/// read stays held until every writer that has something to say was heard.
+/// iceoryx2 checks the oldest writer for a message first. A writer that sends as fast as it is read would
+/// exclude all others. But iceoryx2 skips a writer of which two messages are held
+/// (`subscriber_max_borrowed_samples`). So messages remain held after reading until every waiting writer has
+/// been served.
 #[derive(Debug)]
 pub struct Inlet<T: ZeroCopySend + Debug + 'static> {
     subscriber: Subscriber<ipc::Service, T, ()>,
     held: Vec<Sample<ipc::Service, T, ()>>,
-    /// The newest sequence of each writer, the newest writer last.
+    /// The newest sequence number of each writer, the newest writer last.
     newest: Vec<(UniquePublisherId, u64)>,
     header_of: fn(&T) -> &Header,
 }
 
-/// A message, and whether it is newer than those of the same writer before it.
 #[derive(Debug, Clone, Copy)]
 pub struct Received<T> {
     pub message: T,
-    /// Whether it is newer than those of its writer before it.
+    /// The message is newer than earlier ones of its writer.
     pub is_newer: bool,
 }
 
 impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
-    /// `most`: messages that may be held at one time.
+    /// `most` is the number of messages that may be held at one time.
     pub(super) fn new(
         subscriber: Subscriber<ipc::Service, T, ()>,
         most: usize,
@@ -43,11 +43,11 @@ impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
         }
     }
 
-    /// The next message, if one waits. A copy: nobody changes it after it was checked.
+    /// The next message, if one waits. A copy, so that no writer can change it after its check.
     pub(crate) fn receive(&mut self) -> Option<Received<T>> {
         let mut next = self.subscriber.receive().ok().flatten();
         if next.is_none() && !self.held.is_empty() {
-            // Everybody was heard: a new round.
+            // All writers have been served: a new round.
             self.held.clear();
             next = self.subscriber.receive().ok().flatten();
         }
@@ -66,7 +66,7 @@ impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
             return is_newer;
         }
         if self.newest.len() == self.newest.capacity() {
-            // Twice as many as can write at one time: most have gone.
+            // Twice the number of simultaneous writers: most of them have gone.
             self.newest.remove(0);
         }
         self.newest.push((writer, sequence));

@@ -27,7 +27,7 @@ use shm_space::ShmSpace;
 pub use inlet::{Inlet, Received};
 pub use shm_space::daemon_bytes;
 
-/// What went wrong with shared memory, and what to do.
+/// Errors of shared memory, with their remedies.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
     #[error(
@@ -51,24 +51,24 @@ pub enum ServiceError {
          visible lock file or socket: end it, or use another prefix"
     )]
     Taken { service: String },
-    /// Shared memory has less room than is needed.
+    /// Shared memory has not enough space.
     #[error(
         "not enough space for {what}: {lack}\n\
          see cdcrd doctor for the memory that is needed"
     )]
     Full {
         what: String,
-        /// How much, and what there is.
+        /// Needed and free space.
         lack: InsufficientSpace,
     },
 }
 
-/// Whether a daemon has room at `location`.
+/// Checks that a daemon has enough space at `location`.
 pub(crate) fn ask_for_space(location: &Location) -> Result<(), ServiceError> {
     let room = ShmSpace::new(location.root(), &location.file_prefix());
-    // What a dead daemon left here is removed with it, and what another thread made here is ours.
+    // Files of a dead daemon are removed with it, and files of this process are already allocated.
     let needed_bytes = daemon_bytes().saturating_sub(room.taken_bytes());
-    // With the folders of nodes and services.
+    // Including the folders of nodes and services.
     room.ask(needed_bytes, NODE_FILES + 2)
         .map_err(|lack| ServiceError::Full {
             what: "the daemon".to_owned(),
@@ -76,7 +76,7 @@ pub(crate) fn ask_for_space(location: &Location) -> Result<(), ServiceError> {
         })
 }
 
-/// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
+/// An iceoryx2 node at `location`. Its creation removes the resources of dead processes.
 pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     let error = |cause: String| ServiceError::Node {
         prefix: location.prefix().to_owned(),
@@ -87,8 +87,8 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     let mut config = location
         .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;
-    // What clients left that died meanwhile is cleared away by the caretaker, and at last by the instance: of a thousand
-    // of them it would take seconds, in which the other threads wait for the end.
+    // The caretaker, and finally the instance, clean up after dead clients. Here the clean-up of a thousand
+    // clients would take seconds, during which the other threads wait for the end.
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     let builder = NodeBuilder::new()
         .config(&config)
@@ -109,7 +109,8 @@ pub struct Ports {
 }
 
 impl Ports {
-    /// Creates the services of `robot` by which clients and driver take part, and our ends.
+    /// Creates the services through which clients and driver exchange messages with the controller of
+    /// `robot`, and the daemon's ends.
     pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
         Ok(Self {
             reference: inlet(
@@ -148,7 +149,7 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
     }
 }
 
-/// Creates a port for which `bytes` of shared memory must be free, and takes them for good.
+/// Creates a port that needs `bytes` of free shared memory, and allocates them permanently.
 fn with_room<P>(
     node: &Node<ipc::Service>,
     service: Service,
@@ -161,7 +162,7 @@ fn with_room<P>(
         ServiceError::Full { what, lack }
     };
     let room = ShmSpace::of(node);
-    // The service itself has two files, and a mark at the node.
+    // The service has two files, and the node has a tag of it.
     let ask = || room.ask(bytes + PORT_BYTES, PORT_FILES + 3).map_err(full);
     ask()?;
     let port = create().or_else(|refused| ask().and(Err(refused)))?;
@@ -192,7 +193,7 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
     .map_err(|cause| failed(&cause))
 }
 
-/// A publisher that never waits for a reader, and whose memory is there.
+/// A publisher that never waits for a reader, with its memory allocated.
 pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     node: &Node<ipc::Service>,
     service: Service,
@@ -225,7 +226,6 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     })
 }
 
-/// The publisher of the telemetry.
 pub fn telemetry(
     node: &Node<ipc::Service>,
     robot: &str,
@@ -233,8 +233,9 @@ pub fn telemetry(
     publisher(node, Service::Telemetry, robot)
 }
 
-/// Copies a message into shared memory and sends it. Readers that are full lose their oldest; when no
-/// memory can be loaned, the message is lost and its readers see a gap in the sequence. Says whether it has left.
+/// Copies a message into shared memory and sends it. A reader with a full queue loses its oldest message. If
+/// no memory can be loaned, the message is lost and readers see a gap in the sequence. True if the message
+/// was sent.
 pub(crate) fn send<T: ZeroCopySend + Debug + Copy + 'static>(
     publisher: &Publisher<ipc::Service, T, ()>,
     message: &T,
@@ -244,7 +245,7 @@ pub(crate) fn send<T: ZeroCopySend + Debug + Copy + 'static>(
         .is_ok_and(|sample| sample.write_payload(*message).send().is_ok())
 }
 
-/// The publisher of the bad cycles, which late joiners still get.
+/// The publisher of incidents; late joiners receive earlier ones, too.
 pub fn incidents(
     node: &Node<ipc::Service>,
     robot: &str,

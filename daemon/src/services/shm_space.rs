@@ -1,8 +1,8 @@
-//! Space in the memory of the root folder: checked before it is used, then allocated for good.
+//! Space in the memory of the root folder: checked before use, then allocated permanently.
 //!
-//! iceoryx2 gives its files a size, and the system looks for memory when a page is first touched. When there is
-//! none left at that moment, the kernel kills whoever touched it (SIGBUS), be it hours later in the middle of a
-//! cycle. So the daemon asks first, and has the memory of its files allocated before it uses them.
+//! iceoryx2 gives its files a size, and the kernel allocates a page when it is first touched. If no memory is
+//! left then, the kernel kills the process (SIGBUS), perhaps hours later within a cycle. So the daemon first
+//! checks the space, and allocates the memory of its files before it uses them.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::MetadataExt;
@@ -18,20 +18,20 @@ use iceoryx2::prelude::Node;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 
-/// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
+/// Answers to one request that may be prepared, waiting or held: iceoryx2's defaults.
 const ANSWERS: usize = 6;
-/// Bytes of one writer's messages.
+/// Memory of one writer's messages \[bytes\].
 pub(super) const fn writer_bytes(service: Service, message_bytes: usize) -> u64 {
     service.queues().writer_bytes(message_bytes)
 }
 
-/// Bytes of the answers to all clients.
+/// Memory of the answers to all clients \[bytes\].
 pub(super) const fn control_bytes() -> u64 {
     let answers = Service::CONTROL_CLIENTS * 2 * Service::CONTROL_REQUESTS * ANSWERS;
     (answers * size_of::<Response>()) as u64
 }
 
-/// All that a daemon takes \[bytes\]. Management adds less than a fiftieth to the messages.
+/// Total memory of a daemon \[bytes\]. Management adds less than a fiftieth of the messages.
 pub const fn daemon_bytes() -> u64 {
     let messages = writer_bytes(Service::Command, size_of::<Command>())
         + writer_bytes(Service::Telemetry, size_of::<Telemetry>())
@@ -63,7 +63,7 @@ impl ShmSpace {
         }
     }
 
-    /// Whether `needed_bytes` are free, and room for `needed_files`. Where the system does not tell, they are.
+    /// Checks that `needed_bytes` and `needed_files` are free. Unknown free space passes the check.
     pub(super) fn ask(
         &self,
         needed_bytes: u64,
@@ -72,7 +72,7 @@ impl ShmSpace {
         shm_space::ask(&self.root, needed_bytes, needed_files)
     }
 
-    /// Has every page of the files allocated; what they hold stays.
+    /// Allocates every page of the files without changing their content.
     pub(super) fn take(&self) -> Result<(), InsufficientSpace> {
         let mut free_before = free_bytes(&self.root);
         for file in self.files() {
@@ -92,13 +92,13 @@ impl ShmSpace {
         Ok(())
     }
 
-    /// Bytes that the files have in memory.
+    /// Allocated memory of the files \[bytes\].
     pub(super) fn taken_bytes(&self) -> u64 {
         let blocks = self.files().filter_map(|file| file.metadata().ok());
         blocks.map(|file| file.blocks() * 512).sum()
     }
 
-    /// Files of ours. One that has just gone is left out.
+    /// The daemon's files. One that has just been removed is omitted.
     fn files(&self) -> impl Iterator<Item = File> {
         let open = |path| OpenOptions::new().read(true).write(true).open(path).ok();
         memory_files(&self.root, &self.file_prefix)
@@ -159,7 +159,7 @@ mod tests {
             error.contains("/dev/shm") && error.contains("MB"),
             "{error}"
         );
-        // Others use it, too: what is free now was about that a moment ago.
+        // Other processes use it, too: the free space was about the same a moment ago.
         assert!(free / 2 < free_bytes, "{error}");
     }
 }

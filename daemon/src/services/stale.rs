@@ -1,8 +1,9 @@
 //! Orphaned files of a daemon that was killed at its start.
 //!
-//! iceoryx2 cleans up after dead nodes, but not a service whose second half is missing, nor a node that was
-//! killed before its details were written. Whoever claimed the [`Instance`](crate::instance::Instance) is
-//! the only one who creates services here, so both are of the dead and in nobody's use.
+//! iceoryx2 cleans up after dead nodes, but not a service whose second half is missing, nor a node killed
+//! before its details were written. Only the process that has claimed the
+//! [`Instance`](crate::instance::Instance) creates services here, so both belong to dead processes and are
+//! not in use.
 
 use std::fmt::Debug;
 use std::fs::DirEntry;
@@ -22,8 +23,8 @@ use iceoryx2::service::service_hash::ServiceHash;
 
 type Hasher = <ipc::Service as Service>::ServiceNameHasher;
 
-/// Makes a service with `make`. One that cannot be opened because its creator was killed in the middle is
-/// removed first; its memory, if there is any, belongs to a dead node and goes with that.
+/// Creates a service with `make`. First removes a service that cannot be opened because its creator was
+/// killed half-way. Its memory, if any, belongs to a dead node and is removed with that.
 pub(super) fn make_anew<T, E: Debug>(
     node: &Node<ipc::Service>,
     name: &ServiceName,
@@ -39,7 +40,7 @@ pub(super) fn make_anew<T, E: Debug>(
     }
 }
 
-/// The same two names in the errors of both patterns, of opening and of creating.
+/// The errors of both patterns, of opening and of creating, use the same two names.
 fn is_orphaned(cause: &dyn Debug) -> bool {
     let cause = format!("{cause:?}");
     ["HangsInCreation", "ServiceInCorruptedState"]
@@ -47,7 +48,7 @@ fn is_orphaned(cause: &dyn Debug) -> bool {
         .any(|name| cause.contains(name))
 }
 
-/// The file by which clients find a service.
+/// The file through which clients find a service.
 pub(crate) fn service_file(
     config: &Config,
     name: &ServiceName,
@@ -63,13 +64,14 @@ pub(crate) fn service_file(
 /// The node that a port belongs to, and the port's number.
 pub(super) type PortOfNode = (UniqueNodeId, u128);
 
-/// How long it is waited for a place that a dead process has.
+/// Longest wait for a place occupied by a dead process.
 const FREE_WITHIN: Duration = Duration::from_secs(2);
-/// After so long no other process is still removing what the dead one left.
+/// After this time no other process is still removing the resources of a dead one.
 const LOST_AFTER: Duration = Duration::from_secs(1);
 
-/// Makes a port with `create`. Where `is_full` says that all places of `service` are taken, those of the dead are freed first; `ports`
-/// lists who has one. Places of the living are theirs: then the error comes at once.
+/// Creates a port with `create`. If `is_full` reports that all places of `service` are taken, the places of
+/// dead processes are freed first; `ports` lists the owners. If all owners are alive, the error is returned
+/// at once.
 pub(super) fn in_a_free_place<P, E>(
     node: &Node<ipc::Service>,
     service: &ServiceHash,
@@ -84,7 +86,7 @@ pub(super) fn in_a_free_place<P, E>(
         if is_last || !result.as_ref().is_err_and(&is_full) {
             return result;
         }
-        // Before the list of the nodes: who comes between has no place here.
+        // List the ports before the nodes: a process that starts in between has no place here.
         let mut lost = Vec::new();
         ports(&mut lost);
         let Some(nodes) = Nodes::look(node.config()) else {
@@ -104,7 +106,7 @@ pub(super) fn in_a_free_place<P, E>(
     }
 }
 
-/// Everybody who uses shared memory, or has left something there.
+/// All processes that use shared memory or have left resources there.
 #[derive(Default)]
 struct Nodes {
     living: Vec<UniqueNodeId>,
@@ -112,14 +114,14 @@ struct Nodes {
 }
 
 impl Nodes {
-    /// Lists them, and tries to clear away the dead. `None` when they cannot be listed.
+    /// Lists the nodes, and tries to remove the resources of dead ones. `None` if they cannot be listed.
     fn look(config: &Config) -> Option<Self> {
         let mut nodes = Self::default();
         let listed = Node::<ipc::Service>::list(config, |state| {
             let id = *state.node_id();
             if let NodeState::Dead(dead) = state {
                 nodes.dead.push(id);
-                // Another process may be at it.
+                // Another process may be removing it, too.
                 let _ = dead.try_remove_stale_resources();
             } else {
                 nodes.living.push(id);
@@ -130,10 +132,11 @@ impl Nodes {
     }
 }
 
-/// Removes ports whose nodes are gone from a service that clients keep open.
+/// Removes the ports of removed nodes from a service that clients keep open.
 ///
-/// A process that is killed while it clears away a dead one may have removed the tag of a port and not yet the port. iceoryx2 passes over
-/// a port without a tag, so it would have its place for as long as the service is open anywhere. With a new tag it is removed.
+/// A process killed during its clean-up of a dead one may have removed the tag of a port, but not the port.
+/// iceoryx2 skips a port without a tag, so the port would occupy its place while any process keeps the
+/// service open. With a new tag iceoryx2 removes it.
 fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode]) {
     for (owner, port) in ports {
         let global = &config.global;
@@ -143,7 +146,7 @@ fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode
         let made = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&tag, ""));
         let removed = ipc::Service::__internal_remove_node_from_service(owner, service, config);
         let _ = std::fs::remove_file(tag);
-        // Only when it is empty.
+        // Only removed if empty.
         let _ = std::fs::remove_dir(folder);
         tracing::warn!(?made, ?removed, "found a stale port of a dead process");
     }
@@ -155,10 +158,10 @@ fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPatte
     tracing::warn!(path = %path.display(), ?removed, "a killed daemon left this service orphaned");
 }
 
-/// A younger file may belong to a client that is just connecting.
+/// A newer file may belong to a client that is just connecting.
 const OLD: Duration = Duration::from_secs(2);
 
-/// Removes what killed processes left and iceoryx2 does not, as long as nobody else is here: nodes that were
+/// Removes what killed processes left and iceoryx2 does not remove, if no other process is connected: nodes
 /// killed before their details were written, and the memory of orphaned services. Call it before the first
 /// node of this process.
 pub fn sweep(location: &Location) {
@@ -178,7 +181,7 @@ pub fn sweep(location: &Location) {
     let nodes = global.node_dir().to_string();
     for folder in old_entries(Path::new(&nodes)).filter(|path| path.is_dir()) {
         remove_old_files(&folder, &prefix);
-        // Only when it is empty.
+        // Only removed if empty.
         let _ = std::fs::remove_dir(folder);
     }
     let services = global.service_dir().to_string();
@@ -187,8 +190,8 @@ pub fn sweep(location: &Location) {
     }
 }
 
-/// Removes the old files of `folder` whose names begin with `prefix`. What cannot be removed stays, as
-/// harmless as it was.
+/// Removes the old files of `folder` whose names begin with `prefix`. Files that cannot be removed remain,
+/// without harm.
 fn remove_old_files(folder: &Path, prefix: &str) {
     for path in old_entries(folder) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -216,7 +219,7 @@ mod tests {
     use super::super::{ServiceError, node, publisher};
     use super::*;
 
-    /// The files by which others know the node, and all else that it has below the folder of the nodes.
+    /// Removes the files through which others know the node, and its other files in the folder of the nodes.
     fn forget(node: &Node<ipc::Service>) {
         let folder = node.config().global.node_dir().to_string();
         let id = node.id().value().to_string();
@@ -246,7 +249,7 @@ mod tests {
         forget(&first);
         let publisher = publisher::<Status>(&second, Service::Status, "cdcr").unwrap();
         publisher.send_copy(Status::default()).unwrap();
-        // What they would remove at their end is gone.
+        // Their destructors would remove files that are gone.
         std::mem::forget((lost, first));
     }
 }

@@ -1,8 +1,8 @@
-//! Slow and textual: signals, statistics, status, bad cycles, watchdog, service manager, log.
+//! Slow work and text output: signals, statistics, status, incidents, watchdog, service manager, log.
 //!
-//! Invariant: nothing here is in the way of the cycle. It runs on another core where there is one, after all other
-//! real-time threads, and learns of the cycles through rings that never block who fills them. And it waits for no file: what it
-//! tells is published by the `status_desk`.
+//! Invariant: nothing here delays the cycle. The supervisor runs on another core, if there is one, below all
+//! other real-time threads. It receives the cycles through rings that never block the sender. It waits for no
+//! file: the `status_desk` publishes its results.
 
 mod statistics;
 mod steal;
@@ -25,21 +25,21 @@ use statistics::Statistics;
 use steal::{Steal, Stolen};
 use watchdog::Watchdog;
 
-/// Ten periods between two looks, in this range: a look costs a wake-up with cold caches.
+/// Ten periods between two checks, within this range: a check costs a wake-up with cold caches.
 const PERIODS_PER_LOOK: u64 = 10;
 const LOOK_MIN: Duration = Duration::from_millis(20);
 const LOOK_MAX: Duration = Duration::from_millis(50);
 const STATUS_EVERY: Duration = Duration::from_millis(100);
-/// Without a summary for so long the status is not published: it would tell of a time long past.
+/// If there is no summary for this time, the status is not published: it would be out of date.
 const SUMMARY_MAX: Duration = Duration::from_secs(1);
-/// How often a late cycle is logged, at most.
+/// Shortest time between two log lines for late cycles.
 const LATE_LINE_EVERY: Duration = Duration::from_secs(1);
-/// How long exchange and reporter may take to publish the last record and close their ports.
+/// Time limit for exchange and reporter to publish the last record and close their ports.
 const END_MAX: Duration = Duration::from_secs(5);
-/// Over how long cycles are counted for the service manager.
+/// Time over which cycles are counted for the service manager.
 const RATE_EVERY: Duration = Duration::from_secs(1);
 
-/// Watches the threads, and tells the world.
+/// Monitors the threads, and reports to log, clients and service manager.
 #[derive(Debug)]
 pub struct Supervisor {
     ends: SupervisorEnds,
@@ -54,16 +54,16 @@ pub struct Supervisor {
     rate: Rate,
     newest: Summary,
     summed: Instant,
-    /// When the log last had a warning of the following error.
+    /// Time of the last log line about the following error.
     said_off: Instant,
-    /// When the log last said that the solver is cut short.
+    /// Time of the last log line about a shortened solve.
     said_cut: Instant,
-    /// The newest cycle that was late and is not in the log.
+    /// The newest late cycle that is not yet in the log.
     late: Option<Summary>,
     logged: Instant,
 }
 
-/// How many cycles run in a second.
+/// Rate of the cycles.
 #[derive(Debug)]
 struct Rate {
     cycles: u64,
@@ -72,10 +72,11 @@ struct Rate {
 }
 
 impl Supervisor {
-    /// A supervisor that tells the status and the bad cycles of a daemon.
+    /// The supervisor of a daemon.
     ///
     /// # Errors
-    /// When there is no room for the statistics.
+    ///
+    /// The memory for the statistics cannot be allocated.
     pub fn new(
         validated: &Validated,
         ends: SupervisorEnds,
@@ -110,17 +111,19 @@ impl Supervisor {
         })
     }
 
-    /// Takes over what the system did not grant, and on which core the real-time threads run.
+    /// Sets the privileges that the system refused, and the core of the real-time threads.
     pub fn set_realtime(&mut self, missing: u32, core: Option<usize>, clock: &impl Clock) {
         self.status.realtime_missing = missing;
         self.status.core = core.map_or(u32::MAX, |core| core as u32);
         self.steal = Steal::of(core, clock);
     }
 
-    /// Watches until `is_over` says that the threads are done; asks them to end when `should_end`. `desk` publishes what is told.
+    /// Supervises the threads until `is_over`; asks them to end when `should_end`. `desk` publishes the
+    /// results.
     ///
     /// # Errors
-    /// A thread hangs. Nobody can wait for it, so the process has to end.
+    ///
+    /// A thread hangs. It cannot be joined, so the process must end.
     pub fn run(
         &mut self,
         clock: &impl Clock,
@@ -157,7 +160,7 @@ impl Supervisor {
             } else {
                 self.watchdog.look(shared.beats(), Instant::now())?;
             }
-            // Who starts it waits for the first cycle.
+            // The service manager waits for the first cycle.
             let has_begun = self.newest.totals.cycles > 0;
             let rest = if has_begun { self.look_every } else { LOOK_MIN };
             sleep_unless_signalled(rest.min(next_status.saturating_duration_since(Instant::now())));
@@ -185,10 +188,10 @@ impl Supervisor {
         }
     }
 
-    /// Hands bad cycles on to be published, for as long as there is room.
+    /// Passes on incidents to be published, while the ring has space.
     ///
-    /// The reporter hands a bad cycle on before its summary. One whose summary has not come waits for the
-    /// next look, so that both are judged by the same reading of the steal.
+    /// The reporter sends an incident before its summary. An incident without its summary waits for the next
+    /// check, so that both are evaluated with the same reading of the steal.
     fn take_incidents(&mut self, clock: &impl Clock, desk: &StatusDesk) {
         while !self.ends.explained.is_full()
             && let Ok(next) = self.ends.incidents.peek()
@@ -197,7 +200,7 @@ impl Supervisor {
         {
             let stolen = self.steal.since(incident.telemetry.due_ns, clock);
             explain(&mut incident, stolen);
-            // There is room.
+            // The ring was not full.
             let _ = self.ends.explained.push(incident);
             desk.wake();
         }
@@ -226,7 +229,7 @@ impl Supervisor {
         }
     }
 
-    /// Changes of mode or reason one by one; late cycles at most once a second.
+    /// Logs each change of mode or reason, and late cycles at most once a second.
     fn log(&mut self, summary: &Summary) {
         if is_news(summary, &self.newest) {
             let (mode, reason) = (summary.mode.text(), summary.reason.text());
@@ -279,7 +282,7 @@ impl Supervisor {
         }
     }
 
-    /// The first message that is refused for a reason; the status counts them all.
+    /// Logs the first message refused for each reason; the status counts them all.
     fn log_refusals(&self, summary: &Summary) {
         let of = |summary: &Summary, outcome: Outcome| summary.outcomes[outcome.code() as usize];
         let refusals = Outcome::ALL
@@ -293,7 +296,7 @@ impl Supervisor {
         }
     }
 
-    /// Counts how often the leaky bucket became full and the robot went on; the log has the first time.
+    /// Counts how often the leaky bucket became full and the robot continued; logs the first time.
     fn count_tolerated(&mut self, summary: &Summary) {
         if !summary.misses_tolerated || self.newest.misses_tolerated {
             return;
@@ -339,15 +342,15 @@ fn look_every(period_ns: u64) -> Duration {
     Duration::from_nanos(PERIODS_PER_LOOK * period_ns).clamp(LOOK_MIN, LOOK_MAX)
 }
 
-/// The signals that end the daemon or read the configuration again go to this thread, and end the sleep.
+/// This thread receives the signals that end the daemon or reload the configuration; they end the sleep.
 fn sleep_unless_signalled(length: Duration) {
-    // It is far within range.
+    // Always within range.
     if let Ok(length) = length.try_into() {
         let _ = rustix::thread::nanosleep(&length);
     }
 }
 
-/// Whether the mode is another one than before, or has another reason.
+/// The mode or its reason has changed.
 fn is_news(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
 }
@@ -366,7 +369,7 @@ fn ports_do_not_close() -> Ended {
     }
 }
 
-/// Adds the steal to a bad cycle, and changes its cause where the steal explains it.
+/// Adds the steal to an incident, and changes its cause if the steal explains it.
 fn explain(incident: &mut wire::Incident, stolen: Stolen) {
     incident.steal_ns = stolen.steal_ns;
     incident.steal_window_ns = stolen.window_ns;
@@ -376,7 +379,7 @@ fn explain(incident: &mut wire::Incident, stolen: Stolen) {
     *cause = stolen.cause(*cause, lateness_ns);
 }
 
-/// Copies what the newest cycle says into a status.
+/// Copies the data of the newest cycle into a status.
 fn take_over(status: &mut wire::Status, summary: &Summary) {
     status.mode = summary.mode.code();
     status.reason = summary.reason.code();
@@ -401,7 +404,7 @@ fn take_over(status: &mut wire::Status, summary: &Summary) {
     status.settings = summary.settings;
 }
 
-/// What is known of the daemon before its first cycle.
+/// The status of the daemon before its first cycle.
 fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
     let config = &validated.config;
     let period_ns = ns(config.cycle.period_ms);

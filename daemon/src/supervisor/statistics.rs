@@ -10,20 +10,20 @@ use crate::rt::latency;
 
 /// Length of a slice of the last minute.
 const SLICE: Duration = Duration::from_secs(10);
-/// Slices that make the last minute, the one that fills included.
+/// Slices of the last minute, including the present one.
 const SLICES: usize = 6;
-/// Digits that a percentile has: right to 1 %. Three would be ten times the memory to go through for each status.
+/// Digits of a percentile: accurate to 1 %. Three digits would need ten times the memory for each status.
 const DIGITS: u8 = 2;
 
-/// The statistics of the cycles: since the start or the last reset, and of the last minute.
+/// Statistics of the cycles: since the start or the last reset, and of the last minute.
 ///
-/// Cycles, late starts, misses and skipped periods come from the totals of the cycle thread, so they are
-/// right even when summaries were lost; the rest counts the summaries that came.
+/// Cycles, late starts, deadline misses and skipped periods come from the totals of the cycle thread, so they
+/// are exact even if summaries were lost. All others count the summaries received.
 ///
-/// All memory is taken at the start, about 1.4 MB.
+/// All memory is allocated at the start, about 1.4 MB.
 #[derive(Debug)]
 pub(super) struct Statistics {
-    /// What the newest summary counted since the start.
+    /// Totals of the newest summary, since the start.
     counted: Totals,
     since_reset: Window,
     since_ns: u64,
@@ -34,7 +34,7 @@ pub(super) struct Statistics {
     last_minute: Window,
 }
 
-/// Counts and latencies of one stretch of time.
+/// Counts and latencies of one time window.
 #[derive(Debug)]
 struct Window {
     counts: wire::Statistics,
@@ -78,13 +78,13 @@ impl Statistics {
         }
     }
 
-    /// Those in which a cycle counts.
+    /// The windows to which a cycle is added.
     fn windows(&mut self) -> [&mut Window; 3] {
         let filling = &mut self.slices[self.filling];
         [&mut self.since_reset, filling, &mut self.last_minute]
     }
 
-    /// Begins anew, the last minute too.
+    /// Resets all windows, including the last minute.
     pub(super) fn reset(&mut self, now_ns: u64) {
         self.since_reset.clear();
         self.since_ns = now_ns;
@@ -95,7 +95,7 @@ impl Statistics {
         self.slice_began_ns = now_ns;
     }
 
-    /// Moves on to the slice that `now_ns` lies in.
+    /// Advances to the slice that contains `now_ns`.
     pub(super) fn advance(&mut self, now_ns: u64) {
         let slice_ns = SLICE.as_nanos() as u64;
         let passed = now_ns.saturating_sub(self.slice_began_ns) / slice_ns;
@@ -103,12 +103,12 @@ impl Statistics {
             let streak = self.slices[self.filling].streak;
             self.filling = (self.filling + 1) % SLICES;
             self.slices[self.filling].clear();
-            // A streak that goes on over the border is one streak.
+            // A streak across the border of two slices is one streak.
             self.slices[self.filling].streak = streak;
         }
         self.slice_began_ns += passed * slice_ns;
         if passed > 0 {
-            // What left with the oldest slices is forgotten.
+            // Sum up the slices again, without the expired ones.
             self.last_minute.clear();
             for slice in &self.slices {
                 self.last_minute.add(slice);
@@ -117,7 +117,7 @@ impl Statistics {
         }
     }
 
-    /// Writes both stretches into a status.
+    /// Writes both windows into a status.
     pub(super) fn report(&self, status: &mut wire::Status) {
         status.statistics_since_ns = self.since_ns;
         status.since_reset = self.since_reset.summary();
@@ -160,7 +160,7 @@ impl Window {
         {
             *count += 1;
         }
-        // The skipped releases lie before this cycle.
+        // The skipped releases are before this cycle.
         self.streak += u64::from(summary.skipped_periods);
         self.streak += u64::from(missed);
         counts.longest_streak = counts.longest_streak.max(self.streak);
@@ -189,7 +189,7 @@ impl Window {
         }
     }
 
-    /// Adds what another window counted.
+    /// Adds the counts of another window.
     fn add(&mut self, other: &Self) {
         let (counts, more) = (&mut self.counts, &other.counts);
         counts.accumulate(more);
@@ -197,7 +197,7 @@ impl Window {
             *count += more;
         }
         for (sum, part) in self.latencies.iter_mut().zip(&other.latencies) {
-            // The bounds are the same, so every value fits.
+            // The bounds are equal, so every value fits.
             let _ = sum.add(part);
         }
     }
@@ -259,7 +259,7 @@ mod tests {
         }
     }
 
-    /// Statistics, and the totals of the cycle thread that they are told of.
+    /// Statistics, and the totals of the cycle thread that they receive.
     struct Told {
         statistics: Statistics,
         totals: Totals,
@@ -328,7 +328,7 @@ mod tests {
         let [since, minute] = report(&mut told.statistics);
         assert_eq!(since.cycles, 200);
         assert!((50..=60).contains(&minute.cycles), "{}", minute.cycles);
-        // A long silence, and all of it is forgotten.
+        // After a long time without cycles the last minute is empty.
         told.statistics.advance(1_000_000 * S);
         assert_eq!(report(&mut told.statistics)[1].cycles, 0);
         assert_eq!(report(&mut told.statistics)[0].cycles, 200);
@@ -369,7 +369,7 @@ mod tests {
         told.lose(&missed(2));
         told.lose(&good());
         told.record(&good());
-        // Those that were lost in the next slice count there.
+        // Cycles lost in the next slice count there.
         told.statistics.advance(20 * S);
         told.lose(&missed(4));
         told.record(&missed(0));

@@ -1,4 +1,4 @@
-//! How long the hypervisor kept the core from this machine, and which late cycles that explains.
+//! Steal: the time for which the hypervisor withheld the core, and the late cycles that it explains.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -8,23 +8,23 @@ use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
 
 use crate::rt::clock::Clock;
 
-/// How often the steal is read while nothing happens \[ns\]: what was stolen long before a late cycle must
-/// not explain it.
+/// Time between readings of the steal while no cycle is late \[ns\]: earlier steal must not explain a later
+/// cycle.
 const READ_EVERY_NS: u64 = 100_000_000;
 
-/// Steal in a stretch of time; both 0: it cannot be read.
+/// Steal in a time window; both 0: it cannot be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Stolen {
     /// Time stolen \[ns\], in steps of a tick.
     pub(super) steal_ns: u64,
-    /// Length of the stretch, up to the newest reading \[ns\].
+    /// Length of the window, up to the newest reading \[ns\].
     pub(super) window_ns: u64,
 }
 
 impl Stolen {
-    /// The cause of a cycle that came `lateness_ns` after its release. To the guest, a core that the
-    /// hypervisor took looks like one that another task has, a stall or a long computation; where the
-    /// steal is at least half of the lateness, it was the platform.
+    /// The cause of a cycle that was `lateness_ns` late. In a virtual machine, steal looks like another task
+    /// on the core, a stall or a long computation. If the steal is at least half of the lateness, the cause
+    /// is the platform.
     pub(super) fn cause(self, seen: u32, lateness_ns: u64) -> u32 {
         let looks_alike = [LateCause::Load, LateCause::Stall, LateCause::Compute];
         let is_stolen = self.steal_ns >= TICK_NS && self.steal_ns >= lateness_ns / 2;
@@ -42,19 +42,19 @@ struct Reading {
     total_ns: u64,
 }
 
-/// The steal of one core, read at most once per look of the supervisor: all late cycles of a look share the
+/// The steal of one core, read at most once per check of the supervisor: all late cycles of a check share the
 /// reading.
 #[derive(Debug, Default)]
 pub(super) struct Steal {
     reader: Option<StealReader>,
-    /// Oldest first. Two lie before the newest, so that one of them is older than a late cycle that a
-    /// reading fell into.
+    /// Oldest first. Two readings precede the newest, so that one is older than a late cycle that contains a
+    /// reading.
     readings: [Reading; 3],
     is_fresh: bool,
 }
 
 impl Steal {
-    /// That of `core`, or the sum of all cores, from now on.
+    /// Reads the steal of `core`, or of all cores together.
     pub(super) fn of(core: Option<usize>, clock: &impl Clock) -> Self {
         let mut steal = Self {
             reader: StealReader::open(core),
@@ -65,7 +65,7 @@ impl Steal {
         steal
     }
 
-    /// The next look begins.
+    /// Begins a new check.
     pub(super) fn look(&mut self, clock: &impl Clock) {
         self.is_fresh = false;
         let now_ns = clock.now_ns();
@@ -74,7 +74,7 @@ impl Steal {
         }
     }
 
-    /// What was stolen since the newest reading before `due_ns`.
+    /// Steal since the newest reading before `due_ns`.
     pub(super) fn since(&mut self, due_ns: u64, clock: &impl Clock) -> Stolen {
         if !self.is_fresh {
             self.read(clock.now_ns());
@@ -108,7 +108,7 @@ fn between(readings: &[Reading; 3], due_ns: u64) -> Stolen {
     }
 }
 
-/// Reads how long the hypervisor kept one core from this machine.
+/// Reads the steal of one core, or of all cores.
 #[derive(Debug)]
 struct StealReader {
     file: File,
@@ -117,7 +117,7 @@ struct StealReader {
 }
 
 impl StealReader {
-    /// A reader for `core`, or for the sum of all cores. None where `/proc/stat` is not there.
+    /// A reader for `core`, or for the sum of all cores. `None` if `/proc/stat` is missing.
     fn open(core: Option<usize>) -> Option<Self> {
         Some(Self {
             file: File::open("/proc/stat").ok()?,
@@ -126,7 +126,7 @@ impl StealReader {
         })
     }
 
-    /// Time stolen since the machine started \[ns\].
+    /// Steal since the start of the machine \[ns\].
     fn read_ns(&mut self) -> Option<u64> {
         let length = self.file.read_at(&mut self.text, 0).ok()?;
         let text = core::str::from_utf8(&self.text[..length]).ok()?;
@@ -178,7 +178,7 @@ mod tests {
         };
         assert_eq!(stolen(210), [10, 20]);
         assert_eq!(stolen(200), [10, 20]);
-        // A reading fell into the late cycle.
+        // A reading during the late cycle.
         assert_eq!(stolen(195), [40, 120]);
         assert_eq!(stolen(50), [40, 120]);
     }
@@ -196,7 +196,7 @@ mod tests {
         clock.sleep_until(40 * MS);
         steal.look(&clock);
         assert_eq!(window_ms(steal.since(25 * MS, &clock)), 20, "a new one");
-        // It reads by itself when nothing happens.
+        // The steal is also read while no cycle is late.
         clock.sleep_until(400 * MS);
         steal.look(&clock);
         clock.sleep_until(420 * MS);

@@ -2,10 +2,10 @@ use std::time::{Duration, Instant};
 
 use crate::exit::{Ended, ExitCause};
 
-/// Notices a thread that makes no progress.
+/// Detects a thread that makes no progress.
 ///
-/// Only time in which the supervisor itself looked counts, so a process (or machine) that was stopped and
-/// goes on is not taken for a hung thread.
+/// Only time in which the supervisor itself ran is counted, so a process (or machine) that was stopped and
+/// continues is not taken for a hung thread.
 #[derive(Debug)]
 pub(super) struct Watchdog {
     timeout: Duration,
@@ -19,16 +19,17 @@ struct Watched {
     still: Duration,
 }
 
-/// The reporter may stand still for so many times the timeout: it waits for files at times, and no robot waits for it.
+/// The reporter may stall for this multiple of the timeout: it sometimes waits for files, and no robot
+/// depends on it.
 const REPORTER_TIMES: u32 = 5;
-/// The thread of the status for so many: nothing else ends without it.
+/// The same for the status thread: no other thread's end depends on it.
 const STATUS_TIMES: u32 = 20;
 
-/// Of the time between two looks, no more counts than this.
+/// Of the time between two checks, at most this much is counted.
 const LOOK_MAX: Duration = Duration::from_millis(100);
 
 impl Watchdog {
-    /// A watchdog that bites after `timeout`.
+    /// A watchdog that expires after `timeout`.
     pub(super) fn new(timeout: Duration, now: Instant) -> Self {
         Self {
             timeout,
@@ -37,10 +38,11 @@ impl Watchdog {
         }
     }
 
-    /// Looks at the beats of cycle, exchange, reporter and status.
+    /// Checks the heartbeats of cycle, exchange, reporter and status.
     ///
     /// # Errors
-    /// A thread has made no beat for the timeout.
+    ///
+    /// A thread has had no heartbeat for the timeout.
     pub(super) fn look(&mut self, beats: [u64; 4], now: Instant) -> Result<(), Ended> {
         let passed = now.duration_since(self.looked).min(LOOK_MAX);
         self.looked = now;
@@ -52,7 +54,7 @@ impl Watchdog {
             };
             thread.beats = beats;
         }
-        // A cycle that hangs on the core may keep the exchange from it, so it is named first.
+        // A cycle that hangs on the core may starve the exchange, so it is named first.
         let watched = [
             (ExitCause::CycleHung, "cycle", 1),
             (ExitCause::ExchangeHung, "exchange", 1),
@@ -108,7 +110,7 @@ mod tests {
         let cause = after(100, 20 * MS, |look| [look, 7, look, look]);
         assert_eq!(cause, Some(ExitCause::ExchangeHung));
         assert_eq!(after(100, 20 * MS, |_| [0; 4]), Some(ExitCause::CycleHung));
-        // A beat now and then is progress.
+        // An occasional heartbeat is progress.
         assert_eq!(
             after(100, 20 * MS, |look| [look / 5, look, look, look]),
             None
@@ -131,7 +133,8 @@ mod tests {
 
     #[test]
     fn it_bites_at_the_first_look_at_which_the_timeout_has_been_counted() {
-        // 200 ms stand still from the first look on. Of longer times between two looks 100 ms count.
+        // No heartbeat from the first check on, with a timeout of 200 ms. Of longer times between two checks
+        // 100 ms are counted.
         for (every_ms, looks) in [(1, 201), (20, 11), (70, 4), (100, 3), (5000, 3)] {
             let begun = |look| [look + 1, 7, look, look];
             assert_eq!(after(looks - 1, every_ms * MS, begun), None, "{every_ms}");
