@@ -1,4 +1,4 @@
-//! Which cycles were late, and how many.
+//! Lateness of cycles, and its totals.
 
 use cdcr_controller::safety::LeakyBucket;
 
@@ -10,7 +10,7 @@ pub struct Limits {
     pub deadline_ns: u64,
     /// A start later than this after the release is a late start \[ns\].
     pub late_start_ns: u64,
-    /// Level of the leaky bucket at which misses are no accident any more.
+    /// Level at which the leaky bucket is full.
     pub miss_limit: u32,
 }
 
@@ -23,7 +23,7 @@ pub struct Totals {
     pub skipped_periods: u64,
 }
 
-/// Judges every cycle against the clock.
+/// Evaluates the lateness of every cycle.
 #[derive(Debug, Clone)]
 pub struct Accounting {
     limits: Limits,
@@ -40,8 +40,8 @@ impl Accounting {
         }
     }
 
-    /// Judges a cycle whose command was handed over at `handed_over_ns`. One with stale inputs is no miss, and as bad
-    /// for the leaky bucket.
+    /// Evaluates a cycle whose command was handed over at `handed_over_ns`. A cycle with stale inputs is not
+    /// a deadline miss, but counts like one in the leaky bucket.
     pub fn judge(
         &mut self,
         release: &Release,
@@ -67,7 +67,7 @@ impl Accounting {
         &self.totals
     }
 
-    /// The leaky bucket of misses and skipped periods.
+    /// The leaky bucket of deadline misses, skipped periods and cycles with stale inputs.
     pub fn bucket(&self) -> &LeakyBucket {
         &self.bucket
     }
@@ -105,7 +105,7 @@ mod tests {
         let miss = accounting.judge(&release(1001, 2), 1101, false);
         assert!(!miss.late_start && miss.deadline_miss);
         assert!(accounting.bucket().overflows());
-        // Slept through three periods: the release that was due is missed, however fresh the one met.
+        // Slept through three periods: the release that was due is missed, however punctual the newest one.
         let stall = Release {
             release_ns: 1300,
             ..release(1310, 0)

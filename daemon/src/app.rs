@@ -1,8 +1,7 @@
-//! The composition root: the one place that knows every concrete type.
+//! The composition root: the only module that knows every concrete type.
 //!
 //! Order at the start: build everything → lock memory → warm the solver → priority, core, stack → first
-//! release. Order at the end: the robot comes to rest → threads end → ports close → files
-//! go.
+//! release. Order at the end: the robot comes to rest → threads end → ports close → files are removed.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -45,7 +44,8 @@ use crate::supervisor::Supervisor;
 /// Time beyond the ramp itself \[s\].
 const REST_SLACK_S: f64 = 0.5;
 
-/// Runs the daemon of the configuration that `read` reads until a signal ends it. At `SIGHUP` it is read again.
+/// Runs the daemon with the configuration from `read` until a signal ends it. `SIGHUP` reloads the
+/// configuration.
 pub fn run(read: ReadConfig) -> Result<()> {
     let validated = read()?;
     let ending = end_signals()?;
@@ -53,11 +53,11 @@ pub fn run(read: ReadConfig) -> Result<()> {
     claim_and_run(&validated, read, should_end, |life| life())
 }
 
-/// What is put around the life of the cycle thread. It has to call its argument once.
+/// A wrapper around the life of the cycle thread. It must call its argument once.
 pub type CycleWatch = fn(&mut dyn FnMut());
 
-/// Runs the daemon until `should_end` says so. `watch` is put around the life of the cycle thread, for
-/// tests that observe it from inside; see [`count_allocations`](crate::rt::sys::count_allocations). At `SIGHUP` nothing is read.
+/// Runs the daemon until `should_end`. `watch` wraps the life of the cycle thread, for tests that observe it
+/// from inside; see [`count_allocations`](crate::rt::sys::count_allocations). `SIGHUP` changes nothing.
 pub fn run_until(
     validated: &Validated,
     should_end: impl FnMut() -> bool,
@@ -75,7 +75,7 @@ fn claim_and_run(
     watch: CycleWatch,
 ) -> Result<()> {
     let validated = &with_core(given);
-    // Before anybody can find this process by its lock: these signals would end it.
+    // Before any process can find this one by its lock: these signals would end it.
     let signals = Signals::catch()?;
     start::raise_open_files()?;
     let (location, robot) = (&validated.location, &validated.config.robot.name);
@@ -84,7 +84,7 @@ fn claim_and_run(
     let shared = Arc::new(Shared::new(stop, instance.latch()));
     let reload = |settings| Reload::new(reload, read, &given.config, settings);
     let ended = run_with(validated, &instance, &shared, reload, should_end, watch);
-    // The cycle takes no more of them.
+    // The cycle handles no further signals.
     take_signal(SIGUSR1, true);
     if shared.take_stop() {
         shared.latch.stop_asked();
@@ -117,7 +117,7 @@ fn run_with(
         }
     };
     let reporter = spawn_reporter(validated, ends.reporter, shared, daemon_id)?;
-    // One after the other: whether there is room for all is asked by each.
+    // In sequence: each of them checks the free space for itself.
     if let Err(error) = reporter.wait_ready() {
         give_up([reporter]);
         return Err(error);
@@ -150,9 +150,9 @@ fn run_with(
     if armed.missing & (realtime::FIFO | realtime::OFF) == 0 {
         go_before_ordinary_tasks();
     }
-    // Here, because it inherits what this thread was given: a core beside the loop, and its priority.
+    // At this point, because the thread inherits the core and the priority of the calling thread.
     let beside = StatusDesk::start(validated, ends.status_desk, shared).and_then(|desk| {
-        // All services are there now.
+        // All services exist now.
         let place = instance.watch(&validated.config.robot.name);
         let caretaker = Caretaker::start(place, reload(ends.reloaded), Arc::clone(shared))?;
         Ok((desk, caretaker))
@@ -173,7 +173,7 @@ fn run_with(
     let should_end = || should_end() || caretaker.lost().is_some();
     supervisor.run(&clock, shared, &desk, should_end, || {
         caretaker.wake_if_asked();
-        // A thread that ends by itself takes the process with it.
+        // A thread that ends by itself ends the process.
         let ended = [&cycle, &exchange, &reporter].map(Started::is_finished);
         if ended.contains(&true) || desk.is_finished() {
             shared.end();
@@ -184,7 +184,7 @@ fn run_with(
         if cycle.is_finished() {
             shared.cycle_ended.set(true);
         }
-        // What has ended does not hang: only the others are watched on.
+        // An ended thread does not hang: only the others are monitored further.
         if exchange.is_finished() {
             shared.exchange_ended.set(true);
             shared.exchange_beats.add(1);
@@ -203,7 +203,7 @@ fn run_with(
     Ok(())
 }
 
-/// Whether the daemon ended as it was asked to, with the robot at rest.
+/// Checks that the daemon ended as requested, with the robot at rest.
 fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Result<()> {
     if shared.still_moving.is_set() {
         bail!(Ended {
@@ -237,12 +237,12 @@ fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Res
     Ok(())
 }
 
-/// What signals ask for, but for the end.
+/// Requests by signals, except the end.
 #[derive(Debug)]
 struct Signals {
     /// `SIGUSR1`: stop the robot.
     stop: Arc<AtomicBool>,
-    /// `SIGHUP`: read the configuration again.
+    /// `SIGHUP`: reload the configuration.
     reload: Arc<AtomicBool>,
 }
 
@@ -275,7 +275,7 @@ fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
     Ok(cycle)
 }
 
-/// Cycles that the robot has to come to rest: its longest ramp, and a little more.
+/// Number of cycles for the robot to come to rest: its longest ramp, and a reserve.
 fn cycles_to_rest(validated: &Validated) -> u64 {
     let rates = validated.robot.sections().iter().map(|s| s.rate_max_rad_s);
     let ramp_s = rates.fold(0.0, f64::max) / validated.config.motion.deceleration_rad_s2;
@@ -304,7 +304,7 @@ fn spawn_exchange(
     let plan = realtime.thread_plan(realtime.exchange_priority);
     let (validated, shared) = (validated.clone(), Arc::clone(shared));
     Started::spawn("cdcr-exchange", move |stage| {
-        // iceoryx2's ports stay in the thread that made them.
+        // iceoryx2's ports stay in the thread that created them.
         let built = services::node(&validated.location).and_then(|node| {
             let ports = services::Ports::create(&node, &validated.config.robot.name)?;
             Ok((node, ports))
@@ -383,8 +383,8 @@ fn spawn_cycle(
     })
 }
 
-/// The life of the cycle thread: sleep to the release, run the cycle, hand the record on, wake the
-/// exchange. When the process ends, the robot is brought to rest first.
+/// The life of the cycle thread: sleep until the release, run the cycle, hand over the record, wake the
+/// exchange. At the end of the process the robot first comes to rest.
 pub fn run_cycles(
     cycle: &mut Cycle,
     ends: &mut CycleEnds,
@@ -416,7 +416,7 @@ pub fn run_cycles(
         ends.records.send(|memory| {
             let next_request = || ends.requests.pop().ok();
             let record = cycle.run_into(memory, release, inputs, next_request, clock);
-            // Before anybody is told.
+            // Before any other thread receives the record.
             keep_latched(shared.latch, mode, record.mode);
             mode = record.mode;
         });
@@ -426,14 +426,15 @@ pub fn run_cycles(
     shared.still_moving.set(!cycle.is_at_rest());
 }
 
-/// A stop or a fault outlives the process until a reset. An end of the daemon is no stop, and what was found at the start stays.
+/// Keeps a stop or a fault beyond the process until a reset. The end of the daemon is not a stop, and a latch
+/// found at the start remains.
 fn keep_latched(latch: Latch, before: Mode, now: Mode) {
     let is_of_itself = matches!(now.reason(), Reason::Shutdown | Reason::StoppedBefore);
     if now.is_latched() && now != before && !is_of_itself {
         latch.set(convert::mode(now), convert::reason(now.reason()));
         return;
     }
-    // What was found at the start may be reset within the cycle that measures the robot for the first time.
+    // A latch found at the start may be reset within the first cycle with a measurement.
     let reason = Reason::Request;
     let was_latched =
         before.is_latched() || (before, now) == (Mode::Starting, Mode::Holding { reason });
@@ -458,7 +459,7 @@ mod tests {
         let latch = Latch::open(&folder.path().join("a.latch")).unwrap();
         let reason = Reason::Request;
         latch.stop_asked();
-        // A stop that came in while it moves, and that no cycle has seen yet.
+        // A stop during motion that no cycle has seen yet.
         keep_latched(latch, Mode::Homing, Mode::Homing);
         keep_latched(latch, Mode::Homing, Mode::Holding { reason });
         keep_latched(

@@ -1,10 +1,10 @@
-//! The loop without work: what the machine alone does to the cycle thread of a configuration.
+//! The bare loop: the latencies of the cycle thread of a configuration, without any work.
 //!
-//! The daemon's own code, without its daemon: the same plan of the thread, the same order at the start, the same
-//! grid, the same judgement of what is late and why. What `cdcrd run` does worse than this is its own fault.
+//! It uses the daemon's own code: thread plan, order at the start, grid, and evaluation of lateness. Any
+//! additional lateness in `cdcrd run` is caused by the daemon.
 //!
-//! Invariant: nothing here knows a robot or shared memory; its summary alone has the words of the messages. After the first release nothing
-//! allocates until the loop is over.
+//! Invariant: nothing here knows a robot or shared memory; only the summary uses terms of the messages. After
+//! the first release nothing allocates until the loop is over.
 
 mod summary;
 
@@ -30,9 +30,9 @@ use crate::start::{self, Started, arm, end_signals, give_up};
 
 pub use summary::{Percentiles, Summary};
 
-/// Cycles that are recorded at most: 800 MB of memory.
+/// Largest number of recorded cycles: 800 MB of memory.
 pub const CYCLES_MAX: u64 = 10_000_000;
-/// How often the main thread looks whether the loop is over or is to end.
+/// Time between two checks of the main thread for the end of the loop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,14 +42,14 @@ pub struct BareCycle {
     pub handed_over_ns: u64,
     pub lateness: Lateness,
     pub blame: Blame,
-    /// What the system did to the thread since the cycle before. None where it does not tell.
+    /// Scheduler statistics of the thread since the previous cycle; `None` if not available.
     pub interference: Option<Interference>,
 }
 
-/// What the system did to the thread during one cycle.
+/// Scheduler statistics of the thread during one cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interference {
-    /// Time ready to run while another had the core \[ns\].
+    /// Time ready to run while another task had the core \[ns\].
     pub run_delay_ns: u64,
     /// Page faults, minor and major.
     pub page_faults: u32,
@@ -64,12 +64,11 @@ impl From<&Scheduling> for Interference {
     }
 }
 
-/// A loop that is over.
+/// Result of a completed loop.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    /// All of it in a few numbers.
     pub summary: Summary,
-    /// Its cycles, oldest first.
+    /// Cycles, oldest first.
     pub cycles: Vec<BareCycle>,
 }
 
@@ -79,7 +78,7 @@ pub fn run(validated: &Validated, duration: Duration) -> Result<Outcome> {
     run_until(validated, duration, || ending.load(Ordering::Relaxed))
 }
 
-/// Runs the loop for `duration`, or until `should_end` says so.
+/// Runs the loop for `duration`, or until `should_end`.
 pub fn run_until(
     validated: &Validated,
     duration: Duration,
@@ -130,7 +129,7 @@ fn spawn(
     })
 }
 
-/// The number on the grid of the last cycle.
+/// The number of the last cycle on the grid.
 fn last_cycle(config: &Config, duration: Duration) -> Result<u64> {
     let period_ms = config.cycle.period_ms;
     let periods = duration.as_nanos() / u128::from(ns(period_ms));
@@ -150,11 +149,11 @@ fn last_cycle(config: &Config, duration: Duration) -> Result<u64> {
     })
 }
 
-/// Judges and records the cycles of a loop without work.
+/// Evaluates and records the cycles of the bare loop.
 #[derive(Debug)]
 struct Recorder {
     last_cycle: u64,
-    /// How long before its release the thread wakes up \[ns\].
+    /// Time before its release at which the thread wakes up \[ns\].
     spin_ns: u64,
     accounting: Accounting,
     attribution: Attribution,
@@ -162,7 +161,7 @@ struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder up to `last_cycle` on the grid. All memory is taken and touched here.
+    /// A recorder up to `last_cycle` on the grid. Allocates and touches all memory.
     fn new(config: &Config, last_cycle: u64) -> Result<Self> {
         Ok(Self {
             last_cycle,
@@ -173,7 +172,7 @@ impl Recorder {
         })
     }
 
-    /// The life of the thread: sleep to the release, read the clock, judge, record.
+    /// The life of the thread: sleep until the release, read the clock, evaluate, record.
     fn run(
         &mut self,
         schedule: &mut Schedule,
@@ -181,7 +180,7 @@ impl Recorder {
         looks: &mut SchedulerLooks,
         ending: &AtomicBool,
     ) {
-        // What happened before the first cycle is none of its business.
+        // Discards the statistics before the first cycle.
         looks.look();
         let mut newest = 0;
         while newest < self.last_cycle && !ending.load(Ordering::Relaxed) {
@@ -191,7 +190,7 @@ impl Recorder {
             let lateness = self.accounting.judge(&release, handed_over_ns, false);
             let scheduling = looks.look();
             let evaluated = self.evaluated(&release, handed_over_ns, lateness);
-            // There is room: each cycle has a higher number, and none but the last is beyond the last.
+            // Within the capacity: cycle numbers increase, and only the last one exceeds the limit.
             self.cycles.push(BareCycle {
                 release,
                 handed_over_ns,
@@ -202,7 +201,7 @@ impl Recorder {
         }
     }
 
-    /// The cycle as far as its lateness is concerned: all its computation is one look at the clock.
+    /// The times of a cycle that concern its lateness: its whole computation is one reading of the clock.
     fn evaluated(
         &self,
         release: &Release,
@@ -231,9 +230,9 @@ impl Recorder {
     }
 }
 
-/// An empty list with room for `count` cycles, whose pages are there.
+/// An empty list with capacity for `count` cycles and resident pages.
 fn memory(count: usize) -> Result<Vec<BareCycle>> {
-    // No zeros: the kernel gives zeroed pages only when they are touched.
+    // Not zeros: the kernel allocates zeroed pages only when they are touched.
     let touched = BareCycle {
         release: Release {
             cycle: u64::MAX,
@@ -262,7 +261,8 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// A clock that stands still but for sleeps. The sleep to the release of `late.0` ends so much late \[ns\].
+    /// A clock that advances only by sleeps. The sleep until the release `late.0` ends late by `late.1`
+    /// \[ns\].
     struct Simulated {
         now: Cell<u64>,
         late: (u64, u64),

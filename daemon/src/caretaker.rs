@@ -1,7 +1,8 @@
-//! Looks after the place of a daemon once a second: whether clients still find it, and what dead clients left there. Has
-//! the configuration read again when somebody has asked for it.
+//! The caretaker checks once a second that clients still find the daemon, and clears the leftovers of dead
+//! clients. It also reloads the configuration on request.
 //!
-//! Invariant: nobody waits for this thread. What it does may take long, or hang with a file that nobody finishes.
+//! Invariant: no other thread waits for this one, beyond [`END_MAX`] at the end. It may take long, or hang on
+//! a file.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,25 +17,25 @@ use crate::instance::{Found, PlaceWatch};
 use crate::reload::Reload;
 
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// Dead processes that it clears away each time. One takes about 5 ms of processor time.
+/// Dead processes cleared per check. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;
 /// iceoryx2 lists its nodes with large arrays on the stack.
 const STACK_BYTES: usize = 1024 * 1024;
-/// How long the end waits for it.
+/// Longest wait for the thread at the end.
 const END_MAX: Duration = Duration::from_secs(1);
 
-/// The thread, for as long as it is wanted.
+/// Handle of the thread; dropping it ends the thread.
 #[derive(Debug)]
 pub(crate) struct Caretaker {
     lost: Arc<OnceLock<PathBuf>>,
     ends: Arc<AtomicBool>,
-    /// The configuration shall be read again.
+    /// A reload of the configuration was requested.
     asked: Arc<AtomicBool>,
     thread: JoinHandle<()>,
 }
 
 impl Caretaker {
-    /// Starts it with the priority and the cores of the calling thread.
+    /// Starts the thread with the priority and the cores of the calling thread.
     pub(crate) fn start(
         place: PlaceWatch,
         mut reload: Reload,
@@ -57,13 +58,14 @@ impl Caretaker {
         })
     }
 
-    /// What was deleted or replaced, where clients cannot find the daemon any more by that.
+    /// The deleted or replaced file, if clients cannot find the daemon any more.
     pub(crate) fn lost(&self) -> Option<&Path> {
         self.lost.get().map(PathBuf::as_path)
     }
 
-    /// Wakes it up where the configuration shall be read again. To be called every few hundredths of a second: before it asks for that,
-    /// systemd gives the root folder the mode of `RuntimeDirectoryMode`, which shuts out the group until the next look.
+    /// Wakes the thread if a reload was requested. Call it every few hundredths of a second: before its
+    /// request, systemd sets the mode of the root folder to `RuntimeDirectoryMode`, which excludes the group
+    /// until the next check.
     pub(crate) fn wake_if_asked(&self) {
         if self.asked.load(Ordering::Relaxed) {
             self.thread.thread().unpark();
@@ -93,14 +95,14 @@ fn look_after(
         match place.look() {
             Found::Whole => {}
             Found::Restored => tracing::warn!("recreated the lock file: it had been deleted"),
-            // At the end the services go with their ports.
+            // At the end the services are removed with their ports.
             Found::Lost { .. } if shared.is_ending() => return,
             Found::Lost { path } => {
                 tracing::error!(
                     path = %path.display(),
                     "was deleted or replaced, so clients cannot reach this daemon: the robot comes to rest"
                 );
-                // It is lost once.
+                // Set only once.
                 let _ = lost.set(path);
                 return;
             }
@@ -114,7 +116,7 @@ fn look_after(
     }
 }
 
-/// Waits until the next look, which comes at once when it is wanted and this thread is woken. False at the end.
+/// Waits until the next check, which is immediate if requested and this thread is woken. False at the end.
 fn goes_on(ends: &AtomicBool, is_wanted: impl Fn() -> bool) -> bool {
     let begin = Instant::now();
     while !ends.load(Ordering::Relaxed) {
@@ -139,14 +141,14 @@ mod tests {
         let asks = || {
             let asked = Cell::new(0);
             let is_wanted = || {
-                // Whoever asks wakes it up.
+                // A request wakes the thread.
                 std::thread::current().unpark();
                 asked.replace(asked.get() + 1) == 2
             };
             assert!(goes_on(&ends, is_wanted));
             asked.get()
         };
-        // Less often where the whole wait went by in a stall, as it would where nothing woke it up.
+        // Fewer calls if the whole wait passed in a stall, as without a wake-up.
         assert!((0..5).any(|_| asks() == 3));
         let begin = Instant::now();
         assert!(goes_on(&ends, || false));

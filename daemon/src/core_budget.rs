@@ -1,34 +1,34 @@
-//! How the real-time threads share out their core: the one place where their time is added up.
+//! Division of the core among the real-time threads: the only module that adds up their time.
 //!
 //! ```text
 //! release                                                              next release
 //!    │ early │ estimate, solve ... │ guard, command, record │ exchange │ ordinary tasks │
-//!    │◄──────────────────── real-time time, at most ──────────────────►│
+//!    │◄──────────────────── real-time share, at most ──────────────────►│
 //! ```
 //!
-//! Linux halts real-time threads that take more than their share of a core (95 % of a second by default), for 50 ms and
-//! more. The solver is the part that can be cut: it ends so early that what was measured of the other parts still fits.
-//! A replay needs none of this: the record says how far the solve went.
+//! Linux halts real-time threads that exceed their share of a core (95 % of a second by default), for 50 ms
+//! and more. Only the solver can be cut: it ends early enough for the measured costs of the other parts. A
+//! replay needs no budget: the record contains the extent of the solve.
 
 use crate::config::{Config, CycleConfig, RealtimeMode, ns};
 use crate::rt::schedule::Release;
 
-/// Share of a core that Linux leaves to real-time threads by default: `sched_rt_runtime_us`, and the fair server of
-/// newer kernels.
+/// Share of a core that Linux leaves to real-time threads by default: `sched_rt_runtime_us`, and the fair
+/// server of newer kernels.
 pub const KERNEL_SHARE: f64 = 0.95;
-/// What of the kernel's share is not used, so that stalls, interrupts and what was measured too small do not use it up.
+/// Unused part of the kernel's share: reserve for stalls, interrupts and underestimated costs.
 const KEPT_BACK: f64 = 0.025;
 
-/// What the parts beside the solver take in a period, as far as it was measured \[ns\].
+/// Measured costs per period of the parts beside the solver \[ns\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Costs {
     /// From the end of the solver until the cycle thread sleeps: limits, clearance guard, command, record.
     pub after_solve_ns: u64,
-    /// The exchange thread.
+    /// Core time of the exchange thread.
     pub exchange_ns: u64,
 }
 
-/// The time of one period.
+/// Division of one period among the real-time threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct CoreBudget {
     period_ns: u64,
@@ -36,12 +36,12 @@ pub struct CoreBudget {
     margin_ns: u64,
     spin_ns: u64,
     is_real_time: bool,
-    /// What the real-time threads may take.
+    /// Time available to the real-time threads.
     real_time_ns: u64,
 }
 
 impl CoreBudget {
-    /// That of a configuration, by the kernel's default share.
+    /// Budget of a configuration, with the kernel's default share.
     pub fn new(config: &Config) -> Self {
         let period_ns = ns(config.cycle.period_ms);
         let budget = Self {
@@ -55,7 +55,8 @@ impl CoreBudget {
         budget.with_kernel_share(KERNEL_SHARE)
     }
 
-    /// The same on a core of which the kernel leaves `share` to real-time threads. Ordinary threads are not limited.
+    /// Sets the share of the core that the kernel leaves to real-time threads. Ordinary threads are not
+    /// limited.
     #[must_use]
     pub fn with_kernel_share(mut self, share: f64) -> Self {
         if self.is_real_time {
@@ -65,10 +66,10 @@ impl CoreBudget {
         self
     }
 
-    /// When the solver of the cycle of `release` has to end \[ns\].
+    /// Time by which the solver in the cycle of `release` has to end \[ns\].
     ///
-    /// Until the deadline half as much again is left as was measured: one late command is a miss. Of the share the
-    /// measured cost is left: it counts over a second.
+    /// Before the deadline one and a half times the measured cost is reserved: one late command is a miss. In
+    /// the kernel's share, which counts over a second, only the measured cost is reserved.
     pub fn solve_end_ns(&self, release: &Release, costs: Costs) -> u64 {
         let left_ns = self
             .margin_ns
@@ -84,12 +85,12 @@ impl CoreBudget {
         self.solve_end_ns(&Release::default(), costs)
     }
 
-    /// Whether `costs` leave the solver less than half of what it has without them.
+    /// `costs` leave the solver less than half of its time without costs.
     pub fn is_cut_short(&self, costs: Costs) -> bool {
         2 * self.solve_ns(costs) < self.solve_ns(Costs::default())
     }
 
-    /// What a cycle that takes at least `least_ns` without any search lacks to fit \[ns\]; none: it fits.
+    /// Time by which a cycle that takes `least_ns` without any search does not fit \[ns\]; `None`: it fits.
     pub fn lacks_ns(&self, least_ns: u64) -> Option<u64> {
         let needs_ns = least_ns + self.spin_ns + exchange_ns(Costs::default());
         needs_ns
@@ -97,7 +98,7 @@ impl CoreBudget {
             .filter(|lacks_ns| *lacks_ns > 0)
     }
 
-    /// The parts in words.
+    /// The parts of the budget as text.
     pub fn describe(&self, costs: Costs) -> String {
         let ms = |ns: u64| ns as f64 / 1e6;
         format!(
@@ -118,24 +119,26 @@ impl CoreBudget {
     }
 }
 
-/// What is left to the exchange: at least what it takes where nobody sends anything.
+/// Time reserved for the exchange: at least its cost without any messages.
 fn exchange_ns(costs: Costs) -> u64 {
     costs.exchange_ns.max(CycleConfig::EXCHANGE_NS)
 }
 
-/// So many costs are remembered: 0.64 s at 5 ms.
+/// Number of recent costs: 0.64 s at 5 ms.
 const REMEMBERED: usize = 128;
-/// So many of the largest are stalls of the processor, which the clock of the thread counts where a hypervisor makes them.
+/// Number of the largest costs that count as stalls of the processor. A thread clock includes stalls by a
+/// hypervisor.
 const STALLS: usize = 3;
-/// The part of the largest that are stalls where the clock goes on while the thread does not: one in thirty. Where another task had
-/// the core, the scheduler says so, and nothing is noted; what a hypervisor takes, it may not know.
+/// One in this many costs counts as a stall, if the clock continues while the thread does not run. Costs are
+/// not recorded when the scheduler reports that another task had the core, but it may not know of a
+/// hypervisor's stalls.
 const STALLED: usize = 30;
 
 #[derive(Debug, Clone)]
 pub struct RecentCosts {
-    /// As they came.
+    /// In order of arrival.
     costs_ns: [u64; REMEMBERED],
-    /// The same, the least first: the cycle asks each time.
+    /// Sorted, smallest first: the cycle reads the costs each time.
     sorted_ns: [u64; REMEMBERED],
     noted: usize,
     next: usize,
@@ -155,7 +158,7 @@ impl Default for RecentCosts {
 impl RecentCosts {
     pub fn note(&mut self, cost_ns: u64) {
         let oldest_ns = core::mem::replace(&mut self.costs_ns[self.next % REMEMBERED], cost_ns);
-        // The place of the one that is forgotten, or the first free one.
+        // The place of the forgotten cost, or the first free one.
         let from = if self.noted < REMEMBERED {
             self.noted
         } else {
@@ -173,18 +176,18 @@ impl RecentCosts {
         self.noted = (self.noted + 1).min(REMEMBERED);
     }
 
-    /// The largest of costs that the clock of the thread counted, but for what stalls made of a few \[ns\].
+    /// The largest cost on the thread's clock, except a few attributed to stalls \[ns\].
     pub fn high_on_core_ns(&self) -> u64 {
         self.largest_but_ns(STALLS)
     }
 
-    /// The largest of costs that the clock of the machine counted, but for the thirtieth that stalls may have lengthened
-    /// \[ns\]. The other clock is a system call, which the cycle thread must not make.
+    /// The largest cost on the machine's clock, except the thirtieth that stalls may have lengthened \[ns\].
+    /// The thread's clock is a system call, which the cycle thread must not make.
     pub fn high_by_clock_ns(&self) -> u64 {
         self.largest_but_ns((self.noted / STALLED).max(STALLS))
     }
 
-    /// The largest without the `left_out` ones above it; 0 when there are no more \[ns\].
+    /// The largest cost below the `left_out` largest ones; 0 if there is none \[ns\].
     fn largest_but_ns(&self, left_out: usize) -> u64 {
         let at = self.noted.checked_sub(1 + left_out);
         at.and_then(|at| self.sorted_ns.get(at))
@@ -220,10 +223,10 @@ mod tests {
     #[test]
     fn the_solver_ends_so_early_that_the_other_parts_fit_into_the_share() {
         let plain = budget(|_| ());
-        // A tenth of the period is more than small costs ask for.
+        // A tenth of the period is more than small costs need.
         assert_eq!(plain.solve_ns(Costs::default()), 4500 * US);
         assert_eq!(plain.solve_ns(costs(30, 60)), 4500 * US);
-        // The case: six sections among 64 obstacles. 4.5 + 0.28 + 0.15 would be 98.6 %.
+        // Six sections among 64 obstacles: 4.5 + 0.28 + 0.15 ms would be 98.6 %.
         assert_eq!(plain.solve_ns(costs(280, 150)), 4195 * US);
         for after_us in [0, 100, 400, 2000] {
             for exchange_us in [0, 60, 400] {
@@ -247,7 +250,7 @@ mod tests {
         };
         assert_eq!(plain.solve_end_ns(&release, costs(280, 150)), 4395 * US);
         assert_eq!(plain.solve_end_ns(&release, Costs::default()), 4500 * US);
-        // So much after the solver that the deadline asks for more than the share does.
+        // With a long time after the solver, the deadline requires more than the share.
         assert_eq!(plain.solve_end_ns(&release, costs(800, 0)), 3800 * US);
         assert_eq!(plain.solve_end_ns(&release, costs(9000, 0)), 0);
     }
@@ -296,7 +299,7 @@ mod tests {
         let (mut recent, mut random, mut all_ns) = (RecentCosts::default(), 1_u64, Vec::new());
         for turn in 0..1000 {
             random = random.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(1);
-            // Many are the same.
+            // With many equal costs.
             let cost_ns = if turn % 3 == 0 {
                 random >> 61
             } else {

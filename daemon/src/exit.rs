@@ -1,7 +1,7 @@
-//! Why the process ends, as the number that a service manager sees.
+//! The cause of the process's end, as exit status for a service manager.
 //!
-//! Numbers from 64 to 78 have the meaning that BSD's `sysexits.h` gives them. 80 to 83 are our own. The
-//! table in `docs/faults.md` says what to do about each.
+//! Numbers from 64 to 78 have their meaning from BSD's `sysexits.h`. 80 to 83 are our own. `docs/faults.md`
+//! has the remedy for each.
 
 use std::process::ExitCode;
 
@@ -12,15 +12,15 @@ use crate::services::ServiceError;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ExitCause {
-    /// It was asked to, and the robot came to rest.
+    /// Requested, and the robot came to rest.
     Asked = 0,
-    /// Something that has no number of its own.
+    /// A cause without a number of its own.
     Other = 1,
     /// The command line is wrong.
     Usage = 2,
-    /// Another daemon controls this robot already.
+    /// Another daemon already controls this robot.
     AlreadyRuns = 69,
-    /// A thread panicked: a mistake in the program.
+    /// A thread panicked: a defect of the program.
     Panicked = 70,
     /// Shared memory cannot be used: it is full, or holds services of another version.
     SharedMemory = 71,
@@ -34,11 +34,11 @@ pub enum ExitCause {
     Configuration = 78,
     /// The cycle thread made no progress.
     CycleHung = 80,
-    /// The exchange, the reporter or the status thread made no progress.
+    /// The exchange, the reporter or the status thread made no progress, or did not end.
     ExchangeHung = 81,
-    /// It was asked to end, and the robot did not come to rest in time.
+    /// The end was requested, and the robot did not come to rest in time.
     NotAtRest = 82,
-    /// The root folder was emptied or replaced while it ran.
+    /// The root folder was emptied or replaced while the daemon ran.
     PlaceLost = 83,
 }
 
@@ -60,7 +60,6 @@ impl ExitCause {
         Self::PlaceLost,
     ];
 
-    /// The exit status.
     pub const fn code(self) -> u8 {
         self as u8
     }
@@ -97,12 +96,12 @@ impl From<ExitCause> for ExitCode {
     }
 }
 
-/// An end whose cause no other error type tells.
+/// An end whose cause has no other error type.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct Ended {
     pub cause: ExitCause,
-    /// In words, with a remedy.
+    /// Text with a remedy.
     pub message: String,
 }
 

@@ -1,4 +1,4 @@
-//! One daemon per robot and location, and a location that no other user can disturb.
+//! One daemon per robot and location, at a location that no other user can disturb.
 
 mod acl;
 mod name;
@@ -22,38 +22,38 @@ use crate::services::{ServiceError, ask_for_space, stale};
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
 
-/// Whoever may write to a lock file may write more than a process id into it \[bytes\].
+/// Longest content read from a lock file \[bytes\]: a writer may put more than a process id into it.
 const PROCESS_ID_MAX: u64 = 32;
 
-/// Longer than a client holds the lock to see whether a daemon does.
+/// Longer than a client holds the lock to check for a daemon.
 const LOOK_MAX: Duration = Duration::from_millis(200);
 
-/// The right to be the daemon of one robot at one location: a locked file in the root folder, and a name among the
-/// abstract Unix sockets. The kernel gives both back when the process ends, however it ends.
+/// The right to be the daemon of one robot at one location: a locked file in the root folder, and a name
+/// among the abstract Unix sockets. The kernel releases both however the process ends.
 #[derive(Debug)]
 pub struct Instance {
     path: PathBuf,
     location: Location,
-    /// The root folder, locked: who may use it does not change.
+    /// The locked root folder: its access does not change.
     root: Arc<File>,
     group_id: Option<u32>,
     locked: Arc<Mutex<File>>,
-    /// Taken for as long as the process lives, whatever becomes of the files.
+    /// Held as long as the process lives, even if the files are deleted.
     name: Option<Arc<UnixListener>>,
     latch: Latch,
 }
 
-/// Why this process may not be the daemon.
+/// The reason why this process may not be the daemon.
 #[derive(Debug, thiserror::Error)]
 pub enum InstanceError {
-    /// Another one is.
+    /// Another daemon is running.
     #[error(
         "a daemon for robot \"{robot}\" is already running (process {process}) with prefix {prefix} in {root}\nend \
          it with `kill {process}`, or use another --robot, --prefix or --root"
     )]
     Runs {
         robot: String,
-        /// Process id of the other daemon, as far as it could be read.
+        /// Process id of the other daemon, if it could be read.
         process: String,
         prefix: String,
         root: String,
@@ -62,7 +62,7 @@ pub enum InstanceError {
         "the root folder {root} belongs to user id {owner}, not to {user}\nuse another one with --root"
     )]
     ForeignRoot { root: String, owner: u32, user: u32 },
-    /// Another user has put a link where the root folder should be.
+    /// Another user has put a link in the place of the root folder.
     #[error(
         "the root folder {root} is a symbolic link that belongs to user id {owner}, not to {user}\n\
          name the folder itself with --root, or choose another"
@@ -73,7 +73,7 @@ pub enum InstanceError {
          daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or use another one with --root"
     )]
     OpenRoot { root: String, mode: u32 },
-    /// Another daemon lives in the root folder, and other users may use it than this one wants.
+    /// Another daemon lives in the root folder, with an access for other users than this one requires.
     #[error(
         "the root folder {root} is {access}, and other daemons run in it: {daemons}\nthis daemon, with transport.group = \
          {group}, would change the permissions for them: use the same group for all daemons of a root folder, end \
@@ -81,10 +81,10 @@ pub enum InstanceError {
     )]
     RootInUse {
         root: String,
-        /// Who may use it now.
+        /// Present access.
         access: &'static str,
         daemons: String,
-        /// Whom this one wants to let in.
+        /// Group required by this daemon.
         group: String,
     },
     #[error(
@@ -93,7 +93,7 @@ pub enum InstanceError {
          empty it, or use another one with --root"
     )]
     EnteredRoot { root: String, mode: u32 },
-    /// Somebody who is no daemon that runs has locked the root folder.
+    /// Another process than a running daemon has locked the root folder.
     #[error(
         "another process has locked the root folder {root}: a starting daemon, or a program that deletes old files \
          (find it with `fuser -v {root}`)\ntry again in a moment, or use another folder with --root"
@@ -110,7 +110,7 @@ pub enum InstanceError {
          run the daemon as its own user, or leave transport.group empty"
     )]
     GroupOfRoot { root: String },
-    /// Another user could put a folder in the place of one that a group trusts.
+    /// Another user could replace a folder that a group trusts.
     #[error(
         "cannot share {root} with a group: its parent folder must be owned by root and closed to others, like \
          /run\ncreate one as root: install -d -o <user of the daemon> -m 0700 /run/cdcr; or leave transport.group \
@@ -124,7 +124,7 @@ pub enum InstanceError {
 }
 
 impl InstanceError {
-    /// Whether the file system of the root folder is full.
+    /// The file system of the root folder is full.
     pub(crate) fn is_full(&self) -> bool {
         match self {
             Self::InsufficientSpace(_) => true,
@@ -135,7 +135,7 @@ impl InstanceError {
 }
 
 impl Instance {
-    /// Becomes the daemon of `robot` at `location`, for its user and a group.
+    /// Claims to be the daemon of `robot` at `location`, for its user and a group.
     pub fn claim(
         location: &Location,
         robot: &str,
@@ -158,7 +158,7 @@ impl Instance {
         let latched = latch_file(&path);
         let latch =
             Latch::open(&latched).map_err(|cause| file_error(&latched, without_link(cause)))?;
-        // Before our own nodes are there, because they count as somebody who lives here.
+        // Before the first node of this process, which would count as a user of the location.
         stale::sweep(location);
         Ok(Self {
             path,
@@ -171,12 +171,12 @@ impl Instance {
         })
     }
 
-    /// Whether the robot is to stay stopped.
+    /// The latch of the robot's stop.
     pub(crate) fn latch(&self) -> Latch {
         self.latch
     }
 
-    /// What has to stay where it is for as long as the daemon of `robot` runs. Call it when the services are there.
+    /// The files that must remain while the daemon of `robot` runs. Call it when the services exist.
     pub(crate) fn watch(&self, robot: &str) -> PlaceWatch {
         PlaceWatch::new(self, robot)
     }
@@ -184,7 +184,7 @@ impl Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        // What the caretaker has not come to.
+        // Dead nodes that the caretaker has not cleared yet.
         self.location.clear_dead_nodes(usize::MAX);
         let locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
         let latched = latch_file(&self.path);
@@ -192,25 +192,25 @@ impl Drop for Instance {
             tracing::error!(path = %latched.display(), %error, "cannot store the latch: the next daemon will not know that the robot was stopped");
             false
         });
-        // Otherwise it is another daemon's, which came when ours had been deleted.
+        // Otherwise it belongs to another daemon, started after ours had been deleted.
         if is_file_at(&locked, &self.path) {
             if is_free {
                 remove_if_there(&latched);
             }
-            // What iceoryx2 leaves of killed clients.
+            // Leftovers of killed clients that iceoryx2 does not remove.
             stale::sweep(&self.location);
             remove_if_there(&self.path);
         }
     }
 }
 
-/// Beside the lock file: what says that the robot is to stay stopped.
+/// The file beside the lock file that keeps the latch.
 fn latch_file(lock: &Path) -> PathBuf {
     lock.with_extension("latch")
 }
 
-/// Locks the file at `path`. A daemon that ended between our opening and our locking has removed it;
-/// then the lock is worth nothing, and we try again with the file that is there now.
+/// Locks the file at `path`. A daemon that ended between the opening and the locking has removed the file;
+/// then the lock is useless, and the new file is tried.
 fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceError> {
     let begin = Instant::now();
     loop {
@@ -226,7 +226,7 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
         match file.try_lock() {
             Ok(()) if is_file_at(&file, path) => return Ok(file),
             Ok(()) => {}
-            // A client that looks whether a daemon runs has it for microseconds.
+            // A client that checks for a daemon holds the lock for microseconds.
             Err(TryLockError::WouldBlock) if begin.elapsed() < LOOK_MAX => {
                 std::thread::sleep(LOOK_MAX / 20);
             }
@@ -238,7 +238,7 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
     }
 }
 
-/// Why a file was not opened, in words where it was for a link in its place.
+/// The cause for which a file was not opened, with an own text for a link in its place.
 fn without_link(cause: std::io::Error) -> std::io::Error {
     match Errno::from_io_error(&cause) {
         Some(Errno::LOOP) => std::io::Error::other("it is a symbolic link"),
@@ -262,7 +262,7 @@ fn is_file_at(file: &File, path: &Path) -> bool {
     matches!((opened, there), (Ok(opened), Ok(there)) if opened == there)
 }
 
-/// A full file system is told with what is needed and what is free.
+/// Adds the needed and the free space to the error of a full file system.
 fn with_missing_space(error: InstanceError, location: &Location) -> InstanceError {
     match error.is_full().then(|| ask_for_space(location)) {
         Some(Err(missing)) => InstanceError::InsufficientSpace(missing),
@@ -286,7 +286,7 @@ fn owner_of(file: &mut File) -> String {
 }
 
 fn write_process_id(file: &mut File) -> std::io::Result<()> {
-    // As for all files here, the root folder decides who may look whether a daemon has it.
+    // As for all files here, the root folder decides who may check for a daemon.
     file.set_permissions(Permissions::from_mode(0o666))?;
     file.set_len(0)?;
     file.rewind()?;
@@ -340,7 +340,7 @@ mod tests {
             "{refused}"
         );
         assert_eq!(std::fs::read_to_string(&elsewhere).unwrap(), "theirs");
-        // Nor by those who ask whether a daemon runs, however the file that it leads to is locked.
+        // Checks for a daemon do not follow the link either, even if its target is locked.
         let locked = File::open(&elsewhere).unwrap();
         locked.try_lock().unwrap();
         assert_eq!(location.presence("a"), None);

@@ -1,8 +1,9 @@
-//! A stop outlives the daemon: a word in the root folder says that the robot was stopped or faulted, and what by, until a reset.
+//! A stop outlives the daemon: until a reset, a word in the root folder keeps the mode and reason of a stop
+//! or a fault.
 //!
-//! The word is mapped, so whoever latches or resets the robot writes it as it writes memory: no system call, no wait, no disk
-//! that can be full. The kernel keeps it when the process is killed in the next instruction. The folder is in memory, so the
-//! word ends with the machine's run.
+//! The word is memory-mapped: latching or resetting the robot is a memory write, without a system call, a
+//! wait or a disk that can be full. The kernel keeps the value even if the process is killed in the next
+//! instruction. The folder is in memory, so a restart of the machine clears it.
 
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{Error, Result};
@@ -19,12 +20,12 @@ const WORD_BYTES: u64 = size_of::<u64>() as u64;
 /// No stop, and no fault.
 const FREE: u64 = 0;
 
-/// Whether the robot is to stay stopped, whoever is its daemon. The default keeps nothing.
+/// The latch of a robot, for every daemon of it. The default keeps nothing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Latch(Option<&'static AtomicU64>);
 
 impl Latch {
-    /// The one in the file at `path`, which is made where it is missing: for the user of this process alone.
+    /// Opens the latch in the file at `path`; creates a missing file for the user of this process alone.
     pub fn open(path: &Path) -> Result<Self> {
         let file = private().create(true).truncate(false).open(path)?;
         let metadata = file.metadata()?;
@@ -34,12 +35,13 @@ impl Latch {
                 "it is not a regular file of this user with a single link",
             ));
         }
-        // Less has one who was killed when he had just made it.
+        // A file is shorter if its creator was killed right after creating it.
         if metadata.len() < WORD_BYTES {
             write(&file, FREE)?;
         }
         let word = map_word(&file)?;
-        // Written, so that the page is there, and none is asked for later; `fetch_or` of zero would be left out.
+        // A write, so that the page is resident and no later access needs it; `fetch_or` of zero would be
+        // optimised away.
         word.store(
             std::hint::black_box(word.load(Ordering::Relaxed)),
             Ordering::Relaxed,
@@ -47,7 +49,7 @@ impl Latch {
         Ok(Self(Some(word)))
     }
 
-    /// Mode and reason that the robot was latched by, in words, if nobody has reset it.
+    /// Mode and reason of the latch as text, until a reset.
     pub fn told(&self) -> Option<String> {
         let word = self.word();
         let (mode, reason) = (word as u32, (word >> 32) as u32);
@@ -55,26 +57,26 @@ impl Latch {
         (word != FREE).then(told)
     }
 
-    /// The robot was stopped or faulted.
+    /// Latches a stop or a fault.
     pub fn set(&self, mode: Mode, reason: Reason) {
         self.store(word_of(mode, reason));
     }
 
-    /// It was reset.
+    /// Clears the latch after a reset.
     pub fn clear(&self) {
         self.store(FREE);
     }
 
-    /// A stop was asked for, and may find no cycle any more that carries it out.
+    /// Latches a requested stop, which may find no cycle to carry it out.
     pub fn stop_asked(&self) {
         if let Some(word) = self.0 {
             let stopped = word_of(Mode::Stopped, Reason::Request);
-            // The cycle may know better meanwhile.
+            // The cycle may already have latched a more specific reason.
             let _ = word.compare_exchange(FREE, stopped, Ordering::AcqRel, Ordering::Acquire);
         }
     }
 
-    /// Makes the file anew where it was deleted, also with its folder, if the robot is to stay stopped. True: it is not.
+    /// Creates a deleted file again, with its folder, if the robot is latched. Returns true if it is not.
     pub(crate) fn leave(&self, path: &Path) -> Result<bool> {
         let word = self.word();
         if word == FREE || path.symlink_metadata().is_ok() {
@@ -101,7 +103,7 @@ impl Latch {
     }
 }
 
-/// How the file is opened: no link or pipe in its place leads anywhere.
+/// Options that follow no link and wait for no pipe in the file's place.
 fn private() -> OpenOptions {
     let mut options = OpenOptions::new();
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
@@ -132,13 +134,13 @@ mod tests {
         let folder = Scratch::in_memory().unwrap();
         let path = folder.path().join("root/a.latch");
         std::fs::create_dir(path.parent().unwrap()).unwrap();
-        // Its maker was killed before it wrote anything.
+        // Its creator was killed before it wrote anything.
         File::create(&path).unwrap();
         let latch = Latch::open(&path).unwrap();
         assert_eq!(latch.told(), None);
         assert!(latch.leave(&path).unwrap());
         latch.set(Mode::Faulted, Reason::MeasurementLost);
-        // A stop that comes later does not change why.
+        // A later stop does not change the reason.
         latch.stop_asked();
         let told = "faulted (the measurement is lost)";
         assert_eq!(Latch::open(&path).unwrap().told().as_deref(), Some(told));

@@ -1,32 +1,35 @@
 //! `cdcrd`: the real-time control daemon for cable-driven continuum robots.
 //!
-//! Four threads matter (see `ARCHITECTURE.md`): the **cycle** on a pinned core sleeps to each release of an
-//! absolute time grid, estimates, decides, solves, limits, and hands a record on; the **exchange** on
-//! the same core below it moves messages between shared memory and the cycle; the **reporter** publishes telemetry outside the
-//! control path; the **supervisor** elsewhere does what is slow or textual.
+//! The threads that matter (see `ARCHITECTURE.md`):
+//! - The **cycle** on a pinned core sleeps until each release of an absolute time grid, estimates, decides,
+//!   solves, limits, and hands over a record.
+//! - The **exchange**, on the same core at a lower priority, transfers messages between shared memory and the
+//!   cycle.
+//! - The **reporter** publishes telemetry outside the control path.
+//! - The **supervisor**, on another core, does slow work and text output.
 //!
 //! | module | knows | must not know |
 //! |---|---|---|
 //! | [`config`] | TOML, ranges | threads, messages |
 //! | [`cycle`] | the order of the steps | iceoryx2, files, the system |
-//! | [`core_budget`] | how long the solver may take | who measures the other parts |
-//! | [`obstacles`] | what is known around the robot | who says so |
-//! | [`handover`] | what threads hand to each other | what they do with it |
-//! | [`latch`] | what outlives the process: a stop, a fault | who stops, and how |
-//! | [`convert`] | messages and what they mean | who sends them, and when |
-//! | [`services`] | iceoryx2: services, ports, room for them | what the messages mean |
-//! | [`link`] | what the cycle needs of a robot | messages |
-//! | [`exchange`] | messages, clients | how a cycle is computed |
-//! | [`reporter`] | telemetry, why a cycle was late | references, obstacles, requests |
-//! | [`rt`] | clock, grid, privileges, why a thread was late | the robot, the configuration |
-//! | [`service_manager`] | what systemd is told | how a cycle is computed |
-//! | [`log`] | where the log goes, how much of it | what is logged |
-//! | [`supervisor`] | statistics, log, status | anything in the path of a cycle |
-//! | `doctor` | the machine: files of the kernel, what it grants | how it is printed |
-//! | [`exit`] | why the process ends | what happens before |
-//! | [`bare`] | the loop without work: what the machine alone does to it | robot, messages, shared memory |
-//! | [`app`] | every concrete type | nothing is hidden from it |
-//! | [`cli`] | the command line | anything about a cycle |
+//! | [`core_budget`] | time of the solver in a period | source of the measured costs |
+//! | [`obstacles`] | obstacles around the robot | their messages |
+//! | [`handover`] | data exchanged between threads | its use by the threads |
+//! | [`latch`] | state that outlives the process: a stop, a fault | causes of a stop |
+//! | [`convert`] | messages and their meaning | senders, times of sending |
+//! | [`services`] | iceoryx2: services, ports, their memory | meaning of the messages |
+//! | [`link`] | interface of a cycle to its robot | messages |
+//! | [`exchange`] | messages, clients | computation of a cycle |
+//! | [`reporter`] | telemetry, causes of late cycles | references, obstacles, requests |
+//! | [`rt`] | clock, grid, privileges, causes of late threads | the robot, the configuration |
+//! | [`service_manager`] | notifications to systemd | computation of a cycle |
+//! | [`log`] | destination and rate of the log | content of the log |
+//! | [`supervisor`] | statistics, log, status | the control path |
+//! | `doctor` | the machine: files of the kernel, privileges | output format |
+//! | [`exit`] | causes of the process's end | events before it |
+//! | [`bare`] | the loop without work: latencies of the machine | robot, messages, shared memory |
+//! | [`app`] | every concrete type | - |
+//! | [`cli`] | the command line | a cycle |
 
 #![allow(
     missing_docs,

@@ -1,4 +1,5 @@
-//! The robots that a cycle can have: the ideal one and a misbehaving one, simulated inside the daemon, and one behind a driver.
+//! The robots of a cycle: an ideal and a misbehaving one, simulated inside the daemon, and one behind a
+//! driver.
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::plant::{KinematicPlant, MisbehavingRobot, MotorOrder};
@@ -7,19 +8,20 @@ use cdcr_controller::robot::{BendRates, CABLES_MAX, Configuration, Robot, RobotE
 use crate::config::{Interface, LinkKind, Validated, ns};
 use crate::handover::{CycleInputs, Policy, TimedMeasurement};
 
-/// The robot, simulated or real, as the cycle sees it. Nothing here allocates, locks or calls the system.
+/// The robot of a cycle, simulated or real. Nothing here allocates, locks or makes a system call.
 #[derive(Debug)]
 pub enum RobotLink {
-    /// Exactly its model.
+    /// Simulated, equal to its model.
     Ideal(Box<IdealRobot>),
-    /// Not its model.
+    /// Simulated, different from its model.
     Misbehaving(Box<MisbehavingLink>),
-    /// A driver process: its measurements come with the inputs, and the exchange publishes the commands from the records.
+    /// A driver process: measurements come with the inputs, and the exchange publishes the commands from the
+    /// records.
     Driver,
 }
 
 impl RobotLink {
-    /// The robot of a configuration. An ideal one moves on for as long as its newest command lets it.
+    /// The robot of a configuration. An ideal one moves while its newest command is valid.
     pub fn new(validated: &Validated) -> Result<Self, RobotError> {
         let Validated {
             config,
@@ -43,7 +45,8 @@ impl RobotLink {
         Self::Ideal(Box::new(IdealRobot { plant, now_ns }))
     }
 
-    /// The newest measurement for the release at `release_ns`; none when there is none yet. Called once in each cycle.
+    /// The newest measurement for the release at `release_ns`; `None` before the first. Called once in each
+    /// cycle.
     pub fn measure(&mut self, release_ns: u64, inputs: &CycleInputs) -> Option<TimedMeasurement> {
         match self {
             Self::Ideal(robot) => Some(TimedMeasurement {
@@ -55,7 +58,8 @@ impl RobotLink {
         }
     }
 
-    /// The newest measurement of the tip beside bends or cables. Called once in each cycle, after [`Self::measure`].
+    /// The newest measurement of the tip in addition to bends or cables. Called once in each cycle, after
+    /// [`Self::measure`].
     pub fn measure_tip(
         &mut self,
         release_ns: u64,
@@ -77,8 +81,8 @@ impl RobotLink {
         }
     }
 
-    /// The rates that hold from the release at `release_ns` on, for a simulated robot.
-    /// `commanded` is where the robot is commanded to be at that release.
+    /// Sets the rates from the release at `release_ns` on, for a simulated robot. `commanded` is the
+    /// commanded position at that release.
     pub fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {
         match self {
             Self::Ideal(robot) => robot.plant.command(rates),
@@ -88,8 +92,8 @@ impl RobotLink {
     }
 }
 
-/// The ideal kinematic robot. Commands take effect at the release of their cycle, and its state is
-/// known exactly at each release.
+/// The ideal kinematic robot. Commands take effect at the release of their cycle, and its state is known
+/// exactly at each release.
 #[derive(Debug)]
 pub struct IdealRobot {
     plant: KinematicPlant,
@@ -104,29 +108,29 @@ impl IdealRobot {
     }
 }
 
-/// A robot that is not its model, with its driver. Its sensors are read at each release; its motors obey what the configuration says,
-/// as long as a command is valid.
+/// A robot that differs from its model, with its driver. Its sensors are read at each release. Its motors
+/// execute the command of the configured interface while it is valid.
 #[derive(Debug)]
 pub struct MisbehavingLink {
     plant: MisbehavingRobot,
     model: Robot,
     interface: Interface,
     measures_tip: bool,
-    /// The tip beside the cables.
+    /// Tip and cables are measured.
     measures_both: bool,
-    /// What its sensors said last: they may say nothing at a release.
+    /// Last measurement of its sensors, which may be silent at a release.
     last: Option<TimedMeasurement>,
     last_tip: Option<TimedMeasurement>,
     valid_ns: u64,
     rates: BendRates,
-    /// Where position motors are sent (m).
+    /// Target of position motors \[m\].
     target_m: [f64; CABLES_MAX],
-    /// Until when the rates hold \[ns\].
+    /// End of the validity of the rates \[ns\].
     until_ns: u64,
     now_ns: Option<u64>,
 }
 
-/// The motors are moved on in steps of this, or in so many if that would be more.
+/// Step of the motors' simulation \[ns\]; longer if there would be more than [`STEPS_MAX`] steps.
 const STEP_NS: u64 = 1_000_000;
 const STEPS_MAX: u64 = 50;
 

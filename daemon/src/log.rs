@@ -1,9 +1,10 @@
-//! Where the log goes, and how much of it.
+//! Destination and rate of the log.
 //!
-//! Started by systemd, the standard error is the journal (`JOURNAL_STREAM` of `systemd.exec(5)` says so),
-//! and the lines go there with their fields: `reason` becomes `CDCR_REASON`. Anywhere else they are text on
-//! the standard error. Neither makes anybody wait. Either way the same line comes at most [`LINES_MAX`] times in [`INTERVAL`]; what was
-//! left out is counted and said. Counters in status and telemetry never pass through here.
+//! Under systemd the standard error is the journal (according to `JOURNAL_STREAM` of `systemd.exec(5)`), and
+//! the lines go there with their fields: `reason` becomes `CDCR_REASON`. Otherwise they are text on the
+//! standard error. Neither blocks a thread. The same line appears at most [`LINES_MAX`] times in
+//! [`INTERVAL`]; suppressed lines are counted and reported. Counters in status and telemetry do not pass
+//! through the log.
 
 mod journal;
 mod standard_error;
@@ -29,25 +30,25 @@ use tracing_subscriber::layer::{Context, SubscriberExt};
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// How often one place in the program may log within [`INTERVAL`].
+/// Lines that one place in the program may log within [`INTERVAL`].
 pub const LINES_MAX: u32 = 20;
 /// Time in which lines are counted.
 pub const INTERVAL: Duration = Duration::from_secs(10);
 
-/// The log of the process. It lives as long as the process, and is ended with [`Log::end`].
+/// The log of the process, until [`Log::end`].
 #[derive(Debug)]
 #[must_use]
 pub struct Log {
     text: Text,
     guard: TextGuard,
-    /// Of the journal, where the lines go there.
+    /// Of the journal, if the lines go there.
     journal: Option<TextGuard>,
 }
 
 impl Log {
-    /// Sets the log of the process up. `RUST_LOG` chooses what is logged: a level, or a list such as
-    /// `info,cdcr_daemon::exchange=debug`; without it, `info` and above.
-    /// Errors of iceoryx2 are lines of it, and so are the words of a panic, in any thread.
+    /// Sets up the log of the process. `RUST_LOG` is a level, or a list such as
+    /// `info,cdcr_daemon::exchange=debug`; the default is `info` and above. Errors of iceoryx2 and panics in
+    /// any thread are logged, too.
     pub fn start() -> Self {
         let (text, guard) = Text::new();
         let journal = start_lines(&text);
@@ -62,12 +63,13 @@ impl Log {
         }
     }
 
-    /// Writes a message to whoever started the process. It is on the standard error once the log has ended.
+    /// Writes a message to the standard error; [`Log::end`] waits for it.
     pub fn say(&self, message: &str) {
         say(&self.text, message);
     }
 
-    /// Writes what is still to be written, and waits for it 2 s at most (and as long for the journal): nobody may be reading.
+    /// Writes the waiting lines for at most 2 s (and as long for the journal), because there may be no
+    /// reader.
     pub fn end(self) {
         if let Some(journal) = self.journal {
             journal.end();
@@ -106,7 +108,7 @@ fn start_lines(text: &Text) -> Option<TextGuard> {
     guard
 }
 
-/// What `RUST_LOG` asks for, and why it is ignored if it makes no sense.
+/// The filter in `RUST_LOG`, or the default with the error of an invalid one.
 fn filter(rust_log: Option<&str>) -> (Targets, Option<ParseError>) {
     let default = Targets::new().with_default(LevelFilter::INFO);
     match rust_log
@@ -120,13 +122,13 @@ fn filter(rust_log: Option<&str>) -> (Targets, Option<ParseError>) {
 }
 
 fn say(text: &Text, message: &str) {
-    // It cannot fail: what nobody reads is counted.
+    // Cannot fail: lost lines are counted.
     let _ = text
         .clone()
         .write_all(format!("cdcrd: {message}\n").as_bytes());
 }
 
-/// What a panic says: thread, place, words; and how it came there, if `RUST_BACKTRACE` asks for it.
+/// Text of a panic: thread, place, message; with a backtrace if `RUST_BACKTRACE` requests it.
 fn words(panic: &PanicHookInfo<'_>) -> String {
     let thread = std::thread::current();
     let name = thread.name().unwrap_or("without a name");
@@ -143,12 +145,12 @@ struct Iceoryx2;
 
 impl ForeignLog for Iceoryx2 {
     fn log(&self, level: LogLevel, origin: Arguments<'_>, message: Arguments<'_>) {
-        // What is less than an error does not come here.
+        // Only errors are passed on here.
         tracing::error!(?level, %origin, "iceoryx2: {message}");
     }
 }
 
-/// Whether the standard error is the file that `stream` (device:inode) names.
+/// The standard error is the file `stream` (device:inode).
 fn is_standard_error(stream: &str) -> bool {
     let Ok(file) = fstat(std::io::stderr()) else {
         return false;
@@ -168,8 +170,8 @@ fn lines<S: Subscriber + for<'a> LookupSpan<'a>>(text: &Text) -> impl Layer<S> +
         .with_target(false)
 }
 
-/// Lets each place in the program log so often, and says how much it left out before the next line that it
-/// lets pass.
+/// Limits the lines of each place in the program, and reports the number of suppressed lines before the next
+/// line that passes.
 #[derive(Debug)]
 struct RateLimit {
     limit: Limit,
@@ -182,7 +184,7 @@ struct Limit {
     interval: Duration,
 }
 
-/// What one place in the program logged in the current interval.
+/// Lines of one place in the program in the current interval.
 #[derive(Debug)]
 struct Place {
     since: Instant,
@@ -193,7 +195,7 @@ struct Place {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Decision {
     Pass,
-    /// It passes, as the first one after some that did not.
+    /// Passes, as the first one after suppressed lines.
     PassAfter {
         left_out: u64,
     },
@@ -212,7 +214,7 @@ impl RateLimit {
     }
 
     fn decide(&self, place: Identifier, now: Instant) -> Decision {
-        // The counts are right even if a thread panicked while it held them.
+        // The counts are valid even if a thread panicked while it held them.
         let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
         let place = places.entry(place).or_insert_with(|| Place::since(now));
         place.count(self.limit, now)
@@ -254,7 +256,7 @@ impl<S: Subscriber> Layer<S> for RateLimit {
         }
         let decision = self.decide(metadata.callsite(), Instant::now());
         if let Decision::PassAfter { left_out } = decision {
-            // The lock is free again: this line comes through here, too.
+            // The lock is free again: this line passes through here, too.
             tracing::warn!(left_out, "suppressed {left_out} similar messages");
         }
         decision != Decision::LeaveOut
@@ -303,7 +305,7 @@ mod tests {
         assert_eq!(count(end + INTERVAL), Decision::Pass);
     }
 
-    /// The test runs itself: a process has one log.
+    /// The test runs itself: a process has only one log.
     #[test]
     fn every_line_is_either_there_or_counted() {
         const CHILD: &str = "CDCR_TEST_FLOODS";

@@ -13,7 +13,7 @@ use signal_hook::consts::SIGUSR1;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    // The cycle thread alone takes it: every other one can be kept from its core.
+    // Only the cycle thread accepts the signal: every other thread may be starved.
     take_signal(SIGUSR1, false);
     let log = Log::start();
     let status = status_of(|| execute(cli), |message| log.say(message));
@@ -21,9 +21,9 @@ fn main() -> ExitCode {
     status
 }
 
-/// Does `work`, and says what went wrong. A panic has said so itself.
+/// Runs `work` and reports its error. A panic has already been reported.
 fn status_of(work: impl FnOnce() -> Result<ExitCode>, say: impl FnOnce(&str)) -> ExitCode {
-    // Nothing that the work left half done is looked at afterwards.
+    // No state of the interrupted work is used afterwards.
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(Ok(status)) => status,
         Ok(Err(error)) => {
@@ -42,7 +42,7 @@ mod tests {
 
     use super::*;
 
-    /// The status, which has no equality, as text; and what was said.
+    /// The status as text, because it has no equality, and the reported messages.
     fn end_of(work: impl FnOnce() -> Result<ExitCode>) -> (String, Vec<String>) {
         let said = RefCell::<Vec<String>>::default();
         let say = |message: &str| RefCell::borrow_mut(&said).push(message.to_owned());

@@ -1,4 +1,4 @@
-//! What is known around the robot: obstacles with their times, in a set of fixed size.
+//! Obstacles around the robot with their times, in a set of fixed size.
 //!
 //! Invariant: nothing here allocates or knows a message. A set is one value that is copied as a whole.
 
@@ -9,15 +9,15 @@ use nalgebra::Vector3;
 /// An obstacle with its identity and its times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownObstacle {
-    /// Chosen by who sent it.
+    /// Chosen by the sender.
     pub id: u32,
-    /// Who sent it; 0: not known.
+    /// The sender; 0: unknown.
     pub source: u64,
-    /// The obstacle where it was at `measured_ns`.
+    /// The obstacle at `measured_ns`.
     pub obstacle: Obstacle,
-    /// When it was there \[ns\].
+    /// Time of the measurement \[ns\].
     pub measured_ns: u64,
-    /// It is forgotten from then on \[ns\]; none: when it is removed.
+    /// Time at which it expires \[ns\]; `None`: only when it is removed.
     pub expires_ns: Option<u64>,
 }
 
@@ -27,7 +27,7 @@ impl KnownObstacle {
             .is_none_or(|expires_ns| time_ns < expires_ns)
     }
 
-    /// Where it is at `time_ns`, at constant velocity. None when it is forgotten by then, or farther away
+    /// The obstacle at `time_ns`, at constant velocity. `None` if it has expired by then, or is farther away
     /// than an [`Obstacle`] can be: a thousand kilometres.
     pub fn at(&self, time_ns: u64) -> Option<Self> {
         let age_s = time_ns.wrapping_sub(self.measured_ns).cast_signed() as f64 * 1e-9;
@@ -43,8 +43,8 @@ impl KnownObstacle {
 }
 
 impl KnownObstacle {
-    /// The same without an end. Its source has foreseen where it is until `expires_ns`: from then on it stands still,
-    /// where that is before `now_ns`.
+    /// The obstacle without an end. Its source has predicted its place until `expires_ns`: if that is before
+    /// `now_ns`, it rests from then on.
     #[must_use]
     pub fn kept(&self, now_ns: u64) -> Self {
         let Some(expires_ns) = self.expires_ns else {
@@ -70,7 +70,7 @@ impl KnownObstacle {
     }
 }
 
-/// There is no room for another obstacle.
+/// The set has no space for another obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the limit of {OBSTACLES_MAX} obstacles is reached; remove some first")]
 pub struct SetIsFull;
@@ -93,7 +93,7 @@ impl Default for ObstacleSet {
 }
 
 impl ObstacleSet {
-    /// Inserts an obstacle, or replaces the one of its id. A set that is full stays as it is.
+    /// Inserts an obstacle, or replaces the one with its id. A full set remains unchanged.
     pub fn upsert(&mut self, obstacle: KnownObstacle) -> Result<(), SetIsFull> {
         let same = self.iter().position(|known| known.id == obstacle.id);
         let at = same.unwrap_or(self.count);
@@ -102,7 +102,7 @@ impl ObstacleSet {
         Ok(())
     }
 
-    /// Holds the first [`OBSTACLES_MAX`] of these, whose ids differ, instead of what it held.
+    /// Replaces the content by the first [`OBSTACLES_MAX`] of `known`, whose ids differ.
     pub fn fill(&mut self, known: impl IntoIterator<Item = KnownObstacle>) {
         self.count = 0;
         for (slot, known) in self.slots.iter_mut().zip(known) {
@@ -111,24 +111,24 @@ impl ObstacleSet {
         }
     }
 
-    /// Removes the obstacle of this id, if there is one.
+    /// Removes the obstacle with this id, if there is one.
     pub fn remove(&mut self, id: u32) {
         self.retain(|known| known.id != id);
     }
 
-    /// Removes those that are forgotten at `time_ns`.
+    /// Removes those expired at `time_ns`.
     pub fn expire(&mut self, time_ns: u64) {
         self.retain(|known| known.is_known_at(time_ns));
     }
 
-    /// Keeps those that `keep` wants. Nothing is written where it wants all.
+    /// Keeps the obstacles for which `keep` is true. Writes nothing if it is true for all.
     pub fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
         if !self.iter().all(&keep) {
             *self = self.iter().copied().filter(keep).collect();
         }
     }
 
-    /// Each obstacle where it is at `time_ns`, without those that [`KnownObstacle::at`] leaves out.
+    /// Each obstacle at `time_ns`, except those omitted by [`KnownObstacle::at`].
     pub fn iter_at(&self, time_ns: u64) -> impl Iterator<Item = KnownObstacle> {
         self.iter().filter_map(move |known| known.at(time_ns))
     }
@@ -143,7 +143,7 @@ impl ObstacleSet {
     }
 }
 
-/// The first [`OBSTACLES_MAX`] of them, whose ids differ.
+/// The first [`OBSTACLES_MAX`] obstacles, whose ids differ.
 impl FromIterator<KnownObstacle> for ObstacleSet {
     fn from_iter<I: IntoIterator<Item = KnownObstacle>>(known: I) -> Self {
         let mut set = Self::default();
@@ -226,7 +226,7 @@ mod tests {
                 Shape::Sphere { centre_m } => *centre_m,
                 Shape::Capsule { .. } => panic!("a ball"),
             };
-        // As long as it is foreseen, it moves.
+        // Moves within its predicted time.
         let moving = known.kept(1100 * MS);
         assert_eq!(place(&moving, 1150 * MS), place(&known, 1150 * MS));
         let last = Vector3::new(0.2, 0.0, 0.25);

@@ -1,7 +1,7 @@
-//! `SIGHUP`: the configuration is read again while the loop runs.
+//! `SIGHUP`: reloads the configuration while the loop runs.
 //!
-//! A thread does it that is started for each reading, because a file may take long, or for ever where a network is gone. What the
-//! solver is set to goes to the exchange; everything else needs a restart.
+//! A thread is started for each reload, because reading a file may take long, or hang on a lost network.
+//! Settings of the solver go to the exchange; all others need a restart.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,13 +13,13 @@ use rtrb::Producer;
 use crate::config::{Config, ConfigError, Validated, changed_keys};
 use crate::handover::{ChangedSettings, Settings};
 
-/// Reads the configuration, from where it was read at the start.
+/// Reads the configuration from the same place as at the start.
 pub type ReadConfig = Box<dyn Fn() -> Result<Validated, ConfigError> + Send>;
 
-/// The configuration is parsed there.
+/// The configuration is parsed on this stack.
 const STACK_BYTES: usize = 1024 * 1024;
 
-/// Has the configuration read again when somebody asks for it.
+/// Reloads the configuration on request.
 #[derive(Debug)]
 pub(crate) struct Reload {
     asked: Arc<AtomicBool>,
@@ -27,12 +27,12 @@ pub(crate) struct Reload {
     reading: Option<JoinHandle<()>>,
 }
 
-/// Reads the configuration and hands on what has changed in it.
+/// Reads the configuration and passes on its changes.
 struct Reader {
     read: ReadConfig,
-    /// What the daemon was started with.
+    /// The configuration at the start of the daemon.
     started: Config,
-    /// The configuration that was taken over last. What differs from it in force is what clients have set.
+    /// The configuration applied last. Settings in force that differ from it were set by clients.
     last: Config,
     settings: Producer<ChangedSettings>,
 }
@@ -44,7 +44,8 @@ impl fmt::Debug for Reader {
 }
 
 impl Reload {
-    /// Of a daemon that was `started` with this configuration. `asked` is set by the signal, `settings` lead to the exchange.
+    /// For a daemon `started` with this configuration. The signal sets `asked`; `settings` leads to the
+    /// exchange.
     pub(crate) fn new(
         asked: Arc<AtomicBool>,
         read: ReadConfig,
@@ -64,18 +65,18 @@ impl Reload {
         }
     }
 
-    /// Set by who asks.
+    /// The flag that requests a reload.
     pub(crate) fn asked(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.asked)
     }
 
-    /// Whether somebody has asked since [`look`](Self::look) was called last. While the configuration is being read, who asks waits.
+    /// A reload was requested since the last call of [`look`](Self::look), and none is running.
     pub(crate) fn is_wanted(&self) -> bool {
         let is_being_read = |thread: &JoinHandle<()>| !thread.is_finished();
         self.asked.load(Ordering::Relaxed) && !self.reading.as_ref().is_some_and(is_being_read)
     }
 
-    /// Has the configuration read if that [is wanted](Self::is_wanted).
+    /// Starts a reload if it [is wanted](Self::is_wanted).
     pub(crate) fn look(&mut self) {
         if !self.is_wanted() {
             return;
@@ -86,7 +87,7 @@ impl Reload {
             .name("cdcr-reload".to_owned())
             .stack_size(STACK_BYTES)
             .spawn(move || {
-                // Only one thread at a time is here; one that panicked has said so.
+                // Only one thread at a time is here; a panic has been reported.
                 let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
                 tell(reader.read_again());
             });
@@ -129,7 +130,7 @@ impl Reader {
         Ok(())
     }
 
-    /// Whether the solver of the daemon that was started may have the settings of this configuration.
+    /// Checks that the running daemon can use the settings of this configuration.
     fn check(&self, config: &Config) -> Result<(), String> {
         let (least_m, wanted_m) = (
             self.started.controller.safe_distance_m,
@@ -140,7 +141,7 @@ impl Reader {
                 "controller.safe_distance_m = {wanted_m} is below {least_m}, the value at the start of the daemon: restart it"
             ));
         }
-        // The rate weight that nobody sets depends on it.
+        // The default of the rate weight depends on the robot.
         if config.link.is_ideal() != self.started.link.is_ideal() {
             return Err(
                 "link.kind or link.simulated selects another robot than the running one: restart the daemon"
@@ -233,7 +234,7 @@ mod tests {
         let mut reload = Reload::new(Arc::clone(&asked), read, &started, settings);
         reload.look();
         begins.recv().unwrap();
-        // It hangs. Who asks meanwhile is served afterwards.
+        // The reload hangs. A request meanwhile is served afterwards.
         asked.store(true, Ordering::Relaxed);
         reload.look();
         assert!(begins.try_recv().is_err() && asked.load(Ordering::Relaxed));

@@ -1,18 +1,18 @@
-//! Tells whoever watches what each cycle did: the reporter thread.
+//! The reporter thread publishes the telemetry of each cycle, outside the control path.
 //!
 //! ```text
 //! loop { sleep for four periods, 1 ms at least and 20 ms at most
-//!          evaluate: was the cycle late, and why
+//!          evaluate: lateness of the cycle and its cause
 //!          publish:  telemetry of every cycle
-//!          hand on:  bad cycles and a summary to the supervisor }
+//!          pass on:  incidents and summaries to the supervisor }
 //! ```
 //!
-//! With each reader that joins or leaves, files in the root folder are made and removed under one lock of that folder.
-//! A client that is starved on a crowded core may hold it for a tenth of a second and more, and no priority helps. That
-//! is waited for here, so that neither inputs nor commands wait for those who only watch. It runs off the core of the
-//! cycle, before ordinary tasks.
+//! When a reader joins or leaves, files in the root folder are created and removed under one lock of that
+//! folder. A client starved on a crowded core may hold the lock for a tenth of a second or more, and no
+//! priority helps. Only this thread waits for it, so monitoring clients delay neither inputs nor commands.
+//! The reporter runs outside the core of the cycle, above ordinary tasks.
 //!
-//! It must not know: references, obstacles, requests, the robot's driver.
+//! Invariant: it knows no references, obstacles, requests or drivers.
 
 mod measured_error;
 
@@ -32,23 +32,23 @@ use crate::rt::clock::Clock;
 use crate::{convert, services};
 use measured_error::MeasuredError;
 
-/// It looks for reports every four periods, that is, for the cost of one wake-up in four cycles, and not more often than once a
-/// millisecond.
+/// Reports are read every four periods, at the cost of one wake-up in four cycles, but not more often than
+/// once a millisecond.
 const PERIODS_PER_LOOK: u64 = 4;
 const LOOK_MIN: Duration = Duration::from_millis(1);
-/// By its looks a watchdog sees that the thread lives.
+/// Upper limit, because each check is a heartbeat for the watchdog.
 const LOOK_MAX: Duration = Duration::from_millis(20);
 
 #[derive(Debug)]
 pub struct Reporter {
     telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
     ends: ReporterEnds,
-    /// The newest telemetry, and where the next is written.
+    /// The newest telemetry; the next one overwrites it.
     newest: Box<wire::Telemetry>,
     robot: Robot,
     has_driver: bool,
     period_ns: u64,
-    /// How long before its release the cycle thread wakes up \[ns\].
+    /// Time before its release at which the cycle thread wakes up \[ns\].
     spin_ns: u64,
     daemon_id: u64,
     incidents_sent: u64,
@@ -88,7 +88,7 @@ impl Reporter {
         let look_after = look_after.clamp(LOOK_MIN, LOOK_MAX);
         loop {
             shared.reporter_beats.add(1);
-            // Before the look at what waits: then nothing can come any more.
+            // Checked before the ring is emptied: after the end no further report can come.
             let is_last = shared.exchange_ended.is_set();
             self.publish(clock, shared);
             if is_last {
@@ -110,7 +110,7 @@ impl Reporter {
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
             self.last_mode = mode;
             self.publish_telemetry(&report, scheduling, clock.now_ns());
-            // Releases that an overrun took belong to its incident.
+            // Releases skipped by an overrun belong to its incident.
             if matches!(blame, Blame::Own(_)) || begins_fault {
                 self.hand_incident_on(shared);
             }
@@ -153,7 +153,7 @@ impl Reporter {
         services::send(&self.telemetry, telemetry);
     }
 
-    /// A bad cycle goes to the supervisor, which keeps it.
+    /// Passes on an incident to the supervisor.
     fn hand_incident_on(&mut self, shared: &Shared) {
         self.incidents_sent += 1;
         let incident = wire::Incident {
@@ -242,7 +242,7 @@ impl Reporter {
     }
 }
 
-/// The cycle as far as its lateness is concerned; its thread wakes up `spin_ns` before its release.
+/// The times of a cycle that concern its lateness; its thread wakes up `spin_ns` before its release.
 fn evaluated(record: &CycleRecord, spin_ns: u64) -> EvaluatedCycle {
     let release = &record.release;
     EvaluatedCycle {

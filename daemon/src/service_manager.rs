@@ -1,10 +1,10 @@
-//! What a service manager is told: that the loop runs, how it does, that it lives, that it ends.
+//! Notifications to the service manager: ready, status, watchdog, stopping.
 //!
-//! The protocol is that of `sd_notify(3)`: a datagram of text lines to the socket that `NOTIFY_SOCKET`
-//! names. systemd is one who listens; without the variable, nothing is said to nobody.
+//! The protocol is that of `sd_notify(3)`: a datagram of text lines to the socket in `NOTIFY_SOCKET`, for
+//! example of systemd. Without the variable nothing is sent.
 //!
-//! Invariant: nothing here waits. The socket does not block, and a message that it did not take is told
-//! once in the log and tried again at the next call.
+//! Invariant: nothing here waits. The socket does not block. The first rejected message is logged, and
+//! rejected messages are sent again at the next call.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::{self, Display, Formatter};
@@ -17,21 +17,21 @@ use std::time::{Duration, Instant};
 use cdcr_shared_types::codes::{Mode, Reason};
 use sd_notify::NotifyState;
 
-/// Between two status lines of the same mode and reason: a person reads them.
+/// Time between two status lines of the same mode and reason: people read them.
 const TELL_EVERY: Duration = Duration::from_secs(1);
 
-/// What `systemctl status` shows in one line.
+/// The status line in `systemctl status`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StatusLine {
     pub mode: Mode,
     pub reason: Reason,
-    /// Cycles in a second, as counted \[Hz\].
+    /// Measured rate of the cycles \[Hz\].
     pub rate_hz: f64,
-    /// Cycles that were late, since the start.
+    /// Deadline misses since the start.
     pub deadline_misses: u64,
-    /// Releases that got no command, since the start.
+    /// Releases without a command since the start.
     pub skipped_periods: u64,
-    /// Distance of the tip from its reference \[m\]; none while it follows none.
+    /// Distance of the tip from its reference \[m\], while tracking.
     pub tracking_error_m: Option<f64>,
 }
 
@@ -69,13 +69,13 @@ impl Display for StatusLine {
     }
 }
 
-/// The service manager that started us, or nobody.
+/// The service manager that started the process, if any.
 #[derive(Debug)]
 pub struct ServiceManager {
     listener: Option<Listener>,
     watchdog: Option<Watchdog>,
     told: Option<(StatusLine, Instant)>,
-    /// The status line that was not heard since, and when.
+    /// The newest status line that could not be sent, and its time.
     unheard: Option<(StatusLine, Instant)>,
     said_ready: bool,
     said_stopping: bool,
@@ -97,8 +97,8 @@ struct Watchdog {
 }
 
 impl ServiceManager {
-    /// The one that the environment names: `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. A socket
-    /// that cannot be used is told in the log, and then there is nobody.
+    /// The service manager in the environment: `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. An
+    /// invalid socket is logged, and nothing is sent.
     pub fn from_environment() -> Self {
         let Some(name) = std::env::var_os("NOTIFY_SOCKET").filter(|name| !name.is_empty()) else {
             return Self::nobody();
@@ -109,7 +109,7 @@ impl ServiceManager {
         })
     }
 
-    /// Nobody: everything that is said is lost.
+    /// No service manager: nothing is sent.
     pub fn nobody() -> Self {
         Self {
             listener: None,
@@ -122,8 +122,8 @@ impl ServiceManager {
         }
     }
 
-    /// One that listens at `socket` (a path, or `@name` for a name in the abstract space) and expects a
-    /// sign of life every `watchdog_period`.
+    /// A service manager that listens at `socket` (a path, or `@name` in the abstract namespace) and expects
+    /// a heartbeat every `watchdog_period`.
     pub fn at(socket: &OsStr, watchdog_period: Option<Duration>) -> io::Result<Self> {
         let watchdog = watchdog_period
             .filter(|period| !period.is_zero())
@@ -139,32 +139,32 @@ impl ServiceManager {
         })
     }
 
-    /// How long the service manager waits for a sign of life, if it does.
+    /// Longest time between heartbeats for the service manager, if it has a watchdog.
     pub fn watchdog_period(&self) -> Option<Duration> {
         self.watchdog.as_ref().map(|watchdog| watchdog.period)
     }
 
-    /// Says that the loop runs: to be called after a good cycle. It is said once; later calls do nothing.
+    /// Reports that the loop runs: call it after a good cycle. Sent once; later calls do nothing.
     pub fn ready(&mut self) {
         if !self.said_ready {
             self.said_ready = self.say(&NotifyState::Ready);
         }
     }
 
-    /// Says how the loop does. At once when mode or reason changed, else at most once a second; a line that could not be sent is
-    /// sent again after a second at the earliest.
+    /// Sends a status line: at once after a change of mode or reason, otherwise at most once a second. A line
+    /// that could not be sent is sent again after a second at the earliest.
     pub fn tell(&mut self, line: &StatusLine) {
         self.tell_at(line, Instant::now());
     }
 
-    /// Feeds the watchdog if `cycles`, the number of cycles since the start, is not that of the call
-    /// before, and half of the watchdog's period went by since it was fed. So a loop that hangs starves the
-    /// watchdog, however alive the caller is.
+    /// Feeds the watchdog if `cycles`, the number of cycles since the start, has changed since the last call,
+    /// and half of the watchdog's period has passed since it was fed. So a hung loop starves the watchdog
+    /// even if the caller runs.
     pub fn feed_watchdog(&mut self, cycles: u64) {
         self.feed_watchdog_at(cycles, Instant::now());
     }
 
-    /// Says that we end. It is said once; later calls do nothing.
+    /// Reports the end. Sent once; later calls do nothing.
     pub fn stopping(&mut self) {
         if !self.said_stopping {
             self.said_stopping = self.say(&NotifyState::Stopping);
@@ -206,7 +206,7 @@ impl ServiceManager {
         }
     }
 
-    /// Whether it was heard, or nobody listens.
+    /// True if the message was sent, or there is no service manager.
     fn say(&mut self, state: &NotifyState<'_>) -> bool {
         let Some(listener) = &self.listener else {
             return true;
@@ -243,7 +243,7 @@ impl Listener {
     }
 
     fn send(&self, message: &str) -> io::Result<()> {
-        // A datagram goes whole or not at all.
+        // A datagram is sent whole or not at all.
         self.socket
             .send_to_addr(message.as_bytes(), &self.address)
             .map(|_| ())
@@ -258,7 +258,7 @@ mod tests {
 
     const HOUR: Duration = Duration::from_secs(3600);
 
-    /// A service manager of our own, on a real socket.
+    /// A simulated service manager on a real socket.
     struct Manager {
         socket: UnixDatagram,
         folder: Scratch,
@@ -277,7 +277,7 @@ mod tests {
             ServiceManager::at(path.as_os_str(), watchdog_period).unwrap()
         }
 
-        /// Its socket is elsewhere, or back.
+        /// Moves the socket away, or back.
         fn move_away(&self, is_away: bool) {
             let [from, to] = if is_away {
                 ["notify", "away"]
@@ -288,7 +288,7 @@ mod tests {
             std::fs::rename(path(from), path(to)).unwrap();
         }
 
-        /// What was said since the last call. Datagrams between local sockets are there when sent.
+        /// The messages received since the last call. Datagrams between local sockets arrive immediately.
         fn heard(&self) -> Vec<String> {
             let mut heard = Vec::new();
             let mut buffer = [0; 1024];
@@ -433,7 +433,7 @@ mod tests {
         let manager = Manager::start();
         let mut service = manager.told_by(None);
         let begin = Instant::now();
-        // Far more than a socket keeps: a blocking send would never return.
+        // Far more than a socket can queue: a blocking send would never return.
         for index in 0..10_000 {
             service.tell_at(
                 &line(Mode::Tracking, u64::from(index)),

@@ -1,4 +1,4 @@
-//! How real-time threads come to life, the same for the daemon and for `cdcrd bare`.
+//! Start of real-time threads, the same for the daemon and for `cdcrd bare`.
 //!
 //! ```text
 //! each thread: ready ─► (memory is locked) ─► warm up ─► priority, core, stack ─► schedule ─► first release
@@ -23,20 +23,20 @@ use crate::rt::clock::Clock;
 use crate::rt::privileges::{ThreadPlan, keep_awake, lock_memory, stay_off_core};
 use crate::rt::schedule::Schedule;
 
-/// How long a thread may take to get ready.
+/// Time limit for a thread to get ready.
 const START_TIMEOUT: Duration = Duration::from_secs(10);
-/// Time between the last preparation and the first release \[ns\].
+/// Time between the last preparation and the origin of the grid \[ns\].
 const START_DELAY_NS: u64 = 10_000_000;
-/// How long the threads of a start that failed may take to end.
+/// Time limit for the threads of a failed start to end.
 const GIVE_UP: Duration = Duration::from_secs(2);
 const STACK_BYTES: usize = 1024 * 1024;
 
 /// Files that a daemon opens before its first client: 53 were counted.
 const OPEN_FILES_MIN: u64 = 64;
-/// Files that a daemon and all clients that may come open: 30 that watch the status took 60.
+/// Files that a daemon and all possible clients open: 30 clients of the status needed 60.
 const OPEN_FILES: u64 = 1024;
 
-/// Has the system let this process open as many files as clients may need, as far as it may.
+/// Raises the limit of open files to the number that clients may need, as far as permitted.
 pub(crate) fn raise_open_files() -> Result<()> {
     let limit = getrlimit(Resource::Nofile);
     let mut granted = limit.current.unwrap_or(u64::MAX);
@@ -59,12 +59,12 @@ pub(crate) fn raise_open_files() -> Result<()> {
     Ok(())
 }
 
-/// A flag that is set by the signals that ask the process to end.
+/// A flag set by the signals that end the process.
 pub(crate) fn end_signals() -> Result<Arc<AtomicBool>> {
     flag_of(&[SIGINT, SIGTERM])
 }
 
-/// A flag that is set by any of these signals.
+/// A flag set by any of these signals.
 pub(crate) fn flag_of(signals: &[i32]) -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     for signal in signals {
@@ -73,19 +73,20 @@ pub(crate) fn flag_of(signals: &[i32]) -> Result<Arc<AtomicBool>> {
     Ok(flag)
 }
 
-/// What the system granted to the real-time threads. The processor stays awake for as long as it lives.
+/// Properties that the system granted to the real-time threads. Prevents deep sleep of the processor until
+/// dropped.
 #[derive(Debug)]
 pub(crate) struct Armed {
-    /// The [`realtime`] bits of what is missing.
+    /// The [`realtime`] bits of missing properties.
     pub(crate) missing: u32,
-    /// The core of the threads, where they are pinned.
+    /// The core of the threads, if they are pinned.
     pub(crate) core: Option<usize>,
-    /// Closing it gives the processor its sleep back.
+    /// Closing it permits deep sleep again.
     _awake: Option<File>,
 }
 
-/// Waits until the threads are ready, locks memory, makes the threads real-time, and keeps the calling thread
-/// off their core.
+/// Waits until the threads are ready, locks memory, makes the threads real-time, and excludes the calling
+/// thread from their core.
 pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result<Armed> {
     for thread in threads {
         thread.wait_ready()?;
@@ -134,16 +135,16 @@ fn say_what_is_missing(missing: u32, core: Option<usize>) {
     }
 }
 
-/// The grid of threads that are armed: its first release is a period and 10 ms from now.
+/// The grid of the armed threads: its first release is a period and 10 ms from now.
 pub(crate) fn schedule(config: &Config, clock: &impl Clock) -> Schedule {
     let period_ns = ns(config.cycle.period_ms);
     Schedule::new(clock.now_ns() + START_DELAY_NS, period_ns)
         .with_spin(config.realtime.spin_ns(config.cycle.period_ms))
 }
 
-/// Lets the threads of a start that failed end, and leaves behind what hangs.
+/// Ends the threads of a failed start, and abandons those that hang.
 pub(crate) fn give_up<T, const N: usize>(threads: [Started<T>; N]) {
-    // Each ends when its starter goes, and cleans up.
+    // Each thread ends and cleans up when its starter is dropped.
     let handles = threads.map(|thread| thread.handle);
     let begin = Instant::now();
     while begin.elapsed() < GIVE_UP && !handles.iter().all(JoinHandle::is_finished) {
@@ -151,7 +152,7 @@ pub(crate) fn give_up<T, const N: usize>(threads: [Started<T>; N]) {
     }
 }
 
-/// A thread that was started, and what it brings back.
+/// A started thread and its result.
 #[derive(Debug)]
 pub(crate) struct Started<T = ()> {
     handle: JoinHandle<T>,
@@ -159,7 +160,7 @@ pub(crate) struct Started<T = ()> {
     name: &'static str,
 }
 
-/// The main thread's end of a thread that gets ready step by step.
+/// The main thread's end of the start protocol.
 #[derive(Debug)]
 struct Starter {
     ready: Receiver<Result<()>>,
@@ -199,7 +200,7 @@ fn stages() -> (Starter, Stage) {
 }
 
 impl<T: Send + 'static> Started<T> {
-    /// Starts a thread that lives `life`.
+    /// Starts a thread that runs `life`.
     pub(crate) fn spawn(
         name: &'static str,
         life: impl FnOnce(Stage) -> T + Send + 'static,
@@ -219,7 +220,7 @@ impl<T: Send + 'static> Started<T> {
 }
 
 impl<T> Started<T> {
-    /// Waits until it is ready; at once when it was waited for before.
+    /// Waits until the thread is ready; returns at once on later calls.
     pub(crate) fn wait_ready(&self) -> Result<()> {
         if !self.starter.is_ready.get() {
             let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
@@ -229,17 +230,17 @@ impl<T> Started<T> {
         Ok(())
     }
 
-    /// Lets the thread become real-time; returns what is missing.
+    /// Makes the thread real-time; returns the missing properties.
     fn arm(&self) -> Result<u32> {
-        // A thread that is gone does not answer, either.
+        // An ended thread does not answer either.
         let _ = self.starter.arm.send(());
         let answer = self.starter.armed.recv_timeout(START_TIMEOUT);
         answer.with_context(|| format!("the thread {} did not become real-time", self.name))
     }
 
-    /// Lets it run on the grid.
+    /// Lets the thread run on the grid.
     pub(crate) fn go(&self, schedule: &Schedule) {
-        // A thread that ended meanwhile is found by whoever watches it.
+        // The monitoring thread detects a thread that has ended meanwhile.
         let _ = self.starter.go.send(schedule.clone());
     }
 
@@ -252,7 +253,8 @@ impl<T> Started<T> {
         self.handle.thread()
     }
 
-    /// Waits for its end. A thread that was not told to go gives up when its starter goes.
+    /// Waits for the end of the thread. A thread not yet running on the grid ends when its starter is
+    /// dropped.
     pub(crate) fn join(self) -> Result<T> {
         drop(self.starter);
         self.handle.join().map_err(|_| {
@@ -266,13 +268,13 @@ impl<T> Started<T> {
 }
 
 impl Stage {
-    /// Says that it cannot get ready.
+    /// Reports that the thread cannot get ready.
     pub(crate) fn fail(&self, error: anyhow::Error) {
         let _ = self.ready.send(Err(error));
     }
 
-    /// Ready → (memory is locked) → warm up → priority and core → the schedule. None: the start was
-    /// given up.
+    /// Ready → (memory is locked) → warm up → priority and core → the schedule. `None` if the start was
+    /// abandoned.
     pub(crate) fn prepare(&self, plan: ThreadPlan, warm_up: impl FnOnce()) -> Option<Schedule> {
         self.ready.send(Ok(())).ok()?;
         self.arm.recv().ok()?;

@@ -1,7 +1,8 @@
-//! Publishes the status and the bad cycles, so that the supervisor never waits for files.
+//! Publishes the status and incidents, so that the supervisor never waits for files.
 //!
-//! For each reader that joins or leaves, iceoryx2 makes and removes files in the root folder under a lock that clients share. The
-//! supervisor feeds watchdogs and hears signals; what it has to tell goes through a bounded hand-over to this thread.
+//! For each reader that joins or leaves, iceoryx2 creates and removes files in the root folder, under a lock
+//! shared with clients. The supervisor feeds watchdogs and receives signals. So it passes its results through
+//! a bounded hand-over to this thread.
 
 use std::sync::Arc;
 use std::sync::mpsc::channel;
@@ -18,16 +19,16 @@ use crate::config::Validated;
 use crate::handover::{Shared, StatusDeskEnds};
 use crate::services::{ServiceError, incidents, node, publisher};
 
-/// How often it looks, unless it is woken, whether readers of the bad cycles came: they get what is kept.
+/// Time between checks for new readers of the incidents, unless woken: they receive earlier incidents.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// How long it may take to make its ports.
+/// Time limit for the creation of its ports.
 const START_MAX: Duration = Duration::from_secs(10);
-/// How long the end waits for it.
+/// Longest wait for the thread at the end.
 const END_MAX: Duration = Duration::from_secs(1);
 /// iceoryx2 has large arrays on the stack.
 const STACK_BYTES: usize = 1024 * 1024;
 
-/// The thread, for as long as it is wanted.
+/// Handle of the thread; dropping it ends the thread.
 #[derive(Debug)]
 pub struct StatusDesk {
     shared: Arc<Shared>,
@@ -35,7 +36,8 @@ pub struct StatusDesk {
 }
 
 impl StatusDesk {
-    /// Starts it with the priority and the cores of the calling thread, and waits until its services are there.
+    /// Starts the thread with the priority and the cores of the calling thread, and waits until its services
+    /// exist.
     pub(crate) fn start(
         validated: &Validated,
         ends: StatusDeskEnds,
@@ -47,7 +49,7 @@ impl StatusDesk {
             .name("cdcr-status".to_owned())
             .stack_size(STACK_BYTES)
             .spawn(move || match Desk::new(&validated, ends) {
-                // The start was given up where nobody hears it.
+                // If nobody receives the answer, the start was abandoned.
                 Ok(mut desk) => drop(ready.send(Ok(())).map(|()| desk.run(&theirs))),
                 Err(error) => drop(ready.send(Err(error))),
             })
@@ -60,7 +62,7 @@ impl StatusDesk {
         })
     }
 
-    /// There is something to publish.
+    /// Wakes the thread to publish.
     pub(crate) fn wake(&self) {
         self.thread.thread().unpark();
     }
@@ -84,13 +86,13 @@ impl Drop for StatusDesk {
     }
 }
 
-/// The writing ends of both services.
+/// The publishers of both services.
 #[derive(Debug)]
 struct Desk {
     statuses: Publisher<ipc::Service, Status, ()>,
     incidents: Publisher<ipc::Service, Incident, ()>,
     ends: StatusDeskEnds,
-    /// Snapshots so far.
+    /// Number of status messages sent.
     sent: u64,
     _node: Node<ipc::Service>,
 }
@@ -107,10 +109,10 @@ impl Desk {
         })
     }
 
-    /// Runs until the supervisor has said its last word, and that is published.
+    /// Runs until the supervisor's last status is published.
     fn run(&mut self, shared: &Shared) {
         loop {
-            // Before the look at what waits: then nothing can come any more.
+            // Checked before the hand-over is emptied: after the end nothing more can come.
             let is_last = shared.supervisor_ended.is_set();
             shared.status_beats.add(1);
             self.publish();
@@ -127,13 +129,13 @@ impl Desk {
                 tracing::warn!(%error, "cannot publish an incident");
             }
         }
-        // Late joiners get what is kept.
+        // Late joiners receive earlier incidents.
         if let Err(error) = self.incidents.update_connections() {
             tracing::warn!(%error, "cannot connect an incident subscriber");
         }
         if self.ends.status.update() {
             let mut status = *self.ends.status.read();
-            // One that a newer one replaced before it was sent is not missing.
+            // A status replaced before it was sent leaves no gap in the sequence.
             self.sent += 1;
             status.header.sequence = self.sent;
             if let Err(error) = self.statuses.send_copy(status) {

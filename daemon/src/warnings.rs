@@ -1,11 +1,11 @@
-//! What a configuration may say and hardly means.
+//! Valid configurations that are probably unintended.
 
 use cdcr_controller::nmpc::RateWeight;
 
 use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
-/// What is allowed but hardly meant, each with the keys that it is about.
+/// Warnings about valid but probably unintended settings, each with its keys.
 pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let Config {
         link,
@@ -100,7 +100,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     warnings.into_iter().flatten().collect()
 }
 
-/// A timeout of the sources of obstacles that is hardly meant.
+/// A probably unintended timeout of the obstacle sources.
 fn source_timeout(config: &Config) -> Option<String> {
     let (timeout_ms, period_ms) = (config.obstacles.source_timeout_ms, config.cycle.period_ms);
     if config.link.kind == LinkKind::Driver && timeout_ms == 0.0 {
@@ -118,7 +118,7 @@ fn source_timeout(config: &Config) -> Option<String> {
     })
 }
 
-/// Where somebody set how long the solver may take, and the real-time threads do not have so much of the core.
+/// The configured time of the solver exceeds the real-time threads' share of the core.
 fn cut(config: &Config) -> Option<String> {
     let cycle = &config.cycle;
     let is_asked_for = cycle.budget_ms > 0.0 || cycle.budget_margin_ms > 0.0;

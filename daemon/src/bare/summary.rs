@@ -10,10 +10,10 @@ use crate::config::{Config, ns};
 use crate::handover::Policy;
 use crate::rt::latency;
 
-/// Digits that a percentile has.
+/// Digits of a percentile.
 const DIGITS: u8 = 3;
 
-/// A loop without work in a few numbers.
+/// Summary of a bare loop.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// Period \[ns\].
@@ -22,28 +22,28 @@ pub struct Summary {
     pub deadline_ns: u64,
     /// A start later than this after the release is a late start \[ns\].
     pub late_start_ns: u64,
-    /// How long before each release the thread wakes up, and spins \[ns\].
+    /// Time before each release at which the thread wakes up and spins \[ns\].
     pub spin_ns: u64,
-    /// Time on the grid that the cycles cover \[s\].
+    /// Time on the grid covered by the cycles \[s\].
     pub duration_s: f64,
     pub cycles: u64,
     pub late_starts: u64,
     pub deadline_misses: u64,
     /// Releases without a cycle.
     pub skipped_periods: u64,
-    /// What made cycles late, and how many. A cycle that only follows an overrun has none of its own.
+    /// Number of late cycles by cause. A cycle that only follows an overrun has no cause of its own.
     pub causes: BTreeMap<&'static str, u64>,
-    /// Release to start.
+    /// Wake-up latency.
     pub wake: Percentiles,
-    /// Time ready to run while another had the core, cycle by cycle. None where the kernel does not tell.
+    /// Time ready to run while another task had the core, per cycle. `None` if the kernel does not report it.
     pub run_delay: Option<Percentiles>,
-    /// Page faults, minor and major. None where the kernel does not tell.
+    /// Page faults, minor and major. `None` if the kernel does not report them.
     pub page_faults: Option<u64>,
-    /// Whether all was granted: `SCHED_FIFO`, a core, locked memory.
+    /// All real-time properties were granted: `SCHED_FIFO`, a core, locked memory.
     pub realtime: bool,
-    /// What was not.
+    /// The missing properties.
     pub realtime_missing: Vec<&'static str>,
-    /// Core of the thread, where it is pinned.
+    /// Core of the thread, if it is pinned.
     pub core: Option<usize>,
 }
 
@@ -63,7 +63,7 @@ pub struct Percentiles {
 }
 
 impl Summary {
-    /// The numbers of a loop that is over; `missing` and `core` are what the system granted.
+    /// The summary of a completed loop; `missing` and `core` describe the granted properties.
     pub(super) fn new(
         config: &Config,
         recorder: &Recorder,
@@ -100,7 +100,7 @@ impl Summary {
 }
 
 impl BareCycle {
-    /// From the release that was due to the start \[ns\].
+    /// Wake-up latency \[ns\].
     pub fn wake_ns(&self) -> u64 {
         self.release.start_ns - self.release.due_ns
     }

@@ -1,4 +1,5 @@
-//! Enumerations of the domain and their codes on the wire, which have the same names. One that is missing does not compile.
+//! Enumerations of the domain and their codes on the wire, with equal names. A missing variant does not
+//! compile.
 
 use cdcr_controller::nmpc::{Constraint, SolveStatus};
 use cdcr_controller::optimizer::Candidate;
@@ -22,25 +23,25 @@ to_wire! {
     /// A refusal of the mode machine.
     pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, Waits, Overruled, Ending }
     pub mode: Mode => Mode { Starting, Holding, Tracking, Homing, Stopped, Faulted }
-    /// Why a mode.
+    /// Reason of a mode.
     pub reason: Reason => Reason {
         Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
         LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
         InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore,
     }
-    /// What of a command the driver obeys.
+    /// Part of a command that the driver executes.
     pub interface: Interface => Interface { Velocity, Position }
     pub link: LinkKind => RobotLink { Simulated, Driver }
     pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
     pub(super) measurement_state: MeasurementUse => MeasurementState { None, Used, Repeated, Implausible }
-    /// A constraint that is broken.
+    /// A violated constraint.
     pub(super) constraint: Constraint => Constraint { Clearance, Limit }
-    /// How a solve ended.
+    /// Status of a solve.
     pub(super) solver_status: SolveStatus => SolverStatus {
         Idle, Converged, BudgetSpent, IterationsSpent, ConstraintViolated, NonFinite,
     }
-    /// Which candidate a solution descends from.
+    /// Origin of the solution among the candidates.
     pub(super) winner: Candidate => Winner { WarmStart, Previous, Zero, LeastSquares, Eigenvector, Swarm }
-    /// Where a time lies relative to the reference.
+    /// Position of a time relative to the reference.
     pub(super) reference_state: ReferenceState => ReferenceState { None, Before, Inside, Ended }
 }

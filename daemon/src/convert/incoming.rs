@@ -1,4 +1,4 @@
-//! Wire → domain: every message of a client or driver, checked.
+//! Wire → domain: validates every message of a client or driver.
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, TrajectoryError};
@@ -11,11 +11,11 @@ use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use crate::handover::TimedMeasurement;
 use crate::obstacles::{KnownObstacle, ObstacleSet};
 
-/// Why a message was refused, and at which of its points or obstacles.
+/// The outcome of a refused message, and the point or obstacle that caused it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Refused {
     pub outcome: Outcome,
-    /// Index of the point or obstacle; 0 where there is none.
+    /// Index of the point, obstacle or value; 0 without one.
     pub detail: u32,
 }
 
@@ -33,20 +33,20 @@ impl Refused {
     }
 }
 
-/// Unit vectors and quaternions may be off by this much.
+/// Tolerance for the length of unit vectors and quaternions.
 const UNIT_TOLERANCE: f64 = 1e-6;
-/// Positions may lie this much outside the reachable ball \[m\]: rounding of the straight robot.
+/// Distance by which positions may be outside the reachable ball \[m\]: rounding of the straight robot.
 const REACH_TOLERANCE_M: f64 = 1e-6;
-/// The clock of a driver, or of who sees obstacles, may be this far ahead \[ns\].
+/// Time by which the clock of a driver or obstacle source may be ahead \[ns\].
 const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
 
-/// References lie at most a day ahead \[ns\].
+/// References are at most a day ahead \[ns\].
 const AHEAD_MAX_NS: u64 = 86_400_000_000_000;
-/// No bend \[rad\], length or position \[m\] of a robot is larger; what is, is no measurement.
+/// Larger bends \[rad\], lengths or positions \[m\] are not valid measurements.
 const MEASURED_MAX: f64 = 1e3;
 
-/// The points of a chunk, all checked: finite, ahead of `now_ns` by at most a day, inside the
-/// reachable ball, with unit orientations. The trajectory checks that their times increase.
+/// The points of a chunk, all validated: finite, ahead of `now_ns` by at most a day, inside the reachable
+/// ball, with unit orientations. The trajectory checks that their times increase.
 pub fn reference_points<'a>(
     chunk: &'a wire::ReferenceChunk,
     robot: &Robot,
@@ -126,7 +126,7 @@ fn orientation(point: &wire::ReferencePoint) -> Result<Orientation, Outcome> {
     }
 }
 
-/// Why the trajectory did not take points.
+/// Converts the reason for which the trajectory rejected points.
 pub fn trajectory_refusal(error: &TrajectoryError) -> Refused {
     match error {
         TrajectoryError::TimeNotIncreasing { index } => {
@@ -136,7 +136,7 @@ pub fn trajectory_refusal(error: &TrajectoryError) -> Refused {
     }
 }
 
-/// A driver's measurement, checked against the robot and the clock.
+/// Validates a driver's measurement against the robot and the clock.
 pub fn measurement(
     message: &wire::Measurement,
     robot: &Robot,
@@ -195,7 +195,8 @@ pub fn measurement(
     })
 }
 
-/// The obstacles that are known after `update`, all of it checked. One that is wrong or does not fit: nothing of it counts.
+/// The obstacles known after `update`. If one of them is invalid or does not fit, the whole update is
+/// refused.
 pub fn updated_obstacles(
     update: &wire::ObstacleUpdate,
     known: &ObstacleSet,
@@ -223,7 +224,7 @@ pub fn updated_obstacles(
     Ok(set)
 }
 
-/// One obstacle, of no source yet: finite numbers in range, seen no later than now, not forgotten already.
+/// One obstacle without its source: finite numbers in range, not measured in the future, not yet expired.
 pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, Outcome> {
     let [start_m, end_m] = [message.start_m, message.end_m].map(Vector3::from);
     let velocity_m_s = Vector3::from(message.velocity_m_s);
@@ -255,13 +256,13 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
     if !known.is_known_at(now_ns) {
         return Err(Outcome::InThePast);
     }
-    // Its speed may have taken it out of all ranges since it was measured.
+    // Its speed may have moved it out of range since its measurement.
     let is_near = known.at(now_ns).is_some();
     is_near.then_some(known).ok_or(Outcome::OutOfRange)
 }
 
-/// The request of a client that concerns the mode; none for those about lease, settings and
-/// statistics. `lease_number`: of the reference lease when the client asked.
+/// The request about the mode; `None` for those about lease, settings and statistics. `lease_number` is the
+/// number of the reference lease at the time of the request.
 pub fn mode_request(kind: codes::RequestKind, lease_number: u32) -> Option<Request> {
     match kind {
         codes::RequestKind::Track => Some(Request::Track { lease_number }),

@@ -1,6 +1,6 @@
-//! Wire ↔ domain. Converting validates: what comes out of here is finite, in range and of known kind.
+//! Wire ↔ domain. Conversion validates: its results are finite, in range and of a known kind.
 //!
-//! The only module that knows both a wire type and its domain twin.
+//! The only module that knows both a wire type and its domain counterpart.
 
 mod enumerations;
 mod incoming;

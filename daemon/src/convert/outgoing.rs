@@ -1,4 +1,4 @@
-//! Domain → wire: what the daemon says of itself, of a cycle and to the robot.
+//! Domain → wire: messages about the daemon and its cycles, and commands to the robot.
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::{SolveReport, SolveStatus};
@@ -59,15 +59,15 @@ pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Com
     command
 }
 
-/// The telemetry of a cycle, all but what the reporter adds: header, command, scheduling and events.
+/// The telemetry of a cycle without the reporter's parts: header, command, scheduling and events.
 pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Telemetry {
     let mut telemetry = wire::Telemetry::default();
     fill_telemetry(&mut telemetry, record, robot, period_ns);
     telemetry
 }
 
-/// Assigns all fields of a telemetry that is used again, but those that [`fill_telemetry`] or the reporter writes by other
-/// means. A field that is forgotten, and would keep what an earlier cycle left in it, does not compile.
+/// Assigns all fields of a reused telemetry message, except those written otherwise by [`fill_telemetry`] or
+/// the reporter. A forgotten field, which would keep data of an earlier cycle, does not compile.
 macro_rules! assign_all {
     ($telemetry:ident, $($field:ident = $value:expr),* $(,)?) => {
         let wire::Telemetry {
@@ -79,7 +79,8 @@ macro_rules! assign_all {
     };
 }
 
-/// The same in a message that held another cycle of `robot`, or none: what both have in common is not written again.
+/// Same as [`telemetry`] in a message that held another cycle of `robot`, or none: fields common to both are
+/// not written again.
 pub fn fill_telemetry(
     telemetry: &mut wire::Telemetry,
     record: &CycleRecord,
@@ -211,7 +212,7 @@ pub fn reference_position_m(record: &CycleRecord) -> Vector3<f64> {
     }
 }
 
-/// A measurement as a cycle used it. Who sent it is not known any more, so the header is zero.
+/// A measurement as a cycle used it. Its sender is no longer known, so the header is zero.
 pub(super) fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wire::Measurement {
     let mut message = wire::Measurement {
         measured_ns: timed.measured_ns,
@@ -236,7 +237,7 @@ pub(super) fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wi
     message
 }
 
-/// An obstacle as it is at its stamp.
+/// An obstacle at the time of its stamp.
 pub(super) fn obstacle_to_wire(known: &KnownObstacle) -> wire::Obstacle {
     let (shape, start_m, end_m) = match *known.obstacle.shape() {
         Shape::Sphere { centre_m } => (codes::ObstacleShape::Sphere, centre_m, centre_m),
@@ -260,7 +261,7 @@ fn copy(from: &[f64], to: &mut [f64]) {
     to[..from.len()].copy_from_slice(from);
 }
 
-/// What the system did to the cycle thread; `None`: it does not tell. `cause` is that of a late cycle.
+/// Scheduler statistics of the cycle thread; `None`: not available. `cause` is the cause of a late cycle.
 pub fn scheduling(
     scheduling: Option<&Scheduling>,
     longest_gap_ns: u64,
@@ -292,7 +293,7 @@ fn timing_flags(record: &CycleRecord) -> u32 {
     sum_of_set(&bits)
 }
 
-/// What limits and guard changed of its command: [`codes::guard`] bits.
+/// Changes of the command by limits and guard: [`codes::guard`] bits.
 pub fn guard_flags(record: &CycleRecord) -> u32 {
     let hit = record.limits_hit;
     let bits = [
@@ -350,7 +351,7 @@ fn reference(sample: &ReferenceSample) -> wire::ReferenceSample {
     }
 }
 
-/// Text in a fixed field, cut at a character's border.
+/// Text in a fixed field, cut at a character boundary.
 pub fn text(text: &str) -> [u8; wire::limits::TEXT_BYTES] {
     let mut bytes = [0; wire::limits::TEXT_BYTES];
     let end = (0..=text.len().min(bytes.len()))

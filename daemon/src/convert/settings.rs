@@ -1,4 +1,4 @@
-//! Settings of the solver, both ways.
+//! Settings of the solver, in both directions.
 
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
@@ -7,8 +7,8 @@ use cdcr_shared_types::codes::{self, Outcome};
 
 use crate::handover::{ChangedSettings, Settings};
 
-/// Both conversions, and the changes of a configuration, from one list: choices with their enumerations, then numbers. A field
-/// that is missing does not compile.
+/// Generates both conversions, and the changes of a configuration, from one list: choices with their
+/// enumerations, then numbers. A missing field does not compile.
 macro_rules! both_ways {
     ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
         pub fn settings_to_wire(settings: &Settings) -> wire::SolverSettings {
@@ -33,7 +33,7 @@ macro_rules! both_ways {
             })
         }
 
-        /// The settings in force with what has changed in the configuration. They are not checked together.
+        /// The settings in force with the changes of the configuration. The combination is not validated.
         pub fn with_changes(in_force: &Settings, changed: &ChangedSettings) -> Settings {
             let ChangedSettings { before, after } = changed;
             let changed_or = |is_changed, [new, old]: [&Settings; 2]| if is_changed { *new } else { *old };
@@ -61,7 +61,7 @@ both_ways! {
     obstacle_square_penalty, seed,
 }
 
-/// Settings from the wire, checked for a daemon of this period.
+/// Settings from the wire, validated for a daemon with this period.
 pub fn settings_from_wire(
     message: &wire::SolverSettings,
     period_ns: u64,

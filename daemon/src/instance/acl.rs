@@ -1,4 +1,4 @@
-//! Who may use the root folder: its owner alone, or a group as well, by an access control list. See `acl(5)`.
+//! Access to the root folder: its owner alone, or also a group, by an access control list. See `acl(5)`.
 
 use std::fs::{File, Permissions};
 use std::io::Result;
@@ -9,7 +9,7 @@ use rustix::io::Errno;
 
 const ACCESS: &str = "system.posix_acl_access";
 
-/// Whether the folder is open to its owner and `group_id`, and to nobody else.
+/// True if only its owner and `group_id` have access to the folder.
 pub(super) fn is_for(folder: &File, group_id: Option<u32>) -> bool {
     let has_mode = |mode| {
         let found = folder.metadata().map(|folder| folder.mode() & 0o7777);
@@ -21,13 +21,13 @@ pub(super) fn is_for(folder: &File, group_id: Option<u32>) -> bool {
     }
 }
 
-/// Opens the folder to its owner and `group_id`, and to nobody else, not even for a moment.
+/// Gives only its owner and `group_id` access to the folder, without a moment of wider access.
 pub(super) fn set_for(folder: &File, group_id: Option<u32>) -> Result<()> {
     let Some(group_id) = group_id else {
-        // In this order: without the list the mode counts.
+        // In this order: without the list the mode applies.
         folder.set_permissions(Permissions::from_mode(0o700))?;
         return match fremovexattr(folder, ACCESS) {
-            // There is none, or the file system has no lists.
+            // No list, or the file system has none.
             Ok(()) | Err(Errno::NODATA | Errno::OPNOTSUPP) => Ok(()),
             Err(error) => Err(error.into()),
         };
@@ -36,22 +36,22 @@ pub(super) fn set_for(folder: &File, group_id: Option<u32>) -> Result<()> {
     folder.set_permissions(Permissions::from_mode(0o770))
 }
 
-/// The list of the folder; empty where it has none but its mode.
+/// The access control list of the folder; empty without one.
 fn list_of(folder: &File) -> Vec<u8> {
     let mut list = vec![0; LONGEST];
     match fgetxattr(folder, ACCESS, &mut list) {
         Ok(length) => list.truncate(length),
         Err(Errno::NODATA | Errno::OPNOTSUPP) => list.clear(),
-        // Longer than any of ours, or unreadable: none of ours.
+        // Longer than any of ours, or unreadable: not one of ours.
         Err(_) => {}
     }
     list
 }
 
-/// Room for a list \[bytes\]; one of ours has 44.
+/// Capacity for a list \[bytes\]; one of ours has 44.
 const LONGEST: usize = 256;
 
-/// The owner and the group may do everything, all others nothing (`linux/posix_acl_xattr.h`).
+/// Full access for the owner and the group, none for others (`linux/posix_acl_xattr.h`).
 fn list_for(group_id: u32) -> Vec<u8> {
     const VERSION: u32 = 2;
     const NOBODY_NAMED: u32 = u32::MAX;

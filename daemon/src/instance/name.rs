@@ -7,13 +7,13 @@ use cdcr_shared_types::{Location, NameHolder};
 
 use super::{InstanceError, runs_already};
 
-/// How often a name is tried for that somebody holds who does not answer: it may just be ending.
+/// Attempts to take a name whose holder does not answer: it may just be ending.
 const TRIES: usize = 10;
 const TRY_AGAIN: Duration = Duration::from_millis(20);
 
-/// Takes the name of the daemon of `robot` among the abstract Unix sockets, which nobody can delete: a second daemon
-/// finds it taken when the lock file has been deleted. None, with a line in the log: it cannot be had, because another
-/// user has it or the system knows no such names; then the lock file alone keeps a second daemon out.
+/// Takes the daemon's name for `robot` among the abstract Unix sockets, which nobody can delete: if the lock
+/// file was deleted, a second daemon still finds the name taken. `None`, with a log line, if another user has
+/// the name or the system has no such names; then only the lock file excludes a second daemon.
 pub(super) fn take(
     location: &Location,
     robot: &str,

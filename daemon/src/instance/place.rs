@@ -1,4 +1,4 @@
-//! Whether clients still find this daemon: what they look for lies in files, which anybody with the right to can delete.
+//! Checks that clients still find this daemon: they use files that every authorised user can delete.
 
 use std::fs::File;
 use std::os::unix::fs::MetadataExt;
@@ -12,13 +12,13 @@ use iceoryx2::service::messaging_pattern::MessagingPattern;
 use super::{Instance, acl, file_error, is_file_at, lock, write_process_id};
 use crate::services::stale;
 
-/// What clients need to find a daemon, as it was when the daemon began.
+/// The files that clients need to find the daemon, as they were at its start.
 #[derive(Debug)]
 pub(crate) struct PlaceWatch {
     location: Location,
     robot: String,
     root: Arc<File>,
-    /// Who may use it beside its owner.
+    /// Group with access in addition to the owner.
     group_id: Option<u32>,
     lock: Arc<Mutex<File>>,
     name: Option<Arc<UnixListener>>,
@@ -27,18 +27,18 @@ pub(crate) struct PlaceWatch {
 
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Found {
-    /// All is there.
+    /// All files are present.
     Whole,
-    /// The lock file was missing and has been made again.
+    /// The lock file was missing and has been created again.
     Restored,
-    /// Clients cannot find this daemon any more, and it cannot change that.
+    /// Clients cannot find this daemon any more, and it cannot repair that.
     Lost {
-        /// What is missing or is another one.
+        /// The missing or replaced file.
         path: PathBuf,
     },
 }
 
-/// Of those who ask for the holder of the name, so many are let go at one look: anybody may ask, as often as he likes.
+/// Clients disconnected per check from the socket of the name: any user may connect, any number of times.
 const LET_GO_MAX: usize = 256;
 
 impl PlaceWatch {
@@ -60,7 +60,7 @@ impl PlaceWatch {
         }
     }
 
-    /// Looks whether the files are those of the beginning, and makes the lock file again where it is missing.
+    /// Checks that the files are those of the start, and creates a missing lock file again.
     pub(crate) fn look(&self) -> Found {
         if !is_file_at(&self.root, self.location.root()) {
             let path = self.location.root().to_owned();
@@ -78,7 +78,7 @@ impl PlaceWatch {
         self.look_at_lock()
     }
 
-    /// Closes the folder again where somebody opened it: nothing else keeps others from the files in it.
+    /// Restores the access of the folder if somebody changed it: only the folder protects its files.
     fn look_at_access(&self) {
         if !acl::is_for(&self.root, self.group_id) {
             let restored = acl::set_for(&self.root, self.group_id);
@@ -96,7 +96,7 @@ impl PlaceWatch {
             return Found::Whole;
         }
         if path.symlink_metadata().is_ok() {
-            // Another daemon has made it.
+            // Another daemon has created it.
             return Found::Lost { path };
         }
         let made = lock(&path, &self.location, &self.robot).and_then(|mut file| {
@@ -112,7 +112,7 @@ impl PlaceWatch {
         }
     }
 
-    /// Lets those go who asked for the holder of the name: the kernel has answered them.
+    /// Disconnects the clients that asked for the holder of the name: the kernel has answered them.
     pub(crate) fn let_go(&self) {
         let Some(name) = &self.name else { return };
         for _ in 0..LET_GO_MAX {
@@ -131,7 +131,7 @@ fn inode(path: &Path) -> Option<u64> {
     path.symlink_metadata().ok().map(|file| file.ino())
 }
 
-/// The files by which clients find the services of `robot`.
+/// The files through which clients find the services of `robot`.
 fn service_files(location: &Location, robot: &str) -> impl Iterator<Item = PathBuf> {
     let config = location.iceoryx2_config().ok();
     Service::ALL.into_iter().filter_map(move |service| {
@@ -153,7 +153,7 @@ mod tests {
 
     use super::*;
 
-    /// Whom nobody has to know.
+    /// A group that need not exist.
     const GROUP: u32 = 64_321;
 
     #[test]
@@ -171,7 +171,7 @@ mod tests {
             let open = Permissions::from_mode(0o777);
             watch.root.set_permissions(open).unwrap();
             assert_set_back();
-            // Of a folder with a list, the mode stays the same.
+            // The mode of a folder with an access control list remains the same.
             acl::set_for(&watch.root, Some(GROUP + 1)).unwrap();
             assert_set_back();
             acl::set_for(&watch.root, None).unwrap();
@@ -180,7 +180,7 @@ mod tests {
         let another = File::open(location.root()).unwrap();
         assert!(another.try_lock().is_err());
         drop((instance, watch));
-        // Another test's child may hold a copy of the lock until it runs its program.
+        // A child process of another test may hold a copy of the lock until it executes its program.
         another.lock().unwrap();
     }
 }

@@ -14,21 +14,22 @@ use rustix::io::Errno;
 
 use super::{InstanceError, acl, file_error, owner_of, runs_already};
 
-/// Permission of group and others to write.
+/// Write permission of group and others.
 const OPEN_TO_WRITE: u32 = 0o022;
-/// And to open what is inside.
+/// Permission of group and others to open files inside.
 const OPEN_TO_ENTER: u32 = 0o011;
 
-/// File systems that have nothing but memory: tmpfs and ramfs (`linux/magic.h`).
+/// File systems without a disk: tmpfs and ramfs (`linux/magic.h`).
 const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
 
-/// How often the folder is tried that others have locked: for longer than a caretaker needs to set access back that somebody changed.
+/// Attempts to lock a folder locked by others: for longer than a caretaker needs to restore a changed access.
 const TRIES: usize = 150;
 const TRY_AGAIN: Duration = Duration::from_millis(10);
 
-/// Makes the root folder if it is missing, and sees that it is in memory, and was ours alone to write to, or the group's: who
-/// may write there can put files in our way, or take them away from our clients. Then closes it to all others: it alone
-/// keeps them from the files in it. As long as the file that it returns is open, no daemon changes who may use the folder.
+/// Creates the root folder if it is missing. Checks that it is in memory, and that only this user, or the
+/// group, could write to it: a writer could obstruct the daemon with files, or remove files from its clients.
+/// Then closes the folder to all others: only the folder protects its files. While the returned file is open,
+/// no daemon changes the access of the folder.
 pub(super) fn prepare(
     location: &Location,
     robot: &str,
@@ -55,12 +56,12 @@ pub(super) fn prepare(
     Ok(folder)
 }
 
-/// Opens the folder if it is this user's. Whose it is, and what a link in its place is, is asked of what is open, which nobody
-/// can replace.
+/// Opens the folder if it belongs to this user. Owner and type are read from the open file, which nobody can
+/// replace.
 fn open_own(root: &Path) -> Result<File, InstanceError> {
     let failed = |cause: Errno| file_error(root, cause.into());
     let at = |path: &Path| {
-        // With a slash at its end a link would be followed.
+        // With a trailing slash a link would be followed.
         let path: PathBuf = path.components().collect();
         let flags = OFlags::PATH | OFlags::NOFOLLOW | OFlags::CLOEXEC;
         open(path, flags, Mode::empty()).map(File::from)
@@ -96,9 +97,9 @@ fn open_own(root: &Path) -> Result<File, InstanceError> {
     folder.map(File::from).map_err(failed)
 }
 
-/// Sees that the folder is open to the owner and the group alone, and locks it. Each daemon shares the lock for as long as it
-/// lives, and who may use the folder changes only while one daemon has the lock for itself: the files of another one that
-/// lives there have no protection but the folder's.
+/// Ensures that only the owner and the group have access to the folder, and locks it. Each daemon holds a
+/// shared lock as long as it lives. The access changes only under an exclusive lock: the files of other
+/// daemons there are protected by the folder alone.
 fn settle(
     folder: &File,
     location: &Location,
@@ -111,7 +112,7 @@ fn settle(
             return Ok(());
         }
         if flock(folder, FlockOperation::NonBlockingLockExclusive).is_err() {
-            // A daemon lives here, or is about to; or a program that deletes old files looks.
+            // A daemon lives here, or is about to; or a program that deletes old files checks the folder.
             std::thread::sleep(TRY_AGAIN);
         } else if !acl::is_for(folder, group_id) {
             change(folder, location, group_id)?;
@@ -120,7 +121,7 @@ fn settle(
     Err(in_use(folder, location, robot, group_id))
 }
 
-/// Opens the folder to the group, or closes it, if nobody else can have put anything into it.
+/// Opens the folder to the group, or closes it, if no other user can have put anything into it.
 fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(), InstanceError> {
     let root = location.root();
     let failed = |cause| file_error(root, cause);
@@ -141,7 +142,8 @@ fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(
     Ok(())
 }
 
-/// Whether the folder holds nothing, but for empty folders: a client that came before makes one. Those are removed, and only then.
+/// True if the folder contains only empty folders, which clients may create before the daemon; removes them
+/// in that case.
 fn is_emptied(folder: &File) -> std::io::Result<bool> {
     let mut names = Vec::new();
     for entry in Dir::read_from(folder)? {
@@ -155,7 +157,7 @@ fn is_emptied(folder: &File) -> std::io::Result<bool> {
         let Ok(inside) = openat(folder, name.as_c_str(), flags, Mode::empty()) else {
             return Ok(false);
         };
-        // Itself and the one above.
+        // The entries `.` and `..`.
         if Dir::read_from(&inside)?.count() > 2 {
             return Ok(false);
         }
@@ -164,7 +166,7 @@ fn is_emptied(folder: &File) -> std::io::Result<bool> {
     Ok(names.iter().all(removed))
 }
 
-/// The refusal of a daemon that would change the folder under others, or cannot lock it.
+/// The refusal of a daemon that would change the access of other daemons' folder, or cannot lock it.
 fn in_use(folder: &File, location: &Location, robot: &str, group_id: Option<u32>) -> InstanceError {
     if let Some(daemon) = location.presence(robot) {
         let process = daemon.process_id.map(|id| id.to_string());
@@ -187,13 +189,13 @@ fn in_use(folder: &File, location: &Location, robot: &str, group_id: Option<u32>
     }
 }
 
-/// The daemons in the root folder, of whatever prefix.
+/// The daemons in the root folder, with any prefix.
 fn living(location: &Location) -> Vec<String> {
     let entries = std::fs::read_dir(location.root()).into_iter().flatten();
     let locked = entries.flatten().filter_map(|entry| {
         let name = entry.file_name().into_string().ok()?;
         let name = name.strip_suffix(".lock")?;
-        // Neither a link nor a pipe in its place leads anywhere.
+        // Does not follow a link and does not wait for a pipe in its place.
         let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
         let mut options = File::options();
         let mut file = options
@@ -212,7 +214,7 @@ fn living(location: &Location) -> Vec<String> {
     daemons
 }
 
-/// Whether a group may be let into the root.
+/// Checks that the root folder may be opened to a group.
 fn may_share(location: &Location) -> Result<(), InstanceError> {
     let root = location.root().display().to_string();
     if rustix::process::geteuid().is_root() {
@@ -225,7 +227,7 @@ fn may_share(location: &Location) -> Result<(), InstanceError> {
     }
 }
 
-/// Opens the folders in the root: an older version, whose files were private, may have left them.
+/// Opens the folders in the root: an older version with private files may have left them.
 fn open_folders(root: &Path) -> std::io::Result<()> {
     for entry in std::fs::read_dir(root)? {
         let entry = entry?;
@@ -236,7 +238,7 @@ fn open_folders(root: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Whether files in `folder` have no disk behind them.
+/// The files in `folder` are not on a disk.
 pub fn is_in_memory(folder: &Path) -> std::io::Result<bool> {
     Ok(is_memory(statfs(folder)?))
 }
@@ -258,14 +260,14 @@ mod tests {
 
     use cdcr_scratch::Scratch;
 
-    /// Whom nobody has to know.
+    /// A group that need not exist.
     const GROUP: u32 = 64_321;
 
     fn location(root: &Path) -> Location {
         Location::new("cdcrtest_root_", root).expect("a legal place")
     }
 
-    /// A folder in one of the test's own, which the test holds locked itself.
+    /// A folder inside a folder of the test, whose access the test has closed.
     fn closed_in(folder: &Scratch) -> PathBuf {
         let root = folder.path().join("root");
         std::fs::create_dir(&root).expect("it is ours");
@@ -277,7 +279,7 @@ mod tests {
         super::prepare(&location(root), "a", None)
     }
 
-    /// Wants the folder to be for `group_id` while the daemon of `robot` lives in it.
+    /// Requests access for `group_id` to the folder while the daemon of `robot` lives in it.
     fn settled_beside(
         robot: &str,
         before: Option<u32>,
@@ -397,7 +399,7 @@ mod tests {
         }
         set_permissions(root, Permissions::from_mode(0o744)).expect("it is ours");
         prepare(root).expect("names are all that others could read");
-        // What a client leaves that looked for a daemon.
+        // Left by a client that searched for a daemon.
         std::fs::remove_file(root.join("left")).expect("it is ours");
         std::fs::create_dir(root.join("nodes")).expect("it is ours");
         set_permissions(root, Permissions::from_mode(0o755)).expect("it is ours");
@@ -413,7 +415,7 @@ mod tests {
         std::os::unix::fs::symlink(&root, &link).expect("a link");
         prepare(&link).expect("both are ours");
         prepare(&link.join("")).expect("with a slash, too");
-        // Beside the link, not beside the process.
+        // Relative to the link, not to the process.
         std::fs::remove_file(&link).expect("it is ours");
         std::os::unix::fs::symlink("root", &link).expect("a link");
         prepare(&link).expect("both are ours");

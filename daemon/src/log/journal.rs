@@ -1,7 +1,7 @@
 //! Lines with their fields for the system journal, in its own protocol: one datagram for each.
 //!
-//! A journal that stands still holds up whoever sends to it, once its socket is full. So the datagrams go through the same
-//! bounded queue as the text for the standard error, and a thread of their own waits.
+//! A stalled journal blocks its senders once its socket is full. So the datagrams pass through a bounded
+//! queue like that for the standard error, and only a separate thread waits.
 
 use std::fmt::Debug;
 use std::io::{Result, Write};
@@ -14,9 +14,9 @@ use tracing_subscriber::layer::Context;
 
 use super::standard_error::{LINES_QUEUED_MAX, Text, TextGuard};
 
-/// Where the journal listens.
+/// Socket of the journal.
 const SOCKET: &str = "/run/systemd/journal/socket";
-/// What begins the names of our fields.
+/// Prefix of the names of our fields.
 const PREFIX: &str = "CDCR_";
 const IDENTIFIER: &str = "cdcrd";
 
@@ -27,10 +27,10 @@ pub(super) struct Journal {
 }
 
 impl Journal {
-    /// Fails when nobody listens. A journal that stands still listens.
+    /// Fails if there is no journal. A stalled journal still accepts the connection.
     pub(super) fn new() -> Result<(Self, TextGuard)> {
         UnixDatagram::unbound()?.connect(SOCKET)?;
-        // Not connected: the journal that is started again is another one.
+        // Not connected: a restarted journal has a new socket.
         let socket = UnixDatagram::unbound()?;
         let (entries, guard) = Text::onto(Socket(socket), LINES_QUEUED_MAX, "cdcr-journal", lost);
         Ok((Self { entries }, guard))
@@ -47,12 +47,12 @@ impl<S: Subscriber> Layer<S> for Journal {
             entry.put("CODE_LINE", &line.to_string());
         }
         event.record(&mut entry);
-        // It cannot fail: what the journal does not take is counted.
+        // Cannot fail: lost entries are counted.
         let _ = self.entries.clone().write_all(&entry.0);
     }
 }
 
-/// What is said of lines that the journal did not take.
+/// The entry about lines that the journal did not accept.
 fn lost(lines: usize) -> Vec<u8> {
     let mut entry = Entry::new(Level::WARN);
     entry.put(
@@ -82,7 +82,7 @@ impl Entry {
         entry
     }
 
-    /// A field whose value may hold anything: name, length, value.
+    /// A field with arbitrary content: name, length, value.
     fn put(&mut self, name: &str, value: &str) {
         self.0.extend_from_slice(name.as_bytes());
         self.0.push(b'\n');
@@ -97,7 +97,7 @@ impl Visit for Entry {
     fn record_str(&mut self, field: &Field, value: &str) {
         match field.name() {
             "message" => self.put("MESSAGE", value),
-            // The journal knows capitals, digits and underscores.
+            // The journal accepts capitals, digits and underscores.
             name => {
                 let name = name.replace('.', "_").to_ascii_uppercase();
                 self.put(&format!("{PREFIX}{name}"), value);
@@ -110,7 +110,7 @@ impl Visit for Entry {
     }
 }
 
-/// The journal's end. A datagram is taken whole or not at all.
+/// The socket to the journal. A datagram is accepted whole or not at all.
 struct Socket(UnixDatagram);
 
 impl Write for Socket {

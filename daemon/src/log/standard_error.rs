@@ -1,7 +1,7 @@
-//! Text for the standard error, or entries for the journal, written by a thread of their own.
+//! Text for the standard error, or entries for the journal, written by a separate thread.
 //!
-//! Whoever holds the other end may stop reading: a terminal after Ctrl-S, a full pipe, a journal that stands still. Then that thread waits,
-//! and nobody else. At most [`LINES_QUEUED_MAX`] lines wait with it; what is lost is counted and said.
+//! The reader may stop: a terminal after Ctrl-S, a full pipe, a stalled journal. Then only that thread waits.
+//! At most [`LINES_QUEUED_MAX`] lines wait with it; lost lines are counted and reported.
 
 use std::io::{Result, Write};
 use std::sync::Arc;
@@ -11,31 +11,31 @@ use std::time::Duration;
 
 use tracing_subscriber::fmt::MakeWriter;
 
-/// Lines that may wait: far more than an end or a start writes, and less than a megabyte.
+/// Lines that may wait: far more than a start or an end writes, and less than a megabyte.
 pub(super) const LINES_QUEUED_MAX: usize = 4096;
-/// The writer takes bytes and writes them. All of it is resident where memory is locked.
+/// The thread only writes bytes. With locked memory its whole stack is resident.
 const STACK_BYTES: usize = 256 * 1024;
-/// How long the end waits for a reader.
+/// Longest wait for a reader at the end.
 const END_MAX: Duration = Duration::from_secs(2);
 
-/// Takes text at once, and writes it when somebody reads.
+/// Accepts text without waiting, and writes it when the reader accepts it.
 #[derive(Debug, Clone)]
 pub(super) struct Text {
     queue: SyncSender<Vec<u8>>,
     counts: Arc<Counts>,
-    /// Tells how many lines were lost so far.
+    /// The line that reports the number of lost lines.
     loss: fn(usize) -> Vec<u8>,
 }
 
 #[derive(Debug, Default)]
 struct Counts {
     lost: AtomicUsize,
-    /// How many of them a line has told of.
+    /// Number of lost lines reported so far.
     told: AtomicUsize,
     ending: AtomicBool,
 }
 
-/// Writes what waits when it is ended.
+/// Writes the waiting lines at the end.
 #[derive(Debug)]
 pub(super) struct TextGuard {
     text: Text,
@@ -48,7 +48,8 @@ impl Text {
         Self::onto(std::io::stderr(), LINES_QUEUED_MAX, "cdcr-log", lost_text)
     }
 
-    /// What takes lines one by one, with a thread of this name. `loss` words what is said of lines that were lost.
+    /// A queue with a thread named `thread` that writes its lines. `loss` is the line that reports lost
+    /// lines.
     pub(super) fn onto(
         writer: impl Write + Send + 'static,
         lines_max: usize,
@@ -90,7 +91,7 @@ fn lost_text(lines: usize) -> Vec<u8> {
     format!("cdcrd: lost {lines} log lines so far: the standard error is not read\n").into_bytes()
 }
 
-/// Writes line after line until the log ends and none is left.
+/// Writes lines until the log ends and none is left.
 fn write_all(
     lines: &Receiver<Vec<u8>>,
     mut writer: impl Write,
@@ -98,7 +99,7 @@ fn write_all(
     alive: Sender<()>,
 ) {
     while let Ok(line) = lines.recv() {
-        // There is nobody to tell that nobody can be told.
+        // A failed write cannot be reported.
         let _ = writer.write_all(&line);
         if counts.ending.load(Ordering::Acquire) {
             for line in lines.try_iter() {
@@ -113,7 +114,7 @@ fn write_all(
 impl Write for Text {
     fn write(&mut self, line: &[u8]) -> Result<usize> {
         let lost = self.lost();
-        // Where that finds no room, neither does the line, and the next one says so.
+        // If the queue is full, the line is lost, too, and a later line reports the loss.
         if lost != self.counts.told.load(Ordering::Relaxed)
             && self.queue.try_send((self.loss)(lost)).is_ok()
         {
@@ -137,10 +138,10 @@ impl<'a> MakeWriter<'a> for Text {
 }
 
 impl TextGuard {
-    /// Writes what waits, as far as somebody reads it. Takes [`END_MAX`] at most.
+    /// Writes the waiting lines, as far as the reader accepts them. Takes [`END_MAX`] at most.
     pub(super) fn end(self) {
         self.text.counts.ending.store(true, Ordering::Release);
-        // Wakes the thread. A queue that is full needs no waking.
+        // Wakes the thread. A full queue needs no wake-up.
         let _ = self.text.queue.try_send(Vec::new());
         let _ = self.ended.recv_timeout(END_MAX);
     }
@@ -155,7 +156,7 @@ mod tests {
 
     const TIMEOUT: Duration = Duration::from_secs(30);
 
-    /// Nobody reads it until the other end of the channel goes.
+    /// A writer that blocks until the other end of the channel is dropped.
     struct Unread {
         taken: Sender<()>,
         shut: Receiver<()>,
@@ -176,7 +177,8 @@ mod tests {
 
     type Written = Arc<Mutex<Vec<u8>>>;
 
-    /// With it: what tells that a line was taken, what opens it, and what was written.
+    /// Returned with it: a signal for each accepted line, the end that unblocks the writer, and the written
+    /// text.
     fn unread() -> (Unread, Receiver<()>, Sender<()>, Written) {
         let ((open, shut), (taken, takes)) = (channel(), channel());
         let text = Written::default();
@@ -188,7 +190,7 @@ mod tests {
         (writer, takes, open, text)
     }
 
-    /// A line comes as a whole, as from the log.
+    /// Writes a line as a whole, as the log does.
     fn put(text: &mut Text, line: &str) {
         text.write_all(format!("{line}\n").as_bytes()).unwrap();
     }
@@ -200,7 +202,8 @@ mod tests {
         let (writer, takes, open, written) = unread();
         let (mut text, guard) = Text::onto(writer, LINES_MAX, "test", lost_text);
         put(&mut text, "line 0");
-        // In the hands of the thread, which waits: one that came later would make room, and a first loss would be said.
+        // The thread already holds this line and waits. If it took the line later, the queue would have
+        // space, and a first loss would be reported.
         takes.recv_timeout(TIMEOUT).unwrap();
         for line in 1..LINES {
             put(&mut text, &format!("line {line}"));
@@ -234,7 +237,7 @@ mod tests {
         for _ in 0..10 {
             put(&mut text, "a line");
         }
-        // It comes back at all: nobody ever reads.
+        // Returns although nobody ever reads.
         guard.end();
         drop(open);
     }

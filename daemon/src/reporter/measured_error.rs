@@ -3,10 +3,11 @@ use nalgebra::Vector3;
 
 use crate::handover::TimedMeasurement;
 
-/// How far the tip is from its reference as a sensor of the tip says: what the model is off by is in it, and the noise of the sensor.
+/// Distance of the tip from its reference, as measured by a tip sensor: includes the error of the model and
+/// the noise of the sensor.
 #[derive(Debug)]
 pub(super) struct MeasuredError {
-    /// The newest release \[ns\], and where the reference was then \[m\]; NaN without one.
+    /// The newest release \[ns\], and the reference at that time \[m\]; NaN without one.
     release_ns: u64,
     reference_m: Vector3<f64>,
     measured_ns: u64,
@@ -25,13 +26,13 @@ impl Default for MeasuredError {
 }
 
 impl MeasuredError {
-    /// Of the newest measurement \[m\]; NaN without one, and without a reference.
+    /// Distance at the newest measurement \[m\]; NaN without a measurement or a reference.
     pub(super) fn distance_m(&self) -> f64 {
         self.distance_m
     }
 
-    /// A cycle with its reference \[m\] (NaN: none) and its newest measurements. A measurement is older than the release: the reference of its
-    /// time lies on the line through those of the last two releases.
+    /// Takes a cycle with its reference \[m\] (NaN: none) and its newest measurements. A measurement is older
+    /// than the release: its reference is interpolated linearly from those of the last two releases.
     pub(super) fn take<'a>(
         &mut self,
         release_ns: u64,
@@ -74,10 +75,10 @@ mod tests {
             error.distance_m()
         };
         assert!(distance_m(100, at(0.1), None).is_nan());
-        // 0.02 beside where the reference was half a period before.
+        // 0.02 m beside the reference of half a period earlier.
         let known_m = distance_m(110, at(0.2), Some(measured(105, 0.17)));
         assert!((known_m - 0.02).abs() < 1e-12, "{known_m}");
-        // The same again says nothing new.
+        // A repeated measurement changes nothing.
         let still_m = distance_m(120, at(0.3), Some(measured(105, 0.17)));
         assert!((still_m - 0.02).abs() < 1e-12, "{still_m}");
         let none_m = Vector3::repeat(f64::NAN);
