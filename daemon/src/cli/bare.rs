@@ -1,4 +1,4 @@
-//! Prints what `cdcrd bare` saw.
+//! Output of `cdcrd bare`.
 
 use std::io::{self, BufWriter, Write};
 use std::time::Duration;
@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use super::{Source, end_with_process};
 use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
 
-/// What follows the options in the help.
+/// Help text after the options.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
     The cycle thread of the configuration (core, priority, locked memory, period) wakes up before each release\n\
     (realtime.spin_us), spins until the release and reads the clock. Lateness is evaluated as in cdcrd run, but is caused by\n\
@@ -44,19 +44,19 @@ enum Format {
     Json,
 }
 
-/// Runs the loop, and prints what became of it.
+/// Runs the bare loop, and prints its results.
 pub(super) fn run(options: &BareOptions) -> Result<()> {
     end_with_process(options.end_with_parent)?;
     let outcome = bare::run(&options.source.load()?, options.duration)?;
     let mut out = BufWriter::new(io::stdout().lock());
     match write(&mut out, options.format, &outcome).and_then(|()| out.flush()) {
-        // The reader has seen enough: `cdcrd bare --format csv | head`.
+        // The reader has closed the pipe: `cdcrd bare --format csv | head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         written => written.context("cannot write the result"),
     }
 }
 
-/// `10s`, `0.5s`, `250ms`, `1m 10s`.
+/// Parses `10s`, `0.5s`, `250ms`, `1m 10s`.
 fn duration(text: &str) -> Result<Duration, String> {
     let seconds = text.trim().strip_suffix('s').map(str::trim_end);
     if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {

@@ -1,4 +1,4 @@
-//! What the command line does with configurations: where they come from, and what it says about them.
+//! Configurations on the command line: their sources, and the output about them.
 
 use std::ffi::OsString;
 use std::io::{ErrorKind, Write};
@@ -70,7 +70,7 @@ pub(super) struct Source {
     root: Option<OsString>,
 }
 
-/// An argument of `--set`.
+/// Parses an argument of `--set`.
 fn assignment(text: &str) -> Result<(String, String), String> {
     let (key, value) = text
         .split_once('=')
@@ -79,7 +79,7 @@ fn assignment(text: &str) -> Result<(String, String), String> {
 }
 
 impl Source {
-    /// The configuration, checked. Warnings go to the log.
+    /// The validated configuration. Warnings go to the log.
     pub(super) fn load(&self) -> Result<Validated, ConfigError> {
         let validated = self.settings()?.validate()?;
         for warning in warnings(&validated.config) {
@@ -88,7 +88,7 @@ impl Source {
         Ok(validated)
     }
 
-    /// The configuration, not yet checked, and where its values come from.
+    /// The configuration before validation, with the origins of its values.
     pub(super) fn settings(&self) -> Result<Settings, ConfigError> {
         let mut layers = Layers::default();
         let file = self.config.clone();
@@ -150,7 +150,7 @@ fn with(
     }
 }
 
-/// Carries `cdcrd config …` out.
+/// Executes `cdcrd config …`.
 pub(super) fn execute(command: ConfigCommand) -> Result<()> {
     match command {
         ConfigCommand::Default => say(DEFAULT_TEXT),
@@ -159,7 +159,7 @@ pub(super) fn execute(command: ConfigCommand) -> Result<()> {
     }
 }
 
-/// Carries `cdcrd check` out.
+/// Executes `cdcrd check`.
 pub(super) fn check(source: &Source) -> Result<()> {
     let settings = source.settings()?;
     let changed = settings.changed();
@@ -177,7 +177,7 @@ pub(super) fn check(source: &Source) -> Result<()> {
     say(&lines.join("\n"))
 }
 
-/// Prints a text. A reader that has seen enough (`cdcrd config default | head`) is no error.
+/// Prints a text. A closed pipe (`cdcrd config default | head`) is not an error.
 fn say(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -186,7 +186,7 @@ fn say(text: &str) -> Result<()> {
     }
 }
 
-/// At most a line of a value.
+/// The value, shortened to one line.
 fn shortened(value: &str) -> String {
     match value.char_indices().nth(60) {
         Some((end, _)) => format!("{} …", &value[..end]),
@@ -194,7 +194,7 @@ fn shortened(value: &str) -> String {
     }
 }
 
-/// Which robot it is, and how and where it would be controlled.
+/// The robot, and the settings of its control.
 fn summary(validated: &Validated) -> Vec<String> {
     let Validated {
         config,

@@ -1,4 +1,4 @@
-//! Prints what `cdcrd doctor` found.
+//! Output of `cdcrd doctor`.
 
 use std::io::{self, Write};
 
@@ -10,7 +10,7 @@ use clap::{Args, ValueEnum};
 use super::Source;
 use crate::doctor::{DoctorReport, Finding, Severity, examine};
 
-/// What follows the options in the help.
+/// Help text after the options.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml --format json\n\
     Takes one second to sample the threads that use the core of the real-time threads.\n\n\
     Exit status: 0 ok; 10 a warning or an unknown value; 20 a fault: the daemon\n\
@@ -37,7 +37,7 @@ enum Format {
 /// Examines this machine, prints the report, and returns its exit status.
 pub(super) fn run(options: &DoctorOptions) -> Result<u8> {
     let report = examine(&options.source.load()?);
-    // Colours only on a terminal, and not where NO_COLOR is set.
+    // Colours only on a terminal, and not if NO_COLOR is set.
     let mut out = anstream::stdout().lock();
     let written = match options.format {
         Format::Text => write_text(&mut out, &report),
@@ -47,7 +47,7 @@ pub(super) fn run(options: &DoctorOptions) -> Result<u8> {
         }
     };
     match written.and_then(|()| out.flush()) {
-        // The reader has seen enough: `cdcrd doctor | head`.
+        // The reader has closed the pipe: `cdcrd doctor | head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
         written => written.context("cannot write the report")?,
     }

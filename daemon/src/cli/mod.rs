@@ -1,4 +1,4 @@
-//! The command line: what can be asked of `cdcrd`, and in which words it answers.
+//! The command line of `cdcrd`, and its output.
 
 mod bare;
 mod config;
@@ -58,7 +58,7 @@ enum Command {
     Config(ConfigCommand),
 }
 
-/// Carries a command line out, and returns the exit status.
+/// Executes a command line, and returns the exit status.
 pub fn execute(cli: Cli) -> Result<ExitCode> {
     let done = |()| ExitCause::Asked.into();
     match cli.command {
@@ -76,8 +76,8 @@ pub fn execute(cli: Cli) -> Result<ExitCode> {
     }
 }
 
-/// Asks the kernel for SIGTERM when our parent, if we are to end with it, ends; one that has ended meanwhile ends
-/// us now.
+/// Asks the kernel for SIGTERM at the end of the parent process, if requested; fails if the parent has
+/// already ended.
 fn end_with_process(parent: Option<i32>) -> Result<()> {
     let Some(parent) = parent else {
         return Ok(());

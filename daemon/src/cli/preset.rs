@@ -20,7 +20,7 @@ impl Preset {
             Self::Fast => ("0.0", "60.0"),
         };
         [
-            // A rate change weight alone lets rates that do not move the tip go on for ever.
+            // With a rate change weight alone, rates that do not move the tip never decay.
             ("controller.rate_weight", "1e-10"),
             ("controller.rate_change_weight", rate_change_weight),
             ("estimator.time_constant_ms", time_constant_ms),

@@ -1,4 +1,4 @@
-//! How the robot is controlled: actuators, estimate, period, motions, faults, obstacles, reference.
+//! Control of the robot: actuators, estimate, period, motions, faults, obstacles, reference.
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::reference::ApproachLimits;
@@ -20,12 +20,12 @@ table! {
 }
 
 impl ActuatorConfig {
-    /// By how much a robot that moves evenly is behind its commands \[ms\].
+    /// Lag of a robot in even motion behind its commands \[ms\].
     pub fn lead_ms(&self) -> f64 {
         self.delay_ms + self.time_constant_ms
     }
 
-    /// The model of them.
+    /// The model of the motors and cables.
     pub fn model(&self) -> Actuator {
         Actuator {
             delay_s: self.delay_ms * 1e-3,
@@ -78,10 +78,10 @@ table! {
 }
 
 impl CycleConfig {
-    /// Level at which the leaky bucket is full when the configuration sets no `miss_limit`: 200 ms without control at
-    /// 5 ms.
+    /// Level of the full leaky bucket if the configuration sets no `miss_limit`: 200 ms without control at 5
+    /// ms.
     pub const MISS_LIMIT: u32 = 40;
-    /// What one gather and one publication take at least, with a little more for slower machines \[ns\].
+    /// Smallest cost of one gather and one publication, with a reserve for slower machines \[ns\].
     pub const EXCHANGE_NS: u64 = 40_000;
 
     /// Deadline D after the release \[ns\].
@@ -92,9 +92,9 @@ impl CycleConfig {
         }
     }
 
-    /// Time that the solver leaves at least for what follows it \[ns\], by default a tenth of the period. And at least
-    /// what the exchange needs on the same core, without which the reference does not arrive. What was measured to
-    /// take longer is left by the [`CoreBudget`](crate::core_budget::CoreBudget).
+    /// Smallest time between the end of the solver and the deadline \[ns\]: by default a tenth of the period,
+    /// but at least the exchange's cost on the same core, without which the reference does not arrive. The
+    /// [`CoreBudget`](crate::core_budget::CoreBudget) reserves larger measured costs.
     pub fn budget_margin_ns(&self) -> u64 {
         match ns(self.budget_margin_ms) {
             0 => (ns(self.period_ms) / 10).max(Self::EXCHANGE_NS),
@@ -103,7 +103,8 @@ impl CycleConfig {
     }
 }
 
-/// Time that a robot has to come to rest when the process ends \[s\]. The unit gives the process a little more.
+/// Time for the robot to come to rest at the end of the process \[s\]. The service unit grants the process a
+/// little more.
 pub const REST_MAX_S: f64 = 10.0;
 
 /// How a reference is reached that begins elsewhere than the tip is, or in motion.
@@ -153,10 +154,11 @@ table! {
 }
 
 impl MotionConfig {
-    /// Largest acceleration of a robot behind a driver whose configuration has none \[rad/s²\].
+    /// Default acceleration limit of a robot with motors \[rad/s²\].
     pub const ACCELERATION_RAD_S2: f64 = 40.0;
 
-    /// Limits of the approach of a robot that `is_ideal` or not and is `reach_m` (m) long; `None`: there is none.
+    /// Limits of the approach for a robot of length `reach_m` \[m\]; `None`: no limits. `is_ideal` selects
+    /// the default.
     pub fn approach_limits(&self, is_ideal: bool, reach_m: f64) -> Option<ApproachLimits> {
         let is_direct = match self.approach {
             ApproachKind::Auto => is_ideal,
@@ -171,7 +173,7 @@ impl MotionConfig {
         })
     }
 
-    /// A reference may be this far from the tip when it shall be tracked \[m\].
+    /// Largest distance between the tip and a reference to be tracked \[m\].
     pub fn approach_distance_m(&self) -> f64 {
         match self.approach {
             ApproachKind::Refuse => self.approach_distance_m,
@@ -238,7 +240,7 @@ table! {
 }
 
 impl ObstaclesConfig {
-    /// Timeout of the sources of a robot behind a driver, where the configuration leaves it to the kind of robot \[ms\].
+    /// Default timeout of the obstacle sources for a robot behind a driver \[ms\].
     const DRIVER_SOURCE_TIMEOUT_MS: f64 = 500.0;
 
     /// The timeout in force for a robot \[ms\].

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::layers::line_at;
 use super::{Origin, keys};
 
-/// What is wrong with a configuration, and where.
+/// An error of a configuration with its place.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
@@ -14,19 +14,19 @@ pub enum ConfigError {
         file: PathBuf,
         cause: std::io::Error,
     },
-    /// The text is no TOML.
+    /// The text is not TOML.
     #[error("{}: {cause}", file.display())]
     Syntax {
         file: PathBuf,
-        /// What the parser says: line, column, the line itself, and what was expected.
+        /// The parser's message: line, column, the line itself, and what was expected.
         cause: String,
     },
-    /// A key that nobody knows.
+    /// An unknown key.
     #[error("{}unknown key {key}: {}", place(origin), remedy(*nearest), key = short(key))]
     Unknown {
         origin: Origin,
         key: String,
-        /// The known key that is nearest to it.
+        /// The most similar known key.
         nearest: Option<&'static str>,
     },
     /// A value is not allowed.
@@ -34,7 +34,7 @@ pub enum ConfigError {
     Value {
         origin: Origin,
         key: String,
-        /// What is wrong, and what is allowed.
+        /// The error, and the allowed values.
         message: String,
     },
 }
@@ -51,10 +51,10 @@ impl ConfigError {
 
 /// Characters of a text that an error quotes: about a line of a terminal.
 const QUOTED_MAX: usize = 200;
-/// Of them, how many are from its end, where the words about a long value are.
+/// Part of them from the end of the text, which follows a long value.
 const QUOTED_END: usize = 120;
 
-/// A text, or its beginning and its end when it is longer than anybody reads.
+/// The text, or its beginning and end if it is too long to read.
 pub(super) fn short(text: &str) -> Cow<'_, str> {
     let count = text.chars().count();
     if count <= QUOTED_MAX {
@@ -65,7 +65,7 @@ pub(super) fn short(text: &str) -> Cow<'_, str> {
     format!("{start} … {end}").into()
 }
 
-/// The way to a first configuration, where there is no file.
+/// The command for a first configuration if there is no file.
 fn start(file: &Path, cause: &std::io::Error) -> String {
     if cause.kind() != ErrorKind::NotFound {
         return String::new();
@@ -88,7 +88,7 @@ fn remedy(nearest: Option<&str>) -> String {
     }
 }
 
-/// Where a text is no TOML, as the parser shows it: with the line itself, unless nobody could read that.
+/// The parser's message about a syntax error, with the line itself unless it is too long.
 pub(super) fn syntax(text: &str, error: &toml::de::Error) -> String {
     let shown = for_people(&error.to_string());
     if shown.lines().all(|line| line.chars().count() <= QUOTED_MAX) {
@@ -98,7 +98,7 @@ pub(super) fn syntax(text: &str, error: &toml::de::Error) -> String {
     format!("line {line}: {}", short(&for_people(error.message())))
 }
 
-/// What the parser says, without the names that types have in Rust.
+/// The parser's message without Rust type names.
 pub(super) fn for_people(message: &str) -> String {
     let words = [
         ("expected u32", "expected a whole number, 0 or more"),

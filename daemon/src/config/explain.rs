@@ -3,12 +3,12 @@ use serde_json::Value;
 use super::keys::{self, Key};
 use super::{Config, ConfigError, Origin, Settings};
 
-/// A JSON schema of the configuration (draft 2020-12), made of what is declared. It is committed, so that the program needs
-/// nothing to make it; a test compares it, and writes it when `CDCR_GENERATE` is set.
+/// A JSON schema of the configuration (draft 2020-12), generated from the declarations. It is committed, so
+/// that the program needs no generator; a test compares it, and writes it if `CDCR_GENERATE` is set.
 pub const SCHEMA_TEXT: &str = include_str!("../../../configs/schema.json");
 
-/// Says all about a key, like `cycle.period_ms`, or about a table and its keys: what it is, its type, range and
-/// default, and the value in force and where that comes from.
+/// Explains a key, like `cycle.period_ms`, or a table with its keys: description, type, range, default,
+/// present value and its origin.
 pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
     let name = keys::without_indices(key);
     if keys::get(&name).is_none() {
@@ -23,7 +23,7 @@ pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
     Ok(about.collect::<Vec<_>>().join("\n"))
 }
 
-/// What a schema says of a key or a table.
+/// The schema's node of a key or a table.
 fn node<'a>(schema: &'a Value, key: &str) -> &'a Value {
     key.split('.').fold(schema, |node, part| {
         let node = node.get("items").unwrap_or(node);
@@ -31,7 +31,7 @@ fn node<'a>(schema: &'a Value, key: &str) -> &'a Value {
     })
 }
 
-/// What there is to say about one key or the head of a table.
+/// The explanation of one key, or of a table without its keys.
 fn about(key: &Key, node: &Value, settings: &Settings) -> String {
     let parameter = key.parameter;
     let mut lines = vec![key.name.clone()];
@@ -63,7 +63,7 @@ fn about(key: &Key, node: &Value, settings: &Settings) -> String {
     lines.join("\n")
 }
 
-/// The values that a choice has, each with its meaning.
+/// The values of a choice with their descriptions.
 fn choices(node: &Value) -> Vec<String> {
     let choices = node["oneOf"].as_array().into_iter().flatten();
     let each = choices.map(|choice| {
@@ -73,7 +73,7 @@ fn choices(node: &Value) -> Vec<String> {
     each.collect()
 }
 
-/// The type of a key in words; none for a table.
+/// The type of a key as text; `None` for a table.
 fn kind(node: &Value) -> Option<&'static str> {
     match node["type"].as_str() {
         _ if node.get("oneOf").is_some() => Some("one of these strings"),
@@ -88,7 +88,7 @@ fn kind(node: &Value) -> Option<&'static str> {
     }
 }
 
-/// The value of a key; for a key of a list of tables, that of each table.
+/// The value of a key; for a key of a list of tables, the values of all tables.
 fn value(config: &Config, key: &str) -> Option<String> {
     let values = keys::values(config);
     if let Some(value) = keys::value(&values, key) {

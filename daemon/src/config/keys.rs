@@ -1,4 +1,4 @@
-//! The known keys, as the default configuration has them, and which of them is nearest to a misspelt one.
+//! The known keys, as in the default configuration, and the nearest one to a misspelt key.
 
 use std::sync::LazyLock;
 
@@ -8,23 +8,23 @@ use toml::{Table, Value};
 
 use super::Config;
 
-/// How alike two names must be for one to be called a misspelling of the other.
+/// Smallest similarity of a misspelt name to a known one.
 const ALIKE: f64 = 0.8;
-/// How much a key of the same table comes before one of another table.
+/// Bonus for a key of the same table.
 const SAME_TABLE: f64 = 0.05;
-/// Length from which on a part of a name says which one is meant.
+/// Smallest length of a part that identifies a name.
 const PART: usize = 5;
 /// Longest name that may be a misspelling \[bytes\].
 const MISSPELT_MAX: usize = 100;
 
-/// A table, a key that has a value of its own, or a key inside a list of tables.
+/// A table, a settable key, or a key inside a list of tables.
 #[derive(Debug)]
 pub(super) struct Key {
     /// Like `cycle.period_ms` or `robot.sections.length_m`.
     pub(super) name: String,
-    /// What is declared of it.
+    /// The declaration of the key.
     pub(super) parameter: &'static Parameter,
-    /// `None`: it has no value of its own.
+    /// `None`: not settable by itself.
     pub(super) default: Option<Value>,
 }
 
@@ -47,7 +47,7 @@ fn collect(above: &str, defaults: &Table, keys: &mut Vec<Key>) {
     }
 }
 
-/// What is declared below nothing, a table, or a list of tables.
+/// The declarations at the top level (`""`), in a table, or in a list of tables.
 pub(super) fn below(key: &str) -> &'static [Parameter] {
     match key {
         "" => Config::PARAMETERS,
@@ -66,7 +66,7 @@ pub(super) fn get(name: &str) -> Option<&'static Key> {
     all().iter().find(|key| key.name == name)
 }
 
-/// The names of those that have a value of their own, and their defaults.
+/// The names and defaults of the settable keys.
 pub(super) fn settable() -> impl Iterator<Item = (&'static str, &'static Value)> {
     let keys = all().iter();
     keys.filter_map(|key| Some((&*key.name, key.default.as_ref()?)))
@@ -77,13 +77,13 @@ pub(super) fn values(config: &Config) -> Table {
     Table::try_from(config).unwrap_or_default()
 }
 
-/// The value of a key that has one of its own.
+/// The value of a settable key.
 pub(super) fn value<'a>(values: &'a Table, key: &str) -> Option<&'a Value> {
     let (table, name) = key.split_once('.')?;
     values.get(table)?.get(name)
 }
 
-/// The keys that have other values in one configuration than in the other.
+/// The keys whose values differ between two configurations.
 pub(crate) fn changed(one: &Config, other: &Config) -> Vec<String> {
     let (one, other) = (values(one), values(other));
     let names = settable().map(|(name, _)| name);
@@ -103,7 +103,8 @@ pub(super) fn without_indices(key: &str) -> String {
     names.collect::<Vec<_>>().join(".")
 }
 
-/// The best of some names, if it is alike enough. The likeness of long ones takes long to compute.
+/// The most similar of the known names, if it is similar enough. Long names are skipped: their similarity
+/// takes long to compute.
 fn best<T: Ord>(
     unknown: &str,
     known: impl Iterator<Item = T>,
@@ -117,14 +118,14 @@ fn best<T: Ord>(
         .map(|(_, known)| known)
 }
 
-/// The known key that `unknown` most likely means.
+/// The known key most similar to `unknown`.
 pub(super) fn nearest(unknown: &str) -> Option<&'static str> {
     let plain = without_indices(&unknown.to_lowercase());
     let known = all().iter().map(|key| &*key.name);
     best(unknown, known, |known| likeness(&plain, known))
 }
 
-/// How alike a misspelt key and a known one are, 0 to a little more than 1.
+/// Similarity of a misspelt key and a known one, 0 to a little more than 1.
 fn likeness(unknown: &str, known: &str) -> f64 {
     let [(table, name), (known_table, known_name)] =
         [unknown, known].map(|key| key.rsplit_once('.').unwrap_or(("", key)));
@@ -136,7 +137,7 @@ fn likeness(unknown: &str, known: &str) -> f64 {
     of_names.max(strsim::normalized_damerau_levenshtein(&flat, &known_flat))
 }
 
-/// The variable of a known key that a variable of another name most likely means.
+/// The variable of a known key most similar to the variable `unknown`.
 pub(super) fn nearest_variable(unknown: &str) -> Option<String> {
     let name = |variable: &str| variable.trim_start_matches("CDCR_").to_owned();
     best(unknown, settable().map(|(key, _)| variable(key)), |known| {

@@ -13,7 +13,7 @@ use super::{Config, ConfigError, Origin, Origins, Settings, keys};
 /// Largest configuration \[bytes\]: a hundred times one with every key.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
-/// What was set, layer upon layer: what comes later wins, key by key. Begin with the file.
+/// Layers of settings: a later layer overrides an earlier one, key by key. Begin with the file.
 #[derive(Debug, Clone, Default)]
 pub struct Layers {
     values: Table,
@@ -21,20 +21,20 @@ pub struct Layers {
 }
 
 impl Layers {
-    /// Takes over what a file sets.
+    /// Adds the settings of a file.
     pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
         let file = path.to_owned();
         let text = read(path).map_err(|cause| ConfigError::Unreadable { file, cause })?;
         self.text(&text, path)
     }
 
-    /// Takes over what the text of a file sets; `file` is for the messages.
+    /// Adds the settings in the text of a file; `file` is for messages.
     pub fn text(mut self, text: &str, file: &Path) -> Result<Self, ConfigError> {
         let places = places(text).map_err(|error| ConfigError::Syntax {
             file: file.to_owned(),
             cause: syntax(text, &error),
         })?;
-        // Of a list every element has a line.
+        // Every element of a list has a line of its own.
         let line_ends: Vec<usize> = text.match_indices('\n').map(|(end, _)| end).collect();
         self.origins.file = Some(file.to_owned());
         self.add(text, &places, |offset| Origin::File {
@@ -43,9 +43,9 @@ impl Layers {
         })
     }
 
-    /// Takes over what the environment sets: `CDCR_CYCLE_PERIOD_MS` is `cycle.period_ms`. Empty variables
-    /// count as not set. Others that begin with `CDCR_` may belong to another program: one whose name is near
-    /// to that of a key comes back as a warning.
+    /// Adds the settings of environment variables: `CDCR_CYCLE_PERIOD_MS` is `cycle.period_ms`. Empty
+    /// variables count as not set. Other variables with `CDCR_` may belong to another program: a name similar
+    /// to that of a key is returned as a warning.
     pub fn variables(
         mut self,
         variables: impl IntoIterator<Item = (OsString, OsString)>,
@@ -77,7 +77,7 @@ impl Layers {
         self.put(key, &value, origin)
     }
 
-    /// Sets one key to a string, whatever is in it.
+    /// Sets one key to a string with any content.
     pub fn string(self, key: &str, text: &OsStr, origin: &Origin) -> Result<Self, ConfigError> {
         self.put(key, &text_of(text, key, origin)?.into(), origin)
     }
@@ -88,7 +88,8 @@ impl Layers {
         self.add(&text, &places, |_| origin.clone())
     }
 
-    /// Checks the keys and types of a text, and takes over what it sets; `origin` is that of a byte of the text.
+    /// Checks the keys and types of a text, and adds its settings; `origin` is the origin of a byte of the
+    /// text.
     fn add(
         mut self,
         text: &str,
@@ -99,7 +100,7 @@ impl Layers {
         if let Some(place) = each.find(|place| keys::get(&place.declared).is_none()) {
             return Err(ConfigError::unknown(&place.key, origin(place.offset)));
         }
-        // At the innermost key that holds the value.
+        // The innermost key that contains the value.
         let mistyped = |cause: toml::de::Error| {
             let offset = cause.span().map_or(0, |span| span.start);
             let inner = places.iter().rfind(|place| place.offset <= offset);
@@ -127,14 +128,15 @@ impl Layers {
     /// All layers as one typed configuration.
     pub fn settings(self) -> Result<Settings, ConfigError> {
         let Self { values, origins } = self;
-        // By way of the text that each layer was checked as: a second way would be compiled, too.
+        // Parsed from text, like each layer: a second deserialiser would add code.
         let config = toml::from_str(&values.to_string())
             .map_err(|cause| Origin::Default.error("the configuration", cause.message()))?;
         Ok(Settings::new(config, origins))
     }
 }
 
-/// The text of a file. What is no file is not opened: a pipe may never end, and a device may do something.
+/// The text of a file. Only regular files are opened: a pipe may never end, and opening a device may have
+/// effects.
 fn read(path: &Path) -> io::Result<String> {
     if !std::fs::metadata(path)?.is_file() {
         return Err(io::Error::other("it is not a file"));
@@ -148,17 +150,17 @@ fn read(path: &Path) -> io::Result<String> {
     Ok(text)
 }
 
-/// A table, a key or an element of a list in a text.
+/// A table, a key or a list element in a text.
 struct Place {
-    /// As it is declared: `robot.sections.length_m`.
+    /// As declared: `robot.sections.length_m`.
     declared: String,
-    /// As messages name it: `robot.sections[1].length_m`.
+    /// As in messages: `robot.sections[1].length_m`.
     key: String,
-    /// At which byte it stands.
+    /// Byte offset in the text.
     offset: usize,
 }
 
-/// The places of a text, in its order.
+/// All places in a text, in its order.
 fn places(text: &str) -> Result<Vec<Place>, toml::de::Error> {
     let mut places = Vec::new();
     below_table(DeTable::parse(text)?.get_ref(), "", "", &mut places);
@@ -200,7 +202,7 @@ fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<Plac
     }
 }
 
-/// The line, from 1, of a byte of a text.
+/// The line of a byte of a text, from 1.
 pub(super) fn line_at(text: &str, offset: usize) -> usize {
     let before = text.as_bytes().iter().take(offset);
     1 + before.filter(|byte| **byte == b'\n').count()
@@ -211,7 +213,7 @@ fn text_of<'a>(value: &'a OsStr, key: &str, origin: &Origin) -> Result<&'a str, 
     value.to_str().ok_or_else(refused)
 }
 
-/// Why a key cannot be set by itself.
+/// The reason why a key cannot be set by itself.
 fn not_settable(key: &str, origin: &Origin) -> ConfigError {
     let plain = keys::without_indices(key);
     if keys::get(&plain).is_none() {
@@ -224,10 +226,10 @@ fn not_settable(key: &str, origin: &Origin) -> ConfigError {
     origin.error(key, &message)
 }
 
-/// A value as TOML; where a string is expected, a bare word is one.
+/// A value as TOML; where a string is expected, a bare word is accepted.
 fn value_of(text: &str, default: &Value) -> Result<Value, String> {
     let is_quoted = text.trim_start().starts_with(['"', '\'']);
-    // What is "auto" by default may be a number.
+    // A key whose default is "auto" may be a number.
     let is_number = default.as_str() == Some("auto") && text.trim().parse::<f64>().is_ok();
     if default.is_str() && !is_quoted && !is_number {
         return Ok(text.into());

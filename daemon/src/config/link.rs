@@ -86,12 +86,12 @@ table! {
 const FLAWS_KEY: &str = "link.simulated_flaws";
 
 impl LinkConfig {
-    /// Whether the robot is exactly its model.
+    /// The robot is exactly its model.
     pub fn is_ideal(&self) -> bool {
         self.kind == LinkKind::Simulated && self.simulated == Preset::Ideal
     }
 
-    /// How long after its release a command is valid \[ns\].
+    /// Validity of a command after its release \[ns\].
     pub fn command_valid_ns(&self, period_ns: u64) -> u64 {
         match ns(self.command_valid_ms) {
             0 => 3 * period_ns,
@@ -99,7 +99,7 @@ impl LinkConfig {
         }
     }
 
-    /// What is wrong with the simulated robot.
+    /// Flaws of the simulated robot.
     pub(super) fn flaws(&self, origins: &Origins) -> Result<Flaws, ConfigError> {
         let mut given = self.simulated_flaws.iter();
         let preset = self.simulated.flaws();
@@ -107,7 +107,7 @@ impl LinkConfig {
         flaws.map_err(|error| origins.error(&[FLAWS_KEY], &error.to_string()))
     }
 
-    /// The robot that the simulated one is in truth, where that is given.
+    /// True geometry of the simulated robot, if configured.
     pub(super) fn truth(
         &self,
         robot: &Robot,
@@ -136,7 +136,7 @@ impl LinkConfig {
         truth.map(Some)
     }
 
-    /// Where the simulation of `robot`, or its estimate, begins.
+    /// Initial configuration of the simulation of `robot`, or of its estimate.
     pub(super) fn initial(
         &self,
         robot: &Robot,

@@ -1,14 +1,14 @@
 //! The configuration: layers of TOML → typed → validated [`Config`].
 //!
-//! Every key has a default, so an empty file is the paper's robot with three sections. Over the default comes
-//! the file, over the file the environment, over that the options ([`Layers`]). A mistake is reported with its
-//! place, its key and what is allowed; nothing is silently corrected.
+//! Every key has a default, so an empty file is the paper's robot with three sections. The file overrides the
+//! defaults, the environment overrides the file, and options override the environment ([`Layers`]). An error
+//! names its place, its key and the allowed values; no value is silently corrected.
 //!
-//! A key is declared once, in the struct of its table (`table!`): name, type, default, range and
-//! words. The default file, the schema, explanations and error messages are made of that, and tests compare the files that
-//! are committed. Rules between keys are in `rules`.
+//! A key is declared once, in the struct of its table (`table!`): name, type, default, range and description.
+//! The default file, the schema, explanations and error messages are generated from it, and tests compare the
+//! committed files. Rules between keys are in `rules`.
 
-/// A table of the configuration: parameters that are read from TOML, each with a default.
+/// A table of the configuration: parameters read from TOML, each with a default.
 macro_rules! table {
     ($(#[$doc:meta])* pub struct $($table:tt)+) => {
         cdcr_controller::parameters! {
@@ -30,7 +30,7 @@ macro_rules! tables {
         }
 
         impl Config {
-            /// What is declared of the keys of a table.
+            /// The declarations of the keys of a table.
             fn parameters_of(table: &str) -> &'static [Parameter] {
                 match table {
                     $(stringify!($name) => <$table>::PARAMETERS,)+
@@ -82,7 +82,7 @@ pub use robot::RobotConfig;
 pub use settings::Settings;
 pub use transport::TransportConfig;
 
-/// The default configuration as a commented file: what `cdcrd config default` prints.
+/// The default configuration as a commented file, printed by `cdcrd config default`.
 pub const DEFAULT_TEXT: &str = include_str!("../../../configs/default.toml");
 
 tables! {
@@ -113,42 +113,42 @@ tables! {
     transport: TransportConfig;
 }
 
-/// A configuration whose every part was checked, as domain values.
+/// A validated configuration, as domain values.
 #[derive(Debug, Clone)]
 pub struct Validated {
-    /// The configuration as written, but for what depends on the kind of robot and was left to that: `realtime.mode`,
-    /// `obstacles.source_timeout_ms` and `controller.rate_weight`.
+    /// The configuration as written, with the values in force for keys that depend on the kind of robot:
+    /// `realtime.mode`, `obstacles.source_timeout_ms` and `controller.rate_weight`.
     pub config: Config,
     pub robot: Robot,
-    /// What the simulated robot is in truth, where that is given.
+    /// True geometry of the simulated robot, if configured.
     pub truth: Option<Robot>,
-    /// What is wrong with the simulated robot.
+    /// Flaws of the simulated robot.
     pub flaws: Flaws,
-    /// Where its simulation, or the estimate, begins.
+    /// Initial configuration of the simulation, or of the estimate.
     pub initial: Configuration,
-    /// Where daemon and clients meet.
+    /// Location of the shared-memory files.
     pub location: Location,
-    /// The group that may take part, beside the daemon's user.
+    /// Group with access in addition to the daemon's user.
     pub group_id: Option<u32>,
 }
 
-/// Nanoseconds of a duration in milliseconds that was validated.
+/// Nanoseconds of a validated duration in milliseconds.
 pub fn ns(milliseconds: f64) -> u64 {
     (milliseconds * 1e6).round() as u64
 }
 
 impl Config {
-    /// Reads and checks a file, and nothing but the file.
+    /// Reads and validates a file, without environment and options.
     pub fn load(path: &Path) -> Result<Validated, ConfigError> {
         Layers::default().file(path)?.settings()?.validate()
     }
 
-    /// Checks a text; `file` is for the messages.
+    /// Validates a text; `file` is for messages.
     pub fn parse(text: &str, file: &Path) -> Result<Validated, ConfigError> {
         Layers::default().text(text, file)?.settings()?.validate()
     }
 
-    /// Checks a configuration that came from no file.
+    /// Validates a configuration that came from no file.
     pub fn check(self) -> Result<Validated, ConfigError> {
         Settings::from(self).validate()
     }

@@ -4,19 +4,19 @@ use std::path::PathBuf;
 
 use super::ConfigError;
 
-/// Where a value comes from.
+/// Origin of a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Origin {
-    /// Nobody set it.
+    /// Not set.
     Default,
     File {
         file: PathBuf,
-        /// Line of the key, from 1; none when it is not known.
+        /// Line of the key, from 1; `None` if unknown.
         line: Option<usize>,
     },
-    /// An environment variable, by its name.
+    /// Name of an environment variable.
     Variable(String),
-    /// An option of the command line, by its name.
+    /// Name of a command-line option.
     Option(&'static str),
 }
 
@@ -35,7 +35,7 @@ impl fmt::Display for Origin {
 }
 
 impl Origin {
-    /// The error of a value that was set here.
+    /// The error of a value with this origin.
     pub(super) fn error(&self, key: &str, message: &str) -> ConfigError {
         ConfigError::Value {
             origin: self.clone(),
@@ -45,12 +45,12 @@ impl Origin {
     }
 }
 
-/// Where each value of a configuration comes from.
+/// Origins of the values of a configuration.
 #[derive(Debug, Clone, Default)]
 pub struct Origins {
-    /// The file, where there is one.
+    /// The file, if any.
     pub(super) file: Option<PathBuf>,
-    /// What was set, by keys and elements like `robot.sections[1].length_m`.
+    /// Values that were set, by keys and elements like `robot.sections[1].length_m`.
     set: BTreeMap<String, Origin>,
 }
 
@@ -59,18 +59,18 @@ impl Origins {
         self.set.insert(key, origin);
     }
 
-    /// Forgets a key and its elements.
+    /// Removes a key and its elements.
     pub(super) fn forget(&mut self, key: &str) {
         self.set.retain(|set, _| whole(set) != key);
     }
 
-    /// Where the value of `key` comes from, which is written like `robot.sections[1].length_m`.
+    /// Origin of the value of `key`, which may have the form `robot.sections[1].length_m`.
     pub fn of(&self, key: &str) -> Origin {
         let set = self.set.get(key).or_else(|| self.set.get(whole(key)));
         set.cloned().unwrap_or(Origin::Default)
     }
 
-    /// An error at the first of `keys` that anybody set, or else at the first.
+    /// An error at the first of `keys` that was set, or else at the first.
     pub(super) fn error(&self, keys: &[&str], message: &str) -> ConfigError {
         let is_set = |key: &&&str| self.of(key) != Origin::Default;
         match (keys.iter().find(is_set), &self.file) {
@@ -84,7 +84,7 @@ impl Origins {
     }
 }
 
-/// The key that has a value of its own.
+/// The settable key that contains `key`.
 fn whole(key: &str) -> &str {
     key.split('[').next().unwrap_or(key)
 }

@@ -56,7 +56,7 @@ table! {
 }
 
 impl RealtimeConfig {
-    /// How long before each release of a period of `period_ms` the cycle thread wakes up \[ns\].
+    /// Time before each release at which the cycle thread wakes up, for a period of `period_ms` \[ns\].
     pub fn spin_ns(&self, period_ms: f64) -> u64 {
         let spin_us = if self.spin_us < 0.0 {
             (15.0 * period_ms).min(75.0)
@@ -71,7 +71,7 @@ impl RealtimeConfig {
         usize::try_from(self.core).ok().or_else(last_core)
     }
 
-    /// The plan of a real-time thread with `priority`; an ordinary thread where no real time is wanted.
+    /// The plan of a real-time thread with `priority`; an ordinary thread if real time is off.
     pub fn thread_plan(&self, priority: i32) -> ThreadPlan {
         if self.mode == RealtimeMode::Off {
             return ThreadPlan::default();

@@ -19,7 +19,7 @@ table! {
 }
 
 impl RobotConfig {
-    /// The robot that the keys describe.
+    /// The robot described by the keys.
     pub(super) fn robot(&self, origins: &Origins) -> Result<Robot, ConfigError> {
         Service::Status
             .name(&self.name)
@@ -34,7 +34,7 @@ impl RobotConfig {
     }
 }
 
-/// The configuration key that a robot error speaks of.
+/// The configuration key that a robot error concerns.
 fn key_of(error: &RobotError) -> String {
     match error {
         RobotError::SectionCount { .. } => "robot.sections".to_owned(),

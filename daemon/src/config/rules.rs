@@ -1,10 +1,10 @@
-//! What is allowed: the range that is declared of each number, and rules between keys.
+//! Validation: the declared range of each number, and rules between keys.
 
 use cdcr_controller::parameters::number_text;
 
 use super::{Config, ConfigError, Origins, keys};
 
-/// Refuses the first number outside its range, and the first pair of values that contradict each other.
+/// Rejects the first number outside its range, and the first contradiction between values.
 pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     check_ranges(config, origins)?;
     check_times(config, origins)?;
@@ -55,7 +55,7 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
     })
 }
 
-/// Times that the period bounds.
+/// Checks the times that depend on the period.
 fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     let (cycle, spin_us) = (&config.cycle, config.realtime.spin_us);
     let period_ms = cycle.period_ms;
@@ -100,7 +100,7 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// Refuses the first number outside its range, NaN included.
+/// Rejects the first number outside its range, including NaN.
 fn check_ranges(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     let sections = config.robot.sections.iter().enumerate();
     let sections = sections.map(|(index, section)| {

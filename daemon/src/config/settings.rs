@@ -2,11 +2,10 @@ use cdcr_controller::nmpc::RateWeight;
 
 use super::{Config, ConfigError, Origin, Origins, Validated, keys, rules};
 
-/// A typed configuration, not yet checked, and where its values come from.
+/// A typed configuration before validation, with the origins of its values.
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
     pub config: Config,
-    /// Where they come from.
     pub origins: Origins,
 }
 
@@ -17,7 +16,8 @@ impl From<Config> for Settings {
 }
 
 impl Settings {
-    /// Values as they were set, a rate weight that depends on the robot as it is in force: by default, also where "auto" was written.
+    /// Values as they were set. An automatic rate weight is replaced by the value in force for the robot, and
+    /// then counts as a default, even if "auto" was written.
     pub(super) fn new(mut config: Config, mut origins: Origins) -> Self {
         let weight = &mut config.controller.rate_weight;
         if *weight == RateWeight::Auto {
@@ -27,7 +27,7 @@ impl Settings {
         Self { config, origins }
     }
 
-    /// Checks every value and every rule between values.
+    /// Validates every value and every rule between values.
     pub fn validate(self) -> Result<Validated, ConfigError> {
         let Self {
             mut config,
@@ -54,7 +54,7 @@ impl Settings {
         })
     }
 
-    /// The values that were set and differ from the default: key, value as TOML, origin as words.
+    /// The values that were set and differ from the default: key, value as TOML, origin as text.
     pub fn changed(&self) -> Vec<(&'static str, String, String)> {
         let values = keys::values(&self.config);
         let changed = keys::settable().filter_map(|(key, default)| {

@@ -17,11 +17,11 @@ table! {
     }
 }
 
-/// Where the system keeps its groups.
+/// The system's list of groups.
 const GROUPS: &str = "/etc/group";
 
 impl TransportConfig {
-    /// Number of the group that may take part.
+    /// Number of the group with access.
     pub(super) fn group_id(&self, origins: &Origins) -> Result<Option<u32>, ConfigError> {
         if self.group.is_empty() {
             return Ok(None);
@@ -39,7 +39,7 @@ impl TransportConfig {
         })
     }
 
-    /// The place that prefix and root describe.
+    /// The location given by prefix and root.
     pub(super) fn location(&self, origins: &Origins) -> Result<Location, ConfigError> {
         let root = if self.root.is_empty() {
             Location::default_root()

@@ -1,11 +1,11 @@
-//! The command line of `cdcrd`, without starting it. (Being here, this test also makes cargo build the
-//! binary for the tests of the whole system.)
+//! The command line of `cdcrd`, without starting the daemon. (This test also makes cargo build the binary for
+//! the tests of the whole system.)
 use std::process::{Command, Output};
 
 use cdcr_daemon::config::DEFAULT_TEXT;
 use cdcr_scratch::Scratch;
 
-/// `cdcrd` with no variable of ours but these.
+/// `cdcrd` with no variables of ours except `environment`.
 fn cdcrd_in(environment: &[(&str, &str)], arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
     for (name, _) in std::env::vars_os() {
@@ -25,13 +25,13 @@ fn text_of(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// What a call prints that succeeds.
+/// Output of a successful call.
 fn printed(output: &Output) -> String {
     assert!(output.status.success(), "{}", text_of(&output.stderr));
     text_of(&output.stdout)
 }
 
-/// What a call says that fails because of its configuration.
+/// Error of a call that fails because of its configuration.
 fn refused(output: &Output) -> String {
     let text = text_of(&output.stderr);
     assert_eq!(output.status.code(), Some(78), "{text}");
@@ -69,7 +69,7 @@ fn an_option_wins_over_a_variable_over_the_file_over_the_default() {
     let explain = ["config", "explain", "cycle.period_ms"];
     let with_file = [&explain[..], &["--config", file]].concat();
     let with_option = [&with_file[..], &["--set", "cycle.period_ms=4"]].concat();
-    // An empty one counts as not set.
+    // An empty variable counts as not set.
     let variable = [("CDCR_CYCLE_PERIOD_MS", "3"), ("CDCR_CYCLE_MISS_LIMIT", "")];
     for (output, value, origin) in [
         (cdcrd(&explain), "5.0", "default".to_owned()),

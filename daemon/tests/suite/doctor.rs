@@ -1,4 +1,4 @@
-//! `cdcrd doctor` on the machine that runs the tests, whatever it is.
+//! `cdcrd doctor` on the machine that runs the tests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use cdcr_scratch::Scratch;
 use serde_json::Value;
 
-/// Every key, as programs know it.
+/// Every key, as used by programs.
 const KEYS: &str = "\
     fifo pin memory_lock preemption rt_throttling rt_group cores isolation tick siblings \
     governor deep_sleep sysctls steal neighbours realtime_neighbours interrupts irqbalance \

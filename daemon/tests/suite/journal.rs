@@ -1,5 +1,5 @@
-//! What `cdcrd run` writes into the system journal: the real program, with a journal of the test's own where
-//! the system's is, in a mount namespace.
+//! Output of `cdcrd run` to the system journal: the real program, with a journal of the test in the place of
+//! the system's, in a mount namespace.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
 
-/// How long anything may take before the test gives up. Generous: machines stall.
+/// Time limit of every wait. Generous: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(30);
-/// Puts the folder of the test where the journal's socket is, and becomes the program.
+/// Mounts the test's folder over the journal's socket, and executes the program.
 const SCRIPT: &str = "mount -t tmpfs none /run && mkdir -p /run/systemd/journal \
     && mount --bind \"$0\" /run/systemd/journal && exec \"$@\"";
 
-/// The fields of an entry in the journal's own protocol: a name, then either `=` and a line, or a line feed,
-/// the length, and so many bytes.
+/// The fields of an entry in the journal's protocol: a name, then either `=` and a line, or a line feed, the
+/// length, and that many bytes.
 fn fields(mut entry: &[u8]) -> BTreeMap<String, String> {
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     let mut fields = BTreeMap::new();
@@ -39,7 +39,7 @@ fn fields(mut entry: &[u8]) -> BTreeMap<String, String> {
     fields
 }
 
-/// `program`, with the journal in `folder`. As root, or where users may make namespaces.
+/// `program`, with the journal in `folder`. Needs root, or the permission to create namespaces.
 fn with_journal(folder: &Path, program: &str) -> Command {
     let root = rustix::process::geteuid().is_root();
     let mut command = Command::new("unshare");
@@ -69,7 +69,7 @@ fn may_have_a_journal(folder: &Path) -> bool {
     }
 }
 
-/// The program, logging to the standard error `theirs`, which `JOURNAL_STREAM` names if `named`.
+/// The program with the standard error `theirs`; `JOURNAL_STREAM` matches it if `named`.
 fn start(place: &Scratch, theirs: UnixStream, named: bool) -> Child {
     let file = rustix::fs::fstat(&theirs).unwrap();
     let inode = if named { file.st_ino } else { file.st_ino + 1 };
@@ -86,8 +86,8 @@ fn start(place: &Scratch, theirs: UnixStream, named: bool) -> Child {
         .unwrap()
 }
 
-/// Runs it until it controls the robot. Returns the fields of
-/// what came to the journal, and the text that came to the standard error.
+/// Runs the program until it controls the robot. Returns the fields of the journal's entries, and the text on
+/// the standard error.
 fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
     let place = Scratch::in_memory().unwrap();
     let journal = UnixDatagram::bind(place.path().join("socket")).unwrap();
@@ -156,7 +156,7 @@ fn lines_are_text_when_the_standard_error_is_something_else() {
     assert!(text.contains("running robot=\"journal\""), "{text}");
 }
 
-/// Whoever logs to a journal that takes nothing any more goes on: here the supervisor, which has to see the signal.
+/// A journal that accepts nothing delays no thread: here the supervisor, which must react to the signal.
 #[test]
 fn a_journal_that_stands_still_holds_nobody_up() {
     let place = Scratch::in_memory().unwrap();
@@ -175,7 +175,7 @@ fn a_journal_that_stands_still_holds_nobody_up() {
             break;
         }
     }
-    // From here on nobody reads, and there is no room for a single line.
+    // From here on there is no reader, and no space for a single line.
     let filler = UnixDatagram::unbound().unwrap();
     filler.set_nonblocking(true).unwrap();
     let is_full = || filler.send_to(b"MESSAGE=full\n", &socket).is_err();
@@ -185,7 +185,7 @@ fn a_journal_that_stands_still_holds_nobody_up() {
     }
     let id = rustix::process::Pid::from_child(&child);
     let signal = |signal| rustix::process::kill_process(id, signal).unwrap();
-    // Each of them is a line of the supervisor.
+    // Each of them makes the daemon log a line.
     signal(rustix::process::Signal::HUP);
     std::thread::sleep(Duration::from_millis(100));
     signal(rustix::process::Signal::USR1);

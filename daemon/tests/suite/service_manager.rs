@@ -1,4 +1,4 @@
-//! What `cdcrd run` tells the service manager that started it: the real program on a real socket.
+//! Notifications of `cdcrd run` to the service manager that started it: the real program on a real socket.
 
 use std::fs::DirEntry;
 use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
@@ -11,7 +11,7 @@ use cdcr_scratch::Scratch;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
 
-/// How long anything may take before the test gives up. Generous: machines stall.
+/// Time limit of every wait. Generous: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(30);
 /// A stalled machine must not stop the robot.
 const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n";
@@ -49,7 +49,7 @@ impl Manager {
         }
     }
 
-    /// Everything that was said, line by line, up to a line that starts with `what`.
+    /// All received lines, up to a line that starts with `what`.
     fn hear_until(&self, what: &str) -> Vec<String> {
         let begin = Instant::now();
         let mut heard = Vec::new();
@@ -114,7 +114,7 @@ fn cdcrd(place: &Scratch) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
     command
         .args(["run", "--robot", "cdcr"])
-        // Not as an option: the environment is where a sweep sees it.
+        // In the environment, not as an option, so that a sweep finds it.
         .env("CDCR_PREFIX", place.prefix())
         .arg("--config")
         .arg(configuration)
@@ -126,7 +126,7 @@ fn cdcrd(place: &Scratch) -> Command {
     command
 }
 
-/// A pipe that takes nothing more, and that nobody reads.
+/// A full pipe without a reader.
 fn full_pipe() -> (PipeReader, PipeWriter) {
     let (reader, mut writer) = std::io::pipe().unwrap();
     let flags = fcntl_getfl(&writer).unwrap();
@@ -175,7 +175,7 @@ fn a_daemon_that_stands_still_does_not_feed_the_watchdog() {
     kill_process(Pid::from_child(&manager.daemon), Signal::STOP).unwrap();
     manager.wait_until_it_stands_still();
     manager.socket.set_nonblocking(true).unwrap();
-    // What was under way when the signal came.
+    // Messages sent before the signal.
     let mut buffer = [0; 4096];
     while manager.socket.recv(&mut buffer).is_ok() {}
     std::thread::sleep(Duration::from_millis(500));
@@ -193,7 +193,7 @@ fn a_daemon_that_cannot_start_is_never_ready() {
     let path = manager.place.path().join("second");
     let socket = UnixDatagram::bind(&path).unwrap();
     socket.set_nonblocking(true).unwrap();
-    // Another one for the same robot at the same place.
+    // A second daemon for the same robot at the same location.
     let status = cdcrd(&manager.place)
         .env("NOTIFY_SOCKET", &path)
         .status()
@@ -252,7 +252,8 @@ fn the_unit_leaves_alone_what_a_restart_cannot_mend() {
     assert_eq!(named, hopeless.map(ExitCause::code));
 }
 
-/// By their name among the abstract sockets clients find a daemon, and a second one is refused, when files are gone.
+/// Clients find a daemon by its name among the abstract sockets, which also refuses a second daemon if the
+/// files are gone.
 #[test]
 fn the_unit_hides_the_daemons_name_from_nobody_and_leaves_it_no_network() {
     let unit = include_str!("../../../packaging/cdcrd.service");

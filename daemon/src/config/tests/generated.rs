@@ -1,4 +1,5 @@
-//! The default file and the schema are made of what is declared: every key with its words, its range and its default.
+//! The default file and the schema are generated from the declarations: every key with its description, range
+//! and default.
 
 use std::path::Path;
 
@@ -73,7 +74,7 @@ fn line(name: &str, value: &toml::Value) -> String {
 #[test]
 fn the_committed_schema_is_what_is_declared() {
     let mut settings = SchemaSettings::draft2020_12().for_deserialize();
-    // Editors follow no links.
+    // Editors do not follow references.
     settings.inline_subschemas = true;
     let generator = settings.into_generator();
     let mut schema = generator.into_root_schema_for::<Config>().to_value();
@@ -90,12 +91,12 @@ fn the_committed_schema_is_what_is_declared() {
             key.parameter,
         );
     }
-    // The order of its keys is that of a feature of serde_json, which other crates may switch on.
+    // The order of its keys depends on a feature of serde_json, which other crates may enable.
     let committed: Value = serde_json::from_str(SCHEMA_TEXT).unwrap();
     compare("schema.json", &format!("{schema:#}\n"), schema == committed);
 }
 
-/// Adds words and range.
+/// Adds description and range.
 fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
     let mut set = |name: &str, value: Value| node.insert(name.to_owned(), value);
     set("description", json!(parameter.text().replace('\n', " ")));
@@ -115,11 +116,11 @@ fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
         }
     }
     if let Some(items) = node.get_mut("items").and_then(Value::as_object_mut) {
-        // What Rust calls one table of a list is nothing to people.
+        // The Rust documentation of one table of a list does not concern users.
         items.remove("description");
     }
     if node.contains_key("properties") {
-        // The defaults are with the keys.
+        // Each key has its own default.
         node.remove("default");
     }
 }

@@ -1,5 +1,5 @@
-//! Texts, variables and options that make a configuration, and the messages of those that make none. Which layer wins:
-//! `daemon/tests/suite/command_line.rs`.
+//! Texts, variables and options that form a configuration, and the messages of invalid ones. Precedence of
+//! the layers: `daemon/tests/suite/command_line.rs`.
 
 mod generated;
 
@@ -19,7 +19,7 @@ fn error_of(text: &str) -> String {
     result.expect_err("it is wrong").to_string()
 }
 
-/// The configuration of a case of `messages.txt`, or why it is refused.
+/// The configuration of a case in `messages.txt`, or its error.
 fn settings(case: &[&str]) -> Result<Settings, ConfigError> {
     let is_layer = |line: &&str| line.starts_with("--set ") || line.starts_with("CDCR_");
     let (set, file): (Vec<&str>, Vec<&str>) = case.iter().partition(|line| is_layer(line));
@@ -33,7 +33,7 @@ fn settings(case: &[&str]) -> Result<Settings, ConfigError> {
     layers.settings()
 }
 
-/// Asserts what a line of `messages.txt` says of a case.
+/// Asserts one line of `messages.txt` for a case.
 fn assert_is(case: &[&str], mark: &str, words: &str) {
     if let Some((key, part)) = words.split_once(" | ").filter(|_| mark == "?") {
         let text = explain(key, &settings(case).unwrap()).unwrap();
