@@ -92,9 +92,9 @@ impl CycleConfig {
         }
     }
 
-    /// Smallest time between the end of the solver and the deadline \[ns\]: by default a tenth of the period,
-    /// but at least the exchange's cost on the same core, without which the reference does not arrive. The
-    /// [`CoreBudget`](crate::core_budget::CoreBudget) reserves larger measured costs.
+    /// Smallest time between the end of the solver and the deadline \[ns\]. The default is a tenth of the
+    /// period, but at least the exchange's cost on the same core, without which the reference does not
+    /// arrive. The [`CoreBudget`](crate::core_budget::CoreBudget) reserves larger measured costs.
     pub fn budget_margin_ns(&self) -> u64 {
         match ns(self.budget_margin_ms) {
             0 => (ns(self.period_ms) / 10).max(Self::EXCHANGE_NS),

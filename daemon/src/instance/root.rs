@@ -27,9 +27,9 @@ const TRIES: usize = 150;
 const TRY_AGAIN: Duration = Duration::from_millis(10);
 
 /// Creates the root folder if it is missing. Checks that it is in memory, and that only this user, or the
-/// group, could write to it: a writer could obstruct the daemon with files, or remove files from its clients.
-/// Then closes the folder to all others: only the folder protects its files. While the returned file is open,
-/// no daemon changes the access of the folder.
+/// group, could write to it. Any other writer could obstruct the daemon with files, or remove the files of
+/// its clients. Then closes the folder to all others: only the folder protects its files. While the returned
+/// file is open, no daemon changes the access of the folder.
 pub(super) fn prepare(
     location: &Location,
     robot: &str,

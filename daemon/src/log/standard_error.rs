@@ -237,7 +237,7 @@ mod tests {
         for _ in 0..10 {
             put(&mut text, "a line");
         }
-        // Returns although nobody ever reads.
+        // Returns although there is never a reader.
         guard.end();
         drop(open);
     }

@@ -78,8 +78,8 @@ impl Schedule {
         self.wait_with(clock, |_, _| ())
     }
 
-    /// Same as [`wait`](Self::wait), but after a wake-up before the release it first runs `rehearse`, with
-    /// the number of the cycle and the time of its release \[ns\], and then spins for the rest.
+    /// Same as [`wait`](Self::wait), with a rehearsal after a wake-up before the release. Runs `rehearse`
+    /// with the number of the cycle and the time of its release \[ns\], and spins for the rest of the time.
     pub fn wait_with(&mut self, clock: &impl Clock, rehearse: impl FnOnce(u64, u64)) -> Release {
         let earliest = self.last_cycle + 1;
         let now_ns = clock.now_ns();

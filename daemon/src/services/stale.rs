@@ -134,7 +134,7 @@ impl Nodes {
 
 /// Removes the ports of removed nodes from a service that clients keep open.
 ///
-/// A process killed during its clean-up of a dead one may have removed the tag of a port, but not the port.
+/// A process killed during its clean-up may have removed the tag of a dead process's port, but not the port.
 /// iceoryx2 skips a port without a tag, so the port would occupy its place while any process keeps the
 /// service open. With a new tag iceoryx2 removes it.
 fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode]) {
