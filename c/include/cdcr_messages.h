@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0xb69c0b89a5ecb8e4)
+#define CDCR_LAYOUT UINT64_C(0x9cad3e6df550d56e)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -50,9 +50,9 @@
 /* Control blocks M ≤ N that the daemon optimises, as far as a plan has room for them. */
 #define CDCR_CONTROL_BLOCKS_MAX 50
 
-/* Scalars of a plan: the rates of every section in every control block, 40 blocks of three sections, 20 of six.
+/* Scalars of a plan: the rates of every section in every control block, 50 blocks of three sections, 25 of six.
  * It bounds the size of a telemetry record; longer horizons hold each block for several steps. */
-#define CDCR_PLAN_MAX 240
+#define CDCR_PLAN_MAX 300
 
 /* Particles of the swarm. */
 #define CDCR_SWARM_MAX 512
@@ -828,7 +828,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v6, 14384 bytes. */
+/* cdcr.Telemetry.v7, 15344 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -924,83 +924,83 @@ typedef struct CdcrTelemetry {
      * lifetime then, 0: until removed. The first obstacle_count are used. */
     CdcrObstacle obstacles[64];
     /* 8928: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
-    double warm_plan[240];
-    /* 10848: used: 1 * plan_length. The solution [rad/s], block by block. */
-    double plan[240];
-    /* 12768: What the solver did. */
+    double warm_plan[300];
+    /* 11328: used: 1 * plan_length. The solution [rad/s], block by block. */
+    double plan[300];
+    /* 13728: What the solver did. */
     CdcrSolverReport report;
-    /* 12840: Reference at the release. */
+    /* 13800: Reference at the release. */
     CdcrReferenceSample reference;
-    /* 12904: The way to it that the plan follows. */
+    /* 13864: The way to it that the plan follows. */
     CdcrApproach approach;
-    /* 13000: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
+    /* 13960: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
      * behind their commands. */
     double present_rad[12];
-    /* 13096: The tip as it was measured beside bends or cables [m]; zero when it was not. */
+    /* 14056: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
-    /* 13120: When [ns]. */
+    /* 14080: When [ns]. */
     uint64_t tip_measured_ns;
-    /* 13128: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
+    /* 14088: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
      * moved back by it. */
     double tip_offset_m[3];
-    /* 13152: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
+    /* 14112: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
      * standard deviations of what the measurements leave open of it. So much thicker the body counts for plan and
      * guard. */
     double tip_margin_m;
-    /* 13160: Tip position at the release, from present_rad and tip_offset_m [m]. */
+    /* 14120: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
-    /* 13184: Tip orientation at the release, unit quaternion (x, y, z, w). */
+    /* 14144: Tip orientation at the release, unit quaternion (x, y, z, w). */
     double tip_orientation[4];
-    /* 13216: Distance of tip and reference at the release [m]; NaN without a reference. */
+    /* 14176: Distance of tip and reference at the release [m]; NaN without a reference. */
     double position_error_m;
-    /* 13224: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
+    /* 14184: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
     uint32_t guard_flags;
-    /* 13228: CdcrMeasurementState: what became of tip_measured_m. */
+    /* 14188: CdcrMeasurementState: what became of tip_measured_m. */
     uint32_t tip_state;
-    /* 13232: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
+    /* 14192: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
      * obstacles [m]: negative inside one, infinite without obstacles, NaN when present_rad is not finite. The body
      * counts as thicker by tip_margin_m. */
     double clearance_m;
-    /* 13240: The command as it left. */
+    /* 14200: The command as it left. */
     CdcrCommand command;
-    /* 13792: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 14752: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 13888: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 14848: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 13936: used: 3 * command.sections. The same of each cable [m]. */
+    /* 14896: used: 3 * command.sections. The same of each cable [m]. */
     double following_error_m[18];
-    /* 14080: A following error above this is a warning [rad]. */
+    /* 15040: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 14088: A following error above this is a fault [rad]. */
+    /* 15048: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 14096: How far the motors may lag behind [ns]. */
+    /* 15056: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 14104: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 15064: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 14112: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 15072: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 14120: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 15080: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 14216: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15176: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 14360: Play of the cables [m]; 0: none. */
+    /* 15320: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 14368: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15328: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 14376: 1: yes, 0: no. 1 where a latched mode was left and the robot has not come to rest since: a following
+    /* 15336: 1: yes, 0: no. 1 where a latched mode was left and the robot has not come to rest since: a following
      * error is no fault then. */
     uint32_t control_begins;
-    /* 14380: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15340: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 14384);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15344);
 
-/* cdcr.Incident.v5, 14424 bytes. */
+/* cdcr.Incident.v6, 15384 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1014,6 +1014,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 14424);
+CDCR_ASSERT_SIZE(CdcrIncident, 15384);
 
 #endif

@@ -40,7 +40,7 @@
 //! | x | tip pose in the base frame, [`Pose`](robot::Pose); base z along the straight robot | m |
 //! | T | period | s |
 //! | N, M | steps of the horizon (up to 50), blocks of constant rates (up to N; up to 20 if changes of rates have a weight) | |
-//! | z | the plan: controls of all blocks, 2 n M unknowns (up to 240): rates of bend vectors, or of (θ, φ) | rad/s |
+//! | z | the plan: controls of all blocks, 2 n M unknowns (up to 300): rates of bend vectors, or of (θ, φ) | rad/s |
 //! | Φ, Θ, Ψ | angles of the tip, [`ZyxAngles`](robot::ZyxAngles) (Eq. 1) | rad |
 //! | J | [`Jacobian`](robot::Jacobian) of the tip (Eq. 2-3) | m/rad, rad/rad |
 //! | L | [cable lengths](robot::Robot::cable_lengths) | m |

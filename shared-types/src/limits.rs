@@ -35,9 +35,9 @@ limits! {
     /// Control blocks M ≤ N that the daemon optimises, as far as a plan has room for them.
     CONTROL_BLOCKS_MAX = 50;
 
-    /// Scalars of a plan: the rates of every section in every control block, 40 blocks of three sections, 20 of six. It
+    /// Scalars of a plan: the rates of every section in every control block, 50 blocks of three sections, 25 of six. It
     /// bounds the size of a telemetry record; longer horizons hold each block for several steps.
-    PLAN_MAX = 240;
+    PLAN_MAX = 300;
 
     /// Particles of the swarm.
     SWARM_MAX = 512;

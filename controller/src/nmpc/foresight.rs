@@ -269,7 +269,7 @@ mod tests {
             foresight.horizon.map(|horizon| horizon.steps())
         };
         let steps = [2, 15, 20, 35, 40, 50].map(|steps| foreseen(steps, 0));
-        assert_eq!(steps, [None, None, Some(28), Some(40), None, None]);
+        assert_eq!(steps, [None, None, Some(28), Some(49), Some(50), None]);
         assert_eq!(foreseen(20, 10), None);
     }
 

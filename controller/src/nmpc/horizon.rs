@@ -127,7 +127,7 @@ mod tests {
             };
             Horizon::new(&settings, 2 * sections).blocks()
         };
-        for (sections, most) in [(1, 50), (2, 50), (3, 40), (4, 30), (5, 24), (6, 20)] {
+        for (sections, most) in [(1, 50), (2, 50), (3, 50), (4, 37), (5, 30), (6, 25)] {
             assert_eq!([10, 50].map(|n| blocks(n, sections, 0.0)), [10, most]);
             assert_eq!([10, 50].map(|n| blocks(n, sections, 1e-9)), [10, 20]);
         }

@@ -55,8 +55,8 @@ use solver::Solver;
 pub const CONTROL_BLOCKS_MAX: usize = crate::optimizer::BLOCKS_MAX;
 /// Control blocks at most where rates have a weight on their change: it ties all of them to each other, in one matrix.
 const TIED_BLOCKS_MAX: usize = 20;
-/// Scalars of the longest plan: 50 blocks of up to two sections, 40 of three, 20 of six.
-pub const PLAN_MAX: usize = 240;
+/// Scalars of the longest plan: 50 blocks of up to three sections, 25 of six.
+pub const PLAN_MAX: usize = 300;
 const _: () = assert!(COORDINATES_MAX * TIED_BLOCKS_MAX <= PLAN_MAX);
 const _: () = assert!(CONTROL_BLOCKS_MAX >= HORIZON_STEPS_MAX);
 /// Particles at most.

@@ -58,8 +58,8 @@ crate::parameters! {
         horizon_steps: u32 = 2, in ranges::HORIZON_STEPS;
         /// Optimised rates: "bend-vector" (smooth everywhere), or "bend-angles", the paper's theta and phi.
         coordinates: Coordinates = Coordinates::BendVector;
-        /// Control blocks M, {range}, and at most N; 0: one per step. A plan has at most 240 numbers: 40 blocks with three
-        /// sections, 20 with six; at most 20 blocks where rate changes have a weight.
+        /// Control blocks M, {range}, and at most N; 0: one per step. A plan has at most 300 numbers: 50 blocks with three
+        /// sections, 25 with six; at most 20 blocks where rate changes have a weight.
         control_blocks: u32 = 0, in ranges::CONTROL_BLOCKS, "at most controller.horizon_steps";
         /// Particles of the swarm, {range}.
         swarm_size: u32 = 6, in ranges::SWARM_SIZE;

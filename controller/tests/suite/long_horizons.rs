@@ -219,11 +219,11 @@ fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
             };
             let outcome = course.run(quanta(BUDGET_NS));
             assert!(outcome.mean_m < 5e-5, "{solver:?}, {every}: {outcome:?}");
-            // While steps went on that gained next to nothing, a tenth more.
+            // Without foresight 534 and 1273 quanta per cycle.
             let most = if solver == SolverKind::GaussNewton {
-                500
+                534
             } else {
-                900
+                1000
             };
             assert!(outcome.work < 99 * most, "{solver:?}, {every}: {outcome:?}");
             assert!(outcome.spare_m > -1e-9, "{solver:?}, {every}: {outcome:?}");

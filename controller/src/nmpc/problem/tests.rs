@@ -336,7 +336,7 @@ fn obstacles_leave_room_for_every_limit() {
 /// There are more limits than a step sees constraints.
 #[test]
 fn limits_leave_room_for_the_nearest_clearances() {
-    let case = long(50, vec![0.0; 240]);
+    let case = long(50, vec![0.0; 300]);
     // The first is beside the first section, nearer than the safe distance, and no other is.
     let (parameters, around) = crowd(&case, |i| if i == 0 { 0.02 } else { 0.15 });
     let robot = Robot::new(&parameters).expect("a robot");
