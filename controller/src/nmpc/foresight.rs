@@ -70,7 +70,11 @@ impl Foresight {
             return;
         };
         let (known, longer) = (task.problem.steps(), horizon.steps());
-        if !solver.may_choose(task) || !budget.left() {
+        if !solver.may_choose(task) {
+            return;
+        }
+        if !budget.left() {
+            report.budget_spent = true;
             return;
         }
         if !continue_reference(start.input.reference, known, longer, &mut self.reference) {
@@ -159,10 +163,11 @@ impl Solver {
         }
         longer.bounds.project(plan);
         restart(&mut self.apart, longer, plan, budget);
-        self.incumbent.pass_over(self.apart.evaluations() as usize);
         // Rates that can be held on need no choice.
         if self.apart.is_violated() || self.is_at_border(task) {
             self.look_ahead(task, longer, budget, report);
+        } else {
+            self.incumbent.pass_over(self.apart.evaluations() as usize);
         }
         report.quanta = budget.passed();
         report.budget_spent = budget.is_over();
@@ -183,8 +188,13 @@ impl Solver {
             ..settings
         };
         for _ in 0..STEPS_MAX.min(settings.steps) {
-            if apart.cost() > task.settings.small_cost() {
-                gauss_newton.refine(longer.problem, longer.bounds, &each, budget, apart);
+            let before = apart.cost();
+            if before <= task.settings.small_cost() {
+                break;
+            }
+            gauss_newton.refine(longer.problem, longer.bounds, &each, budget, apart);
+            if apart.cost() >= before {
+                break;
             }
         }
         self.incumbent.pass_over(apart.evaluations() as usize);

@@ -75,7 +75,7 @@ crate::parameters! {
         cognitive: f64 = 1.2, in ranges::COEFFICIENT;
         /// Coefficient c2 of Eq. 6, the weight of the swarm's best, {range}.
         social: f64 = 1.2, in ranges::COEFFICIENT;
-        /// Gauss-Newton steps, {range}.
+        /// Gauss-Newton steps, {range}; "gauss-newton" takes one more for a long plan from rest.
         refinement_steps: u32 = 3, in ranges::REFINEMENT_STEPS;
         /// Damping of the Gauss-Newton steps, {range}.
         damping: f64 = 1e-14, in ranges::DAMPING;

@@ -52,7 +52,14 @@ impl Process {
     /// As [`Self::start`], with a folder whose path is in the command. The folder is removed with the
     /// process.
     pub fn start_in(folder: Scratch, name: &'static str, mut command: Command) -> Result<Self> {
-        let file = |what: &str| File::create(folder.path().join(what)).context("its output");
+        let file = |what: &str| {
+            File::create(folder.path().join(what)).with_context(|| {
+                format!(
+                    "cannot write into {}: set TMPDIR to a folder with free space",
+                    folder.path().display()
+                )
+            })
+        };
         let child = command
             .stdin(Stdio::null())
             .stdout(file(STDOUT)?)

@@ -2,6 +2,7 @@
 //! What a killed process left is removed by the next process (`cdcr_scratch`).
 
 use std::fs::{self, File, OpenOptions};
+use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
@@ -10,9 +11,13 @@ use anyhow::{Context, Result};
 pub use cdcr_scratch::PREFIX;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::Location;
+use rustix::fs::OFlags;
 
 /// Last part of the name of a place's root folder.
 pub const ROOT: &str = "root";
+
+/// Names that are tried while files of other users have them.
+const NAMES_MAX: u32 = 100;
 
 /// A prefix and a folder that no other process uses.
 #[derive(Debug)]
@@ -26,6 +31,7 @@ pub struct Place {
 
 impl Place {
     pub fn new() -> Result<Self> {
+        let mut names = 1..NAMES_MAX;
         loop {
             let folder = super::folder()?;
             let in_memory =
@@ -35,8 +41,16 @@ impl Place {
             let locked = in_memory("lock");
             let mut options = OpenOptions::new();
             let file = options.write(true).create(true).truncate(false).mode(0o600);
-            let lock = file.open(&locked);
-            let lock = lock.with_context(|| format!("cannot write {}", locked.display()))?;
+            let file = file.custom_flags(OFlags::NOFOLLOW.bits().cast_signed());
+            let lock = match file.open(&locked) {
+                // Another user has a file of this name.
+                Err(cause)
+                    if cause.kind() == ErrorKind::PermissionDenied && names.next().is_some() =>
+                {
+                    continue;
+                }
+                lock => lock.with_context(|| format!("cannot write {}", locked.display()))?,
+            };
             // A process with the same id in another container may hold the lock, or its sweep may have
             // removed the file.
             if lock.try_lock().is_ok() && locked.exists() {

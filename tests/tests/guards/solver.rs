@@ -46,6 +46,77 @@ fn no_solver_touches_the_heap() {
     }
 }
 
+/// Fast along the paper's spiral among spheres, with rates at their limits: the solver plans beyond its horizon
+/// (`Foresight`). The horizon changes between short and long.
+#[test]
+fn plans_beyond_a_horizon_touch_no_heap() {
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let obstacles: Vec<_> = (0..16)
+        .map(|i| {
+            let (sin, cos) = (2.4 * f64::from(i)).sin_cos();
+            let up_m = 0.615 + 0.06 * f64::from(i) / 16.0;
+            let centre_m = Vector3::new(0.066 * cos, 0.066 * sin, up_m);
+            Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).unwrap()
+        })
+        .collect();
+    let samples: Vec<_> = (0..200).map(|k| spiral(f64::from(k))).collect();
+    for solver in [SolverKind::GaussNewton, SolverKind::KpsoRefined] {
+        let settings = NmpcSettings {
+            solver,
+            ..NmpcSettings::default()
+        };
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        let (operations, ()) = count_allocations(|| {
+            let begin = 5.0_f64.to_radians();
+            let mut at =
+                Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * begin / 15.0, begin]]);
+            let mut rates = BendRates::zero(3);
+            for cycle in 0..75 {
+                let horizon_steps = match cycle {
+                    2..=65 => 20,
+                    66..=70 => 40,
+                    _ => 2,
+                };
+                if nmpc.settings().horizon_steps != horizon_steps {
+                    let settings = NmpcSettings {
+                        horizon_steps,
+                        ..settings
+                    };
+                    nmpc.configure(settings).unwrap();
+                }
+                let input = SolveInput {
+                    configuration: &at,
+                    previous_rates: &rates,
+                    reference: &samples[cycle + 1..=cycle + horizon_steps as usize],
+                    obstacles: &obstacles,
+                    tip_offset_m: 0.0,
+                    elapsed_periods: 1,
+                    seed: cycle_seed(1, cycle as u64),
+                };
+                (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+                at = at.advanced(&rates, PERIOD_S);
+            }
+        });
+        assert_eq!(operations, 0, "{solver:?}");
+    }
+}
+
+/// Eq. 8 at ten times its speed, by cycles.
+fn spiral(cycle: f64) -> ReferenceSample {
+    let t = 5.0_f64.to_radians() + 0.05 * cycle;
+    let (sin, cos) = (t / 15.0).sin_cos();
+    let radius_m = 4.5 * sin / t;
+    ReferenceSample {
+        state: ReferenceState::Inside,
+        position_m: Vector3::new(
+            radius_m * sin * t.cos(),
+            radius_m * sin * t.sin(),
+            0.6 + radius_m * cos,
+        ),
+        orientation: Orientation::Free,
+    }
+}
+
 /// From the singular straight robot, where the Hessian is evaluated, past a sphere and a capsule, to a jump
 /// of the reference; with a position, an axis and a rotation.
 fn run(nmpc: &mut Nmpc) {

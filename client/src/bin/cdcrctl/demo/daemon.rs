@@ -17,7 +17,12 @@ const ROBOT: &str = "demo";
 /// Writes the configuration of the demo into its place.
 pub(super) fn write_configuration(place: &Place, text: &str) -> anyhow::Result<PathBuf> {
     let file = place.folder().join("demo.toml");
-    fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
+    fs::write(&file, text).with_context(|| {
+        format!(
+            "cannot write {}: set TMPDIR to a folder with free space",
+            file.display()
+        )
+    })?;
     Ok(file)
 }
 

@@ -13,6 +13,7 @@ use super::new_file;
 use crate::Done;
 use crate::args::ConvertOptions;
 use crate::echo::json::text_of;
+use crate::interrupt::Interrupt;
 
 /// Column name and value; an empty value means none.
 type Cell = (String, String);
@@ -20,14 +21,18 @@ type Cell = (String, String);
 pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     let folder = &options.csv;
     let name = folder.display();
+    // A table that reaches its size limit is then an error, too.
+    let interrupt = Interrupt::catch()?;
     let mut recording = Recording::open(&options.file)?;
     fs::create_dir_all(folder).with_context(|| format!("cannot create {name}"))?;
     let mut tables = Tables::new(folder);
-    let written = tables.take_all(&mut recording);
+    let written = tables.take_all(&mut recording, &interrupt);
     let rows = tables
-        .finish(written.is_ok())
+        .finish(matches!(written, Ok(true)))
         .with_context(|| format!("cannot write into {name}"));
-    written?;
+    if !written? {
+        return Ok(Done::Interrupted);
+    }
     let rows = rows?;
     ensure!(
         !rows.is_empty(),
@@ -62,12 +67,20 @@ impl<'a> Tables<'a> {
         }
     }
 
-    fn take_all(&mut self, recording: &mut Recording) -> anyhow::Result<()> {
+    /// Returns false if the user interrupts it.
+    fn take_all(
+        &mut self,
+        recording: &mut Recording,
+        interrupt: &Interrupt,
+    ) -> anyhow::Result<bool> {
         while let Some(message) = recording.next_message()? {
+            if interrupt.is_raised() {
+                return Ok(false);
+            }
             self.take(&message)
                 .with_context(|| format!("cannot write into {}", self.folder.display()))?;
         }
-        Ok(())
+        Ok(true)
     }
 
     fn take(&mut self, message: &Recorded) -> anyhow::Result<()> {
@@ -130,9 +143,10 @@ impl<'a> Tables<'a> {
             Entry::Vacant(free) => {
                 let path = self.folder.join(format!("{name}.csv"));
                 let file = new_file(&path)?;
-                let mut out = csv::Writer::from_writer(BufWriter::new(file));
-                out.write_record(row.iter().map(|(name, _)| name))?;
-                free.insert(Table { out, path, rows: 0 })
+                let out = csv::Writer::from_writer(BufWriter::new(file));
+                let table = free.insert(Table { out, path, rows: 0 });
+                table.out.write_record(row.iter().map(|(name, _)| name))?;
+                table
             }
         };
         table.out.write_record(row.iter().map(|(_, value)| value))?;

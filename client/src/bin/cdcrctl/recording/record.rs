@@ -110,7 +110,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let cannot_write = || format!("cannot write {name}");
     if task.around.is_some() && path.exists() {
         // Reported now rather than after the wait for the trigger.
-        bail!("{name} already exists");
+        bail!("{name} exists: remove it or name another");
     }
     let mut head = Head::new(robot, &status, offset_ns)?;
     let settings = configuration(status.settings, &status)?;
@@ -156,20 +156,19 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
         _ => recorder.sink.flush().map_or_else(Ended::Failed, |()| ended),
     };
     let (lost, counts) = (recorder.lost(), recorder.sink.whole);
+    let is_removed = recorder.sink.is_removed();
     recorder
         .finish(&ended, &lost, examination)
         .with_context(cannot_write)?;
     print_summary(&path, counts, &ended, &lost)?;
-    ensure!(
-        path.exists(),
-        "{name} was removed while it was recorded: nothing is left of it"
-    );
-    match ended {
-        Ended::Failed(cause) => {
-            Err(cause).with_context(|| format!("{name}: the recording ended there"))
-        }
-        _ => Ok(Done::Good),
+    if let Ended::Failed(cause) = ended {
+        return Err(cause).with_context(|| format!("{name}: the recording ended there"));
     }
+    ensure!(
+        !is_removed,
+        "{name} was removed during the recording: nothing is left of it"
+    );
+    Ok(Done::Good)
 }
 
 /// Why a recording ended.

@@ -1,6 +1,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -102,6 +103,8 @@ pub(super) struct Sink {
     head: Head,
     ring: Ring,
     file: Option<(Writer<File>, Vec<u16>)>,
+    /// The same open file, to detect its removal.
+    opened: Option<File>,
     path: PathBuf,
     /// Messages of each channel passed to the file.
     counts: [u64; CHANNELS],
@@ -120,6 +123,7 @@ impl Sink {
                 kept_ns: kept.as_nanos() as u64,
             },
             file: None,
+            opened: None,
             path: path.to_owned(),
             counts: [0; CHANNELS],
             whole: [0; CHANNELS],
@@ -129,9 +133,10 @@ impl Sink {
     /// Creates the file and writes the kept messages; the inner error is an I/O error such as a full disk.
     pub(super) fn begin(&mut self, unix_ns: u64) -> anyhow::Result<io::Result<()>> {
         let name = self.path.display();
+        let cannot_write = || format!("cannot write {name}");
         let file = new_file(&self.path)?;
-        let mut writer = Writer::new(file, "ros2", &library())
-            .with_context(|| format!("cannot write {name}"))?;
+        self.opened = Some(file.try_clone().with_context(cannot_write)?);
+        let mut writer = Writer::new(file, "ros2", &library()).with_context(cannot_write)?;
         let mut begun = || {
             let ids = self.head.channels.iter();
             let ids = ids
@@ -156,6 +161,12 @@ impl Sink {
             held.into_iter()
                 .try_for_each(|held| self.put(held.channel, held.stamp, held.data))
         }))
+    }
+
+    /// Whether the file has no name any more. A renamed file has one.
+    pub(super) fn is_removed(&self) -> bool {
+        let metadata = self.opened.as_ref().map(File::metadata);
+        matches!(metadata, Some(Ok(metadata)) if metadata.nlink() == 0)
     }
 
     pub(super) fn has_begun(&self) -> bool {
