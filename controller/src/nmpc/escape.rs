@@ -1,8 +1,8 @@
-//! Ways out where the gradient vanishes but the error does not.
+//! Escape directions where the gradient vanishes but the error does not.
 //!
-//! A straight robot cannot move along its axis to first order: every column of the Jacobian is across
-//! it. To second order it can, along the eigenvectors of the Hessian with negative eigenvalues: for
-//! three sections these are the S shapes. No shape is made by hand.
+//! To first order, a straight robot cannot move its tip along its axis: every column of the Jacobian is
+//! perpendicular to the axis. To second order it can, along eigenvectors of the Hessian with negative
+//! eigenvalues. For three sections these are the S shapes. No shape is hard-coded.
 
 use nalgebra::{SMatrix, SymmetricEigen};
 
@@ -13,19 +13,20 @@ use crate::optimizer::Budget;
 use crate::reference::ReferenceSample;
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian};
 
-/// Directions at most.
+/// Largest number of directions.
 pub(super) const DIRECTIONS_MAX: usize = 4;
 /// Nominal time of one column of the Hessian, for each section \[ns\].
 const COLUMN_NS: u32 = 120;
-/// Step of the differences that make the Hessian \[rad\].
+/// Step of the central differences for the Hessian \[rad\].
 const DIFFERENCE_RAD: f64 = 1e-4;
-/// Steps of the eigenvalue iteration at most.
+/// Largest number of iterations of the eigenvalue solver.
 const EIGEN_ITERATIONS: usize = 200;
-/// Eigenvalues above this share of the largest are rounding.
+/// An eigenvalue counts as negative below minus this share of the largest magnitude; above that it is
+/// rounding.
 const NEGATIVE_SHARE: f64 = 1e-8;
 
-/// Eigenvalues and eigenvectors of the leading part of a matrix, in the fixed size of that part, which
-/// keeps them off the heap. None when it is not finite.
+/// Eigenvalues and eigenvectors of the leading block of a matrix. The matrix has a fixed size for each order,
+/// so nothing is allocated on the heap. None if an entry is not finite or the iteration does not converge.
 macro_rules! spectrum {
     ($order:literal, $matrix:expr) => {{
         let symmetric = SMatrix::<f64, $order, $order>::from_fn(|row, column| {
@@ -52,17 +53,18 @@ macro_rules! spectrum {
     }};
 }
 
-/// Directions in bend vectors, unit norm, along which the cost falls to second order: the most promising
-/// first.
+/// Unit vectors of bends along which the cost decreases to second order, steepest first.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Directions {
     pub vectors: [[f64; COORDINATES_MAX]; DIRECTIONS_MAX],
     pub count: usize,
 }
 
-/// Directions out of the shape at the end of plan `z`. None when the budget was spent, too.
+/// Escape directions from the shape at the end of plan `z`. Empty if there is no reference or the budget is
+/// spent.
 ///
-/// The eigenvalues are the one piece of work that is longer than a quantum: 3 µs for three sections, 7 µs for six (measured, AVX-512 machine).
+/// The eigenvalue computation is the only work longer than a quantum: 3 µs for three sections, 7 µs for six
+/// (measured, AVX-512 machine).
 pub(super) fn directions(
     problem: &TrackingProblem,
     z: &[f64],
@@ -98,8 +100,8 @@ pub(super) fn directions(
     spectrum.map_or(none, |spectrum| falling(&spectrum, none))
 }
 
-/// Differences of the gradient Σ rᵢ ∂rᵢ: the Hessian with its second derivatives, which Gauss-Newton leaves
-/// away. False: the budget was spent.
+/// The full Hessian, by central differences of the gradient Σ rᵢ ∂rᵢ. It includes the second derivatives that
+/// Gauss-Newton neglects. False: the budget was spent.
 fn differentiate(
     problem: &TrackingProblem,
     target: &ReferenceSample,
@@ -143,7 +145,7 @@ struct Spectrum {
     vectors: [[f64; COORDINATES_MAX]; COORDINATES_MAX],
 }
 
-/// Eigenvectors of negative eigenvalues, the most negative first.
+/// Eigenvectors of negative eigenvalues, most negative first.
 fn falling(spectrum: &Spectrum, mut found: Directions) -> Directions {
     let values = &spectrum.values[..spectrum.order];
     let largest = values

@@ -1,5 +1,6 @@
-//! Many plans of a long horizon cost nothing. Of these the one is taken that leads on best: over some steps more, for which the reference is continued. Where rates or
-//! constraints are at their limits, that decides whether a curve can still be followed when the horizon gets there.
+//! Choice among plans of zero cost. On a long horizon many plans follow the reference exactly. A second solve
+//! over a longer horizon, with an extrapolated reference, selects the one that can be continued best. Near
+//! limits of rates or constraints, this decides whether the robot can follow a later curve.
 
 use nalgebra::Vector3;
 
@@ -9,22 +10,23 @@ use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport};
 use crate::optimizer::{Budget, GaussNewtonSettings, Incumbent, Problem};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 
-/// Foreseen steps beyond the horizon, as a share of it.
+/// Additional steps beyond the horizon, as a share of it.
 const SHARE: f64 = 0.4;
-/// Shortest horizon with foresight. With 5 to 10 steps, the few foreseen ones are a worse guide than none
-/// (`cdcr-bench quality`: gap and crossing); with 16 they are a better one.
+/// Shortest horizon with foresight. With 5 to 10 steps, the few additional steps make the result worse; with
+/// 16 they improve it (`cdcr-bench quality`: gap and crossing).
 const HORIZON_MIN: usize = 16;
-/// Gauss-Newton steps of the longer plan at most: among obstacles each takes as long as a solve.
+/// Largest number of Gauss-Newton steps on the longer horizon: among obstacles each takes as long as a solve.
 const STEPS_MAX: u32 = 2;
-/// What costs as little as this part of a small error is as good as nothing: a nanometre.
+/// Costs below this share of the cost of a small error count as zero: 1 nm of position error.
 const EQUAL_SHARE: f64 = 1e-6;
-/// A curve is continued where its last point is no farther, in parts of its last step, beside the cubic through the four points before. Eight steps later
-/// that is a step.
+/// Largest distance of the last sample from the cubic through the four samples before it, as a share of the
+/// last step. The reference is extrapolated only below it. After eight extrapolated steps the error has grown
+/// to about one step.
 const SMOOTH_SHARE: f64 = 0.003;
-/// A rate is at a border of its box from this part of the box on.
+/// A rate within this share of the box's width from a bound counts as at the bound.
 const BORDER_SHARE: f64 = 1e-3;
 
-/// A longer horizon, and what is reached over it.
+/// A longer horizon with its own box, obstacles and limits.
 #[derive(Debug, Clone)]
 pub(super) struct Foresight {
     horizon: Option<Horizon>,
@@ -41,7 +43,8 @@ impl Foresight {
         }
     }
 
-    /// Beyond this horizon, if each of its steps has rates of its own, and there is room for more.
+    /// Sets up the longer horizon. There is none if the horizon is shorter than [`HORIZON_MIN`], a block has
+    /// several steps, the change of rates has a weight, or the plan cannot be longer.
     pub(super) fn configure(&mut self, settings: &NmpcSettings, horizon: &Horizon, width: usize) {
         let steps = horizon.steps();
         let most = HORIZON_STEPS_MAX.min(PLAN_MAX / width.max(1));
@@ -57,7 +60,8 @@ impl Foresight {
         });
     }
 
-    /// Lets the solver take a plan that costs as little as the one that it has found, and leads on better.
+    /// Replaces the incumbent by a plan of equal cost that is better over the longer horizon, if one is
+    /// found.
     pub(super) fn improve(
         &mut self,
         solver: &mut Solver,
@@ -92,7 +96,8 @@ impl Foresight {
     }
 }
 
-/// Writes the first `steps` samples, and those that follow smoothly up to `longer`. False: they do not tell how the curve goes on.
+/// Writes the first `steps` samples and extrapolates them to `longer` samples. False: the last five samples
+/// are not smooth, or have an orientation.
 fn continue_reference(
     samples: &[ReferenceSample],
     steps: usize,
@@ -127,7 +132,7 @@ fn continue_reference(
 }
 
 impl Solver {
-    /// Whether other plans may cost as little, and something keeps the robot from following any of them.
+    /// Whether other plans may have the same cost, and a constraint or a rate limit restricts the choice.
     fn may_choose(&self, task: &Task) -> bool {
         task.settings.solver.refines()
             && task.problem.is_staged()
@@ -146,7 +151,8 @@ impl Solver {
         })
     }
 
-    /// Refines the plan over a longer horizon, and what that begins with over its own. Where that costs no more than the plan, or next to nothing, it is taken.
+    /// Refines the plan over the longer horizon if that plan violates a constraint, or a rate of the
+    /// incumbent is at a bound. See [`Self::look_ahead`].
     fn lead_on(
         &mut self,
         task: &Task,
@@ -163,7 +169,7 @@ impl Solver {
         }
         longer.bounds.project(plan);
         restart(&mut self.apart, longer, plan, budget);
-        // Rates that can be held on need no choice.
+        // Rates inside the box and without a violation can be continued unchanged.
         if self.apart.is_violated() || self.is_at_border(task) {
             self.look_ahead(task, longer, budget, report);
         } else {
@@ -221,7 +227,7 @@ impl Solver {
     }
 }
 
-/// Begins with a plan.
+/// Evaluates a plan and makes it the incumbent.
 fn restart(incumbent: &mut Incumbent, task: &Task, plan: &[f64], budget: &mut Budget<'_>) {
     let evaluation = task.problem.evaluate_at(plan, budget);
     incumbent.restart(plan, evaluation.as_ref());
@@ -239,7 +245,7 @@ mod tests {
             .collect()
     }
 
-    /// How far the last sample is beside where the curve goes on.
+    /// Distance of the last extrapolated sample from the curve; `None`: not extrapolated.
     fn beside_m(samples: &[ReferenceSample]) -> Option<f64> {
         let mut into = Vec::new();
         let is_known = continue_reference(&samples[..20], 20, 28, &mut into);
@@ -295,7 +301,7 @@ mod tests {
         )
     }
 
-    /// Balls around the foot of the last section.
+    /// Balls around the base of the last section.
     fn balls(apart_m: f64) -> Vec<Obstacle> {
         let ball = |i: u32| {
             let (sin, cos) = (2.4 * f64::from(i)).sin_cos();
@@ -306,7 +312,7 @@ mod tests {
         (0..16).map(ball).collect()
     }
 
-    /// From one state and one warm start the plan that leads on costs no more than the one that does not look beyond.
+    /// From the same state and warm start, the plan with foresight costs no more than the plan without.
     #[test]
     fn a_plan_that_leads_on_better_costs_no_more() {
         let robot = Robot::new(&RobotParameters::paper(3)).expect("a robot");

@@ -1,9 +1,9 @@
 use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, NmpcSettings, PLAN_MAX, TIED_BLOCKS_MAX};
 
-/// N prediction steps in M ≤ N blocks: in each block the rates are held.
+/// N prediction steps in M ≤ N blocks; the rates are constant over a block.
 ///
-/// The blocks are as even as N and M allow, the longer ones among the others: with the longer ones last, 50 steps in 20 blocks
-/// followed the paper's spiral 200 times worse.
+/// Block lengths differ by at most one step, and the longer blocks are spread among the others. With the
+/// longer blocks last, the error on the paper's spiral was 200 times larger (50 steps, 20 blocks).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Horizon {
     steps: usize,
@@ -15,8 +15,8 @@ pub struct Horizon {
 }
 
 impl Horizon {
-    /// The horizon of validated settings, for a robot of `width` coordinates; M = 0 stands for M = N. No more blocks than make [`PLAN_MAX`] scalars, nor
-    /// than 20 where the change of rates has a weight.
+    /// The horizon of validated settings, for a robot of `width` coordinates; M = 0 stands for M = N. M is
+    /// limited to [`PLAN_MAX`] scalars, or to 20 blocks where the change of rates has a weight.
     pub fn new(settings: &NmpcSettings, width: usize) -> Self {
         let steps = (settings.horizon_steps as usize).clamp(1, HORIZON_STEPS_MAX);
         let desired = match settings.control_blocks as usize {
@@ -67,13 +67,13 @@ impl Horizon {
         usize::from(self.block_of[step])
     }
 
-    /// Steps from the beginning to the end of the first step of a block.
+    /// Number of steps up to and including the first step of a block.
     pub(super) fn steps_into(&self, block: usize) -> usize {
         usize::from(self.first_step[block]) + 1
     }
 
-    /// The plan moved on by `elapsed` periods: what was planned for then; past its end the last
-    /// block is held on. `into` has the length of `plan`.
+    /// Shifts the plan by `elapsed` periods into `into`, which has the length of `plan`. Steps past the end
+    /// of the plan get its last block.
     pub(super) fn shift(&self, plan: &[f64], elapsed: u64, into: &mut [f64]) {
         let width = plan.len() / self.blocks;
         let elapsed = elapsed.min(HORIZON_STEPS_MAX as u64) as usize;
@@ -88,8 +88,11 @@ impl Horizon {
         }
     }
 
-    /// Makes a plan that was moved on by `periods`, and not evaluated since, rest from where no solve has foreseen it: past the end that it
-    /// had. Longer blocks do not move on in every period, so a plan with some keeps its first block for one period, and then rests.
+    /// Sets to zero the rates past the end of the last solved horizon, in a plan that was shifted by
+    /// `periods` and not evaluated since.
+    ///
+    /// With blocks of several steps a shift does not move every block. Such a plan keeps its first block for
+    /// one period and then has zero rates.
     pub(super) fn rest_unforeseen(&self, plan: &mut [f64], periods: u64) {
         if periods == 0 {
             return;
@@ -179,7 +182,7 @@ mod tests {
         assert_eq!(rested(horizon(4, 4), 1, &[5.0; 4]), [5.0, 5.0, 5.0, 0.0]);
         assert_eq!(rested(horizon(2, 2), 9, &[2.0, 2.0]), [0.0, 0.0]);
         assert_eq!(rested(horizon(1, 1), 1, &[1.0]), [0.0]);
-        // It is what it was after its first period: moved on again, it would go on for ever.
+        // A shift leaves this plan unchanged, so without the rule it would continue for ever.
         assert_eq!(rested(horizon(4, 2), 1, &[1.0, 2.0]), [1.0, 0.0]);
         assert_eq!(rested(horizon(4, 2), 1, &[1.0, 0.0]), [0.0, 0.0]);
         assert_eq!(rested(horizon(4, 1), 1, &[1.0]), [0.0]);

@@ -1,12 +1,12 @@
-//! What is known before the search: the candidates that make a particle swarm "knowledge-based".
+//! Candidates known before the search, which make the particle swarm "knowledge-based".
 
 use super::escape;
 use super::problem::TrackingProblem;
 use crate::optimizer::{Bounds, Budget, Candidate, Found, GaussNewton, Incumbent, Problem};
 use crate::robot::COORDINATES_MAX;
 
-/// Candidates. The warm start is the first and the incumbent already; the swarm evaluates the others side by
-/// side with its own particles.
+/// Candidate plans. The first is the warm start, which is already the incumbent. The swarm evaluates the
+/// others together with its own particles.
 #[derive(Debug, Clone)]
 pub(super) struct Knowledge {
     candidates: Vec<f64>,
@@ -14,11 +14,11 @@ pub(super) struct Knowledge {
     scratch: Vec<f64>,
 }
 
-/// Shares of the largest step inside the box at which a way out is tried, on either side.
+/// Step lengths along an escape direction, as shares of the largest step inside the box.
 const ESCAPE_SHARES: [f64; 8] = [
     1.0, -1.0, 0.25, -0.25, 0.0625, -0.0625, 0.015_625, -0.015_625,
 ];
-/// Candidates at most: warm start, previous command, zero, least squares, ways out.
+/// Largest number of candidates: warm start, previous command, zero, least squares, escape steps.
 const CANDIDATES_MAX: usize = 4 + ESCAPE_SHARES.len() * escape::DIRECTIONS_MAX;
 
 impl Knowledge {
@@ -30,7 +30,7 @@ impl Knowledge {
         }
     }
 
-    /// The warm start, the previous command held, and zero rates.
+    /// Collects the warm start, the previous command held over the horizon, and zero rates.
     pub(super) fn gather(&mut self, problem: &TrackingProblem, bounds: &Bounds, warm_plan: &[f64]) {
         let dimension = problem.dimension();
         self.candidates.clear();
@@ -51,7 +51,7 @@ impl Knowledge {
         self.add(Candidate::Zero);
     }
 
-    /// Adds what is in the scratch, if there is room.
+    /// Adds the plan in the scratch memory, if there is space.
     fn add(&mut self, origin: Candidate) {
         if self.origins.len() < CANDIDATES_MAX {
             self.candidates.extend_from_slice(&self.scratch);
@@ -59,7 +59,7 @@ impl Knowledge {
         }
     }
 
-    /// Evaluates what was gathered, but for the warm start: for solvers without a swarm.
+    /// Evaluates all collected candidates except the warm start; for solvers without a swarm.
     pub(super) fn evaluate(
         &self,
         problem: &TrackingProblem,
@@ -75,7 +75,7 @@ impl Knowledge {
         }
     }
 
-    /// One damped least-squares step from the best so far.
+    /// Adds the result of one damped least-squares step from the incumbent.
     pub(super) fn add_least_squares(
         &mut self,
         problem: &TrackingProblem,
@@ -94,8 +94,8 @@ impl Knowledge {
         }
     }
 
-    /// Steps along the Hessian's falling eigenvectors, held over the horizon, at several lengths. For a
-    /// place where the gradient has vanished.
+    /// Adds steps along the Hessian's eigenvectors of negative eigenvalue, constant over the horizon, at
+    /// several lengths. For points where the gradient vanishes.
     pub(super) fn add_ways_out(
         &mut self,
         problem: &TrackingProblem,
@@ -127,7 +127,7 @@ impl Knowledge {
         &self.candidates
     }
 
-    /// Where each comes from.
+    /// Origin of each candidate.
     pub(super) fn origins(&self) -> &[Candidate] {
         &self.origins
     }
@@ -148,7 +148,8 @@ impl Knowledge {
     }
 }
 
-/// How far along `controls` the box reaches from its middle.
+/// Largest multiple of `controls` whose components stay below the upper bounds of the first block; at most
+/// 1e6.
 fn longest_step(controls: &[f64], bounds: &Bounds) -> f64 {
     controls
         .iter()

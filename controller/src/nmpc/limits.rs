@@ -1,27 +1,27 @@
-//! Limits on bend, cable stroke and cable speed as penalties over the horizon.
+//! Penalties over the horizon for the limits on bend, cable stroke and cable speed.
 //!
-//! They guide the plan; that no command breaks them is the business of `safety`. A limit that nothing in
-//! the box can reach within the horizon costs nothing.
+//! They guide the plan; the module `safety` enforces the limits on every command. A limit that no plan in the
+//! box can reach within the horizon is not evaluated.
 
 use super::motion::Motion;
 use crate::optimizer::Evaluation;
 use crate::robot::{COORDINATES_MAX, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
-/// Weight of the squared excess of a bend, per rad² and position weight: an excess of 0.1 mrad costs as
-/// much as an error of the tip of 0.1 m.
+/// Weight of the squared excess of a bend, per rad² and position weight: an excess of 0.1 mrad costs as much
+/// as a tip error of 0.1 m.
 const BEND_WEIGHT: f64 = 1e6;
 /// Weight of the squared excess of a cable's stroke, per m² and position weight.
 const STROKE_WEIGHT: f64 = 1e10;
 /// Weight of the squared excess of a cable's speed, per (m/s)² and position weight.
 const SPEED_WEIGHT: f64 = 1e6;
-/// How far inside its limits the plan aims, in rad, m and m/s: what a penalty leaves is far less, so the safety check need
-/// not change what ends there.
+/// Margin of the plan inside its limits, in rad, m and m/s. A soft penalty leaves a far smaller excess, so
+/// that the safety check need not change the command.
 const INSIDE: f64 = 1e-6;
 /// Index of the limits among the violations.
 pub(super) const LIMITS: usize = 1;
 
-/// The limits of a robot that matter in one solve.
+/// The limits within reach in one solve.
 #[derive(Debug, Clone)]
 pub(super) struct Limits<'a> {
     robot: &'a Robot,
@@ -32,16 +32,16 @@ pub(super) struct Limits<'a> {
     speed: bool,
 }
 
-/// A linearised limit h + A Δb ≥ 0 on bend vectors, in a scale in which it outweighs the tip.
+/// A linearised limit h + A Δb ≥ 0 on bend vectors, scaled to outweigh the tip error.
 pub(super) struct LimitRow {
     pub h: f64,
     pub derivatives: [f64; COORDINATES_MAX],
-    /// Whether it holds for the change over one step instead of the sum of all.
+    /// True: Δb is the change over this step; false: the change since the start of the horizon.
     pub of_step: bool,
 }
 
 impl<'a> Limits<'a> {
-    /// `fastest_rad_s` bounds the norm of each section's bend rate; `weight` is that of the position.
+    /// `fastest_rad_s` bounds the norm of each section's bend rate; `weight` is the position weight.
     pub(super) fn new(
         robot: &'a Robot,
         motion: &Motion,
@@ -56,7 +56,7 @@ impl<'a> Limits<'a> {
         let bend = sections.clone().any(|((section, [u, v]), rate)| {
             u.hypot(*v) + rate * horizon_s > section.bend_max_rad - INSIDE
         });
-        // No cable is faster than all sections together; the last section's cables pass all of them.
+        // The last section's cables pass all sections, so their speed bounds every cable speed.
         let fastest_m_s: f64 = sections.map(|((s, _), rate)| s.cable_radius_m * rate).sum();
         let strokes_m = robot.cable_strokes(&start);
         let longest_m = strokes_m.iter().fold(0.0_f64, |most, s| most.max(s.abs()));
@@ -76,7 +76,7 @@ impl<'a> Limits<'a> {
         self.bend || self.stroke || self.speed
     }
 
-    /// Penalties after a step from `before` to `after`.
+    /// Adds the penalties of a step from `before` to `after`.
     #[inline(always)]
     pub(super) fn add_penalties<const W: usize>(
         &self,
@@ -118,16 +118,16 @@ impl<'a> Limits<'a> {
     ) {
         let zero = Wide::splat(0.0);
         let near = value + -(most - INSIDE);
-        // A NaN is not "less": it stays, and spoils the cost as it should.
+        // A comparison with NaN is false, so a NaN stays and makes the cost NaN, as intended.
         let near = zero.select(near, near.less(zero));
         evaluation.cost = evaluation.cost + near * near * (weight * self.weight);
-        // Below zero where the limit holds: no violation.
+        // Negative where the limit is kept: no violation.
         let share = (near + -INSIDE) * (1.0 / most);
         let worst = evaluation.violations[LIMITS];
         evaluation.violations[LIMITS] = share.select(worst, worst.less(share));
     }
 
-    /// The same limits for a Gauss-Newton step.
+    /// Linearises the limits for a Gauss-Newton step.
     pub(super) fn rows(
         &self,
         before: &[f64; COORDINATES_MAX],
@@ -167,7 +167,7 @@ impl<'a> Limits<'a> {
         }
     }
 
-    /// Rows of |shortening of every cable| ≤ most. Shortening is linear in the bends.
+    /// Rows of |shortening| ≤ most for every cable. The shortening is linear in the bends.
     fn cable_rows(
         &self,
         bends: &[f64; COORDINATES_MAX],
@@ -183,7 +183,7 @@ impl<'a> Limits<'a> {
             let value = value.0[0];
             let towards = -scale * per_bend * value.signum();
             let mut derivatives = [0.0; COORDINATES_MAX];
-            // It passes the sections up to its own.
+            // A cable passes the sections up to its own.
             let passed = self.robot.sections().iter().take(cable / 3 + 1);
             for (pair, section) in derivatives.as_chunks_mut::<2>().0.iter_mut().zip(passed) {
                 *pair = direction.map(|part| towards * (section.cable_radius_m * part));

@@ -1,28 +1,32 @@
 //! The optimal control problem of Eq. 4-5, and its solution in one cycle (Fig. 2 of the paper).
 //!
-//! The state is the bend of every section, the controls u are its rates, held over M ≤ N blocks of the
-//! horizon, and q(k+1) = q(k) + T u(k) (Eq. 4), with q either the bend vectors (u, v) or the paper's angles
-//! (θ, φ). The cost (Eq. 5) is, at each step, the weighted squared error of the tip's position and, where
-//! the reference asks for one, of its orientation beyond a tolerance, with an extra weight ω on the last;
-//! optional weights on the controls and on their change; and penalties on what is too near to an
-//! obstacle or beyond a limit of bend, cable stroke or cable speed.
+//! The state q is the bend of every section. The controls u are its rates, constant over M ≤ N blocks of the
+//! horizon. The dynamics are q(k+1) = q(k) + T u(k) (Eq. 4), with q either the bend vectors (u, v) or the
+//! paper's angles (θ, φ).
 //!
-//! | file | question it answers |
+//! The cost (Eq. 5) is a sum over the steps:
+//! - the weighted squared error of the tip's position, with an extra weight ω on the last step;
+//! - where the reference contains an orientation, the same for the orientation error beyond a tolerance;
+//! - optional weights on the controls and on their change;
+//! - penalties on clearances below the safe distance, and on bends, cable strokes and cable speeds beyond
+//! their limits.
+//!
+//! | file | content |
 //! |---|---|
-//! | `settings` | what can be tuned, within which ranges |
-//! | `horizon` | which step belongs to which block |
-//! | `motion` | how do the controls bend the robot over the horizon (Eq. 4) |
-//! | `pose_error`, `obstacles`, `limits` | what does one step cost (Eq. 5) |
-//! | `problem` | what does a plan cost, and how does that change with it |
-//! | `knowledge`, `escape` | which candidates are known before the search |
-//! | `solver` | in which order do knowledge, swarm and Gauss-Newton work |
-//! | `reachable` | what can be reached over a horizon |
-//! | `ways` | which ways past obstacles does a new plan try |
-//! | `foresight` | which of the plans that cost nothing leads on best |
-//! | `report` | how did the solve end |
+//! | `settings` | settings and their ranges |
+//! | `horizon` | map from steps to blocks |
+//! | `motion` | dynamics: bends over the horizon as a function of the controls (Eq. 4) |
+//! | `pose_error`, `obstacles`, `limits` | cost of one step (Eq. 5) |
+//! | `problem` | cost of a plan and its linear model |
+//! | `knowledge`, `escape` | candidates known before the search |
+//! | `solver` | sequence of knowledge, swarm and Gauss-Newton |
+//! | `reachable` | box of the controls; obstacles and limits within reach |
+//! | `ways` | several ways past obstacles, tried by a new plan |
+//! | `foresight` | choice among plans of zero cost by a longer horizon |
+//! | `report` | status and figures of a solve |
 //!
-//! Invariant: nothing here knows a clock, a thread or a message. Time is counted in periods; the
-//! budget is a closure. Nothing allocates after [`Nmpc::new`].
+//! Invariant: nothing here knows a clock, a thread or a message. Time is counted in periods; the budget is a
+//! closure. Nothing allocates after [`Nmpc::new`].
 
 mod escape;
 mod foresight;
@@ -51,66 +55,69 @@ use foresight::Foresight;
 use reachable::{Reachable, Start};
 use solver::Solver;
 
-/// Control blocks M at most: one for each step.
+/// Largest number of control blocks M: one for each step.
 pub const CONTROL_BLOCKS_MAX: usize = crate::optimizer::BLOCKS_MAX;
-/// Control blocks at most where rates have a weight on their change: it ties all of them to each other, in one matrix.
+/// Largest number of control blocks with a weight on the change of rates, which couples all blocks in one
+/// dense matrix.
 const TIED_BLOCKS_MAX: usize = 20;
-/// Scalars of the longest plan: 50 blocks of up to three sections, 25 of six.
+/// Scalars of the longest plan: 50 blocks for up to two sections, 40 for three, 30 for four, 24 for five, 20
+/// for six.
 pub const PLAN_MAX: usize = 300;
 const _: () = assert!(COORDINATES_MAX * TIED_BLOCKS_MAX <= PLAN_MAX);
 const _: () = assert!(CONTROL_BLOCKS_MAX >= HORIZON_STEPS_MAX);
-/// Particles at most.
+/// Largest number of particles.
 pub const SWARM_MAX: usize = 512;
 
-/// Obstacles at most.
+/// Largest number of obstacles.
 pub const OBSTACLES_MAX: usize = 64;
 
-/// What one solve starts from.
+/// Inputs of one solve.
 #[derive(Debug, Clone, Copy)]
 pub struct SolveInput<'a> {
-    /// State q at the release. One of another section count than the robot's: the solve answers zero rates.
+    /// State q at the release. The solve returns zero rates if its section count differs from the robot's.
     pub configuration: &'a Configuration,
-    /// Rates of the last command. Likewise.
+    /// Rates of the last command. The same check applies.
     pub previous_rates: &'a BendRates,
-    /// The reference at the releases 1, 2, …, N periods from now. Fewer than N: the last one counts
-    /// for the rest. Empty: the solve answers zero rates.
+    /// The reference at the releases 1, 2, …, N periods from now. If it is shorter than N, the last sample
+    /// applies to the other steps. If it is empty, the solve returns zero rates.
     pub reference: &'a [ReferenceSample],
-    /// What the body must keep away from, at most [`OBSTACLES_MAX`] (further ones are ignored), where
-    /// it is at the release; it moves on at its velocity.
+    /// Obstacles at their positions at the release, with constant velocity; at most [`OBSTACLES_MAX`],
+    /// further ones are ignored.
     pub obstacles: &'a [Obstacle],
-    /// How far the tip may be beside where the bends place it \[m\], 0 or more: so much more distance the body keeps, each section its
-    /// part ([`Robot::thicker`], [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
+    /// Largest distance of the tip from the position given by the bends \[m\], 0 or more. The body's
+    /// clearance grows by this distance, in proportion for each section ([`Robot::thicker`],
+    /// [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
     pub tip_offset_m: f64,
-    /// Periods since the plan was made: how far the warm start is moved on in time.
+    /// Periods since the plan was made: the shift of the warm start.
     pub elapsed_periods: u64,
     /// Seed of this cycle's swarm, see [`cycle_seed`](crate::optimizer::cycle_seed).
     pub seed: u64,
 }
 
-/// Nonlinear model predictive control of one robot. Memory for the largest settings is taken at
-/// construction.
+/// Nonlinear model predictive control of one robot. The constructor allocates memory for the largest
+/// settings.
 #[derive(Debug, Clone)]
 pub struct Nmpc {
     robot: Robot,
     period_s: f64,
-    /// How fast the rate of a component may grow (rad/s²).
+    /// Largest growth of the rate of a component \[rad/s²\].
     acceleration_rad_s2: f64,
     settings: NmpcSettings,
     horizon: Horizon,
     reachable: Reachable,
-    /// The plan of the last solve: what the next warm start is made of.
+    /// The plan of the last solve, from which the next warm start is made.
     plan: Vec<f64>,
     warm_plan: Vec<f64>,
-    /// The plan, while a rehearsal makes another.
+    /// The saved plan during a rehearsal.
     kept_plan: Vec<f64>,
-    /// Periods by which a restored plan was moved on already.
+    /// Periods by which a restored plan was already shifted.
     restored_periods: u64,
     solver: Solver,
     foresight: Foresight,
 }
 
 impl Nmpc {
-    /// A controller at rest.
+    /// A controller with a plan of zero rates.
     ///
     /// # Errors
     /// [`SettingsError`] when a setting is out of its range, or the period is outside [`ranges::PERIOD_S`].
@@ -118,8 +125,8 @@ impl Nmpc {
         Self::with_simd(Simd::best(), robot, period_s, settings)
     }
 
-    /// A controller whose swarm is computed with `simd`. All of them give the same bits; this is for
-    /// comparing their speed.
+    /// A controller whose swarm is evaluated with `simd`, to compare the speed of the SIMD paths. All paths
+    /// give the same bits.
     ///
     /// # Errors
     /// As [`Nmpc::new`].
@@ -150,18 +157,22 @@ impl Nmpc {
         Ok(nmpc)
     }
 
-    /// From now on the rate of a component grows by `acceleration_rad_s2` \[rad/s²\], above 0, at most; infinite, as at first: as it likes. To slow
-    /// down is free, as in [`Situation::acceleration_rad_s2`](crate::safety::Situation::acceleration_rad_s2), by which the command is limited: a plan
-    /// that does not know that limit promises, over a long horizon, turns that never come. In bend angles it is not known.
+    /// Limits the growth of each component's rate to `acceleration_rad_s2` \[rad/s²\], above 0; infinite, the
+    /// default: no limit. Deceleration is not limited.
+    ///
+    /// Commands are limited in the same way
+    /// ([`Situation::acceleration_rad_s2`](crate::safety::Situation::acceleration_rad_s2)). Without this
+    /// limit, a plan over a long horizon contains turns that the robot cannot execute. It applies to bend
+    /// vectors only, not to bend angles.
     pub fn limit_acceleration(&mut self, acceleration_rad_s2: f64) {
         self.acceleration_rad_s2 = acceleration_rad_s2;
     }
 
-    /// Takes over other settings; the plan is cut or continued to the new horizon, and forgotten when the
-    /// coordinates change. No allocation.
+    /// Replaces the settings. The plan is truncated or extended to the new horizon, and reset to zero when
+    /// the coordinates change. No allocation.
     ///
     /// # Errors
-    /// [`SettingsError`], and nothing changes, when a setting is out of its range.
+    /// [`SettingsError`] when a setting is out of its range; then nothing changes.
     pub fn configure(&mut self, settings: NmpcSettings) -> Result<(), SettingsError> {
         settings.validate()?;
         if settings.coordinates != self.settings.coordinates {
@@ -182,15 +193,16 @@ impl Nmpc {
         self.kept_plan.resize(unknowns, 0.0);
     }
 
-    /// Forgets the plan: the next warm start is zero rates. For cycles in which another than the
-    /// solver chose the command.
+    /// Resets the plan, so that the next warm start is zero rates. For cycles whose command does not come
+    /// from the solver.
     pub fn forget_plan(&mut self) {
         self.plan.fill(0.0);
         self.restored_periods = 0;
     }
 
-    /// Replaces the plan that the next warm start is made of by a recorded warm start of a replay, to be
-    /// solved with `elapsed_periods` = 0: it was moved on by `moved_on` periods already. False when its length does not fit the settings.
+    /// Replaces the plan by the recorded warm start of a replay, which was already shifted by `moved_on`
+    /// periods. The next solve uses `elapsed_periods` = 0. Returns false if the length does not fit the
+    /// settings.
     pub fn restore_plan(&mut self, plan: &[f64], moved_on: u64) -> bool {
         let fits = plan.len() == self.plan.len();
         if fits {
@@ -216,16 +228,18 @@ impl Nmpc {
         &self.plan
     }
 
-    /// The warm start of the last solve \[rad/s\], likewise.
+    /// The warm start of the last solve \[rad/s\], in the same layout.
     pub fn warm_plan(&self) -> &[f64] {
         &self.warm_plan
     }
 
-    /// Finds the rates for the period that begins now (Fig. 2).
+    /// Computes the rates for the period that begins now (Fig. 2).
     ///
-    /// Bounded work, no allocation, never worse than the warm start, the best solution so far when
-    /// the budget ends it, and the same bits for the same input, settings, plan and work done. A warm start that the budget leaves no
-    /// time to evaluate is followed as far as it was planned, and rests after that; with blocks of several steps, after one period.
+    /// The work is bounded and nothing allocates. The result is never worse than the warm start; when the
+    /// budget ends the solve, it is the incumbent. Same input, settings, plan and work give the same bits.
+    ///
+    /// If the budget ends before the warm start is evaluated, the plan keeps the rates that were planned and
+    /// has zero rates after them. With blocks of several steps it keeps the first block for one period only.
     pub fn solve(
         &mut self,
         input: &SolveInput,
@@ -243,9 +257,11 @@ impl Nmpc {
         self.solve_within(input, budget)
     }
 
-    /// Solves, and forgets it: the plan stays, so that every later solve gives the bits that it would have given. After a
-    /// pause this brings the solver's code and data back into the processor's caches before the time that matters, as the
-    /// preparation phase of the real-time iteration does (Diehl et al. 2005, doi:10.1137/S0363012902400713).
+    /// Solves and keeps the previous plan, so that later solves give the same bits as without the rehearsal.
+    ///
+    /// After a pause, this loads the solver's code and data into the processor's caches before the release.
+    /// It plays the part of the preparation phase of the real-time iteration (Diehl et al. 2005,
+    /// doi:10.1137/S0363012902400713).
     pub fn rehearse(&mut self, input: &SolveInput, budget: &mut Budget<'_>) {
         self.kept_plan.copy_from_slice(&self.plan);
         self.solve(input, budget);

@@ -1,4 +1,4 @@
-//! How the controls bend the robot over the horizon: Eq. 4, in either choice of coordinates.
+//! Dynamics over the horizon (Eq. 4), in either choice of coordinates.
 
 use nalgebra::Vector3;
 
@@ -9,14 +9,14 @@ use crate::robot::{
 };
 use crate::wide::{Aligned, Wide};
 
-/// Below this bend a section has no direction of its own \[rad\].
+/// Below this bend a section counts as straight: its direction is undefined \[rad\].
 const STRAIGHT_RAD: f64 = 1e-9;
 
-/// The start of a horizon, and the rule by which controls move it on.
+/// The start of a horizon, and the dynamics of the controls.
 ///
-/// With bend vectors a control is a rate (u̇, v̇), with bend angles a rate (θ̇, φ̇); either is held over a
-/// block. The angles of the start are θ ≥ 0 and the direction of the bend. A straight section has none: it
-/// takes that of its last rates, at rest that in which the tip comes nearer to its goal, or else x.
+/// A control is a rate (u̇, v̇) with bend vectors and a rate (θ̇, φ̇) with bend angles, constant over a
+/// block. At the start θ ≥ 0 and φ is the direction of the bend. A straight section takes the direction of
+/// its last rates. At rest it takes the direction in which the tip approaches the goal, or else x.
 #[derive(Debug, Clone)]
 pub(super) struct Motion<'a> {
     coordinates: Coordinates,
@@ -28,8 +28,8 @@ pub(super) struct Motion<'a> {
     polar: [[f64; 3]; SECTIONS_MAX],
 }
 
-/// The bend vectors of W robots on the way, and (θ, cos φ, sin φ) of P sections: none with bend vectors,
-/// all with bend angles.
+/// The bend vectors of W rollouts, and (θ, cos φ, sin φ) of P sections: none with bend vectors, all with bend
+/// angles.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Bends<const W: usize, const P: usize> {
@@ -42,7 +42,7 @@ pub(super) const VECTORS: usize = 0;
 /// Sections with angles when the coordinates are bend angles.
 pub(super) const ANGLES: usize = SECTIONS_MAX;
 
-/// One robot on the way, in either choice of coordinates.
+/// The bends of one rollout, in either choice of coordinates.
 pub(super) type Bent = Bends<1, ANGLES>;
 
 impl Bent {
@@ -84,12 +84,12 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The shape at the start.
+    /// The configuration at the start.
     pub(super) fn start_shape(&self) -> Configuration {
         Configuration::padded(self.start_rad, self.width / 2)
     }
 
-    /// The shape on the way.
+    /// The configuration of a rollout.
     pub(super) fn shape(&self, bends: &Bent) -> Configuration {
         Configuration::padded(bends.scalar(), self.width / 2)
     }
@@ -98,7 +98,7 @@ impl<'a> Motion<'a> {
         self.coordinates
     }
 
-    /// Coordinates 2n.
+    /// Number of coordinates 2n.
     pub(super) fn width(&self) -> usize {
         self.width
     }
@@ -111,7 +111,7 @@ impl<'a> Motion<'a> {
         self.horizon
     }
 
-    /// W robots at the start.
+    /// W rollouts at the start.
     #[inline(always)]
     pub(super) fn start<const W: usize, const P: usize>(&self) -> Bends<W, P> {
         let zero = Wide::splat(0.0);
@@ -130,7 +130,8 @@ impl<'a> Motion<'a> {
         bends
     }
 
-    /// One period with the controls of the block of `step`, in bend angles if there are some.
+    /// Advances the rollouts by one period with the controls of the block of `step`. Integrates angles if P >
+    /// 0.
     #[inline(always)]
     pub(super) fn advance<const W: usize, const P: usize>(
         &self,
@@ -165,7 +166,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The bend vectors of W robots at the start, as far as there is room.
+    /// Writes the bend vectors of W rollouts at the start, up to the length of `bend_rad`.
     #[inline(always)]
     pub(super) fn start_in<const W: usize>(&self, bend_rad: &mut [Aligned<W>]) {
         for (bend, start) in bend_rad.iter_mut().zip(&self.start_rad[..self.width]) {
@@ -173,7 +174,8 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// Moves on a component of the bend vectors by one period whenever it is asked for.
+    /// Returns a function that advances component i of the bend vectors by one period and returns it. Call it
+    /// once for each component.
     #[inline(always)]
     pub(super) fn moving<const W: usize>(
         &self,
@@ -189,7 +191,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// One period for one robot, in the coordinates of the settings.
+    /// Advances one rollout by one period, in the coordinates of the settings.
     pub(super) fn advance_one(&self, bent: &mut Bent, z: &[f64], step: usize) {
         let control = |i: usize| Wide([z[i]]);
         match self.coordinates {
@@ -198,8 +200,8 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// Derivatives with respect to bend vectors, (∂u, ∂v) of each section, as derivatives with respect to
-    /// the controls' own coordinates at `bends`.
+    /// Converts derivatives with respect to bend vectors, (∂u, ∂v) of each section, to derivatives with
+    /// respect to the coordinates of the controls at `bends`.
     pub(super) fn by_controls(&self, bends: &Bent, derivatives: &mut [f64; COORDINATES_MAX]) {
         if self.coordinates == Coordinates::BendVector {
             return;
@@ -212,7 +214,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// By how much coordinates that change by `change` bend each section \[rad\], to first order.
+    /// Change of each section's bend \[rad\] for a change of the coordinates, to first order.
     pub(super) fn bend_changes_rad(&self, bends: &Bent, change: &[f64]) -> [f64; SECTIONS_MAX] {
         let mut changes_rad = [0.0; SECTIONS_MAX];
         let pairs = change.as_chunks::<2>().0.iter().zip(&bends.polar);
@@ -226,8 +228,8 @@ impl<'a> Motion<'a> {
         changes_rad
     }
 
-    /// Bend rates as controls at the start: one block. A straight section loses what is across its
-    /// direction.
+    /// Converts bend rates to the controls of one block at the start. A straight section loses the component
+    /// perpendicular to its direction.
     pub(super) fn controls_of(&self, rates: &[f64], controls: &mut [f64]) {
         controls.copy_from_slice(rates);
         if self.coordinates == Coordinates::BendVector {
@@ -246,8 +248,9 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The box of the controls. Bend vectors: the rate limit of each section. Bend angles: θ̇ likewise, φ̇ so
-    /// that θ φ̇ keeps to it from one radian on.
+    /// Sets the box of the controls. Bend vectors: the rate limit of each section. Bend angles: the same
+    /// limit for θ̇, and for φ̇ the limit divided by max(θ, 1 rad), so that θ φ̇ at the start stays within
+    /// it.
     pub(super) fn set_bounds(&self, robot: &Robot, bounds: &mut Bounds) {
         let angles = self.coordinates == Coordinates::BendAngles;
         let sections = robot.sections().iter().zip(&self.polar);
@@ -258,7 +261,7 @@ impl<'a> Motion<'a> {
         bounds.set_symmetric(&half_widths, self.horizon.blocks());
     }
 
-    /// Bounds of the norm of each section's bend rate over the horizon \[rad/s\].
+    /// Upper bound of the norm of each section's bend rate over the horizon \[rad/s\].
     pub(super) fn fastest_rad_s(&self, bounds: &Bounds) -> [f64; SECTIONS_MAX] {
         let horizon_s = self.period_s * self.horizon.steps() as f64;
         let mut fastest = [0.0; SECTIONS_MAX];
@@ -273,20 +276,21 @@ impl<'a> Motion<'a> {
         fastest
     }
 
-    /// Bounds of what a plan changes of each section's bend vector \[rad\].
+    /// Upper bound of the change of each section's bend vector by any plan \[rad\].
     pub(super) fn most_rad(&self, robot: &Robot) -> [f64; SECTIONS_MAX] {
         let horizon_s = self.period_s * self.horizon.steps() as f64;
         let mut most = [0.0; SECTIONS_MAX];
         for (most, section) in most.iter_mut().zip(robot.sections()) {
-            // Of angles the second turns the bend, at a rate that falls as 1/θ from one radian on: see `set_bounds`.
+            // φ̇ turns the bend. Its limit decreases as 1/θ from 1 rad on (`set_bounds`), so this bound holds
+            // for every θ.
             let along = section.rate_max_rad_s * horizon_s;
             *most = along.hypot(along * (1.0 + along));
         }
         most
     }
 
-    /// The bend rates that do in one period what the first block of `plan` does, slowed down section by
-    /// section to the rate limit where bend angles exceed it.
+    /// The bend rates that give the same bends after one period as the first block of `plan`. With bend
+    /// angles, each section is scaled down to its rate limit.
     pub(super) fn first_rates(&self, robot: &Robot, plan: &[f64]) -> Option<BendRates> {
         if self.coordinates == Coordinates::BendVector {
             return BendRates::from_slice(&plan[..self.width]);
@@ -307,8 +311,8 @@ impl<'a> Motion<'a> {
         Some(rates)
     }
 
-    /// Turns the sign of θ̇ in a plan for sections that have passed through straight since it was made,
-    /// `elapsed_periods` of `previous_rates` ago: their angles now count from the other side.
+    /// Negates θ̇ in a plan for sections that passed through straight since it was made, `elapsed_periods` of
+    /// `previous_rates` ago: their angle φ has changed by π.
     pub(super) fn continue_plan(
         &self,
         plan: &mut [f64],
@@ -336,21 +340,23 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// (θ, cos φ, sin φ) of one section; if it is straight, φ is that of its rates, and without rates as given.
+/// (θ, cos φ, sin φ) of one section. If it is straight, φ is the direction of its rates, or `otherwise`
+/// without rates.
 fn polar_of(bend: [f64; 2], rates: [f64; 2], otherwise: [f64; 2]) -> [f64; 3] {
     let (theta, direction) = unit(bend);
     let [cos, sin] = direction.or(unit(rates).1).unwrap_or(otherwise);
     [theta, cos, sin]
 }
 
-/// Length and direction; no direction when it is too short for one.
+/// Length and direction; no direction if the length is at most [`STRAIGHT_RAD`].
 fn unit([x, y]: [f64; 2]) -> (f64, Option<[f64; 2]>) {
     let length = (x * x + y * y).sqrt();
     let direction = (length > STRAIGHT_RAD).then(|| [x / length, y / length]);
     (length, direction)
 }
 
-/// The direction in which a bend of each section brings the tip nearest to the goal; x where none does.
+/// For each section, the direction of the bend that moves the tip towards the goal fastest, to first order; x
+/// if none does.
 fn directions_to(
     robot: &Robot,
     at: &Configuration,
@@ -431,7 +437,7 @@ mod tests {
 
     #[test]
     fn a_plan_goes_on_through_straight() {
-        // θ fell at 0.4 rad/s through zero: it now rises on the other side.
+        // θ decreased at 0.4 rad/s through zero, so it now increases on the other side.
         let horizon = Horizon::new(&NmpcSettings::default(), 2);
         let rates = BendRates::from_slice(&[-0.4, 0.0, 0.1, 0.0]).expect("two sections");
         let at = Configuration::from_slice(&[-0.001, 0.0, 0.5, 0.0]).expect("two sections");

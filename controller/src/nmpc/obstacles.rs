@@ -1,5 +1,6 @@
-//! Obstacles over the horizon: culled once per solve by what the box allows, again at each step by what the plans side by side do, then
-//! a penalty on every step of each section too near to one.
+//! Obstacles over the horizon. They are culled once per solve with the box of the controls, and again at each
+//! step with the bends of the rollouts. Then each section below the safe distance adds a penalty at each
+//! step.
 
 use super::motion::{Bent, Motion};
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
@@ -9,53 +10,57 @@ use crate::robot::{
 };
 use crate::wide::Wide;
 
-/// Index of the clearance among the violations: metres inside the safe distance.
+/// Index of the clearance among the violations: depth inside the safe distance \[m\].
 pub(super) const CLEARANCE: usize = 0;
-/// Nominal time of one section against a sphere \[ns\]: at W points side by side, or exactly at one.
+/// Nominal time of one section against a sphere \[ns\]: for W rollouts approximately, or for one exactly.
 const SPHERE_NS: u32 = 40;
-/// Nominal time of one section against a capsule \[ns\], likewise.
+/// Nominal time of one section against a capsule \[ns\], in the same cases.
 const CAPSULE_NS: u32 = 300;
 /// Nominal time of culling one obstacle at a step \[ns\].
 const CULLING_NS: u32 = 4;
-/// Nominal time of finding that a section is beyond reach, by balls and chord \[ns\].
+/// Nominal time of excluding a section by bounding spheres and chord \[ns\].
 const BEYOND_NS: u32 = 8;
 /// Nominal time of bounding one distance by a chord \[ns\].
 const CHORD_NS: u32 = 50;
-/// Nominal time of preparing one section for distances, exactly at one point \[ns\].
+/// Nominal time of preparing one section for exact distances of one rollout \[ns\].
 const BODY_NS: u32 = 80;
 /// Nominal time of preparing one section for derivatives \[ns\].
 const MOTION_NS: u32 = 60;
 /// Nominal time of the derivatives of one distance \[ns\].
 const ROW_NS: u32 = 160;
-/// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
-/// leaves away does not break the distance itself.
+/// Margin of a Gauss-Newton step beyond the safe distance \[m\]. It absorbs rounding and the linearisation
+/// error.
 const MARGIN_M: f64 = 1e-6;
-/// What the distance of culling may be off by rounding \[m\].
+/// Bound of the rounding error in the distances for culling \[m\].
 const ROUNDING_M: f64 = 1e-9;
-/// Weight of a Gauss-Newton step's constraint against the tip's position: a metre for a micrometre.
+/// Scale of a constraint residual relative to the tip's position residual: 1 mm counts as much as 1 m of the
+/// tip.
 const CONSTRAINT_SCALE: f64 = 1e3;
 
-/// What the body can meet within the horizon.
+/// The obstacles within reach of the body over the horizon.
 #[derive(Debug, Clone)]
 pub(super) struct Obstacles {
     near: Vec<Near>,
-    /// The shape that clearances are counted from.
+    /// The configuration to which the clearances at the start refer.
     start: Configuration,
 }
 
-/// An obstacle, and the sections (a bit each) that can meet it by the end of each step.
+/// An obstacle, and for each step the sections (one bit each) that can come within the safe distance by its
+/// end.
 #[derive(Debug, Clone, Copy)]
 struct Near {
     obstacle: Obstacle,
     sections: [u8; HORIZON_STEPS_MAX],
-    /// Clearance of each section at the start, of a capsule what it is at least, less the safe distance; infinite for those that no plan brings that near.
+    /// Clearance of each section at the start less the safe distance; for a capsule a lower bound. Infinite
+    /// for sections that no plan brings within the safe distance.
     spare_m: [f64; SECTIONS_MAX],
-    /// What the obstacle moves in a period.
+    /// Motion of the obstacle in one period \[m\].
     per_step_m: f64,
 }
 
 impl Near {
-    /// The sections that can be too near at the end of `step`, none of them having moved by more than `travel_m` since the start.
+    /// The sections that can be within the safe distance at the end of `step`, if none has moved by more than
+    /// `travel_m` since the start.
     #[inline(always)]
     fn sections_at(&self, step: usize, travel_m: &[f64; SECTIONS_MAX]) -> u8 {
         let mut sections = self.sections[step];
@@ -84,11 +89,11 @@ pub(super) struct ClearanceRow {
     pub derivatives: [f64; COORDINATES_MAX],
 }
 
-/// The first step (0-based) by whose end something can come `distance_m` nearer, at `per_step_m` a step; 0 when either is
-/// not a number.
+/// The first step (0-based) by whose end a distance can shrink by `distance_m`, at `per_step_m` a step; 0
+/// when either is NaN.
 fn first_step(distance_m: f64, per_step_m: f64) -> usize {
     let steps = (distance_m - ROUNDING_M) / per_step_m;
-    // A cast saturates: infinite is never, NaN is at once.
+    // A cast saturates: an infinite number becomes the last step, NaN becomes 0.
     (steps.ceil() - 1.0) as usize
 }
 
@@ -109,7 +114,7 @@ impl Obstacles {
         }
     }
 
-    /// None, and no room for any.
+    /// No obstacles, without memory for any.
     pub(super) fn none() -> Self {
         Self {
             near: Vec::new(),
@@ -117,8 +122,9 @@ impl Obstacles {
         }
     }
 
-    /// Keeps what any plan in the box can bring within the safe distance. `fastest_rad_s` bounds the norm of
-    /// each section's bend rate. When the budget ends it, nothing will be evaluated either.
+    /// Keeps the obstacles that a plan in the box can bring within the safe distance. `fastest_rad_s` bounds
+    /// the norm of each section's bend rate. If the budget ends the culling, no plan is evaluated later
+    /// either.
     pub(super) fn gather(
         &mut self,
         robot: &Robot,
@@ -135,7 +141,7 @@ impl Obstacles {
         let steps = motion.horizon().steps();
         self.start = motion.start_shape();
         let body = robot.body(&self.start);
-        // What body and obstacle can do in one period; over k periods at most k times as much.
+        // Largest approach of body and obstacle in one period; k periods give at most k times as much.
         let per_step_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * motion.period_s()));
         for obstacle in obstacles.iter().take(OBSTACLES_MAX) {
             let bound_ns = match obstacle.shape() {
@@ -148,7 +154,7 @@ impl Obstacles {
             let own_m = obstacle.velocity_m_s().norm() * motion.period_s();
             let per_step_m = per_step_m.map(|travel_m| travel_m + own_m);
             let reach_m = per_step_m.map(|travel_m| travel_m * steps as f64 + safe_distance_m);
-            // Of a capsule a bound will do: plans are culled again, section by section.
+            // For a capsule a lower bound suffices: each rollout is culled again, section by section.
             let clearances_m = body.clearances_below(obstacle, &reach_m, f64::NEG_INFINITY);
             let mut sections = [0; HORIZON_STEPS_MAX];
             for (j, clearance_m) in clearances_m.into_iter().enumerate() {
@@ -172,18 +178,19 @@ impl Obstacles {
         !self.near.is_empty()
     }
 
-    /// Whether none that matters moves.
+    /// Whether all obstacles within reach are at rest.
     pub(super) fn stand(&self) -> bool {
         self.near.iter().all(|near| near.per_step_m == 0.0)
     }
 
-    /// Whether any can be met by the end of `step`.
+    /// Whether the body can come within the safe distance of any obstacle by the end of `step`.
     #[inline(always)]
     fn matter_at(&self, step: usize) -> bool {
         self.near.iter().any(|near| near.sections[step] != 0)
     }
 
-    /// How far any of W robots can have moved each section since the start (m), and zero, or NaN in the lanes that are not finite.
+    /// Largest motion of each section since the start in any of W rollouts \[m\]. Also returns zero, or NaN
+    /// for the lanes that are not finite.
     #[inline(always)]
     fn travel_m<const W: usize>(
         &self,
@@ -197,7 +204,7 @@ impl Obstacles {
             let (u, v) = (bend_rad[2 * j] - *start_u, bend_rad[2 * j + 1] - *start_v);
             let square = u * u + v * v;
             sum = sum + square;
-            // A plain loop, and a NaN is left to the sum.
+            // A plain loop ignores NaN; the sum carries the NaN of each lane.
             let mut most = 0.0;
             for lane in 0..W {
                 most = f64::max(most, square.0[lane]);
@@ -207,7 +214,7 @@ impl Obstacles {
         (robot.travel_m(&most_rad), sum * 0.0)
     }
 
-    /// Penalties at the end of a step. None: the budget was spent.
+    /// Adds the penalties at the end of a step. None: the budget was spent.
     #[inline(always)]
     pub(super) fn add_penalties<const W: usize>(
         &self,
@@ -241,7 +248,8 @@ impl Obstacles {
                 return None;
             }
             let obstacle = near.obstacle.moved(at.time_s);
-            // Section by section: one that cannot leave must not let another come in.
+            // One penalty for each section: a section that is already inside must not let another enter at no
+            // cost.
             for j in 0..SECTIONS_MAX {
                 if sections & 1 << j == 0 {
                     continue;
@@ -266,8 +274,8 @@ impl Obstacles {
         Some(())
     }
 
-    /// The nearest place of each section to each obstacle that a step could bring too near which moves the sections by `reach_m` at most, for
-    /// a Gauss-Newton step. False: the budget was spent.
+    /// Linearises the clearances for a Gauss-Newton step: one row for each section and obstacle that a step
+    /// can bring too near, if it moves each section by at most `reach_m`. False: the budget was spent.
     pub(super) fn rows(
         &self,
         robot: &Robot,
@@ -345,7 +353,7 @@ impl Obstacles {
         true
     }
 
-    /// A shape of as many sections as the start.
+    /// The configuration of a rollout, with the section count of the start.
     fn shape(&self, bends: &Bent) -> Configuration {
         Configuration::padded(bends.scalar(), self.start.section_count())
     }

@@ -1,4 +1,4 @@
-//! How far a tip is from where the reference wants it: position, and orientation beyond a tolerance.
+//! Error of a tip against the reference: position, and orientation beyond a tolerance.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,22 +6,22 @@ use crate::reference::{Orientation, ReferenceSample};
 use crate::robot::{COORDINATES_MAX, Jacobian, Near, Pose, Robot};
 use crate::wide::Wide;
 
-/// Weights of one step.
+/// Weights of the error of one step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PoseWeights {
-    /// Of the squared distance, per m².
+    /// Weight of the squared distance, per m².
     pub position: f64,
-    /// Of the squared orientation error, per rad².
+    /// Weight of the squared orientation error, per rad².
     pub orientation: f64,
-    /// Orientation error that costs nothing \[rad\].
+    /// Orientation error without cost \[rad\].
     pub tolerance_rad: f64,
 }
 
 /// The weighted squared error of W tips.
 ///
-/// The orientation error is the chord 2 sin(α/2) of the angle α between the axes, or of the rotation
-/// between the frames: |t - a| for an axis, and |R - S| / √2 (Frobenius; S is the wanted one) for a rotation. Unlike
-/// angles it has no singularity and its differences keep all digits near zero.
+/// The orientation error is the chord 2 sin(α/2), where α is the angle between the axes, or of the rotation
+/// between the frames. It is |t - a| for an axis, and |R - S| / √2 (Frobenius norm, S the reference) for a
+/// rotation. Unlike an angle it has no singularity, and its differences keep all digits near zero.
 #[inline(always)]
 pub(super) fn squared_error<const W: usize>(
     robot: &Robot,
@@ -72,7 +72,7 @@ fn cross<const W: usize>(a: &[Wide<W>; 3], b: &[Wide<W>; 3]) -> [Wide<W>; 3] {
     ]
 }
 
-/// The square of what a length of this square has beyond the tolerance.
+/// The square of the excess over the tolerance of a length, given the square of the length.
 #[inline(always)]
 fn beyond_squared<const W: usize>(squared: Wide<W>, tolerance: f64) -> Wide<W> {
     if tolerance == 0.0 {
@@ -80,7 +80,7 @@ fn beyond_squared<const W: usize>(squared: Wide<W>, tolerance: f64) -> Wide<W> {
     }
     let beyond = squared.sqrt() + -tolerance;
     let zero = Wide::splat(0.0);
-    // A NaN is not "less", so it stays one.
+    // A comparison with NaN is false, so a NaN stays NaN.
     zero.select(beyond * beyond, beyond.less(zero))
 }
 
@@ -90,7 +90,7 @@ pub(super) struct Row {
     pub derivatives: [f64; COORDINATES_MAX],
 }
 
-/// Residuals whose squares sum to the weighted squared error, with their derivatives.
+/// Residuals, whose squared sum is the weighted squared error, and their derivatives.
 pub(super) fn residuals(
     tip: &Pose,
     jacobian: &Jacobian,
@@ -127,8 +127,8 @@ pub(super) fn residuals(
     }
 }
 
-/// Three residuals for each pair of an axis and what it should be. With chord ρ = |e| and tolerance τ they
-/// are r = (1 - τ/ρ) e, and dr = (1 - τ/ρ) de + (τ/ρ³) e (e·de); none within the tolerance.
+/// Three residuals for each pair of an axis and its reference. With chord ρ = |e| and tolerance τ they are r
+/// = (1 - τ/ρ) e, and dr = (1 - τ/ρ) de + (τ/ρ³) e (e·de). None within the tolerance.
 fn chord_residuals(
     axes: &[(Vector3<f64>, Vector3<f64>)],
     factor: f64,
@@ -156,7 +156,7 @@ fn chord_residuals(
         0.0
     };
     let scale = weights.orientation.sqrt();
-    // e·de for each coordinate: how fast the chord itself changes.
+    // e·de for each coordinate, proportional to the rate of change of the chord.
     let mut towards = [0.0; COORDINATES_MAX];
     for (i, column) in jacobian.columns().iter().enumerate() {
         let spin = Vector3::new(column[3], column[4], column[5]);

@@ -22,7 +22,7 @@ use crate::wide::{Aligned, Wide};
 pub(super) struct TrackingProblem<'a> {
     pub robot: &'a Robot,
     pub motion: &'a Motion<'a>,
-    /// Controls of the last command.
+    /// Controls equivalent to the last command.
     pub previous: [f64; COORDINATES_MAX],
     settings: &'a NmpcSettings,
     limits: &'a Limits<'a>,
@@ -30,20 +30,20 @@ pub(super) struct TrackingProblem<'a> {
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
     stages: Stages,
-    /// What [`Self::is_plain`] knows of reference and settings.
+    /// Whether reference and settings allow [`Self::is_plain`].
     has_plain_cost: bool,
 }
 
 const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
-/// With so many blocks rows are staged; with fewer a matrix of all is faster (`cdcr-bench solver`).
+/// Smallest number of blocks for staged rows; with fewer, one dense matrix is faster (`cdcr-bench solver`).
 const STAGED_BLOCKS_MIN: usize = 4;
-/// Nominal time of one section at W points side by side \[ns\].
+/// Nominal time of one section for W plans at once \[ns\].
 const SECTION_NS: u32 = 15;
-/// Nominal time of the limits of one section, likewise \[ns\].
+/// Nominal time of the limits of one section for W plans at once \[ns\].
 const LIMITS_NS: u32 = 20;
-/// Nominal time of one row of a linear model, for each coordinate and block \[ns\].
+/// Nominal time of one row of a linear model, per unknown \[ns\].
 const ROW_NS: u32 = 1;
-/// Nominal time of one constraint beside that \[ns\].
+/// Additional nominal time of one constraint \[ns\].
 const CONSTRAINT_NS: u32 = 30;
 
 impl<'a> TrackingProblem<'a> {
@@ -86,17 +86,17 @@ impl<'a> TrackingProblem<'a> {
             .any(|sample| sample.state != ReferenceState::None)
     }
 
-    /// The same among other obstacles.
+    /// The same problem with other obstacles.
     pub(super) fn among(&self, obstacles: &'a Obstacles) -> Self {
         Self { obstacles, ..*self }
     }
 
-    /// Whether an obstacle is in reach.
+    /// Whether an obstacle is within reach.
     pub(super) fn meets_obstacles(&self) -> bool {
         self.obstacles.matter()
     }
 
-    /// Whether neither obstacle nor limit is in reach.
+    /// Whether no obstacle and no limit is within reach.
     pub(super) fn is_free(&self) -> bool {
         !self.limits.matter() && !self.obstacles.matter()
     }
@@ -109,14 +109,14 @@ impl<'a> TrackingProblem<'a> {
         self.motion.horizon().steps()
     }
 
-    /// Reference after step `step` (0-based); the last known one past the end.
+    /// Reference after step `step` (0-based); past the end of the reference its last sample.
     #[inline(always)]
     pub(super) fn target(&self, step: usize) -> Option<&ReferenceSample> {
         let sample = self.reference.get(step).or(self.reference.last())?;
         (sample.state != ReferenceState::None).then_some(sample)
     }
 
-    /// Weights of the error after step `step`: with ω on the last.
+    /// Weights of the error after step `step`; the factor ω applies to the last step.
     #[inline(always)]
     pub(super) fn weights(&self, step: usize) -> PoseWeights {
         let last = step + 1 == self.steps();
@@ -177,8 +177,8 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// A constraint of a kind on the bends at the end of a step, unless no step in the box can break it. Its slack is the share of
-    /// all steps in the box that it takes to break it.
+    /// Adds a constraint on the bends at the end of a step, unless no step in the box can violate it. Its
+    /// slack is h as a share of the largest decrease by a step in the box, within ±1.
     fn push_constraint(
         &self,
         (kind, h): (usize, f64),
@@ -188,7 +188,7 @@ impl<'a> TrackingProblem<'a> {
         model: &mut LinearModel,
     ) {
         self.motion.by_controls(at.bends, &mut derivatives);
-        // The box of the last block is the widest.
+        // The last block has the widest box.
         let last = self.dimension() - self.width();
         let (lower, upper) = (&self.bounds.lower()[last..], &self.bounds.upper()[last..]);
         let widths = upper.iter().zip(lower).map(|(upper, lower)| upper - lower);
@@ -209,7 +209,7 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// False: the budget was spent.
+    /// Adds the linearised limits. False: the budget was spent.
     fn push_limit_rows(
         &self,
         before: &Bent,
@@ -242,7 +242,8 @@ impl<'a> TrackingProblem<'a> {
         is_left
     }
 
-    /// Those that a step can break which moves the sections by `reach_m` at most. False: the budget was spent.
+    /// Adds the clearances that a step can violate if it moves the sections by at most `reach_m`. False: the
+    /// budget was spent.
     fn push_clearance_rows(
         &self,
         at: &Step,
@@ -260,7 +261,8 @@ impl<'a> TrackingProblem<'a> {
             .rows(self.robot, self.settings, instant, moved, budget, push)
     }
 
-    /// Visits the end of each step of a plan, with the bends before it. False: a visit was false, the last one.
+    /// Calls `visit` for the end of each step of a plan, with the bends before the step, until it returns
+    /// false. Returns whether all calls returned true.
     fn walk(&self, z: &[f64], mut visit: impl FnMut(&Bent, &Step) -> bool) -> bool {
         let mut bends: Bent = self.motion.start();
         let mut place = Place {
@@ -288,7 +290,7 @@ impl<'a> TrackingProblem<'a> {
         })
     }
 
-    /// Nominal time of one step of [`Problem::evaluate`] without obstacles.
+    /// Nominal time of one step of [`Problem::evaluate_below`] without obstacles.
     #[inline(always)]
     fn step_ns(&self) -> u32 {
         let limits_ns = if self.limits.matter() { LIMITS_NS } else { 0 };
@@ -331,7 +333,7 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn is_staged(&self) -> bool {
-        // A weight on the change of rates ties blocks to each other by more than their sum.
+        // A weight on the change of rates couples neighbouring blocks, which staged rows cannot represent.
         self.stages.blocks() >= STAGED_BLOCKS_MIN && self.settings.rate_change_weight == 0.0
     }
 
@@ -426,7 +428,7 @@ impl Problem for TrackingProblem<'_> {
                 }
                 let changes_rad = self.motion.bend_changes_rad(at.bends, change);
                 let travel_m = self.robot.travel_m(&changes_rad);
-                // What mends the worst distance moves the body by as much, wherever else that leads.
+                // A step that repairs the largest clearance violation may move any section by that much.
                 reach_m = travel_m.map(|own_m| f64::max(times * own_m, violations[CLEARANCE]));
             }
             self.push_limit_rows(before, at, model, budget)
@@ -435,7 +437,7 @@ impl Problem for TrackingProblem<'_> {
     }
 }
 
-/// The problem in the coordinates that P stands for.
+/// The problem in the coordinates selected by P.
 pub(super) struct Searched<'a, const P: usize> {
     problem: &'a TrackingProblem<'a>,
     near: Option<Near>,

@@ -1,4 +1,5 @@
-//! What a solve can reach over a horizon: the box of its controls, and the obstacles and limits in it.
+//! The part of the problem within reach over a horizon: the box of the controls, and the obstacles and
+//! limits.
 
 use super::limits::Limits;
 use super::motion::Motion;
@@ -9,7 +10,7 @@ use crate::optimizer::{Bounds, Budget};
 use crate::reference::ReferenceSample;
 use crate::robot::Robot;
 
-/// What one solve starts from, whatever its horizon.
+/// Inputs of one solve that do not depend on the horizon.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Start<'a> {
     pub robot: &'a Robot,
@@ -20,7 +21,7 @@ pub(super) struct Start<'a> {
 }
 
 impl<'a> Start<'a> {
-    /// How controls move the robot over this horizon.
+    /// The dynamics over this horizon.
     pub(super) fn motion(&self, horizon: &'a Horizon) -> Motion<'a> {
         Motion::new(
             self.robot,
@@ -33,7 +34,7 @@ impl<'a> Start<'a> {
         )
     }
 
-    /// What a plan is to do over the horizon of this motion.
+    /// The optimal control problem over the horizon of this motion.
     pub(super) fn problem(
         &self,
         motion: &'a Motion<'a>,
@@ -71,7 +72,7 @@ impl Reachable {
         }
     }
 
-    /// Finds it anew for a motion, and the limits that matter.
+    /// Recomputes box and obstacles for a motion; returns the limits within reach.
     pub(super) fn survey<'a>(
         &mut self,
         start: &Start<'a>,

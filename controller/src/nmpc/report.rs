@@ -1,41 +1,44 @@
 use super::{NmpcSettings, limits, obstacles};
 use crate::optimizer::{Candidate, GaussNewtonOutcome, Incumbent};
 
-/// A clearance broken by less than this \[m\] is kept.
+/// Clearance violations up to this value are tolerated \[m\].
 const TOLERATED_M: f64 = 1e-6;
-/// A limit broken by less than this part of it is kept: its penalty is soft.
+/// Limit violations up to this share of the limit are tolerated, because the penalty is soft.
 const TOLERATED_PART: f64 = 1e-3;
 
-/// A constraint that a plan can break.
+/// A constraint that a plan can violate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Constraint {
-    /// The body comes nearer to an obstacle than the safe distance; measured in metres.
+    /// Safe distance between body and obstacles; amounts in metres.
     Clearance,
-    /// A bend, a cable's stroke or a cable's speed goes beyond its limit; measured in parts of the limit.
+    /// Limit of a bend, a cable's stroke or a cable's speed; amounts as a share of the limit.
     Limit,
 }
 
-/// How a solve ended. The loop has an answer to every one; none is an error.
+/// How a solve ended. None is an error; the cycle handles every one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum SolveStatus {
-    /// No solve took place, or state or last rates have another section count than the robot. The rates are zero.
+    /// No solve took place, or the section count of the state or of the last rates differs from the robot's.
+    /// The rates are zero.
     #[default]
     Idle,
-    /// The last step was below the tolerance, rounding would hide what another gains, or the cost is zero to working precision.
+    /// The last step was below the tolerance, rounding would hide a further gain, or the cost is zero to
+    /// working precision.
     Converged,
-    /// The budget ended it; the best solution so far is used.
+    /// The budget ended the solve; the incumbent is used.
     BudgetSpent,
     /// All iterations were used.
     IterationsSpent,
-    /// The best plan breaks a constraint somewhere on the horizon: nothing better was found. What leaves is
-    /// still checked by [`safety`](crate::safety).
+    /// The best plan violates a constraint within the horizon, and no better plan was found.
+    /// [`safety`](crate::safety) still checks the command.
     ConstraintViolated {
-        /// Which: clearance before limits.
+        /// The violated constraint; clearance takes precedence over limits.
         constraint: Constraint,
-        /// By how much at worst, in the unit of the constraint.
+        /// Largest violation, in the unit of the constraint.
         amount: f64,
     },
-    /// No point of finite cost was found: state or reference are not finite. The rates are zero.
+    /// No plan of finite cost was found, because the state or the reference is not finite. The rates are
+    /// zero.
     NonFinite,
 }
 
@@ -79,23 +82,24 @@ impl SolveStatus {
     }
 }
 
-/// What a solve did, and how good its solution is.
+/// Figures of one solve.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SolveReport {
     /// How it ended.
     pub status: SolveStatus,
-    /// Whether the budget ended it, whatever the status.
+    /// Whether the budget ended the solve, whatever the status.
     pub budget_spent: bool,
-    /// Cost of the solution, in the scale of the weights; infinite when the budget was spent before any plan was evaluated.
+    /// Cost of the solution, in the scale of the weights; infinite when the budget ended before any plan was
+    /// evaluated.
     pub cost: f64,
-    /// Cost of the warm start; never below `cost`. Infinite when the budget was spent before it was evaluated: the solution may be
-    /// its beginning, with rest after it.
+    /// Cost of the warm start; never below `cost`. Infinite when the budget ended before it was evaluated;
+    /// then the solution may be its first part followed by zero rates.
     pub warm_cost: f64,
     /// Norm of the projected gradient where Gauss-Newton last linearised; 0 when it did not run.
     pub gradient_norm: f64,
     /// Cost evaluations.
     pub evaluations: u32,
-    /// Quanta of the budget that were begun.
+    /// Budget quanta begun.
     pub quanta: u32,
     /// Swarm iterations.
     pub iterations: u32,
@@ -103,12 +107,12 @@ pub struct SolveReport {
     pub refinements: u32,
     /// Candidate that the solution descends from.
     pub winner: Candidate,
-    /// Seed of the swarm, and of the sides of ways past obstacles.
+    /// Seed of the swarm, and of the random sides of ways past obstacles.
     pub seed: u64,
 }
 
 impl SolveReport {
-    /// What the incumbent says.
+    /// The figures known from the incumbent.
     pub(super) fn from_incumbent(
         incumbent: &Incumbent,
         settings: &NmpcSettings,

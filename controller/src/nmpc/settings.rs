@@ -110,21 +110,22 @@ crate::parameters! {
 /// Weight of the squared rates.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum RateWeight {
-    /// As the robot needs it. For the solver, which knows no sensors, it is that of the ideal robot.
+    /// Chosen for the robot by the caller with [`RateWeight::auto`]. The solver treats it as 0, the weight of
+    /// the ideal robot.
     #[default]
     Auto,
-    /// This one, per (rad/s)².
+    /// This weight, per (rad/s)².
     Of(f64),
 }
 
 impl RateWeight {
-    /// Of a robot that is measured: so small that the tip does not notice, and enough to keep noise from moving the robot about its tip
-    /// (docs/robustness.md).
+    /// Weight for a measured robot: too small to affect the tip, and large enough that sensor noise does not
+    /// move the robot around its tip (docs/robustness.md).
     pub const MEASURED: Self = Self::Of(1e-10);
 
     const WORD: &str = "auto";
 
-    /// That of a robot which is exactly its model, or is not.
+    /// Weight for an ideal robot, which equals its model, or for a measured one.
     pub fn auto(is_ideal: bool) -> Self {
         if is_ideal {
             Self::Of(0.0)
@@ -218,7 +219,7 @@ pub struct SettingsError {
     pub high: f64,
 }
 
-/// Allowed ranges of the settings, key by key.
+/// Allowed ranges of the settings.
 pub mod ranges {
     use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, SWARM_MAX};
     use std::ops::RangeInclusive;
@@ -251,18 +252,18 @@ pub mod ranges {
     pub const POSITION_WEIGHT: RangeInclusive<f64> = 1e-12..=1e12;
 }
 
-/// A Gauss-Newton step below this counts as converged: at 5 ms it moves a tip by 1e-15 m.
+/// A Gauss-Newton step below this counts as converged: in 5 ms it moves a tip by 1e-15 m.
 const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
-/// An error of the tip that is small \[m\].
+/// A small position error of the tip \[m\], see [`NmpcSettings::small_cost`].
 const SMALL_ERROR_M: f64 = 1e-6;
-/// A mean position error below this counts as none \[m\].
+/// A mean position error below this counts as zero \[m\].
 const POSITION_TOLERANCE_M: f64 = 1e-15;
 
 impl NmpcSettings {
     /// Checks every value against its range.
     ///
     /// # Errors
-    /// [`SettingsError`] for the first that is outside, NaN included.
+    /// [`SettingsError`] for the first value outside its range, NaN included.
     pub fn validate(&self) -> Result<(), SettingsError> {
         let each = Self::PARAMETERS.iter().zip(self.numbers());
         for (parameter, value) in each {
@@ -288,13 +289,13 @@ impl NmpcSettings {
         )
     }
 
-    /// The same, and the period against [`ranges::PERIOD_S`].
+    /// Checks the settings, and the period against [`ranges::PERIOD_S`].
     pub(crate) fn validate_with(&self, period_s: f64) -> Result<(), SettingsError> {
         self.validate()?;
         check("period_s", period_s, ranges::PERIOD_S)
     }
 
-    /// With a single step the weight of the last is that of all.
+    /// With one step, the last step has the only weight, so it must be above zero.
     fn terminal_range(&self) -> std::ops::RangeInclusive<f64> {
         if self.horizon_steps == 1 {
             ranges::POSITION_WEIGHT
@@ -303,8 +304,8 @@ impl NmpcSettings {
         }
     }
 
-    /// A constant penalty alone collides, so it is not allowed: at a depth of a millimetre, slope and square
-    /// together must be a millionth of the step at least.
+    /// A constant penalty alone has no gradient and does not prevent collisions. So slope and square together
+    /// must reach a millionth of the step penalty at a depth of 1 mm.
     fn slope_range(&self) -> std::ops::RangeInclusive<f64> {
         const DEPTH_M: f64 = 1e-3;
         let square = self.obstacle_square_penalty * DEPTH_M * DEPTH_M;
@@ -335,7 +336,8 @@ impl NmpcSettings {
         }
     }
 
-    /// The cost of an error of the tip that is small: nobody searches for less, and derivatives of the point before tell all that matters beside it.
+    /// Cost of a small position error. Below it no search takes place, and the derivatives of the previous
+    /// point are accurate enough.
     pub(super) fn small_cost(&self) -> f64 {
         self.position_weight * SMALL_ERROR_M * SMALL_ERROR_M
     }
@@ -347,7 +349,7 @@ impl NmpcSettings {
     }
 }
 
-/// Refuses a value outside its range, NaN included.
+/// Rejects a value outside its range, NaN included.
 fn check(
     key: &'static str,
     value: f64,
@@ -389,7 +391,7 @@ mod tests {
             ..NmpcSettings::default()
         };
         assert_eq!(bad.validate().expect_err("M > N").high, 2.0);
-        // With one step, the last is all there is to follow.
+        // With one step, the last step is the only one.
         let weightless = |horizon_steps| NmpcSettings {
             horizon_steps,
             terminal_weight: 0.0,

@@ -1,4 +1,4 @@
-//! The order in which knowledge, swarm and Gauss-Newton work on one problem.
+//! The sequence of knowledge, swarm and Gauss-Newton for one problem.
 
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
@@ -10,17 +10,17 @@ use crate::optimizer::{
     GaussNewtonSettings, Incumbent, Kpso, Problem, Simd,
 };
 
-/// Rows of one step: position, and three axes of the tip.
+/// Largest number of residuals of one step: position, and three axes of the tip.
 const POSE_ROWS: usize = 12;
-/// Constraints that a Gauss-Newton step sees: of limits and of clearances those that are nearest to being broken, half of the room
-/// for each kind that needs it; further ones only count in the cost.
+/// Largest number of constraints in a Gauss-Newton step. It contains the limits and clearances with the least
+/// slack, half of the places for each kind if both need them. The others count only in the cost.
 pub(super) const CONSTRAINTS_MAX: usize = 256;
 
-/// A search that its time ends leaves the noise of a swarm in the rates, which the next cycle has to take out again. Only a plan that costs less than
-/// this share of the refined one is worth that.
+/// A swarm search ended by the budget leaves noise in the rates, which the next cycle has to remove. Its plan
+/// is used only if it costs less than this share of the refined plan.
 const ANOTHER_WAY: f64 = 0.5;
 
-/// What is to be solved.
+/// One optimal control problem with its box and settings.
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
     pub problem: &'a TrackingProblem<'a>,
@@ -29,25 +29,25 @@ pub(super) struct Task<'a> {
     pub seed: u64,
 }
 
-/// Solvers that share one incumbent. Memory for the largest problem is taken at construction.
+/// Solvers that share one incumbent. The constructor allocates memory for the largest problem.
 #[derive(Debug, Clone)]
 pub(super) struct Solver {
     knowledge: Knowledge,
     swarm: Kpso,
     pub(super) gauss_newton: GaussNewton,
     pub(super) incumbent: Incumbent,
-    /// The result of another search from the same warm start.
+    /// Result of a second search from the same warm start.
     pub(super) apart: Incumbent,
-    /// A warm start that rests where it would break a constraint.
+    /// The warm start with zero rates from the block on that would violate a constraint.
     resting: Incumbent,
     pub(super) ways: [Incumbent; WAYS],
-    /// The plan that there would be without obstacles.
+    /// The refined plan without obstacles.
     pub(super) free_plan: Vec<f64>,
     pub(super) scratch: Vec<f64>,
 }
 
 impl Solver {
-    /// Room for plans of `unknowns`, of which `tied` where rates have a weight on their change.
+    /// Allocates memory for plans of `unknowns`, and of `tied` where the change of rates has a weight.
     pub(super) fn with_capacity(simd: Simd, unknowns: usize, tied: usize) -> Self {
         let rows = POSE_ROWS * HORIZON_STEPS_MAX + tied;
         Self {
@@ -68,7 +68,7 @@ impl Solver {
         self.incumbent.z()
     }
 
-    /// Whether its cost is known: the budget was not spent before.
+    /// Whether the cost of the best plan is known; false if the budget ended before.
     pub(super) fn is_evaluated(&self) -> bool {
         self.incumbent.is_evaluated()
     }
@@ -99,10 +99,10 @@ impl Solver {
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
             let searches = task.settings.solver.searches();
             let mut is_known = false;
-            // Derivatives cost little, so the plan is refined before anything else is tried.
+            // A refinement is cheap, so it precedes everything else.
             if refines {
                 is_known = self.incumbent.is_violated();
-                // A plan that goes on keeps the way that it is on.
+                // A shifted plan stays on its way past the obstacles.
                 let is_new = stages && warm_plan.iter().all(|rate| *rate == 0.0);
                 let is_rough = searches && is_new && task.problem.meets_obstacles();
                 refinement = if is_rough && !is_known {
@@ -113,7 +113,8 @@ impl Solver {
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
             let error_is_left = self.error_is_left(task);
-            // Nothing is better near a plan that does not change, and where no error is left nothing elsewhere.
+            // After convergence there is nothing better nearby; without an error there is nothing better
+            // elsewhere.
             let is_done = !error_is_left && refinement.is_some_and(|refined| refined.converged);
             if searches && refinement.is_some() && error_is_left {
                 (iterations, refinement) =
@@ -130,7 +131,7 @@ impl Solver {
             if refines && is_new {
                 refinement = Some(self.refine(task, budget));
             }
-            // The search has tried the ways out of where it set out.
+            // The search has already tried the escape directions at its start.
             if refines
                 && (is_new || !searches)
                 && refinement.is_some_and(|refinement| refinement.stuck)
@@ -159,8 +160,10 @@ impl Solver {
         }
     }
 
-    /// Evaluates the warm start. Where it breaks a constraint, as at the new end of its horizon, or the budget ends, it rests before that in a plan apart:
-    /// for a budget that ends before there is anything better. Whether there is such a plan. Nothing sets out from it, because it leads into other valleys.
+    /// Evaluates the warm start. It may violate a constraint, for example in the new last step, or the budget
+    /// may end. Then `resting` becomes a plan with zero rates from there on, in case the budget ends before a
+    /// better plan is found. Returns the evaluation, and whether there is such a plan. No search starts from
+    /// it, because it leads to other local minima.
     fn evaluate_to_rest(
         &mut self,
         task: &Task,
@@ -170,7 +173,7 @@ impl Solver {
         self.scratch.clear();
         self.scratch.extend_from_slice(warm_plan);
         let (rests, resting) = (&mut self.scratch, &mut self.resting);
-        // Nothing is broken, not even by as much as the warm start does.
+        // No violation is allowed, not even those of the warm start.
         resting.restart(warm_plan, None);
         let found = task.problem.evaluate_to_contact(rests, resting, budget);
         let Some((until, is_whole)) = found else {
@@ -186,9 +189,9 @@ impl Solver {
         (evaluation, rests)
     }
 
-    /// Refines the warm start. If it violates a constraint, as at the new end of its horizon, the knowledge
-    /// candidates compete with its refinement; returns `None` if one of them is better. A new long plan without
-    /// a search takes one more step, because no earlier cycle has come close.
+    /// Refines the warm start. If it violates a constraint, for example in the new last step, the knowledge
+    /// candidates compete with its refinement; returns `None` if one of them is better. A new staged plan
+    /// without a swarm search takes one more step, because no earlier cycle has come close.
     fn refine_warm_start(
         &mut self,
         task: &Task,
@@ -215,8 +218,9 @@ impl Solver {
         is_taken.then_some(refinement)
     }
 
-    /// The search from the warm start, as if nothing had been refined, where a refinement left an error: around its result a swarm finds no
-    /// other way past an obstacle. The better of both stays; of one that the budget ends, see [`ANOTHER_WAY`]. Returns the iterations begun, and how the better one was refined.
+    /// Searches from the unrefined warm start after a refinement left an error: around the refined plan a
+    /// swarm finds no other way past an obstacle. The better of both stays; if the budget ends the search,
+    /// [`ANOTHER_WAY`] applies. Returns the iterations begun, and the outcome for the better plan.
     fn search_apart(
         &mut self,
         task: &Task,
@@ -240,7 +244,8 @@ impl Solver {
         (iterations, refinement)
     }
 
-    /// Knowledge, then the swarm around it; `refined` is how the incumbent was refined, if it was. Returns the iterations begun.
+    /// Tries the knowledge candidates, then the swarm around them. `refined` is the outcome of a refinement
+    /// of the incumbent, if there was one. Returns the iterations begun.
     fn search(
         &mut self,
         task: &Task,
@@ -312,13 +317,13 @@ impl Solver {
             .refine(problem, bounds, settings, budget, &mut self.incumbent)
     }
 
-    /// Whether the cost, but for that of rates, is that of an error which matters.
+    /// Whether the cost without that of the rates exceeds the cost of a small error.
     pub(super) fn error_is_left(&self, task: &Task) -> bool {
         let error = self.incumbent.cost() - task.problem.regularisation_at(self.incumbent.z());
         error > task.settings.small_cost()
     }
 
-    /// Tries the ways out of a place where the gradient vanishes. Whether that helped.
+    /// Tries the escape directions where the gradient vanishes. Returns whether one reduced the cost.
     fn leave_singular_shape(&mut self, task: &Task, budget: &mut Budget<'_>) -> bool {
         let before = self.incumbent.cost();
         if self.error_is_left(task) {

@@ -1,5 +1,6 @@
-//! A new plan among obstacles: several ways are begun with rough steps, and the better ones go on (multi-start with successive elimination). A *way* is a
-//! plan that passes the obstacles on sides of its own; a *heat* begins some and ends with the best of them.
+//! Several ways for a new plan among obstacles: multi-start with successive elimination. A *way* is a plan
+//! that passes each obstacle on a chosen side. A *heat* starts several ways with rough steps, and continues
+//! with the best of them.
 
 use core::f64::consts::PI;
 
@@ -9,18 +10,19 @@ use super::solver::{Solver, Task};
 use crate::optimizer::{Budget, GaussNewtonOutcome, GaussNewtonSettings, Problem, cycle_seed};
 use crate::robot::COORDINATES_MAX;
 
-/// Ways that are begun in a heat.
+/// Ways started in a heat.
 pub(super) const WAYS: usize = 4;
-/// How often new ways are begun, where the budget lasts.
+/// Largest number of heats.
 const HEATS: u64 = 3;
-/// Rough steps of a way in each round of a heat.
+/// Rough steps of each way in a round of a heat.
 const ROUND_STEPS: u32 = 2;
-/// By how much of the largest rates a way sets out beside the free one, and comes back.
+/// Initial deviation of a way from the free plan, as a share of the largest rates.
 const BESIDE: f64 = 0.5;
 
 impl Solver {
-    /// Refines the incumbent with rough steps, and other ways beside it: that without obstacles, and some that set out to a random side of that one and come
-    /// back to it. The best stays, and is refined to the end.
+    /// Refines the incumbent with rough steps, and competes with other ways. These are the free plan, which
+    /// ignores the obstacles, and plans that first deviate from it to a random side and then return. The best
+    /// becomes the incumbent and is refined to the end.
     pub(super) fn race(
         &mut self,
         task: &Task,
@@ -45,7 +47,7 @@ impl Solver {
         }
     }
 
-    /// Plans as if there were no obstacle. Whether none is in that way.
+    /// Plans without obstacles. Returns whether that plan keeps clear of all obstacles.
     fn find_free_way(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) -> bool {
         let nothing = Obstacles::none();
         let free = task.problem.among(&nothing);
@@ -63,19 +65,20 @@ impl Solver {
         evaluation.is_some() && !way.is_violated()
     }
 
-    /// Begins with as many ways as there are, goes on with the better half, and with the best of these to its end. In the first heat the incumbent takes part, and the free way itself;
-    /// those two alone where the latter is open. What the incumbent holds meanwhile is of an earlier solve, and nobody looks at it.
+    /// Starts all ways, continues with the better half, and refines the best one. In the first heat the
+    /// incumbent and the free plan take part; if the free plan keeps clear of all obstacles, only these two.
+    /// The incumbent's memory then holds a plan of an earlier solve, which is not read.
     fn run_heat(&mut self, task: &Task, heat: u64, is_open: bool, budget: &mut Budget<'_>) {
         let round = rough(task, ROUND_STEPS);
         let is_first = heat == 0;
         if is_first {
-            // The free way is the second.
+            // The free plan becomes the second way.
             self.ways.swap(0, 1);
             core::mem::swap(&mut self.incumbent, &mut self.ways[0]);
         }
         for way in 0..WAYS {
             if is_open && way > 1 {
-                // Without a cost it comes last.
+                // A way without a cost is sorted last.
                 self.ways[way].restart(&self.free_plan, None);
                 continue;
             }
@@ -104,7 +107,7 @@ impl Solver {
         }
     }
 
-    /// A way beside the free one: to a random side, every other one to the opposite side.
+    /// Starts a way beside the free plan: to a random side, and each second one to the opposite side.
     fn set_out(&mut self, task: &Task, side: u64, way: usize, budget: &mut Budget<'_>) {
         let width = task.problem.motion.width();
         let mut direction = [0.0; COORDINATES_MAX];
@@ -119,7 +122,7 @@ impl Solver {
         let blocks = (self.free_plan.len() / width) as f64;
         self.scratch.clear();
         for (i, rate) in self.free_plan.iter().enumerate() {
-            // There in the first half, back in the second one.
+            // Deviates in the first half and returns in the second.
             let phase = PI * ((i / width) as f64 + 0.5) / blocks;
             let beside = size * direction[i % width] * task.bounds.upper()[i];
             self.scratch.push(rate + beside * phase.cos());
@@ -143,7 +146,7 @@ impl Solver {
     }
 }
 
-/// So many rough steps.
+/// Settings for a number of rough steps.
 fn rough(task: &Task, steps: u32) -> GaussNewtonSettings {
     GaussNewtonSettings {
         steps,

@@ -1,4 +1,4 @@
-//! What plans cost.
+//! Cost of plans.
 
 use pulp::NullaryFnOnce;
 
@@ -11,7 +11,8 @@ use crate::robot::{COORDINATES_MAX, Near};
 use crate::wide::{Wide, all};
 
 impl TrackingProblem<'_> {
-    /// Eq. 5 for W plans side by side, in the coordinates that P stands for; as far as it takes to know that all cost more than `enough`.
+    /// Eq. 5 for W plans at once, in the coordinates selected by P. Stops early when all of them are known to
+    /// cost more than `enough`.
     #[inline(always)]
     pub(super) fn evaluate_in<'a, const W: usize, const P: usize>(
         &'a self,
@@ -32,8 +33,9 @@ impl TrackingProblem<'_> {
         Some(rollout.evaluation)
     }
 
-    /// Eq. 5 for one plan, and whether it stays as it is: from the block on in which it would break a constraint by more than the incumbent does, or
-    /// the budget ends, its rates become zero, or what is nearest to that in the box.
+    /// Eq. 5 for one plan, and whether the plan is unchanged. If a block would increase a constraint
+    /// violation above the incumbent's, or the budget ends in it, the rates from that block on become zero,
+    /// or the nearest values in the box.
     pub(super) fn to_contact_in<const P: usize>(
         &self,
         z: &mut [f64],
@@ -72,8 +74,9 @@ impl TrackingProblem<'_> {
         Some((rollout.evaluation, is_whole))
     }
 
-    /// What a plan costs that rests from unknown `first` on, where the budget ended its evaluation. Distances and limits are as they were `until` then: if they
-    /// held, and nothing moves, they hold. None else, or where that takes more than a quantum.
+    /// Cost of a plan with zero rates from unknown `first` on, after the budget ended its evaluation. If no
+    /// constraint was violated `until` then and all obstacles rest, none is violated later. None otherwise,
+    /// or if the evaluation takes more than a quantum.
     fn rested<const P: usize>(
         &self,
         z: &[f64],
@@ -95,17 +98,17 @@ impl TrackingProblem<'_> {
         Some(rollout.evaluation)
     }
 
-    /// Whether rates or their change have a weight.
+    /// Whether the rates or their change have a weight.
     pub(in crate::nmpc) fn is_regularised(&self) -> bool {
         f64::from(self.settings.rate_weight) > 0.0 || self.settings.rate_change_weight > 0.0
     }
 
-    /// What the rates of one plan, and their change, cost.
+    /// Cost of the rates of one plan and of their change.
     pub(in crate::nmpc) fn regularisation_at(&self, z: &[f64]) -> f64 {
         self.regularisation(&|i: usize| Wide([z[i]])).0[0]
     }
 
-    /// Weights on the rates and on their change from block to block.
+    /// Cost of the rates and of their change from block to block.
     #[inline(always)]
     pub(super) fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {
         let NmpcSettings {
@@ -132,15 +135,15 @@ impl TrackingProblem<'_> {
     }
 }
 
-/// W plans on their way through the horizon, and what they cost so far.
+/// W rollouts and their cost so far.
 #[derive(Clone, Copy)]
 struct Rollout<'a, const W: usize, const P: usize> {
     problem: &'a TrackingProblem<'a>,
     bends: Bends<W, P>,
     evaluation: Evaluation<W>,
-    /// Where all plans stay near the start.
+    /// Set if all plans stay near the start.
     near: Option<&'a Near>,
-    // What is the same in every step.
+    // Constant over the horizon.
     step_ns: u32,
     is_free: bool,
 }
@@ -158,7 +161,7 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
         }
     }
 
-    /// One step on. None: the budget was spent.
+    /// Advances by one step. None: the budget was spent.
     #[inline(always)]
     fn advance(
         &mut self,
@@ -171,7 +174,7 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
             return None;
         }
         let problem = self.problem;
-        // Nothing is copied where nobody compares with it: `then_some` may copy all the same.
+        // Avoids a copy that nothing compares with; `then_some` may copy all the same.
         let before = if self.is_free {
             None
         } else {
@@ -199,7 +202,7 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
         Some(())
     }
 
-    /// Whether all plans are known to cost more than `enough`: no term is negative.
+    /// Whether all plans are known to cost more than `enough`: no term is negative, so the cost only grows.
     #[inline(always)]
     fn is_enough(&self, enough: f64) -> bool {
         let cost = self.evaluation.cost;
@@ -207,10 +210,10 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
     }
 }
 
-/// What limits and obstacles add to the cost of W plans at the end of a step. None: the budget was spent.
+/// Penalties of limits and obstacles in the cost of W plans at the end of a step. None: the budget was spent.
 ///
-/// A function of its own, because the compiler's time grows faster than a function, and this is most of the code
-/// (docs/decisions/0011-build.md).
+/// A separate function, because compile time grows faster than the size of a function, and this is most of
+/// the code (docs/decisions/0011-build.md).
 struct Penalties<'a, 'b, const W: usize> {
     problem: &'a TrackingProblem<'a>,
     step: usize,

@@ -1,4 +1,5 @@
-//! Problems whose cost is that of the tip's position and of the rates alone: two steps side by side, which take as long as one.
+//! Problems whose cost contains only the tip's position and the rates. Two steps at once in two lanes take as
+//! long as one.
 
 use core::ops::Range;
 
@@ -9,10 +10,11 @@ use crate::reference::Orientation;
 use crate::robot::{COORDINATES_MAX, Near};
 use crate::wide::{Aligned, Wide};
 
-/// The bends at the end of two steps; after an odd number of steps the second are of no use.
+/// The bends at the end of two steps. After an odd number of steps the second lane is unused.
 type Pair = [Wide<2>; COORDINATES_MAX];
 
-/// A problem whose cost is that of the tip's position and of the rates, in bend vectors that stay near the start: what a swarm searches mostly.
+/// A plain problem in bend vectors whose plans all stay near the start: the usual search problem of the
+/// swarm.
 pub(in crate::nmpc) struct Plain<'a> {
     problem: &'a TrackingProblem<'a>,
     near: Near,
@@ -60,18 +62,19 @@ impl Cost for Plain<'_> {
 }
 
 impl TrackingProblem<'_> {
-    /// What tells of bends that stay near the start, if they do.
+    /// The approximation for bends near the start, if all plans stay near it.
     pub(super) fn near(&self) -> Option<Near> {
         let most_rad = self.motion.most_rad(self.robot);
         self.robot.near(&self.motion.start_shape(), &most_rad)
     }
 
-    /// Whether, where nothing is in reach, the cost is that of the tip's position and of the rates alone, and its rows are not staged.
+    /// Whether the cost without obstacles and limits contains only the tip's position and the rates, and the
+    /// rows are not staged.
     pub(super) fn is_of_position(&self) -> bool {
         !self.is_staged() && self.settings.rate_change_weight == 0.0 && self.follows_positions()
     }
 
-    /// Whether no orientation counts.
+    /// Whether no orientation has a weight.
     pub(super) fn follows_positions(&self) -> bool {
         (0..self.steps()).all(|step| {
             let target = self.target(step).map(|target| target.orientation);
@@ -80,12 +83,12 @@ impl TrackingProblem<'_> {
         })
     }
 
-    /// Whether the cost is that of the tip's position and of the rates alone, and its rows are not staged.
+    /// Whether the cost contains only the tip's position and the rates, and the rows are not staged.
     pub(in crate::nmpc) fn is_plain(&self) -> bool {
         self.has_plain_cost && self.is_free()
     }
 
-    /// The cost of one plan, and the residuals of its positions, as far as there is room for them.
+    /// The cost of one plan. Also writes the position residuals, up to the length of `residuals`.
     pub(super) fn plain_residuals(
         &self,
         z: &[f64],
@@ -119,7 +122,7 @@ impl TrackingProblem<'_> {
         Some(Evaluation::from_cost(Wide([cost])))
     }
 
-    /// Adds the residuals and their derivatives, in bend vectors. False: the budget was spent.
+    /// Adds the residuals and their derivatives with respect to bend vectors. False: the budget was spent.
     pub(super) fn push_plain_rows(
         &self,
         z: &[f64],
@@ -167,7 +170,8 @@ impl TrackingProblem<'_> {
         }
     }
 
-    /// The error after `step` where the lanes begin with the step `first`, and the weight of its square; None: no reference.
+    /// The error after `step`, where lane 0 holds the step `first`, and the weight of its square. None: no
+    /// reference.
     fn error(&self, step: usize, first: usize, tips: &[Wide<2>; 3]) -> Option<([f64; 3], f64)> {
         let target = self.target(step)?;
         let error = [0, 1, 2].map(|axis| tips[axis].0[step - first] - target.position_m[axis]);

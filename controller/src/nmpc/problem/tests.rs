@@ -1,4 +1,4 @@
-//! The linear model of a problem, held against the problem's own cost and against differences.
+//! The linear model of a problem, compared with the problem's own cost and with finite differences.
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -12,7 +12,8 @@ use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
 use crate::wide::LANES;
 
 const PERIOD_S: f64 = 0.05;
-/// Moves a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near 1e-11.
+/// Changes a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near
+/// 1e-11.
 const STEP_RAD_S: f64 = 1e-4;
 
 #[derive(Debug)]
@@ -79,13 +80,13 @@ fn cases() -> impl Strategy<Value = Case> {
         })
 }
 
-/// Lets `run` see the problem of a case, for the paper's robot.
+/// Calls `run` with the problem of a case, for the paper's robot.
 fn with_problem<T>(case: &Case, run: impl FnOnce(&TrackingProblem) -> T) -> T {
     let parameters = RobotParameters::paper(case.at.section_count());
     with_problem_among(&[], &parameters, case, run)
 }
 
-/// The same for any robot among these obstacles.
+/// The same for any robot and these obstacles.
 fn with_problem_among<T>(
     around: &[Obstacle],
     parameters: &RobotParameters,
@@ -161,7 +162,7 @@ proptest! {
                     plan[i] += step;
                     linearised(problem, &plan)
                 });
-                // An orientation that passes the tolerance here has no derivative.
+                // An orientation error at the edge of the tolerance has no derivative.
                 prop_assume!([behind.rows(), ahead.rows()] == [model.rows(); 2]);
                 for row in 0..model.rows() {
                     let difference = (ahead.residual(row) - behind.residual(row)) / (2.0 * STEP_RAD_S);
@@ -174,10 +175,11 @@ proptest! {
     }
 }
 
-/// What each of eight plans does of the one that was drawn.
+/// Variation of the drawn plan in each of eight lanes.
 const SHARES: [f64; LANES] = [1.0, 0.0, -1.0, 0.5, 1e-3, -0.25, 0.9, 0.1];
 
-/// Balls and capsules beside the start, some in it, moving or not: section, share of its length, offset (m), velocity (m/s).
+/// Balls and capsules beside the start, some overlapping it, moving or at rest: section, share of its length,
+/// offset (m), velocity (m/s).
 fn beside(case: &Case, places: &[(usize, f64, [f64; 3], [f64; 3])]) -> Vec<Obstacle> {
     let robot = Robot::new(&RobotParameters::paper(case.at.section_count())).expect("the paper's");
     let place = |(i, (section, s, offset_m, velocity_m_s)): (usize, &(usize, f64, [f64; 3], _))| {
@@ -194,7 +196,7 @@ fn beside(case: &Case, places: &[(usize, f64, [f64; 3], [f64; 3])]) -> Vec<Obsta
     places.iter().enumerate().map(place).collect()
 }
 
-/// Plans side by side, as the swarm sees them.
+/// Plans side by side, as in the swarm.
 fn evaluated<const W: usize>(
     problem: &TrackingProblem,
     plans: impl Fn(usize) -> Wide<W>,
@@ -229,7 +231,7 @@ proptest! {
         let free = with_problem(&case, |problem| evaluated(problem, plans));
         with_problem_among(&around, &parameters, &case, |problem| {
             let found = evaluated(problem, plans);
-            // A lane that is not finite says so and changes no other.
+            // A lane that is not finite has a cost that is not finite, and changes no other lane.
             let bad = evaluated::<LANES>(problem, |i| {
                 Wide::from_fn(|lane| if lane == bad_lane { f64::NAN } else { share(i, lane) })
             });
@@ -290,7 +292,7 @@ fn long(horizon_steps: u32, plan: Vec<f64>) -> Case {
     }
 }
 
-/// Values of the constraints that a step breaks.
+/// Values of the violated constraints.
 fn met(around: &[Obstacle], parameters: &RobotParameters, case: &Case, step: &[f64]) -> Vec<f64> {
     with_problem_among(around, parameters, case, |problem| {
         let mut model = linearised(problem, &case.plan);
@@ -302,8 +304,8 @@ fn met(around: &[Obstacle], parameters: &RobotParameters, case: &Case, step: &[f
     })
 }
 
-/// The paper's robot of six sections, one cable of which has no stroke left, and as many obstacles as there may be, this far (m)
-/// beside it.
+/// The paper's robot with six sections, one cable of which has no stroke left, and the largest number of
+/// obstacles at this distance (m).
 fn crowd(case: &Case, beside_m: impl Fn(usize) -> f64) -> (RobotParameters, Vec<Obstacle>) {
     let mut parameters = RobotParameters::paper(6);
     let robot = Robot::new(&parameters).expect("the paper's");
@@ -312,7 +314,7 @@ fn crowd(case: &Case, beside_m: impl Fn(usize) -> f64) -> (RobotParameters, Vec<
     let around: Vec<Obstacle> = (0..OBSTACLES_MAX)
         .map(|i| {
             let body_m = robot.body_point(&case.at, i % 6, 0.3 + 0.01 * i as f64);
-            // Normal to the plane in which it bends.
+            // Normal to the plane of the bend.
             let centre_m = body_m + Vector3::new(-0.6, 0.8, 0.0) * beside_m(i);
             Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).expect("a ball")
         })
@@ -320,7 +322,7 @@ fn crowd(case: &Case, beside_m: impl Fn(usize) -> f64) -> (RobotParameters, Vec<
     (parameters, around)
 }
 
-/// Each obstacle can meet each section at each step.
+/// Each obstacle is within reach of each section at each step.
 #[test]
 fn obstacles_leave_room_for_every_limit() {
     let case = long(5, [2.0, -2.0].repeat(30));
@@ -333,18 +335,18 @@ fn obstacles_leave_room_for_every_limit() {
     assert!(all.len() > limits.len(), "obstacles are met, too");
 }
 
-/// There are more limits than a step sees constraints.
+/// There are more limits than places for constraints in a step.
 #[test]
 fn limits_leave_room_for_the_nearest_clearances() {
     let case = long(50, vec![0.0; 300]);
-    // The first is beside the first section, nearer than the safe distance, and no other is.
+    // Only the first obstacle is nearer than the safe distance, beside the first section.
     let (parameters, around) = crowd(&case, |i| if i == 0 { 0.02 } else { 0.15 });
     let robot = Robot::new(&parameters).expect("a robot");
     let body = robot.body(&case.at);
     let safe_m = case.settings.safe_distance_m;
     let near = |o: &&Obstacle| body.clearance_m(o) < safe_m;
     assert_eq!(around.iter().filter(near).count(), 1);
-    // At rest a step of nothing breaks what is broken already.
+    // At rest, a zero step violates only constraints that are already violated.
     let all = met(&around, &parameters, &case, &case.plan);
     let depth_m = body.clearance_of(0, &around[0]) - safe_m - 1e-6;
     let is_nearest = |h: &&f64| (**h - 1e3 * depth_m).abs() < 1e-9;
@@ -390,7 +392,7 @@ fn steps_without_rows_are_announced() {
 }
 
 proptest! {
-    /// Staged rows say the same, with a derivative for each block that shares it.
+    /// Staged rows equal dense rows, with a derivative for each block that shares it.
     #[test]
     fn staged_rows_say_what_all_derivatives_say(
         case in cases(),
@@ -421,7 +423,8 @@ proptest! {
             for (dense, staged) in dense.iter().zip(staged) {
                 prop_assert!((dense - staged).abs() <= 1e-12 * dense_scale, "{dense} {staged}");
             }
-            // They meet the same constraints, even if those of a step of this size alone were asked for.
+            // Both violate the same constraints, also if only constraints within reach of a step of this size
+            // are requested.
             let met = models.each_mut().map(|(model, ..)| {
                 let _ = model.meet_constraints(&step, &mut Budget::unlimited());
                 let cost_rows = model.cost_rows();
