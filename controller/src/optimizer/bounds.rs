@@ -1,4 +1,4 @@
-/// The box that a solution lies in: `lower[i] <= z[i] <= upper[i]`.
+/// The box of the solution: `lower[i] <= z[i] <= upper[i]`.
 #[derive(Debug, Clone)]
 pub(crate) struct Bounds {
     lower: Vec<f64>,
@@ -6,7 +6,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// An empty box with room for `capacity` unknowns.
+    /// An empty box with memory for `capacity` unknowns.
     pub(crate) fn with_capacity(capacity: usize) -> Self {
         Self {
             lower: Vec::with_capacity(capacity),
@@ -14,8 +14,7 @@ impl Bounds {
         }
     }
 
-    /// Sets the box to `±half_width[i]`, repeated `repetitions` times. Does not allocate within the
-    /// capacity.
+    /// Sets the box to `±half_width[i]`, repeated `repetitions` times. Does not allocate within the capacity.
     pub(crate) fn set_symmetric(
         &mut self,
         half_width: &(impl Iterator<Item = f64> + Clone),
@@ -29,8 +28,8 @@ impl Bounds {
         }
     }
 
-    /// Leaves of the box what can be reached from `previous`: so that component i goes no farther beyond it, away from zero, and no farther
-    /// beyond zero than `change(block)`, for each repetition of the box. To go towards zero is free.
+    /// Limits the growth of component i from `previous` to `change(block)` in each repetition of the box, in
+    /// both directions from zero. A decrease towards zero is not limited.
     pub(crate) fn keep_near(&mut self, previous: &[f64], change: impl Fn(usize) -> f64) {
         let width = previous.len();
         let blocks = self.lower.chunks_exact_mut(width);
@@ -59,14 +58,14 @@ impl Bounds {
         &self.upper
     }
 
-    /// Moves every component of `z` into the box.
+    /// Clamps every component of `z` to the box.
     pub(crate) fn project(&self, z: &mut [f64]) {
         for ((value, &low), &high) in z.iter_mut().zip(&self.lower).zip(&self.upper) {
             *value = value.clamp(low, high);
         }
     }
 
-    /// Whether `z` lies in the box (NaN does not).
+    /// Whether `z` lies in the box; false for NaN.
     #[cfg(test)]
     pub(crate) fn contains(&self, z: &[f64]) -> bool {
         z.len() == self.dimension()

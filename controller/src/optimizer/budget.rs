@@ -1,21 +1,21 @@
 use core::fmt;
 
-/// How much a solve may still do.
+/// Limit on the work of a solve.
 ///
-/// The solvers announce their work piece by piece ([`Budget::spend`]), and what ends it is asked once in
-/// each *quantum* of about [`QUANTUM_NS`]: a closure that may read a clock ([`Budget::new`], the daemon), a count (a
-/// replay: [`Budget::of_quanta`]) or nothing ([`Budget::unlimited`]). Once the answer was "spent" it is not asked
-/// again.
+/// The solvers announce each piece of work ([`Budget::spend`]). Once in each *quantum* of about
+/// [`QUANTUM_NS`] the budget checks its end condition. This is a closure that may read a clock
+/// ([`Budget::new`], the daemon), a count ([`Budget::of_quanta`], a replay) or none ([`Budget::unlimited`]).
+/// Once the budget is spent, the condition is not checked again.
 #[derive(Debug)]
 pub struct Budget<'a> {
     end: End<'a>,
     passed: u32,
     over: bool,
-    /// Work since the end was asked for \[ns\].
+    /// Work since the last check \[ns\].
     meter_ns: u32,
 }
 
-/// What ends a budget.
+/// End condition of a budget.
 enum End<'a> {
     Never,
     AfterQuanta(u32),
@@ -32,12 +32,12 @@ impl fmt::Debug for End<'_> {
     }
 }
 
-/// Work between two looks at the budget, in nominal nanoseconds of a processor with vector registers.
-/// Others take some times longer, and stay below 5 µs.
+/// Work between two checks of the budget, in nominal nanoseconds of a processor with vector registers. Other
+/// processors take a few times longer, but less than 5 µs.
 pub const QUANTUM_NS: u32 = 1500;
 
 impl<'a> Budget<'a> {
-    /// A budget that is spent when `is_spent` answers true.
+    /// A budget that is spent when `is_spent` returns true.
     pub fn new(is_spent: &'a mut dyn FnMut() -> bool) -> Self {
         Self::from_end(End::When(is_spent))
     }
@@ -47,7 +47,7 @@ impl<'a> Budget<'a> {
         Self::from_end(End::Never)
     }
 
-    /// A budget of exactly `quanta` pieces of work: what a replay uses to repeat a recorded solve.
+    /// A budget of exactly `quanta` quanta, with which a replay repeats a recorded solve.
     pub fn of_quanta(quanta: u32) -> Self {
         Self::from_end(End::AfterQuanta(quanta))
     }
@@ -61,7 +61,7 @@ impl<'a> Budget<'a> {
         }
     }
 
-    /// Announces a piece of work of about `work_ns`, at most a quantum, and says whether it may be done.
+    /// Announces a piece of work of about `work_ns`, at most a quantum. Returns whether it may be done.
     #[inline]
     pub fn spend(&mut self, work_ns: u32) -> bool {
         self.meter_ns += work_ns;
@@ -71,7 +71,7 @@ impl<'a> Budget<'a> {
         self.left()
     }
 
-    /// Asks whether another quantum may begin.
+    /// Begins a new quantum if the budget is not spent. Returns whether it did.
     pub fn left(&mut self) -> bool {
         self.meter_ns = 0;
         if !self.over {
@@ -85,7 +85,7 @@ impl<'a> Budget<'a> {
         !self.over
     }
 
-    /// Quanta begun so far: the measure of the work done, the same on every machine.
+    /// Quanta begun so far: a measure of the work that is the same on every machine.
     pub fn passed(&self) -> u32 {
         self.passed
     }

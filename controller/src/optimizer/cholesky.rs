@@ -1,13 +1,13 @@
-//! Cholesky factorisation in place, in memory of the caller.
+//! Cholesky factorisation in place, in memory provided by the caller.
 
 use super::Budget;
 use super::linear_model::dot;
 
-/// Factorises symmetric positive definite A (`order`², row-major, only the lower triangle is read), and writes the factor over it. False: A is not positive
-/// definite to working precision, or the budget was spent on the way.
+/// Factorises a symmetric positive definite A (`order`², row-major; only the lower triangle is read) in
+/// place. False: A is not positive definite to working precision, or the budget was spent.
 pub(super) fn factorise(a: &mut [f64], order: usize, budget: &mut Budget<'_>) -> bool {
     for column in 0..order {
-        // A product and a sum in half a nanosecond.
+        // A multiplication and an addition take half a nanosecond.
         let each_ns = column as u32 / 2;
         let (own, below) = a[column * order..order * order].split_at_mut(order);
         let (own, diagonal) = own.split_at_mut(column);
@@ -27,7 +27,7 @@ pub(super) fn factorise(a: &mut [f64], order: usize, budget: &mut Budget<'_>) ->
     true
 }
 
-/// Solves A x = b with the factor of A; `b` becomes x, undefined when the budget was spent on the way: false.
+/// Solves A x = b in place with the factor of A. False: the budget was spent, and `b` is undefined.
 pub(super) fn substitute(
     factor: &[f64],
     order: usize,

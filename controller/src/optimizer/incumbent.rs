@@ -1,13 +1,13 @@
 use super::{Evaluation, VIOLATIONS};
 
-/// Where a solution comes from.
+/// Origin of a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Candidate {
-    /// The warm start: the previous plan, moved on in time.
+    /// The warm start: the previous plan, shifted in time.
     #[default]
     WarmStart,
-    /// The previous command, held: the first block of the previous solution, which the warm start has moved on
-    /// from.
+    /// The previous command, held over the horizon: the first block of the previous plan, which the shift
+    /// removed.
     Previous,
     /// Zero rates.
     Zero,
@@ -19,7 +19,7 @@ pub enum Candidate {
     Swarm,
 }
 
-/// The best solution so far. It only ever gets better.
+/// The best solution so far. Its cost never increases until a restart or [`Self::replace`].
 #[derive(Debug, Clone)]
 pub(crate) struct Incumbent {
     z: Vec<f64>,
@@ -31,7 +31,7 @@ pub(crate) struct Incumbent {
 }
 
 impl Incumbent {
-    /// No solution yet, room for `capacity` unknowns.
+    /// No solution yet, with memory for `capacity` unknowns.
     pub(crate) fn with_capacity(capacity: usize) -> Self {
         Self {
             z: Vec::with_capacity(capacity),
@@ -43,8 +43,8 @@ impl Incumbent {
         }
     }
 
-    /// Starts anew from the warm start `z`, and what is said of it; None when nothing is, because the
-    /// budget was spent before.
+    /// Restarts from the warm start `z` with its evaluation; None if the budget ended before it was
+    /// evaluated.
     pub(crate) fn restart(&mut self, z: &[f64], evaluation: Option<&Evaluation<1>>) {
         self.z.clear();
         self.z.extend_from_slice(z);
@@ -61,8 +61,8 @@ impl Incumbent {
         }
     }
 
-    /// Counts one evaluation, and takes `z` (by its components) if lane `lane` of the `evaluation` is
-    /// better. Says whether it was.
+    /// Counts one evaluation. Adopts `z` (given by components) if lane `lane` of `evaluation` has a lower
+    /// cost, and returns whether it did.
     #[inline(always)]
     pub(crate) fn offer<const W: usize>(
         &mut self,
@@ -86,9 +86,10 @@ impl Incumbent {
         better
     }
 
-    /// Counts the evaluations of another search from the same start, and takes its solution if that is better. Whether it was.
+    /// Counts the evaluations of another search from the same start. Adopts its solution if the cost is
+    /// lower, and returns whether it did.
     pub(crate) fn take_better(&mut self, other: &Self) -> bool {
-        // Both counted the start.
+        // Both counts include the start.
         self.evaluations += other.evaluations.saturating_sub(1);
         let better = other.cost < self.cost;
         if better {
@@ -98,7 +99,7 @@ impl Incumbent {
         better
     }
 
-    /// Takes another solution that descends from it, whatever it costs.
+    /// Adopts a solution refined from the incumbent, whatever its cost. The origin stays.
     pub(crate) fn replace(&mut self, other: &Self) {
         self.z.copy_from_slice(&other.z);
         self.cost = other.cost;
@@ -106,7 +107,7 @@ impl Incumbent {
         self.evaluated = true;
     }
 
-    /// Counts evaluations that are known not to be better.
+    /// Counts evaluations of points that are not better.
     #[inline(always)]
     pub(crate) fn pass_over(&mut self, evaluations: usize) {
         self.evaluations += evaluations as u32;
@@ -117,27 +118,27 @@ impl Incumbent {
         &self.z
     }
 
-    /// Its cost; infinite while no point of finite cost was seen.
+    /// Its cost; infinite while no point of finite cost was found.
     pub(crate) fn cost(&self) -> f64 {
         self.cost
     }
 
-    /// How far it breaks each kind of constraint.
+    /// Its violation of each kind of constraint.
     pub(crate) fn violations(&self) -> [f64; VIOLATIONS] {
         self.violations
     }
 
-    /// Whether it breaks a constraint.
+    /// Whether it violates a constraint.
     pub(crate) fn is_violated(&self) -> bool {
         self.violations.iter().any(|violation| *violation > 0.0)
     }
 
-    /// Whether anything was evaluated at all before the budget was spent.
+    /// Whether any point was evaluated before the budget was spent.
     pub(crate) fn is_evaluated(&self) -> bool {
         self.evaluated
     }
 
-    /// The candidate that it descends from. A refinement keeps the origin of what it refined.
+    /// The candidate from which it was refined.
     pub(crate) fn origin(&self) -> Candidate {
         self.origin
     }

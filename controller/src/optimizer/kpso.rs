@@ -21,14 +21,13 @@ pub enum VelocityRule {
     Verbatim,
 }
 
-/// What tunes [`Kpso`].
+/// Settings of [`Kpso`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct KpsoSettings {
-    /// Particles, the knowledge candidates among them.
+    /// Number of particles, knowledge candidates included.
     pub(crate) size: usize,
-    /// Iterations.
+    /// Largest number of iterations.
     pub(crate) iterations: u32,
-    /// Velocity rule.
     pub(crate) rule: VelocityRule,
     /// Inertia w of [`VelocityRule::Inertia`].
     pub(crate) inertia: f64,
@@ -42,14 +41,14 @@ pub(crate) struct KpsoSettings {
     pub(crate) cost_tolerance: f64,
 }
 
-/// A swarm. Memory for the largest one is taken at construction.
+/// A particle swarm. The constructor allocates memory for the largest one.
 #[derive(Debug, Clone)]
 pub(crate) struct Kpso {
     simd: Simd,
     layout: SwarmLayout,
 }
 
-/// The particles, by lanes.
+/// The particles, by number of lanes.
 #[derive(Debug, Clone)]
 enum SwarmLayout {
     #[cfg(any(test, feature = "scalar"))]
@@ -58,7 +57,7 @@ enum SwarmLayout {
 }
 
 impl Kpso {
-    /// Room for `size` particles of `dimension` unknowns, computed with `simd`.
+    /// Memory for `size` particles of `dimension` unknowns, evaluated with `simd`.
     pub(crate) fn with_capacity(simd: Simd, size: usize, dimension: usize) -> Self {
         let layout = match simd {
             #[cfg(any(test, feature = "scalar"))]
@@ -94,24 +93,23 @@ impl Kpso {
     }
 }
 
-/// What a search is for.
+/// Inputs of one search.
 #[derive(Debug)]
 pub(crate) struct Task<'a, C> {
-    /// The cost.
     pub(crate) cost: &'a C,
     /// The box.
     pub(crate) bounds: &'a Bounds,
-    /// The rules of the swarm.
+    /// Settings of the swarm.
     pub(crate) settings: KpsoSettings,
     /// Candidates that become the first particles, `dimension` values each.
     pub(crate) knowledge: &'a [f64],
-    /// Where each of them comes from.
+    /// Origin of each candidate.
     pub(crate) origins: &'a [Candidate],
-    /// Seed of its random numbers.
+    /// Seed of the random numbers.
     pub(crate) seed: u64,
 }
 
-/// One search, as work that is compiled for a set of instructions: everything it calls is inlined into it.
+/// One search, compiled for an instruction set; all its functions are inlined.
 struct Search<'a, 'b, C, const W: usize> {
     swarm: &'a mut Swarm<W>,
     task: &'a Task<'a, C>,
@@ -166,28 +164,27 @@ impl<C: Cost, const W: usize> WithSimd for Search<'_, '_, C, W> {
 struct Swarm<const W: usize> {
     dimension: usize,
     count: usize,
-    /// Particles that knowledge has settled.
+    /// Particles set from knowledge candidates.
     known: usize,
     positions: Vec<Aligned<W>>,
     velocities: Vec<Aligned<W>>,
     best_positions: Vec<Aligned<W>>,
     best_costs: Vec<Wide<W>>,
-    /// Of the present positions, infinite where they are not known.
+    /// Costs of the present positions; infinite where not evaluated.
     costs: Vec<Wide<W>>,
     random: Vec<RandomLanes<W>>,
-    /// The largest velocity of each unknown.
+    /// Largest velocity of each unknown.
     limits: Vec<f64>,
-    /// For what evaluates.
+    /// Scratch memory for the cost.
     scratch: Vec<Aligned<W>>,
 }
 
-/// Scattered particles start at distances between the whole box and this part of it, spaced
-/// evenly in the logarithm: the solution of the last cycle is as near as the reference is smooth,
-/// which nobody knows beforehand.
+/// Nearest distance of scattered particles, as a share of the box. The distances are evenly spaced in the
+/// logarithm from the whole box down to it, because the distance of the solution is not known in advance.
 const SCATTER_NEAREST: f64 = 1e-6;
 /// Nominal time of seeding the generator of one particle \[ns\].
 const SEEDING_NS: u32 = 15;
-/// A particle may cross at most this part of the box in one iteration.
+/// Largest change of a particle in one iteration, as a share of the box.
 const VELOCITY_LIMIT: f64 = 0.5;
 
 impl<const W: usize> Swarm<W> {
@@ -213,8 +210,7 @@ impl<const W: usize> Swarm<W> {
         self.count.div_ceil(W)
     }
 
-    /// Sizes the swarm for the task, and puts the candidates in the first places. False: the budget was
-    /// spent.
+    /// Sizes the swarm for the task, and places the candidates first. False: the budget was spent.
     #[inline(always)]
     fn gather<C: Cost>(&mut self, task: &Task<C>, budget: &mut Budget<'_>) -> bool {
         let knowledge = task.knowledge;
@@ -247,7 +243,7 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Draws the particles from `first` on around the incumbent, at log-spaced distances. False: the
+    /// Draws the particles from index `first` on around the incumbent, at log-spaced distances. False: the
     /// budget was spent.
     #[inline(always)]
     fn scatter(
@@ -298,7 +294,7 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Evaluates every particle; the first come from `origins`. False: the budget was spent.
+    /// Evaluates every particle; `origins` are those of the first particles. False: the budget was spent.
     #[inline(always)]
     fn evaluate(
         &mut self,
@@ -323,7 +319,7 @@ impl<const W: usize> Swarm<W> {
                 incumbent.pass_over(particles);
                 continue;
             }
-            // The first of the least: what one offer after the other would leave.
+            // The first of the lowest costs, as if the particles were offered one after another.
             let lane = now.first_least(particles);
             let z = |i: usize| position[i].0.0[lane];
             let origin = origins.get(first + lane).copied();
@@ -333,7 +329,8 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Eq. 6 and 7 for every particle, which remembers the place that it leaves where that is its best. False: the budget was spent.
+    /// Eq. 6 and 7 for every particle. Stores the present position first if it is the particle's best. False:
+    /// the budget was spent.
     #[inline(always)]
     fn update_particles(
         &mut self,
@@ -370,7 +367,7 @@ impl<const W: usize> Swarm<W> {
                 let desired = velocity.0 * factors.inertia + pull;
                 let target = (x + desired.clamp(-limit, limit)).clamp(low, high);
                 position.0 = target;
-                // A particle that meets the border loses what it would have gone beyond.
+                // At a bound the velocity is only the motion inside the box.
                 velocity.0 = target - x;
             }
             self.random[block] = random;
@@ -378,20 +375,20 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Nominal time of moving one block \[ns\].
+    /// Nominal time of updating one block \[ns\].
     fn block_ns(&self) -> u32 {
         10 * self.dimension as u32
     }
 }
 
-/// The constants of a velocity rule, each times χ.
+/// Factors of a velocity rule, each multiplied by χ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Factors {
-    /// w, on the last velocity.
+    /// w, factor of the last velocity.
     inertia: f64,
-    /// c₁, towards a particle's own best.
+    /// c₁, factor towards a particle's own best.
     cognitive: f64,
-    /// c₂, towards the best of all.
+    /// c₂, factor towards the best of the swarm.
     social: f64,
 }
 
@@ -413,17 +410,17 @@ impl KpsoSettings {
     }
 }
 
-/// The seed of one cycle's swarm: a mix of the configured seed and the number of the cycle, so that a
-/// cycle can be repeated without those before it (`SplitMix64`, Steele, Lea & Flood 2014).
+/// The seed of one cycle's swarm, from the configured seed and the number of the cycle. So a cycle can be
+/// repeated without those before it (`SplitMix64`, Steele, Lea & Flood 2014).
 #[inline]
 pub fn cycle_seed(seed: u64, cycle: u64) -> u64 {
     mixed(seed ^ cycle.wrapping_mul(GOLDEN))
 }
 
-/// What `SplitMix64` counts by.
+/// Increment of `SplitMix64`.
 pub(super) const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
 
-/// What it makes of its count.
+/// Output function of `SplitMix64`.
 #[inline(always)]
 pub(super) fn mixed(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,20 +1,20 @@
-//! A problem near one point: residuals, their derivatives, and constraints that a step may meet.
+//! Linear model of a problem at one point: residuals, Jacobian and linearised constraints.
 
 use std::collections::BinaryHeap;
 
 use super::{Budget, Stages, VIOLATIONS};
 
-/// What a row depends on: the unknowns of one block, and perhaps those of all blocks before.
+/// The unknowns on which a row depends: those of one block, and perhaps those of all blocks before.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Place {
     pub(crate) block: usize,
-    /// Whether it depends on the sum of the blocks before, too, each for its whole length.
+    /// Whether it also depends on the sum of the blocks before, each for its full length.
     pub(crate) since_start: bool,
-    /// For how many periods the unknowns of its block were in force.
+    /// Number of periods for which the unknowns of its block were in force.
     pub(crate) periods: f64,
 }
 
-/// Numbers, each with its derivatives.
+/// Values with their derivatives.
 #[derive(Debug, Clone, Default)]
 struct Rows {
     values: Vec<f64>,
@@ -23,7 +23,7 @@ struct Rows {
 }
 
 impl Place {
-    /// Of the only block there is, or of none.
+    /// For rows that depend on a single block, or have no place.
     pub(crate) const LAST: Self = Self {
         block: 0,
         since_start: true,
@@ -46,7 +46,7 @@ impl Rows {
         self.places.truncate(rows);
     }
 
-    /// Adds a row with all derivatives zero.
+    /// Adds a row with zero derivatives.
     fn push(&mut self, value: f64, place: Place, stride: usize) -> &mut [f64] {
         let start = self.derivatives.len();
         self.values.push(value);
@@ -58,34 +58,35 @@ impl Rows {
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
 ///
-/// A constraint that a step would break becomes a residual of its own, so the step ends on it. Each is
-/// written by its problem in a scale in which it outweighs the residuals.
+/// A constraint that a step would violate becomes *active*: a residual of its own, so that the next step ends
+/// on the constraint. The problem scales each constraint to outweigh the residuals.
 ///
-/// A row is kept with a derivative for each unknown, or *staged*: with the derivatives of its [`Place`] alone, which every block that
-/// it depends on shares.
+/// A dense row has a derivative for each unknown. A *staged* row has only the derivatives of its [`Place`],
+/// which all blocks it depends on share.
 #[derive(Debug, Clone)]
 pub(crate) struct LinearModel {
     stages: Stages,
     is_staged: bool,
-    /// Derivatives that are kept of a row.
+    /// Stored derivatives of a row.
     stride: usize,
     residuals: Rows,
-    /// Residuals of the cost; those after them are constraints that were met.
+    /// Number of residuals of the cost; the rows after them are active constraints.
     cost_rows: usize,
     constraints: Rows,
-    /// Of each kind, how far each is from being broken, in the measure of its problem, and its index.
+    /// For each kind, the slack of each constraint as an ordered integer, and its index; the largest slack on
+    /// top.
     slackest: [BinaryHeap<(i64, usize)>; VIOLATIONS],
     met: Vec<bool>,
     constraints_max: usize,
-    /// Weight of the squared unknowns themselves.
+    /// Weight of the squared unknowns.
     weight: f64,
     weighed: Vec<f64>,
-    /// Memory for the sum of the blocks before a block.
+    /// Sum of the blocks before each block.
     sums: Vec<f64>,
 }
 
 impl LinearModel {
-    /// Room for problems of `unknowns`, `columns` of which are kept where rows are not staged.
+    /// Memory for problems of `unknowns`, and `columns` of them in dense rows.
     pub(crate) fn with_capacity(
         rows: usize,
         constraints: usize,
@@ -108,7 +109,7 @@ impl LinearModel {
         }
     }
 
-    /// Forgets all rows; those that come are staged or not.
+    /// Removes all rows, and sets the stages and the layout of the next rows.
     pub(crate) fn clear(&mut self, stages: &Stages, is_staged: bool) {
         self.stages = *stages;
         self.is_staged = is_staged;
@@ -123,30 +124,31 @@ impl LinearModel {
         self.weighed.clear();
     }
 
-    /// Adds a residual, with its derivatives by what unknowns do in a unit of time. Places come in the order of their blocks.
+    /// Adds a residual with its derivatives with respect to the state, to which the unknowns are rates. Rows
+    /// must be added in the order of their blocks.
     pub(crate) fn push(&mut self, residual: f64, derivatives: &[f64], place: Place) {
         self.cost_rows += 1;
         let row = self.residuals.push(residual, place, self.stride);
         fill(row, derivatives, place, &self.stages, self.is_staged);
     }
 
-    /// The weight on the square of each unknown, which is at zᵢ. No row is kept of it.
+    /// Sets the weight on the square of each unknown, at the point z. It needs no rows.
     pub(crate) fn weigh(&mut self, weight: f64, z: &[f64]) {
         self.weight = weight;
         self.weighed.clear();
         self.weighed.extend_from_slice(z);
     }
 
-    /// Adds a residual with all derivatives zero, and returns them for the caller to fill in. Not for what is staged.
+    /// Adds a dense residual with zero derivatives, and returns them for the caller to fill in.
     pub(crate) fn push_alone(&mut self, residual: f64) -> &mut [f64] {
         debug_assert!(!self.is_staged, "a row of no place");
         self.cost_rows += 1;
         self.residuals.push(residual, Place::LAST, self.stride)
     }
 
-    /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]) with its derivatives as those of a residual. Of more than there
-    /// is room for, steps see those with the least `slack`.
-    /// No kind takes more than its equal part of the room while another needs it.
+    /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]), with derivatives as in [`Self::push`].
+    /// Beyond the capacity, those with the least `slack` are kept. No kind takes more than its equal share
+    /// while another kind needs it.
     pub(crate) fn push_constraint(
         &mut self,
         kind: usize,
@@ -189,17 +191,17 @@ impl LinearModel {
         self.is_staged
     }
 
-    /// The weight of the square of each unknown, and where it was: what [`Self::weigh`] was told.
+    /// The weight of the squared unknowns, and the point, as set by [`Self::weigh`].
     pub(super) fn weighed(&self) -> Option<(f64, &[f64])> {
         (self.weight > 0.0).then_some((self.weight, &self.weighed))
     }
 
-    /// Residuals of the cost: the first of all.
+    /// Number of residuals of the cost, which precede all others.
     pub(crate) fn cost_rows(&self) -> usize {
         self.cost_rows
     }
 
-    /// Residuals, with those of constraints that were met.
+    /// Number of residuals, active constraints included.
     pub(crate) fn rows(&self) -> usize {
         self.residuals.values.len()
     }
@@ -208,12 +210,12 @@ impl LinearModel {
         self.residuals.values[index]
     }
 
-    /// The residuals of the cost, for those of another point.
+    /// The residuals of the cost, to be replaced by those of another point.
     pub(super) fn residuals_mut(&mut self) -> &mut [f64] {
         &mut self.residuals.values[..self.cost_rows]
     }
 
-    /// The derivatives that are kept of a row.
+    /// The stored derivatives of a row.
     pub(crate) fn row(&self, index: usize) -> &[f64] {
         &self.residuals.derivatives[index * self.stride..][..self.stride]
     }
@@ -222,12 +224,12 @@ impl LinearModel {
         self.residuals.places[index]
     }
 
-    /// Whether a constraint was met.
+    /// Whether a constraint is active.
     pub(super) fn is_constrained(&self) -> bool {
         self.rows() > self.cost_rows
     }
 
-    /// Forgets all constraints.
+    /// Removes all constraints.
     pub(super) fn clear_constraints(&mut self) {
         self.residuals.truncate(self.cost_rows, self.stride);
         self.constraints.truncate(0, 0);
@@ -235,14 +237,14 @@ impl LinearModel {
         self.met.clear();
     }
 
-    /// Forgets which constraints were met.
+    /// Makes all constraints inactive.
     pub(super) fn release_constraints(&mut self) {
         self.residuals.truncate(self.cost_rows, self.stride);
         self.met.fill(false);
     }
 
-    /// Makes residuals of the constraints that `step` breaks. None when it breaks none that were not met
-    /// before, or the budget was spent.
+    /// Activates the constraints that `step` violates. None when it violates no inactive constraint, or the
+    /// budget was spent.
     pub(crate) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
         let before = self.rows();
         self.sum_up(step);
@@ -256,7 +258,7 @@ impl LinearModel {
         (self.rows() > before).then_some(())
     }
 
-    /// Constraints that steps see.
+    /// Number of stored constraints.
     pub(super) fn constraints(&self) -> usize {
         self.constraints.values.len()
     }
@@ -267,12 +269,12 @@ impl LinearModel {
         (self.constraints.places[index], row)
     }
 
-    /// The number h of a constraint h + A Δ ≥ 0.
+    /// The value h of a constraint h + A Δ ≥ 0.
     pub(super) fn constraint(&self, index: usize) -> f64 {
         self.constraints.values[index]
     }
 
-    /// What `step` changes of each constraint. None: the budget was spent.
+    /// Change of each constraint by `step`. None: the budget was spent.
     pub(super) fn change_constraints(
         &mut self,
         step: &[f64],
@@ -286,8 +288,8 @@ impl LinearModel {
         Some(())
     }
 
-    /// The part of `step`, up to all of it, that breaks no constraint; 0 where one is broken before, and after the step still. None: the budget
-    /// was spent.
+    /// The largest part of `step`, at most 1, that violates no constraint. 0 if the step leaves a constraint
+    /// violated that was violated before. None: the budget was spent.
     pub(super) fn part_kept(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<f64> {
         self.sum_up(step);
         let mut part = 1.0;
@@ -305,9 +307,8 @@ impl LinearModel {
         Some(part)
     }
 
-    /// Makes residuals, in place of those that were met, of all constraints whose (value, weight) by index and h is some: the square of
-    /// value + A Δ counts so much.
-    /// None: the budget was spent.
+    /// Replaces the active constraints by those for which `weighed`, called with index and h, returns (value,
+    /// weight). Each adds weight · (value + A Δ)² to the cost. None: the budget was spent.
     pub(super) fn weigh_constraints(
         &mut self,
         weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
@@ -325,7 +326,7 @@ impl LinearModel {
         Some(())
     }
 
-    /// Adds a constraint to the residuals, times `scale`.
+    /// Adds a constraint to the residuals, multiplied by `scale`.
     fn push_met(&mut self, index: usize, value: f64, scale: f64) {
         let (stride, constraints) = (self.stride, &self.constraints);
         let row = &constraints.derivatives[index * stride..][..stride];
@@ -342,7 +343,7 @@ impl LinearModel {
         }
     }
 
-    /// What `step`, which was summed up, changes of a constraint. None: the budget was spent.
+    /// Change of a constraint by `step`, after [`Self::sum_up`]. None: the budget was spent.
     fn change_of_constraint(
         &self,
         index: usize,
@@ -361,8 +362,8 @@ impl LinearModel {
         })
     }
 
-    /// Half the gradient of the cost, Jᵀr, and what its norm would be if all rows pulled one way: the Frobenius
-    /// norm of J times the norm of r. None: the budget was spent.
+    /// Writes half the gradient of the cost, Jᵀr. Returns its upper bound, the Frobenius norm of J times the
+    /// norm of r. None: the budget was spent.
     pub(crate) fn gradient(&mut self, into: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
         into.fill(0.0);
         self.sums.clear();
@@ -370,7 +371,7 @@ impl LinearModel {
             self.sums.resize(into.len(), 0.0);
         }
         let (mut jacobian, mut residuals) = (0.0, 0.0);
-        // Of the blocks before that of a row: most rows come in their order.
+        // Squared lengths of the blocks before that of the row; most rows come in the order of their blocks.
         let (mut blocks, mut squared_periods) = (0, 0.0);
         for index in 0..self.rows() {
             if !budget.spend(self.stride as u32) {
@@ -417,14 +418,15 @@ impl LinearModel {
     }
 }
 
-/// Adds a row times a factor, as far as both go.
+/// Adds a row times a factor, up to the shorter length.
 fn add_times(factor: f64, row: &[f64], into: &mut [f64]) {
     for (sum, derivative) in into.iter_mut().zip(row) {
         *sum += derivative * factor;
     }
 }
 
-/// Writes derivatives into a row as it is kept: times the periods for which each block was in force, or as they are.
+/// Fills a row. Dense: derivatives times the time for which each block was in force. Staged: derivatives
+/// times the period.
 fn fill(row: &mut [f64], derivatives: &[f64], place: Place, stages: &Stages, is_staged: bool) {
     let width = stages.width();
     if is_staged {
@@ -450,14 +452,14 @@ fn fill(row: &mut [f64], derivatives: &[f64], place: Place, stages: &Stages, is_
     }
 }
 
-/// An integer that is in the order of [`f64::total_cmp`].
+/// An integer in the order of [`f64::total_cmp`].
 fn in_order(number: f64) -> i64 {
     let bits = number.to_bits().cast_signed();
     bits ^ ((bits >> 63).cast_unsigned() >> 1).cast_signed()
 }
 
-/// Σ aᵢ bᵢ over the shorter length, in eight sums side by side: the order is fixed, and no product waits for the
-/// one before it.
+/// Σ aᵢ bᵢ over the shorter length, in eight partial sums: the order is fixed, and the additions do not wait
+/// for each other.
 #[inline]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let length = a.len().min(b.len());

@@ -1,11 +1,12 @@
 //! Minimisers over a box, with a budget.
 //!
-//! Two algorithms that share one `Incumbent`: `Kpso` searches (Eq. 6-7 of the paper), and
-//! `GaussNewton` finishes. Both are *anytime*: they check a [`Budget`] between small pieces of work
-//! and whatever is best when it is spent stays in the incumbent, which never gets worse.
+//! Two algorithms share one `Incumbent`: `Kpso` searches (Eq. 6-7 of the paper), and `GaussNewton` refines.
+//! Both are *anytime*: they check a [`Budget`] between small pieces of work. When the budget ends, the best
+//! point so far is in the incumbent, whose cost never increases.
 //!
-//! Invariant: nothing here knows a robot, a reference or a clock. A `Cost` is a function over a box, a
-//! `Problem` has derivatives, too; time comes in as the closure of the budget. Nothing allocates after construction.
+//! Invariant: nothing here knows a robot, a reference or a clock. A `Cost` is a function over a box; a
+//! `Problem` also has derivatives. Time enters as the closure of the budget. Nothing allocates after
+//! construction.
 
 mod bounds;
 mod budget;
@@ -32,16 +33,16 @@ pub(crate) use stages::{BLOCKS_MAX, Stages, WIDTH_MAX};
 
 use crate::wide::{Aligned, Wide};
 
-/// Kinds of constraints that a problem may tell apart.
+/// Kinds of constraints that a problem can distinguish.
 pub(crate) const VIOLATIONS: usize = 2;
 
-/// What the evaluation of a problem gives for W points side by side.
+/// Result of evaluating a problem at W points at once.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Evaluation<const W: usize> {
-    /// The cost, penalties included; ≥ 0. It may be infinite or NaN where a point makes no sense; such
-    /// a point never becomes the incumbent.
+    /// The cost, penalties included; ≥ 0. It may be infinite or NaN at an invalid point; such a point never
+    /// becomes the incumbent.
     pub(crate) cost: Wide<W>,
-    /// How far each kind of constraint is broken, in units of the problem's; 0: it holds.
+    /// Violation of each kind of constraint, in the units of the problem; 0 or less: satisfied.
     pub(crate) violations: [Wide<W>; VIOLATIONS],
 }
 
@@ -56,13 +57,13 @@ impl<const W: usize> Evaluation<W> {
     }
 }
 
-/// A cost over a box, for many points: what a swarm searches.
+/// A cost over a box, evaluated at many points, for the swarm.
 pub(crate) trait Cost {
-    /// Evaluates W points side by side, `z(i)` being the i-th unknown of each, with memory for as many numbers of each as there are
-    /// unknowns. None when `budget` was spent on the way.
+    /// Evaluates W points at once; `z(i)` is the i-th unknown of each, and `scratch` has one element for each
+    /// unknown. None when `budget` ended the evaluation.
     ///
-    /// Implementations are `#[inline(always)]` down to the last operation, or to what they run [`apart`] with
-    /// `instructions`: these are those of the caller. Each lane must give the bits of W = 1.
+    /// Implementations are `#[inline(always)]` down to the last operation, or to the functions run [`apart`]
+    /// with the caller's `instructions`. Each lane must give the bits of W = 1.
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
@@ -72,32 +73,32 @@ pub(crate) trait Cost {
     ) -> Option<Evaluation<W>>;
 }
 
-/// How far the steps go that are to keep the constraints.
+/// Region for which constraints are needed.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reach<'a> {
-    /// The step in the box.
+    /// The step inside the box.
     pub(crate) step: &'a [f64],
-    /// They go at most so many times as far as that one,
+    /// Steps are at most this many times as long as `step`,
     pub(crate) times: f64,
-    /// or as far as mends what their start breaks: [`Evaluation::violations`].
+    /// or long enough to repair these violations of the base point ([`Evaluation::violations`]).
     pub(crate) violations: [f64; VIOLATIONS],
 }
 
-/// A cost over a box, point by point, and its least-squares structure.
+/// A cost over a box, evaluated point by point, with its least-squares structure.
 pub(crate) trait Problem {
     /// Number of unknowns d.
     fn dimension(&self) -> usize {
         self.stages().unknowns()
     }
 
-    /// The blocks of its unknowns.
+    /// The blocks of the unknowns.
     fn stages(&self) -> &Stages;
 
-    /// Whether its rows are to be kept staged: each has a [`Place`].
+    /// Whether the rows are staged: each has a [`Place`].
     fn is_staged(&self) -> bool;
 
-    /// Evaluates one point of length d; one that costs more than `enough` perhaps only so far that this is known. None when `budget` was spent
-    /// on the way.
+    /// Evaluates one point of length d. May stop early once the cost is known to exceed `enough`. None when
+    /// `budget` ended the evaluation.
     fn evaluate_below(
         &self,
         z: &[f64],
@@ -110,12 +111,14 @@ pub(crate) trait Problem {
         self.evaluate_below(z, f64::INFINITY, budget)
     }
 
-    /// The cost that rounding alone leaves, where a cost is that of residuals and perhaps of a weight on the unknowns, without constraints, and residuals take little time beside their derivatives. None: it is not.
+    /// The cost that rounding leaves. Some only if the cost contains residuals and a weight on the unknowns
+    /// but no constraints, and residuals are much cheaper than derivatives.
     fn rounding(&self) -> Option<f64> {
         None
     }
 
-    /// Evaluates one point of such a cost, and writes its residuals in the order of the rows of [`Self::linearise`], as far as there is room. None as above.
+    /// Evaluates one point of such a cost. Writes the residuals in the order of the rows of
+    /// [`Self::linearise`], up to the length of the slice. None as above.
     fn evaluate_residuals(
         &self,
         _z: &[f64],
@@ -125,8 +128,9 @@ pub(crate) trait Problem {
         None
     }
 
-    /// Evaluates one point as far as it breaks no constraint by more than the incumbent does, and `budget` lasts: what is beyond that is changed in `z`. Says
-    /// whether `z` stays as it is; None as above, where that leaves nothing. A problem without constraints changes nothing.
+    /// Evaluates one point up to the place where it violates a constraint more than the incumbent does, or
+    /// where `budget` ends; from there on it changes `z`. Returns whether `z` is unchanged. None as above, if
+    /// no evaluation is left. A problem without constraints changes nothing.
     fn evaluate_to_contact(
         &self,
         z: &mut [f64],
@@ -137,12 +141,12 @@ pub(crate) trait Problem {
         Some((evaluation, true))
     }
 
-    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when `budget` was spent on the way; the model is
-    /// then not complete.
+    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when `budget`
+    /// ended it; then the model is incomplete.
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool;
 
-    /// Writes the constraints h + A Δ ≥ 0 into `model`: all that a step in the box can break, or at least those within `reach`.
-    /// False as above. A problem has none unless it says so.
+    /// Writes the constraints h + A Δ ≥ 0 into `model`: all that a step in the box can violate, or at least
+    /// those within `reach`. False as above. The default has no constraints.
     fn constrain(
         &self,
         _z: &[f64],

@@ -1,21 +1,21 @@
 use super::kpso::{GOLDEN, cycle_seed, mixed};
 use crate::wide::Wide;
 
-/// W independent xoshiro256+ generators (Blackman & Vigna 2021), one in each lane, so that a
-/// particle's random numbers do not depend on how many lanes there are. Their lowest three bits are weak; here they are worth 2⁻²⁹ at most.
+/// W independent xoshiro256+ generators (Blackman & Vigna 2021), one for each lane, so that a particle's
+/// random numbers do not depend on W. Their lowest three bits are weak; here they contribute at most 2⁻²⁹.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct RandomLanes<const W: usize> {
     state: [[u64; W]; 4],
 }
 
-/// The exponent of numbers between 1 and 2.
+/// Exponent bits of a double in [1, 2).
 const ONE_TO_TWO: u64 = 0x3FF0_0000_0000_0000;
-/// The upper 32 bits of their fraction.
+/// The upper 32 bits of its fraction.
 const FRACTION_32: u64 = 0x000F_FFFF_FFF0_0000;
 
 impl<const W: usize> RandomLanes<W> {
-    /// Generators of the particles `first_particle`, `first_particle + 1`, …
+    /// Generators for the particles `first_particle`, `first_particle + 1`, …
     #[inline(always)]
     pub(super) fn seed(seed: u64, first_particle: usize) -> Self {
         let mut seeder = Self { state: [[0; W]; 4] };
@@ -50,7 +50,8 @@ impl<const W: usize> RandomLanes<W> {
         drawn
     }
 
-    /// Two numbers, uniform in [0, 1), of 32 bits each: the halves of one draw, which costs more than all that is done with it.
+    /// Two numbers, uniform in [0, 1), of 32 bits each: the halves of one draw, which is the most expensive
+    /// operation here.
     #[inline(always)]
     pub(super) fn units(&mut self) -> [Wide<W>; 2] {
         let (drawn, mut units) = (self.draw(), [[0.0; W]; 2]);

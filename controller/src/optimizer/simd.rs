@@ -1,24 +1,24 @@
 use pulp::{NullaryFnOnce, WithSimd};
 
-/// The instructions that compute the swarm. The same work gives the same bits with all of them; they differ in speed. Under
-/// a limited budget that holds for all but the scalar one, whose quanta hold one particle instead of eight.
-/// Each is compiled whole, which takes seconds: a release has those that run.
+/// Instruction sets for the swarm. With the same work, all give the same bits at different speeds. Under a
+/// limited budget, `Scalar` gives other bits, because its quanta contain one particle instead of eight. Each
+/// variant takes seconds to compile, so a release contains only those it can use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Simd {
-    /// One particle after the other: the reference for tests and benchmarks. Only with the feature `scalar`.
+    /// One particle at a time: the reference for tests and benchmarks. Only with the feature `scalar`.
     #[cfg(any(test, feature = "scalar"))]
     Scalar,
-    /// Eight particles side by side, with the instructions that every processor of the target has.
+    /// Eight particles at once, with the base instructions of the target.
     Portable,
-    /// Eight particles in two 256-bit registers (x86-64 with AVX2).
+    /// Eight particles at once in two 256-bit registers (x86-64 with AVX2).
     Avx2,
-    /// Eight particles in one 512-bit register (x86-64 with AVX-512).
+    /// Eight particles at once in one 512-bit register (x86-64 with AVX-512).
     Avx512,
 }
 
 impl Simd {
-    /// Those of this processor, slowest first.
+    /// Instruction sets of this processor, slowest first.
     pub fn available() -> impl Iterator<Item = Self> {
         [
             #[cfg(any(test, feature = "scalar"))]
@@ -31,7 +31,7 @@ impl Simd {
         .filter(|simd| simd.is_available())
     }
 
-    /// The fastest of this processor.
+    /// The fastest instruction set of this processor.
     pub fn best() -> Self {
         Self::available().last().unwrap_or(Self::Portable)
     }
@@ -52,10 +52,11 @@ impl Simd {
         !matches!(self, Self::Avx2 | Self::Avx512)
     }
 
-    /// Runs `work` compiled for these instructions; those that this processor lacks are replaced by the portable ones.
+    /// Runs `work` compiled for this instruction set, or for the portable one if the processor does not
+    /// support it.
     ///
-    /// `work` is large and inlined whole, so each arm that calls it is paid for by the compiler: there is one
-    /// for each set of instructions.
+    /// `work` is large and fully inlined, so each call costs compile time: there is one for each instruction
+    /// set.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn run<R>(self, work: impl WithSimd<Output = R>) -> R {
         if self == Self::Avx512
@@ -77,15 +78,16 @@ impl Simd {
     }
 }
 
-/// Runs `work`, inlined whole, as a function of its own for these instructions. Where it is called from makes no difference: what
-/// several callers share is compiled once for each set of instructions, and their own functions stay small.
+/// Runs `work` in a separate function, compiled for `instructions`. Code shared by several callers is
+/// compiled once for each instruction set, and the callers stay small. The result does not depend on the
+/// caller.
 #[inline(never)]
 pub(crate) fn apart<W: NullaryFnOnce>(instructions: impl pulp::Simd, work: W) -> W::Output {
     instructions.vectorize(work)
 }
 
-// A module for each set of instructions, because a module is a code generation unit: the compiler works on
-// them side by side.
+// One module for each instruction set: a module is a code generation unit, so the compiler works on them in
+// parallel.
 
 mod portable {
     #[inline(never)]

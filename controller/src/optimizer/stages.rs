@@ -1,14 +1,15 @@
-//! Unknowns in stages, as a horizon has them: what a row knows of the blocks before is their sum.
+//! Unknowns in stages along a horizon: a row depends on the blocks before its own only by their sum.
 
 use super::linear_model::Place;
 
-/// Blocks at most.
+/// Largest number of blocks.
 pub(crate) const BLOCKS_MAX: usize = 50;
-/// Unknowns of a block at most.
+/// Largest number of unknowns of a block.
 pub(crate) const WIDTH_MAX: usize = 12;
 
-/// Blocks of equally many unknowns, one after the other, each in force for some periods. A state is moved on by period · length times the
-/// unknowns of a block, so that at the end of block b it has moved by the sum over all blocks up to b.
+/// Consecutive blocks with equally many unknowns, each in force for a number of periods. A block changes the
+/// state by period · length times its unknowns. So the change up to the end of block b is the sum over the
+/// blocks up to b.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stages {
     width: usize,
@@ -18,7 +19,7 @@ pub(crate) struct Stages {
 }
 
 impl Stages {
-    /// Blocks of `width` unknowns, each in force for so many periods.
+    /// Blocks of `width` unknowns, each in force for the given number of periods.
     pub(crate) fn new(width: usize, period: f64, in_force: impl Iterator<Item = f64>) -> Self {
         let mut stages = Self {
             width,
@@ -33,7 +34,7 @@ impl Stages {
         stages
     }
 
-    /// Unknowns that belong to no time.
+    /// Unknowns of a single stage.
     #[cfg(test)]
     pub(crate) fn one(width: usize) -> Self {
         Self::new(width, 1.0, core::iter::once(1.0))
@@ -60,7 +61,7 @@ impl Stages {
         &self.lengths[..self.blocks]
     }
 
-    /// For each block the sum of the blocks before it, each times its length.
+    /// For each block, the sum of the blocks before it, each times its length.
     pub(super) fn sum_up(&self, step: &[f64], sums: &mut Vec<f64>) {
         sums.clear();
         let mut sum = [0.0; WIDTH_MAX];
@@ -73,7 +74,7 @@ impl Stages {
         }
     }
 
-    /// What a step changes of a staged row; `sums` as [`Self::sum_up`] makes them.
+    /// Change of a staged row by a step; `sums` are those of [`Self::sum_up`].
     pub(super) fn change(&self, row: &[f64], place: Place, step: &[f64], sums: &[f64]) -> f64 {
         let first = place.block * self.width;
         let (own, before) = (&step[first..], &sums[first..]);
@@ -84,7 +85,8 @@ impl Stages {
             .sum()
     }
 
-    /// Adds to each block the `later` parts of all blocks after it, times its length.
+    /// Adds to each block the sum of the `later` values of all blocks after it, times the length of the
+    /// block.
     pub(super) fn add_later(&self, later: &[f64], into: &mut [f64]) {
         let mut sum = [0.0; WIDTH_MAX];
         let blocks = into

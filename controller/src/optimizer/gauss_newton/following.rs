@@ -1,38 +1,39 @@
-//! Steps with the derivatives of the point before: where those have led nearly to the end, they lead on from there, for a tenth of the time that new ones
-//! take.
+//! Steps with the derivatives of an earlier point, for a tenth of the time of a linearisation. They follow a
+//! step that has nearly converged.
 
 use super::{GaussNewton, dot};
 use crate::optimizer::{Bounds, Budget, Incumbent, Problem};
 
-/// The part of the cost that a step leaves at most whose derivatives serve once more: a thousandth of the residuals. With a weight on the unknowns, the part
-/// of its gain that the next step has at most.
+/// Derivatives are used again if the step reduced the cost to this share: the residuals to a thousandth. With
+/// a weight on the unknowns, it is the largest share of a step's gain that the next step may have.
 const FOLLOWED_SHARE: f64 = 1e-6;
-/// Such steps at most after one that was linearised.
+/// Largest number of such steps after a linearised one.
 const FOLLOWING_MAX: u32 = 3;
-/// A cost of so many times what rounding leaves is no reason to linearise once more,
+/// A cost below this multiple of the rounding cost needs no further linearisation,
 const LINEARISED_ROUNDINGS: f64 = 4.0;
-/// and one of so many none to step on.
+/// and below this multiple no further step.
 const FOLLOWED_ROUNDINGS: f64 = 0.25;
 
 /// The step whose derivatives are used again.
 #[derive(Clone, Copy)]
 pub(super) struct LinearisedStep {
-    /// The cost where it was linearised.
+    /// The cost at the linearisation.
     pub before: f64,
-    /// By how much the model said that the cost falls.
+    /// The decrease of the cost predicted by the model.
     pub gain: f64,
     pub damping: f64,
     /// [`GaussNewtonSettings::residuals_max`](super::GaussNewtonSettings::residuals_max).
     pub residuals_max: f64,
 }
 
-/// Whether the cost is what rounding leaves.
+/// Whether the cost is at the level of rounding.
 pub(super) fn is_rounding(rounding: Option<f64>, cost: f64) -> bool {
     rounding.is_some_and(|rounding| cost <= LINEARISED_ROUNDINGS * rounding)
 }
 
 impl GaussNewton {
-    /// Goes on after a step from a point that was linearised. The steps that made the incumbent better, and whether another would gain nothing.
+    /// Continues after a linearised step. Returns the number of steps that improved the incumbent, and
+    /// whether a further step would gain nothing.
     pub(super) fn follow<P: Problem>(
         &mut self,
         around: (&P, &Bounds, Option<f64>),
@@ -51,7 +52,8 @@ impl GaussNewton {
         };
         let weighed = self.model.weighed();
         let weight = weighed.map(|(weight, _)| weight);
-        // Where residuals stay, it is their curvature that tells where the cost is least, and these derivatives do not know it.
+        // With large remaining residuals, their curvature determines the minimum, and these derivatives do
+        // not include it.
         let left = |(weight, _)| incumbent.cost() - weight * dot(incumbent.z(), incumbent.z());
         if weighed.map_or(0.0, left) > residuals_max {
             return (0, false);
@@ -64,7 +66,7 @@ impl GaussNewton {
         while accepted < FOLLOWING_MAX && (weight.is_some() || leads_on(before, incumbent.cost())) {
             before = incumbent.cost();
             let origin = incumbent.origin();
-            // Those of the incumbent, which was tried last.
+            // The residuals of the incumbent, which was evaluated last.
             let residuals = self.model.residuals_mut();
             residuals.copy_from_slice(&self.tried[..residuals.len()]);
             let is_better = self.on_trial(around, incumbent, origin, |own, trial| {
@@ -78,7 +80,7 @@ impl GaussNewton {
                     let most = FOLLOWED_SHARE * gain;
                     gain = own.gain(dimension);
                     let is_hidden = trial.hides(&own.step[..dimension], gain);
-                    // What rests at a bound may have to leave it: new derivatives tell.
+                    // An unknown at a bound may have to leave it, which requires new derivatives.
                     converged = is_hidden && own.free.len() == dimension;
                     (!is_hidden && gain <= most).then_some(())?;
                 }
@@ -102,7 +104,8 @@ mod tests {
     use crate::optimizer::{Evaluation, LinearModel, Place, Stages};
     use crate::wide::Wide;
 
-    /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1, l + l z₀²), of which the last stays, and how often it was linearised.
+    /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1, l + l z₀²), whose last residual remains, with a count of
+    /// linearisations.
     struct Curved {
         left: f64,
         stages: Stages,
@@ -159,7 +162,7 @@ mod tests {
         }
     }
 
-    /// The cost found from so far beside the root, steps accepted, and linearisations.
+    /// Final cost from a start at this distance from the root, accepted steps, and linearisations.
     fn refined(beside: f64, [weight, left]: [f64; 2], rounding: Option<f64>) -> (f64, u32, u32) {
         let problem = Curved {
             left,

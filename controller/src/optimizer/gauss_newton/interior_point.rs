@@ -1,40 +1,45 @@
-//! The least-squares step inside the box that keeps the constraints, where a solution without them breaks some.
+//! The least-squares step inside the box that satisfies the constraints, if the unconstrained solution
+//! violates some.
 //!
-//! A primal-dual interior point method (Nocedal & Wright, *Numerical Optimization*, ch. 16.6): every border and every constraint has a slack s
-//! and a force y with s y = µ, and µ falls to nothing. A border adds a weight to its unknown and a constraint is a row with a weight, so each
-//! iteration is one pass of the smoother, or a sweep by information (`riccati`). Constraints may give way, by a shortfall whose square counts like a residual's: there is
-//! always a solution, and a constraint weighs no more than a row that was met.
+//! A primal-dual interior point method (Nocedal & Wright, *Numerical Optimization*, ch. 16.6). Every bound
+//! and every constraint has a slack s and a multiplier y with s y = µ, and µ decreases to nearly zero. A
+//! bound adds a weight to its unknown, and a constraint is a weighted row. So each iteration is one pass of
+//! the smoother, or one Riccati sweep (`riccati`).
+//!
+//! Constraints are soft: the square of a shortfall counts like that of a residual. So there is always a
+//! solution, and a constraint weighs no more than an active row.
 
 use super::{Found, Pull, Riccati, Smoother, Trial};
 use crate::optimizer::{Bounds, Budget, LinearModel, Problem};
 
-/// Iterations at most.
+/// Largest number of iterations.
 const ITERATIONS: u32 = 40;
-/// Part of the way to the nearest border that an iteration goes.
+/// Share of the distance to the boundary that an iteration may use.
 const WAY: f64 = 0.995;
-/// An unknown that stands at a border begins at this part of the box.
+/// Initial distance of an unknown from a bound where it stands, as a share of the box.
 const INSIDE: f64 = 0.05;
-/// µ at the beginning, beside what the gradient does over the width of the box (or the mean square of what is broken, if that is more): so
-/// large that no border is met early.
+/// Initial µ, relative to the mean of |gradient| times the width of the box. The mean square of the
+/// violations applies if larger. So large that no bound is reached early.
 const MU_BEGIN: f64 = 10.0;
-/// µ at the end, beside the damping and the square of the box: borders then bend the step less than the damping does.
+/// Final µ, relative to the damping times the square of the box: the bounds then deflect the step less than
+/// the damping.
 const MU_END: f64 = 1e-3;
-/// µ at the end, beside the gradient's at the beginning: less is rounding.
+/// Final µ, relative to the initial µ from the gradient; less is rounding.
 const MU_SHARE: f64 = 1e-9;
-/// The same of a rough step.
+/// The same for a rough step.
 const MU_SHARE_ROUGH: f64 = 1e-4;
-/// Iterations of a rough step at least.
+/// Smallest number of iterations of a rough step.
 const ROUGH_ITERATIONS: u32 = 4;
-/// Nominal time of a border in one pass over all \[ns\].
+/// Nominal time of one bound in a pass over all \[ns\].
 const BORDER_NS: u32 = 10;
-/// Rows with less of the damping's weight are left away.
+/// Constraints with a weight below this share of the damping are omitted.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// What is to be minimised: |r + J Δ|² + λ |Δ|² inside bounds and constraints.
+/// The quadratic program: |r + J Δ|² + λ |Δ|² subject to bounds and constraints.
 pub(super) struct Quadratic<'a> {
     pub model: &'a mut LinearModel,
     pub smoother: &'a mut Smoother,
-    /// Some: where a pass by information is worth it.
+    /// Some if a Riccati sweep is faster.
     pub riccati: Option<&'a mut Riccati>,
     /// Jᵀ r.
     pub gradient: &'a [f64],
@@ -43,8 +48,9 @@ pub(super) struct Quadratic<'a> {
 }
 
 impl Quadratic<'_> {
-    /// The minimum with the squares of value + A Δ of the constraints that `weighed` gives a value and weight, and with weight and force of
-    /// the unknowns that `pull` gives some; the others stay. None: the budget was spent, or a number is not finite.
+    /// Minimises the cost with the squares of value + A Δ for the constraints to which `weighed` assigns
+    /// (value, weight), and with the `pull` of each unknown. Unknowns without a pull stay. None: the budget
+    /// was spent, or a number is not finite.
     fn minimise(
         &mut self,
         weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
@@ -73,13 +79,13 @@ pub(super) struct InteriorPoint {
     lower: Vec<Pair>,
     upper: Vec<Pair>,
     constraints: Vec<Pair>,
-    /// Where an iteration leads to.
+    /// The step towards which an iteration goes.
     target: Vec<f64>,
-    /// What that changes of each constraint.
+    /// Change of each constraint by the iteration.
     changes: Vec<f64>,
 }
 
-/// A border.
+/// Slack and multiplier (`force`) of a bound or constraint, with their changes in an iteration.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pair {
     slack: f64,
@@ -97,10 +103,10 @@ impl Pair {
         }
     }
 
-    /// A constraint of this value, which may give way: s - y is the value.
+    /// A soft constraint of this value: s - y equals the value.
     fn giving_way(value: f64, mu: f64) -> Self {
         let root = (value * value + 4.0 * mu).sqrt();
-        // The larger of both without cancellation.
+        // The larger of both is computed without cancellation.
         let larger = 0.5 * (value.abs() + root);
         let smaller = mu / larger;
         if value >= 0.0 {
@@ -114,19 +120,19 @@ impl Pair {
         self.slack * self.force
     }
 
-    /// A step by which the slack of a border of the box grows by `change`.
+    /// Newton step for a bound of the box whose slack changes by `change`.
     fn follow(&mut self, change: f64, mu: f64) {
         self.slack_step = change;
         self.force_step = (mu - self.force * change) / self.slack - self.force;
     }
 
-    /// The same for a constraint that gives way, whose value changes by so much.
+    /// Newton step for a soft constraint whose value changes by `change`.
     fn give_way(&mut self, change: f64, mu: f64) {
         self.force_step = (mu - self.product() - self.force * change) / (self.slack + self.force);
         self.slack_step = change + self.force_step;
     }
 
-    /// The part of the step after which slack or force is zero.
+    /// The part of the step after which slack or multiplier is zero.
     fn part_max(&self) -> f64 {
         let part = |at: f64, step: f64| {
             if step < 0.0 {
@@ -155,8 +161,9 @@ impl InteriorPoint {
         }
     }
 
-    /// Finds the step, and tries what it has found after 2, 4, 8, … iterations; a rough step ends with the first of these that is
-    /// better whole, from the fourth on. None: the budget was spent, or a number is not finite.
+    /// Finds the step, and offers the intermediate steps after 2, 4, 8, … iterations. A rough step ends with
+    /// the first whole intermediate step that is better, from the fourth iteration on. None: the budget was
+    /// spent, or a number is not finite.
     pub(super) fn solve<P: Problem>(
         &mut self,
         mut problem: Quadratic,
@@ -171,7 +178,7 @@ impl InteriorPoint {
         for iteration in 1..=ITERATIONS {
             let mu = centring * self.mean_product();
             let part = self.iterate(&mut problem, mu, step, budget)?;
-            // Only a step that is gone whole makes forces and gradient balance.
+            // Only a full step balances multipliers and gradient.
             if part > 0.99 && self.mean_product() <= mu_end {
                 break;
             }
@@ -191,7 +198,7 @@ impl InteriorPoint {
         is_finite.then_some(Found::Step)
     }
 
-    /// Sets out inside the box. The µ to end at; None: the budget was spent.
+    /// Sets the start inside the box. Returns the final µ. None: the budget was spent.
     fn begin(
         &mut self,
         problem: &mut Quadratic,
@@ -238,7 +245,7 @@ impl InteriorPoint {
         Some(mu_end)
     }
 
-    /// Whether an unknown can move at all.
+    /// Whether an unknown can move.
     fn is_free(&self, i: usize) -> bool {
         self.lower[i].slack > 0.0 && self.upper[i].slack > 0.0
     }
@@ -257,7 +264,8 @@ impl InteriorPoint {
         sum / f64::max(count, 1.0)
     }
 
-    /// One step of Newton's method towards s y = µ; the part of it that was gone. None: the budget was spent, or a number is not finite.
+    /// One Newton step towards s y = µ. Returns the part taken. None: the budget was spent, or a number is
+    /// not finite.
     fn iterate(
         &mut self,
         problem: &mut Quadratic,
@@ -296,7 +304,8 @@ impl InteriorPoint {
         self.advance(mu, step, budget)
     }
 
-    /// Goes along the changes as far as slacks and forces stay positive, and returns the part. None: the budget was spent.
+    /// Moves along the changes while slacks and multipliers stay positive. Returns the part taken. None: the
+    /// budget was spent.
     fn advance(&mut self, mu: f64, step: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
         let mut part = 1.0 / WAY;
         for i in 0..step.len() {

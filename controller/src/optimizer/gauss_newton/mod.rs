@@ -17,86 +17,88 @@ use trial::Trial;
 use super::linear_model::dot;
 use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem};
 
-/// What tunes [`GaussNewton`].
+/// Settings of [`GaussNewton`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct GaussNewtonSettings {
-    /// Steps at most.
+    /// Largest number of steps.
     pub(crate) steps: u32,
     /// Damping λ, in the scale of JᵀJ.
     pub(crate) damping: f64,
-    /// A step whose largest component is below this counts as converged.
+    /// A step whose largest component is at most this counts as converged.
     pub(crate) step_tolerance: f64,
-    /// Whether another refinement follows: a step of the interior point is then good enough where it is better, and steps that gain next to nothing end
-    /// the refinement.
+    /// Whether another refinement follows. Then the interior point ends with the first step that is better,
+    /// and the refinement ends when steps gain next to nothing.
     pub(crate) is_rough: bool,
-    /// The largest sum of squared residuals of which, beside a weight on the unknowns, no more matters than old derivatives tell.
+    /// Largest sum of squared residuals, beside a weight on the unknowns, for which old derivatives are
+    /// accurate enough.
     pub(crate) residuals_max: f64,
 }
 
-/// How a refinement ended.
+/// Outcome of a refinement.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct GaussNewtonOutcome {
-    /// Steps that made the incumbent better.
+    /// Steps that improved the incumbent.
     pub(crate) accepted: u32,
-    /// Whether the last step was below the tolerance, or rounding would hide what another gains.
+    /// Whether the last step was below the tolerance, or rounding would hide a further gain.
     pub(crate) converged: bool,
-    /// Norm of the projected gradient at the last point that was linearised.
+    /// Norm of the projected gradient at the last linearisation.
     pub(crate) gradient_norm: f64,
-    /// Whether that gradient nearly vanishes for what the residuals are: no step of first order helps.
+    /// Whether that gradient nearly vanishes in relation to the residuals, so that no first-order step helps.
     pub(crate) stuck: bool,
 }
 
-/// Minimum-norm damped steps Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r, or the equal Δ = -(JᵀJ + λI)⁻¹ Jᵀ r when there
-/// are more residuals than unknowns (Levenberg-Marquardt; Nocedal & Wright, *Numerical
-/// Optimization*, ch. 10), with an active set for the box.
+/// Minimum-norm damped steps Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r, or the equal Δ = -(JᵀJ + λI)⁻¹ Jᵀ r when there are more
+/// residuals than unknowns. This is Levenberg-Marquardt (Nocedal & Wright, *Numerical Optimization*, ch. 10),
+/// with an active set for the box.
 ///
-/// The minimum-norm form has no weight on the unknowns, so it leaves no floor under the cost, and it
-/// spreads the motion over all sections.
+/// The minimum-norm form has no weight on the unknowns. So the cost can reach zero, and the motion is spread
+/// over all sections.
 #[derive(Debug, Clone)]
 pub(crate) struct GaussNewton {
     model: LinearModel,
     gradient: Vec<f64>,
-    /// Half the norm that the gradient would have if all residuals pulled one way.
+    /// Upper bound of half the norm of the gradient, from the norms of J and r.
     gradient_scale: f64,
-    /// Unknowns that the gradient presses on a bound: they stay there.
+    /// Unknowns at a bound with the gradient pointing out of the box; they stay there.
     pressed: Vec<bool>,
-    /// Unknowns that the linear system solves for.
+    /// Unknowns of the linear system.
     free: Vec<usize>,
     step: Vec<f64>,
-    /// Where the model was made.
+    /// The point of linearisation.
     base: Vec<f64>,
     trial: Vec<f64>,
-    /// The residuals of what was tried last.
+    /// The residuals of the last evaluated point.
     tried: Vec<f64>,
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
-    /// For how many free unknowns the matrix was made.
+    /// Number of free unknowns in the factorised matrix.
     factored: usize,
     /// The columns of the free unknowns, when there are at most as many rows.
     columns: Vec<f64>,
-    /// JᵀJ of the cost's rows, made when it is first needed.
+    /// JᵀJ of the cost's rows, computed when first needed.
     gram: Vec<f64>,
     gram_is_current: bool,
-    /// Solves for the free unknowns of staged rows.
+    /// Linear solver for staged rows.
     smoother: Smoother,
-    /// The same by information, where borders give every unknown a weight.
+    /// Faster linear solver for staged rows, for unknowns with a sufficient weight.
     riccati: Riccati,
-    /// Where such a step breaks constraints.
+    /// For staged steps that violate constraints.
     interior_point: InteriorPoint,
 }
 
-/// Halvings of a step that made the cost worse.
+/// Largest number of halvings in the line search.
 const HALVINGS: u32 = 4;
-/// A gradient below this share of what the residuals could give counts as vanished.
+/// A gradient below this share of its upper bound counts as vanished.
 const VANISHED_SHARE: f64 = 0.05;
-/// A rough refinement goes on as long as steps gain this share of the cost.
+/// A rough refinement continues while steps reduce the cost by this share.
 const ROUGH_GAIN: f64 = 1e-3;
-/// Factor on the damping after a step that did not help.
+/// Factor on the damping after a step without improvement.
 const DAMPING_GROWTH: f64 = 1e3;
 
 impl GaussNewton {
-    /// Room for problems of up to `dimension` unknowns, `dense` of them where rows are not staged, `rows` residuals and `constraints`.
+    /// Memory for problems of up to `dimension` unknowns, `dense` of them in dense rows, `rows` residuals and
+    /// `constraints`.
     pub(crate) fn with_capacity(
         dimension: usize,
         dense: usize,
@@ -164,13 +166,13 @@ impl GaussNewton {
                 gain = own.gain(step.len());
                 let is_hidden = found == Found::Step && trial.hides(step, gain);
                 let is_small = is_hidden || trial.is_small(step);
-                // What was found on the way to a small step has not been linearised.
+                // The point found on the way to a small step has not been linearised.
                 let is_last =
                     found != Found::Nothing && is_small && trial.incumbent.cost() >= before;
                 if found == Found::Step && !is_small {
                     let _ = trial.descend(step, 1.0, HALVINGS, budget);
                 } else if is_last && !is_hidden && !own.model.is_staged() {
-                    // The tip may yet be 10⁻¹⁵ m beside.
+                    // The tip error may still be 10⁻¹⁵ m.
                     let _ = trial.descend(step, 1.0, 0, budget);
                 }
                 is_last
@@ -210,8 +212,8 @@ impl GaussNewton {
         outcome
     }
 
-    /// One damped step from the incumbent: the least-squares particle of the swarm's knowledge. What is evaluated on the way the incumbent takes
-    /// where it is better. `into` is untouched where nothing was found.
+    /// One damped step from the incumbent, for the least-squares particle of the swarm. The incumbent adopts
+    /// better points evaluated on the way. `into` is unchanged when no step was found.
     pub(crate) fn propose<P: Problem>(
         &mut self,
         problem: &P,
@@ -235,7 +237,8 @@ impl GaussNewton {
         })
     }
 
-    /// Does something with steps from where the incumbent is; with what the problem says of its rounding, if residuals are of use.
+    /// Calls `tried` with a trial from the incumbent. The trial has residuals if the problem has a
+    /// `rounding`.
     fn on_trial<P: Problem, R>(
         &mut self,
         (problem, bounds, rounding): (&P, &Bounds, Option<f64>),
@@ -264,7 +267,7 @@ impl GaussNewton {
         result
     }
 
-    /// Linearises at `z` and marks what the gradient presses on a bound. False: the budget was spent.
+    /// Linearises at `z` and marks the unknowns pressed on a bound. False: the budget was spent.
     fn linearise<P: Problem>(
         &mut self,
         problem: &P,
@@ -275,7 +278,7 @@ impl GaussNewton {
         let dimension = z.len();
         self.model.clear(problem.stages(), problem.is_staged());
         self.gram_is_current = false;
-        // Of staged rows a step asks for constraints when its size is known.
+        // For staged rows, constraints are requested once the size of the step is known.
         let is_left = problem.linearise(z, &mut self.model, budget)
             && (problem.is_staged() || problem.constrain(z, None, &mut self.model, budget));
         if !is_left {
@@ -294,8 +297,8 @@ impl GaussNewton {
         true
     }
 
-    /// Whether the gradient nearly vanishes at `z` for what the residuals are. False, too, when the
-    /// budget was spent.
+    /// Whether the gradient at `z` nearly vanishes in relation to the residuals. False also when the budget
+    /// was spent.
     pub(crate) fn vanishes_at<P: Problem>(
         &mut self,
         problem: &P,
@@ -309,7 +312,7 @@ impl GaussNewton {
         }
     }
 
-    /// What the cost falls by with the step, if the model is right.
+    /// Decrease of the cost by the step, according to the model.
     fn gain(&self, dimension: usize) -> f64 {
         -dot(&self.gradient[..dimension], &self.step[..dimension])
     }
@@ -318,7 +321,7 @@ impl GaussNewton {
         gradient_norm <= VANISHED_SHARE * 2.0 * self.gradient_scale
     }
 
-    /// Norm of the gradient 2 Jᵀr without what presses on bounds.
+    /// Norm of the gradient 2 Jᵀr without the unknowns pressed on a bound.
     fn gradient_norm(&self, dimension: usize) -> f64 {
         let entries = self.gradient[..dimension].iter().zip(&self.pressed);
         let squares = entries

@@ -1,38 +1,42 @@
-//! The step of the smoother by what rows know instead of by what they leave open, where every unknown has a weight of its own.
+//! The step of the smoother in information form, for unknowns that each have a weight.
 //!
-//! What the rows of a block know of the bends before it and of its own unknowns is a sum of squares, so a row costs one product of its derivatives with
-//! themselves, and a block one elimination (a Riccati sweep; docs/model.md §4). That is several times faster where rows are many, but an unknown that
-//! weighs 10⁻¹⁶ of what rows know is lost in rounding: a damping of 10⁻¹⁴ alone is no such weight, the borders of an interior point are.
+//! The rows of a block give a sum of squares in the bends before the block and in its own unknowns. So a row
+//! costs one outer product of its derivatives, and a block one elimination (a Riccati sweep; docs/model.md
+//! §4). With many rows this is several times faster than the smoother.
+//!
+//! Rounding loses an unknown whose weight is 10⁻¹⁶ of the information in the rows. A damping of 10⁻¹⁴ alone
+//! is too small; the bounds of an interior point give enough weight.
 
 use super::Pull;
 use crate::optimizer::linear_model::Place;
 use crate::optimizer::{Budget, LinearModel, WIDTH_MAX};
 
-/// Every unknown has to weigh this share of what rows know of any.
+/// Smallest weight of an unknown, as a share of the information about it in the rows.
 const WEIGHT_SHARE: f64 = 1e-11;
 
-/// Where it is lifted, what weighs less weighs so much.
+/// Weight to which a smaller one is raised if `is_lifted`, as the same share.
 const LIFTED_SHARE: f64 = 1e-9;
-/// An unknown that is fixed weighs so many times more.
+/// Weight of a fixed unknown, as the same share.
 const FIXED_SHARE: f64 = 1e12;
 
 /// Workspace.
 #[derive(Debug, Clone)]
 pub(super) struct Riccati {
-    /// Block by block, from rows of the cost: state by state, own by state, own by own, and the pull at both.
+    /// For each block, from rows of the cost: state × state, own × state, own × own, and the linear terms of
+    /// both.
     of_cost: Vec<f64>,
-    /// The same from all rows; then what the sweep back leaves to the way forward.
+    /// The same from all rows; after the backward sweep, the factors for the forward sweep.
     of_all: Vec<f64>,
 }
 
-/// Rows of one place.
+/// Sum of the rows of one place.
 struct Group<const W: usize> {
     place: Place,
     squares: [[f64; W]; W],
     pulls: [f64; W],
 }
 
-/// Numbers of one block.
+/// Numbers stored for one block.
 const fn stride(width: usize) -> usize {
     3 * width * width + 2 * width
 }
@@ -46,7 +50,7 @@ impl Riccati {
         }
     }
 
-    /// Whether a pass takes less work than one of the smoother: by what both announce.
+    /// Whether a sweep takes less time than a pass of the smoother, by the work that both announce.
     pub(super) fn pays(model: &LinearModel) -> bool {
         let (stages, constraints) = (model.stages(), model.constraints());
         let has_unit_blocks = stages.lengths().iter().all(|length| *length == 1.0);
@@ -55,12 +59,12 @@ impl Riccati {
         per_row * rows > stages.unknowns() + constraints / 2
     }
 
-    /// Sees the rows of the cost. False: the budget was spent.
+    /// Accumulates the rows of the cost. False: the budget was spent.
     pub(super) fn begin(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
         let stages = model.stages();
         self.of_cost.clear();
         let numbers = stages.blocks() * stride(stages.width());
-        // Eight zeros in a nanosecond.
+        // Clearing eight numbers takes a nanosecond.
         if !budget.spend((numbers / 8) as u32) {
             return false;
         }
@@ -75,9 +79,9 @@ impl Riccati {
         }
     }
 
-    /// Minimises |r + J Δ|² with the squares of value + A Δ of every constraint that `weighed` gives a value and weight, and with the pull at
-    /// every unknown that has one; the others stay. Some(false): one weighs too little beside the rows and none is `lifted`, or a number is not
-    /// finite. None: the budget was spent.
+    /// Minimises |r + J Δ|² plus weight · (value + A Δ)² for each constraint to which `weighed` assigns them,
+    /// plus the `pull` of each unknown. Unknowns without a pull stay. Some(false): a weight is too small and
+    /// `is_lifted` is false, or a number is not finite. None: the budget was spent.
     pub(super) fn solve(
         &mut self,
         model: &LinearModel,
@@ -147,7 +151,7 @@ impl Riccati {
         };
         let blocks = self.of_all.chunks_exact_mut(stride(W));
         for (block, of_block) in blocks.enumerate().rev() {
-            // In halves: that of six sections is more than a quantum.
+            // In halves: a block of six sections exceeds a quantum.
             for _ in 0..2 {
                 if !budget.spend((W * W * W / 2) as u32) {
                     return None;
@@ -183,7 +187,7 @@ impl<const W: usize> Group<W> {
         }
     }
 
-    /// Leaves what it has in the numbers of its block, if it is of another place.
+    /// Stores the sum of the previous place in its block, if the place changes.
     fn move_to(&mut self, place: Place, blocks: &mut [f64]) {
         if place != self.place {
             self.leave(blocks);
@@ -223,17 +227,18 @@ impl<const W: usize> Group<W> {
     }
 }
 
-/// What all later blocks cost, by the state before them: ½ xᵀ squares x + pulls·x.
+/// Cost of all later blocks as a function of the state x before them: ½ xᵀ squares x + pulls·x.
 struct After<const W: usize> {
-    /// Whether unknowns that weigh too little are made heavier.
+    /// Whether weights that are too small are raised.
     is_lifted: bool,
     squares: [[f64; W]; W],
     pulls: [f64; W],
 }
 
 impl<const W: usize> After<W> {
-    /// Eliminates the unknowns of the block before, and leaves the factor, what it makes of the state and of the pull in its numbers. False: one of its unknowns
-    /// weighs too little.
+    /// Eliminates the unknowns of the block before. Stores the factor, and its inverse applied to the state
+    /// and linear terms, in the block's numbers. False: the weight of an unknown is too small, or a pivot is
+    /// not positive.
     fn eliminate(
         &mut self,
         of_block: &mut [f64],
@@ -277,7 +282,7 @@ impl<const W: usize> After<W> {
         if !factorise::<W>(own) {
             return false;
         }
-        // Factor⁻¹ of what the state and the pull do.
+        // Factor⁻¹ times the terms of the state and the linear terms.
         for i in 0..W {
             for j in 0..i {
                 let share = own[i * W + j];
@@ -309,8 +314,8 @@ impl<const W: usize> After<W> {
     }
 }
 
-/// Cholesky's factor in place of a matrix of a width that the compiler knows, in the lower triangle; its time is announced with that of its block. False: it
-/// is not positive.
+/// Cholesky factorisation in place, lower triangle, with a width known at compile time; its time is announced
+/// with that of the block. False: not positive definite.
 fn factorise<const W: usize>(matrix: &mut [f64]) -> bool {
     for column in 0..W {
         let pivot = matrix[column * W + column];
@@ -333,7 +338,7 @@ fn factorise<const W: usize>(matrix: &mut [f64]) -> bool {
     true
 }
 
-/// The unknowns of a block after this state.
+/// The unknowns of a block, given the state before it.
 fn forward<const W: usize>(of_block: &[f64], state: &[f64; W], step: &mut [f64]) {
     let (by_both, own) = of_block[W * W..3 * W * W].split_at(W * W);
     let at_own = &of_block[3 * W * W + W..];
@@ -357,7 +362,7 @@ mod tests {
     const DAMPING: f64 = 1e-9;
     const WIDTHS: [usize; 4] = [2, 4, 6, 12];
 
-    /// Some number between -1 and 1.
+    /// A pseudo-random number between -1 and 1.
     fn number(i: usize, k: usize) -> f64 {
         (cycle_seed(i as u64, k as u64) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }

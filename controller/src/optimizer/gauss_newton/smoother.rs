@@ -1,30 +1,32 @@
-//! The least-squares step of staged rows, in a time that grows with the horizon and not with its cube.
+//! The least-squares step of staged rows, in time linear in the horizon instead of cubic.
 //!
-//! All rows of a block know the blocks before by one sum, x' = x + length · u. So J Jᵀ + λI is the covariance of what is measured
-//! of a random walk, and the step Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r a Kalman filter forward with a disturbance smoother backward
-//! (de Jong, *Biometrika* 76, 1989; docs/model.md §4): every unknown has variance 1, every row the noise λ. An unknown that is fixed has
-//! variance 0, one with a weight ρ of its own λ/(λ + ρ), and a constraint that was met is one more row.
+//! All rows of a block depend on the earlier blocks by one sum, x' = x + length · u. So J Jᵀ + λI is the
+//! covariance of measurements of a random walk. The step Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r is then a forward Kalman
+//! filter with a backward disturbance smoother (de Jong, *Biometrika* 76, 1989; docs/model.md §4).
+//!
+//! Every unknown has variance 1, and every row the noise λ. A fixed unknown has variance 0, and one with a
+//! weight ρ has λ/(λ + ρ). An active constraint is one more row.
 
 use crate::optimizer::linear_model::Place;
 use crate::optimizer::stages::{BLOCKS_MAX, WIDTH_MAX};
 use crate::optimizer::{Budget, LinearModel};
 
-/// Workspace, and what the filter leaves to the smoother.
+/// Workspace, and the results of the filter for the smoother.
 #[derive(Debug, Clone)]
 pub(super) struct Smoother {
-    /// Rows by block.
+    /// Row indices sorted by block.
     order: Vec<u16>,
-    /// Where the rows of each block begin in that order, and where the last ones end.
+    /// Start of each block in that order, and the end of the last one.
     begins: [u16; BLOCKS_MAX + 1],
-    /// What each unknown is before a row is seen.
+    /// Prior mean and variance of each unknown.
     means: [f64; WIDTH_MAX * BLOCKS_MAX],
     variances: [f64; WIDTH_MAX * BLOCKS_MAX],
-    /// In that order: gain of each row, and what is missing of it by its variance.
+    /// In that order: gain of each row, and its innovation divided by the variance of the innovation.
     gains: Vec<f64>,
     shares: Vec<f64>,
 }
 
-/// ½ weight Δ² - force Δ of an unknown Δ.
+/// The term ½ weight Δ² - force Δ of an unknown Δ.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pull {
     pub(super) weight: f64,
@@ -32,7 +34,7 @@ pub(super) struct Pull {
 }
 
 impl Pull {
-    /// With the weights of damping and model.
+    /// Adds the damping and the weight of the model.
     pub(super) fn with_own(self, model: &LinearModel, i: usize, damping: f64) -> Self {
         let (own, force) = match model.weighed() {
             Some((own, z)) => (own, self.force - own * z[i]),
@@ -44,13 +46,13 @@ impl Pull {
         }
     }
 
-    /// Mean and variance of the unknown, with the rows' noise λ.
+    /// Prior mean and variance of the unknown, with the rows' noise λ.
     fn prior(self, damping: f64) -> (f64, f64) {
         (self.force / self.weight, damping / self.weight)
     }
 }
 
-/// What a block's unknowns are before a row is seen.
+/// Prior distribution of a block's unknowns.
 struct Prior<const W: usize> {
     mean: [f64; W],
     variance: [f64; W],
@@ -74,7 +76,8 @@ impl Smoother {
         }
     }
 
-    /// Solves for the free unknowns of `step`; the others stay. False: a number is not finite, or the budget was spent.
+    /// Solves for the free unknowns of `step`; the others stay. False: a number is not finite, or the budget
+    /// was spent.
     pub(super) fn solve(
         &mut self,
         model: &LinearModel,
@@ -93,7 +96,8 @@ impl Smoother {
         self.solve_from_priors(model, damping, step, budget)
     }
 
-    /// Solves for all unknowns of which `pull` is some, with it beside the damping. The others stay. False as above.
+    /// Solves for all unknowns whose `pull` is some, in addition to the damping. The others stay. False as
+    /// above.
     pub(super) fn solve_pulled(
         &mut self,
         model: &LinearModel,
@@ -129,7 +133,7 @@ impl Smoother {
         }
     }
 
-    /// Orders the rows by their blocks.
+    /// Sorts the rows by block.
     fn sort(&mut self, model: &LinearModel) {
         self.begins.fill(0);
         for row in 0..model.rows() {
@@ -146,12 +150,13 @@ impl Smoother {
         }
     }
 
-    /// The positions of a block's rows in the order.
+    /// Positions of a block's rows in the order.
     fn rows_of(&self, block: usize) -> core::ops::Range<usize> {
         usize::from(self.begins[block])..usize::from(self.begins[block + 1])
     }
 
-    /// Whether a block of one period has only rows at its end: what they know of its unknowns is the sum, too.
+    /// Whether a block of one period has rows at its end only. Such rows depend on its unknowns only by the
+    /// sum.
     fn has_end_rows_only(&self, model: &LinearModel, block: usize) -> bool {
         let at_end = |place: Place| place.since_start && place.periods == 1.0;
         let mut rows = self.order[self.rows_of(block)].iter();
@@ -216,7 +221,7 @@ impl Smoother {
         step.iter().all(|step| step.is_finite())
     }
 
-    /// Sees the rows of a block, one after the other. False: the budget was spent.
+    /// Processes the rows of a block one by one. False: the budget was spent.
     fn filter<const N: usize>(
         &mut self,
         model: &LinearModel,
@@ -237,7 +242,7 @@ impl Smoother {
         true
     }
 
-    /// What the rows of a block and of those after it pull at the state before them.
+    /// Backward pass: adds the effect of a block's rows on the state before it.
     fn pull_back<const N: usize>(&self, model: &LinearModel, block: usize, pull: &mut [f64; N]) {
         for position in self.rows_of(block).rev() {
             let by: [f64; N] = derivatives(model, usize::from(self.order[position]));
@@ -255,7 +260,8 @@ impl Smoother {
     }
 }
 
-/// The derivatives of a row by the sum of the blocks before and, behind them if N has room for both, by its own block.
+/// The derivatives of a row with respect to the sum of the blocks before. If N allows both, those with
+/// respect to its own block follow.
 fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
     let (of_row, place) = (model.row(row), model.place(row));
     let mut by = [0.0; N];
@@ -271,7 +277,8 @@ fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
 }
 
 impl<const N: usize> State<N> {
-    /// Sees one row: residual + `by` · state is nothing but noise of this variance. Returns what was missing by its variance.
+    /// Processes one row: residual + `by` · state is noise of variance `noise`. Returns the innovation
+    /// divided by its variance.
     #[inline]
     fn see(&mut self, by: &[f64; N], residual: f64, noise: f64, gain: &mut [f64]) -> f64 {
         let mut spread = [0.0; N];
@@ -309,7 +316,7 @@ impl<const N: usize> State<N> {
         }
     }
 
-    /// This state, and beside it the unknowns of a block.
+    /// The joint distribution of this state and the unknowns of a block.
     fn beside<const D: usize>(&self, prior: &Prior<N>) -> State<D> {
         let mut joint = State {
             mean: [0.0; D],
@@ -324,7 +331,8 @@ impl<const N: usize> State<N> {
         joint
     }
 
-    /// The state after unknowns that were in force for `length` periods: the first half, and so often the second.
+    /// The state after unknowns that were in force for `length` periods: the first half plus `length` times
+    /// the second.
     fn moved_on<const W: usize>(&self, length: f64) -> State<W> {
         let p = &self.covariance;
         State {

@@ -1,4 +1,4 @@
-//! The damped step inside the box that keeps the constraints: an active set around a linear system.
+//! The damped step inside the box that satisfies the constraints: an active set around a linear system.
 
 use super::interior_point::Quadratic;
 use super::trial::{Found, Trial};
@@ -6,23 +6,23 @@ use super::{GaussNewton, HALVINGS, Pull, Riccati};
 use crate::optimizer::linear_model::dot;
 use crate::optimizer::{Bounds, Budget, Problem, Reach, cholesky};
 
-/// Rounds of fixing unknowns at their bounds and solving again for the others.
+/// Largest number of active-set rounds: fix unknowns at their bounds, and solve again for the others.
 const ACTIVE_SET_ROUNDS: usize = 12;
-/// Unknowns that meet the border nearly as early as the first are fixed with it. All that stand at it and press on it
-/// meet it at once.
+/// An unknown whose excess is at least this share of the largest is fixed in the same round. Unknowns at a
+/// bound have an infinite excess, so they are fixed together.
 const FIRST_SHARE: f64 = 0.9;
 /// Halvings of a staged step before constraints are linearised.
 const HALVINGS_FIRST: u32 = 2;
-/// The part after these.
+/// The part of the step after these halvings.
 const PART_NEXT: f64 = 0.125;
-/// Steps are taken to go so many times as far as the one in the box: what meets constraints goes round them. Rough ones do not.
+/// Constraints are linearised for steps up to this many times as long as the step in the box, because a step
+/// around constraints is longer. Rough steps use 1.
 const REACH: f64 = 2.0;
-/// Rounds of finding a step and meeting the constraints that it breaks.
+/// Largest number of rounds: find a step, and activate the constraints that it violates.
 const CONSTRAINT_ROUNDS: usize = 3;
 
 impl GaussNewton {
-    /// Finds the step inside the box that keeps the constraints: what it breaks is met and the rest
-    /// solved again.
+    /// Finds the step inside the box. Activates the constraints that it violates, and solves again.
     pub(super) fn find_step<P: Problem>(
         &mut self,
         trial: &mut Trial<P>,
@@ -46,8 +46,9 @@ impl GaussNewton {
         Found::Step
     }
 
-    /// The same for staged rows: by an interior point where the step in the box breaks a constraint. What it finds on the way is tried, so a
-    /// budget that ends it leaves that. None: the matrix was singular, or the budget was spent.
+    /// The same for staged rows, with an interior point method if the step in the box violates a constraint.
+    /// Intermediate steps are offered to the incumbent, so they remain when the budget ends. None: the matrix
+    /// was singular, or the budget was spent.
     fn find_staged_step<P: Problem>(
         &mut self,
         trial: &mut Trial<P>,
@@ -62,12 +63,13 @@ impl GaussNewton {
         self.find_step_in_box(trial, damping, budget)?;
         let (problem, z) = (trial.problem, trial.base);
         let step = &mut self.step[..z.len()];
-        // A plan that rests where it breaks a constraint, or may break one, has to be mended all the same.
+        // A base point that violates a constraint, or was not evaluated, needs the constraints even for a
+        // small step.
         let is_kept = trial.incumbent.is_evaluated() && !trial.incumbent.is_violated();
         if trial.is_small(step) && is_kept {
             return Some(Found::Step);
         }
-        // A step that is better and breaks nothing needs no constraints.
+        // A better step without violations needs no constraints.
         let part = trial.descend_to_contact(step, HALVINGS_FIRST, budget)?;
         if part == 1.0 && !trial.incumbent.is_violated() {
             return Some(Found::Tried);
@@ -105,8 +107,8 @@ impl GaussNewton {
         self.interior_point.solve(quadratic, trial, step, budget)
     }
 
-    /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
-    /// others solved again.
+    /// Finds the step inside the box: unknowns that would leave it are fixed at the bound, and the system is
+    /// solved again for the others.
     fn find_step_in_box<P: Problem>(
         &mut self,
         trial: &mut Trial<P>,
@@ -117,7 +119,7 @@ impl GaussNewton {
         let dimension = z.len();
         self.step[..dimension].fill(0.0);
         self.free.clear();
-        // What the cost presses on a bound a constraint may pull away from it.
+        // An active constraint may pull an unknown away from the bound on which the gradient presses it.
         self.free.extend(0..dimension);
         if !self.model.is_constrained() {
             self.free.retain(|&i| !self.pressed[i]);
@@ -143,7 +145,7 @@ impl GaussNewton {
         Some(())
     }
 
-    /// How many times further than the border of the box the step goes at most; 0: it stays inside.
+    /// Largest excess of the free unknowns over the box, see [`excess`]; 0: the step stays inside.
     fn excess_max(&self, bounds: &Bounds, z: &[f64]) -> f64 {
         let walls = bounds.lower().iter().zip(bounds.upper());
         let mut all = self.step.iter().zip(z).zip(walls);
@@ -155,11 +157,11 @@ impl GaussNewton {
             .fold(0.0, f64::max)
     }
 
-    /// Fixes the free unknowns that meet the border of the box first on the way along the step, at that border: those that go about
-    /// `excess_max` times further.
+    /// Fixes at their bounds the free unknowns that reach them first along the step: those with an excess
+    /// near `excess_max`.
     ///
-    /// Only the first: once they are fixed, the others need no longer balance what they would have done
-    /// beyond it. Fixing all that leave would bend the step to a corner of the box.
+    /// The others stay free, because they need no longer compensate for the part outside the box. Fixing all
+    /// at once would deflect the step to a corner of the box.
     fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64], excess_max: f64) {
         let step = &mut self.step;
         self.free.retain(|&i| {
@@ -172,7 +174,7 @@ impl GaussNewton {
         });
     }
 
-    /// Solves for the free unknowns with the fixed ones at their present step.
+    /// Solves for the free unknowns, with the fixed ones at their present step.
     fn solve_free(
         &mut self,
         dimension: usize,
@@ -190,7 +192,7 @@ impl GaussNewton {
             let step = &mut self.step[..dimension];
             if is_rough {
                 let (model, free) = (&self.model, &self.free);
-                // The free unknowns are in order.
+                // The free unknowns are sorted.
                 let pull = |i: usize| {
                     let is_free = free.binary_search(&i).is_ok();
                     is_free.then(|| Pull::default().with_own(model, i, damping))
@@ -214,8 +216,9 @@ impl GaussNewton {
         }
     }
 
-    /// Begins at the step that weights alone make of the free unknowns, if the system is solved in residual space, else at none, and writes what the
-    /// residuals are there. Whether it is solved so; None: the budget was spent.
+    /// Initialises the step of the free unknowns and computes the residuals there. In residual space the step
+    /// starts at the minimum of weight and damping alone, otherwise at zero. Returns whether the system is
+    /// solved in residual space. None: the budget was spent.
     fn set_out(&mut self, dimension: usize, damping: f64, budget: &mut Budget<'_>) -> Option<bool> {
         let rows = self.model.rows();
         let by_residuals = rows <= self.free.len();
@@ -224,7 +227,7 @@ impl GaussNewton {
             let own = weighed.map(|(weight, z)| -weight * z[i] / (damping + weight));
             self.step[i] = own.unwrap_or(0.0);
         }
-        // What the fixed unknowns do already.
+        // Contribution of the fixed unknowns.
         let at_rest = self.step[..dimension].iter().all(|step| *step == 0.0);
         for row in 0..rows {
             self.residuals[row] = self.model.residual(row);
@@ -239,7 +242,7 @@ impl GaussNewton {
         Some(by_residuals)
     }
 
-    /// The columns of the free unknowns, row by row, side by side in memory.
+    /// Copies the columns of the free unknowns, row by row, to contiguous memory.
     fn gather_free_columns(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
         let width = self.free.len();
         for row in 0..rows {
@@ -259,7 +262,7 @@ impl GaussNewton {
         true
     }
 
-    /// Δ = -Jᵀ y with (J Jᵀ + wI) y = r, where w is the damping, and the weight of the unknowns.
+    /// Δ = -Jᵀ y with (J Jᵀ + wI) y = r, where w is the sum of the damping and the weight of the unknowns.
     fn solve_in_residual_space(
         &mut self,
         rows: usize,
@@ -285,7 +288,7 @@ impl GaussNewton {
             && self.step_in_residual_space(rows, budget)
     }
 
-    /// The same with the factor of the matrix.
+    /// The same with the factorised matrix.
     fn step_in_residual_space(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
         let right_side = &mut self.right_side[..rows];
         right_side.copy_from_slice(&self.residuals[..rows]);
@@ -310,8 +313,8 @@ impl GaussNewton {
         true
     }
 
-    /// Solves again where the model has other residuals now, with the matrix of the last solution, for what was free in it; what was not rests. False, too,
-    /// where fewer are free now.
+    /// Solves again for other residuals with the factorised matrix of the last solution. Only the unknowns
+    /// that were free in it move. False also when the number of free unknowns has changed.
     pub(super) fn solve_again(
         &mut self,
         dimension: usize,
@@ -330,7 +333,7 @@ impl GaussNewton {
         }
     }
 
-    /// JᵀJ of the cost's rows, lower triangle, once for each linearisation.
+    /// JᵀJ of the cost's rows, lower triangle, once per linearisation.
     fn fill_gram(&mut self, dimension: usize, budget: &mut Budget<'_>) -> bool {
         if self.gram_is_current {
             return true;
@@ -340,7 +343,7 @@ impl GaussNewton {
         for row in 0..self.model.cost_rows() {
             let derivatives = self.model.row(row);
             for (i, target) in gram.chunks_exact_mut(dimension).enumerate() {
-                // Early steps know nothing of late blocks.
+                // Rows of early steps do not depend on late blocks.
                 if derivatives[i] == 0.0 {
                     continue;
                 }
@@ -356,7 +359,7 @@ impl GaussNewton {
         true
     }
 
-    /// The part of JᵀJ that belongs to the free unknowns, with the rows of constraints that were met.
+    /// The part of JᵀJ for the free unknowns, active constraints included.
     fn gather_free_matrix(
         &mut self,
         dimension: usize,
@@ -386,7 +389,7 @@ impl GaussNewton {
         true
     }
 
-    /// (JᵀJ + wI) Δ = -Jᵀ r - ρ z, where ρ is the weight of the unknowns, and w that and the damping.
+    /// (JᵀJ + wI) Δ = -Jᵀ r - ρ z, where ρ is the weight of the unknowns, and w the sum of ρ and the damping.
     fn solve_in_unknown_space(
         &mut self,
         dimension: usize,
@@ -405,12 +408,12 @@ impl GaussNewton {
             && self.step_in_unknown_space(rows, budget)
     }
 
-    /// The same with the factor of the matrix.
+    /// The same with the factorised matrix.
     fn step_in_unknown_space(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
         let order = self.free.len();
         let weighed = self.model.weighed();
         for (side, &i) in self.right_side.iter_mut().zip(&self.free) {
-            // A fixed unknown has its step already, a free one none.
+            // The residuals include the steps of the fixed unknowns; those of the free ones are zero.
             *side = weighed.map_or(0.0, |(weight, z)| -weight * z[i]);
         }
         for row in 0..rows {
@@ -433,7 +436,7 @@ impl GaussNewton {
     }
 }
 
-/// How many times further than the border a step of unknown `i` from `z` goes, 0 where it stays inside, and the step to that border.
+/// Ratio of the step of unknown `i` to its distance from the bound, 0 if it stays inside, and that distance.
 fn excess(bounds: &Bounds, i: usize, z: f64, step: f64) -> (f64, f64) {
     let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
     let border = if step > 0.0 { upper - z } else { lower - z };
@@ -455,7 +458,7 @@ mod tests {
         let mut gauss_newton = GaussNewton::with_capacity(20, 20, 1, 0);
         let mut bounds = Bounds::with_capacity(20);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 20), 1);
-        // Sixteen stand at the border and are to go beyond it, each by another amount; four have room.
+        // Sixteen are at the bound and would cross it by different amounts; four have space.
         let mut z = [1.0; 20];
         z[16..].fill(0.0);
         gauss_newton.free.extend(0..20);
@@ -475,7 +478,8 @@ mod tests {
         assert_eq!(gauss_newton.excess_max(&bounds, &z), 0.0);
     }
 
-    /// A cost that does not tell unknowns apart takes them to the border together, but for rounding. Unknowns that get there clearly later may yet stay inside.
+    /// If the cost treats unknowns alike, they reach the bounds together except for rounding. Unknowns that
+    /// reach them clearly later may still stay inside.
     #[test]
     fn ties_are_fixed_together_and_no_other_unknown() {
         let mut gauss_newton = GaussNewton::with_capacity(4, 4, 1, 0);

@@ -2,7 +2,7 @@ use super::*;
 use crate::optimizer::{Evaluation, Place, Stages};
 use crate::wide::Wide;
 
-/// What the tests have in common.
+/// Settings of all tests.
 const SETTINGS: GaussNewtonSettings = GaussNewtonSettings {
     steps: 9,
     damping: 1e-9,
@@ -85,8 +85,8 @@ fn both_forms_of_the_step_find_the_root() {
     }
 }
 
-/// r = (x + y - 1.5, y + 0.5, 3 - 12 y²), x and y the first unknowns of two blocks. At (1, 0), in a box that ends at 1, no step of
-/// first order helps, but y = -0.5 does.
+/// r = (x + y - 1.5, y + 0.5, 3 - 12 y²), with x and y the first unknowns of two blocks. At (1, 0), with the
+/// upper bound 1, no first-order step helps, but y = -0.5 does.
 struct Ridge {
     stages: Stages,
 }
@@ -132,7 +132,7 @@ fn a_point_that_was_found_on_the_way_to_a_small_step_is_linearised() {
     };
     let mut bounds = Bounds::with_capacity(4);
     bounds.set_symmetric(&[1.0, 1.0].into_iter(), 2);
-    // So near to its border that going there is a small step, but not on it.
+    // So near the bound that the step to it is small, but not on it.
     let start = [1.0 - 1e-13, 0.0, 0.0, 0.0];
     let mut incumbent = Incumbent::with_capacity(4);
     let budget = &mut Budget::unlimited();
@@ -177,7 +177,7 @@ fn a_small_step_is_the_last_one_and_taken() {
 
 #[test]
 fn an_active_bound_is_kept_and_the_others_are_solved_for() {
-    // With both in [-0.5, 0.5], the best is the corner z₀ = z₁ = 0.5.
+    // With both in [-0.5, 0.5], the minimum is the corner z₀ = z₁ = 0.5.
     let (incumbent, _) = refine(&bowl(2), 0.5, 20);
     assert!((incumbent.z()[0] - 0.5).abs() < 1e-3, "{:?}", incumbent.z());
     assert!(incumbent.z().iter().all(|z| z.abs() <= 0.5));

@@ -1,36 +1,37 @@
-//! Steps that are tried: whole ones, and what a step that takes longer has found so far.
+//! Evaluation of steps: whole ones, parts of them, and intermediate results of longer computations.
 
 use crate::optimizer::{Bounds, Budget, Candidate, Evaluation, Incumbent, Problem};
 
-/// What became of a step.
+/// Result of finding a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Found {
-    /// None: the matrix was singular, or the budget was spent.
+    /// No step: the matrix was singular, or the budget was spent.
     Nothing,
-    /// The step was found, and not evaluated.
+    /// A step that was not evaluated.
     Step,
-    /// The step was found and evaluated; the incumbent took it where it was better.
+    /// A step that was evaluated, and adopted by the incumbent if better.
     Tried,
 }
 
-/// The largest component of a step (rad/s in rates) whose gain rounding may hide: a longer step may gain what its model does not know of.
+/// Largest component (rad/s in rates) of a step whose gain may be hidden by rounding. A longer step may gain
+/// more than the model predicts.
 const HIDDEN_STEP: f64 = 1e-6;
 
-/// Offers steps to the incumbent, so that a budget which ends in the middle of one leaves the best of it.
+/// Offers steps to the incumbent, so that the best of them remains when the budget ends.
 pub(super) struct Trial<'a, P> {
     pub problem: &'a P,
     pub bounds: &'a Bounds,
-    /// Where they lead from.
+    /// Start of the steps.
     pub base: &'a [f64],
-    /// Where the last one that was tried leads to.
+    /// End of the last step tried.
     pub at: &'a mut Vec<f64>,
     pub incumbent: &'a mut Incumbent,
     pub origin: Candidate,
-    /// Steps whose largest component is not above this are not worth trying.
+    /// Steps whose largest component is at most this are not tried.
     pub step_tolerance: f64,
     /// [`GaussNewtonSettings::is_rough`](super::GaussNewtonSettings::is_rough).
     pub is_rough: bool,
-    /// Where [`Problem::rounding`] is some: the residuals of what was evaluated last.
+    /// Residuals of the last evaluated point, if [`Problem::rounding`] is some.
     pub residuals: Option<&'a mut [f64]>,
 }
 
@@ -39,14 +40,14 @@ impl<P: Problem> Trial<'_, P> {
         step.iter().all(|step| step.abs() <= self.step_tolerance)
     }
 
-    /// Whether rounding hides what a short step gains.
+    /// Whether rounding hides the gain of a short step.
     pub(super) fn hides(&self, step: &[f64], gain: f64) -> bool {
         let is_short = step.iter().all(|step| step.abs() <= HIDDEN_STEP);
         let cost = self.incumbent.cost();
         is_short && !self.incumbent.is_violated() && cost.is_finite() && gain <= f64::EPSILON * cost
     }
 
-    /// Writes where a part of a step leads to, inside the box.
+    /// Writes the end of a part of a step, clamped to the box.
     pub(super) fn lead(&mut self, step: &[f64], part: f64) {
         let walls = self.bounds.lower().iter().zip(self.bounds.upper());
         let led = self.base.iter().zip(step).zip(walls);
@@ -55,8 +56,8 @@ impl<P: Problem> Trial<'_, P> {
         self.at.extend(led);
     }
 
-    /// Offers a part of a step, and halves of that while they are not better. The part that was taken, 0 if none was; None: the budget was
-    /// spent.
+    /// Backtracking line search: offers a part of a step, and halves it until it is better. Returns the
+    /// accepted part, 0 if none. None: the budget was spent.
     pub(super) fn descend(
         &mut self,
         step: &[f64],
@@ -73,8 +74,8 @@ impl<P: Problem> Trial<'_, P> {
         Some(0.0)
     }
 
-    /// Offers a step as far as it breaks no constraint and, where that is not better, halves of the step. The part that was taken, 0 if none or
-    /// only its beginning was; None: the budget was spent.
+    /// Offers a step up to its first new constraint violation and, if that is not better, halves of the step.
+    /// Returns the accepted part, 0 if none or if the step was cut. None: the budget was spent.
     pub(super) fn descend_to_contact(
         &mut self,
         step: &[f64],
@@ -87,8 +88,8 @@ impl<P: Problem> Trial<'_, P> {
         }
     }
 
-    /// Evaluates a step as far as it breaks no constraint. Whether that is better than the incumbent, which takes it then, and whether it is the
-    /// whole step. None: the budget was spent.
+    /// Evaluates a step up to its first new constraint violation. Returns whether it improved the incumbent,
+    /// and whether the step is whole. None: the budget was spent.
     pub(super) fn offer_to_contact(
         &mut self,
         step: &[f64],
@@ -102,7 +103,7 @@ impl<P: Problem> Trial<'_, P> {
         Some((self.take(&evaluation), is_whole))
     }
 
-    /// Evaluates a part of a step, and says whether it is better than the incumbent, which takes it then. None: the budget was spent.
+    /// Evaluates a part of a step. Returns whether it improved the incumbent. None: the budget was spent.
     pub(super) fn offer(
         &mut self,
         step: &[f64],
@@ -119,7 +120,7 @@ impl<P: Problem> Trial<'_, P> {
         Some(self.take(&evaluation?))
     }
 
-    /// Whether what was tried last is better than the incumbent, which takes it then.
+    /// Offers the last tried point to the incumbent. Returns whether it was better.
     pub(super) fn take(&mut self, evaluation: &Evaluation<1>) -> bool {
         self.incumbent
             .offer(|i| self.at[i], evaluation, 0, self.origin)

@@ -1,4 +1,5 @@
-//! The search on Rastrigin's function: its budget, its bits on every path, and what it finds.
+//! The search on Rastrigin's function: its budget, bit-identical results on every SIMD path, and its
+//! solutions.
 
 use super::*;
 use crate::optimizer::Evaluation;
@@ -9,8 +10,8 @@ use std::cell::Cell;
 /// Time of one evaluation on the simulated clock \[ns\].
 const EVALUATION_NS: u32 = 500;
 
-/// Rastrigin's function: many local minima, the global one at `centre`. Each evaluation advances a
-/// simulated clock \[ns\].
+/// Rastrigin's function: many local minima, the global one at `centre`. Each evaluation advances a simulated
+/// clock \[ns\].
 struct Rastrigin {
     centre: f64,
     clock: Cell<u64>,
@@ -147,7 +148,8 @@ fn every_path_gives_the_same_bits() {
             size,
             ..settings(VelocityRule::Inertia)
         };
-        // A quantum counts evaluations of W particles, so a limited budget goes further with eight.
+        // A quantum counts evaluations of W particles, so the same budget covers more of them with eight
+        // lanes.
         let limited = search_with(Simd::Portable, &kpso, 5, 40);
         for simd in Simd::available().filter(|simd| *simd != Simd::Scalar) {
             assert_eq!(

@@ -1,6 +1,6 @@
 use super::*;
 
-/// The slacks that a step sees of constraints of these kinds and slacks.
+/// Slacks of the stored constraints, after adding constraints of these kinds and slacks.
 fn seen(room: usize, constraints: &[(usize, f64)]) -> Vec<f64> {
     let mut model = LinearModel::with_capacity(0, room, 1, 1);
     model.clear(&Stages::one(1), false);
@@ -26,7 +26,7 @@ fn no_kind_of_constraint_displaces_another_from_its_part() {
     let far = [70.0, 90.0, 60.0].map(|slack| (1, slack));
     for mixed in [[&near[..], &far].concat(), [&far[..], &near].concat()] {
         assert_eq!(seen(4, &mixed), [-2.0, -1.0, 60.0, 70.0]);
-        // What one kind leaves is the other's.
+        // A kind may use the places that the other leaves.
         assert_eq!(
             seen(8, &mixed),
             [-2.0, -1.0, 3.0, 4.0, 5.0, 60.0, 70.0, 90.0]

@@ -1,5 +1,5 @@
-//! The step of staged rows, held against that of the same rows with a derivative for each unknown, and where constraints are
-//! broken, against the bound that convexity gives.
+//! The step of staged rows, compared with that of the same dense rows and, where constraints are violated,
+//! with a lower bound from convexity.
 
 use proptest::prelude::*;
 
@@ -9,7 +9,7 @@ use crate::optimizer::{
 };
 use crate::wide::Wide;
 
-/// Rows of which nothing but their linear model matters.
+/// A problem given by its linear model only.
 #[derive(Debug, Clone)]
 struct Linear {
     stages: Stages,
@@ -33,7 +33,7 @@ impl Problem for Linear {
     fn is_staged(&self) -> bool {
         self.is_staged
     }
-    /// What is tried on the way to a step is never taken.
+    /// Infinite cost, so that no intermediate step is accepted.
     fn evaluate_below(&self, _: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
         Some(Evaluation::from_cost(Wide([f64::INFINITY])))
     }
@@ -135,7 +135,7 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
 }
 
 impl Linear {
-    /// The derivatives of a row by all unknowns.
+    /// The derivatives of a row with respect to all unknowns.
     fn derivatives(&self, row: &Row) -> Vec<f64> {
         let blocks = self.stages.lengths().iter().enumerate();
         blocks
@@ -172,8 +172,9 @@ impl Linear {
         residuals.chain(constraints).chain(own).sum()
     }
 
-    /// No step in the box ±1 costs less than this. With forces y ≥ 0 at will, here those of s y = `mu`, the square of a broken constraint v
-    /// is at least -2 y v - y², and what is left lies above its tangent at `step` and the squares of damping and weight.
+    /// Lower bound of the cost of all steps in the box ±1. For any multipliers y ≥ 0, the square of a
+    /// violated constraint v is at least -2 y v - y²; here s y = `mu`. The rest lies above its tangent at
+    /// `step` and the squares of damping and weight.
     fn bound(&self, damping: f64, z: &[f64], step: &[f64], mu: f64) -> f64 {
         let own = z.iter().zip(step);
         let mut gradient: Vec<f64> = own
@@ -216,7 +217,7 @@ proptest! {
         let dense = Linear { is_staged: false, ..staged.clone() };
         let free = Linear { constraints: vec![], ..staged.clone() };
         let of = |problem| step(problem, damping, &z, &mut Budget::unlimited()).expect("solved");
-        // So little that the bound is near.
+        // So small that the bound is tight.
         let little = 1e-3 * damping;
         let little_damped = |problem| step(problem, little, &z, &mut Budget::unlimited()).expect("solved");
         if staged.breaks_any(&little_damped(&free)) {
@@ -225,7 +226,7 @@ proptest! {
             let cost = staged.cost(damping, &z, &best);
             let bounds = (0..120).map(|n| staged.bound(damping, &z, &best, 0.75_f64.powi(n)));
             let bound = bounds.fold(0.0, f64::max);
-            // Borders may bend the step as much as the damping does.
+            // The bounds may deflect the step as much as the damping does.
             let left = 1e-4 * staged.cost(damping, &z, &vec![0.0; z.len()]);
             let most = bound + left + 4.0 * damping * z.len() as f64;
             prop_assert!(cost <= most, "{cost}, at least {bound}");
