@@ -1,5 +1,5 @@
-//! One declaration of what people set: struct, default values and the list of its parameters with their words and ranges,
-//! which the default file, the schema, explanations and checks are made of.
+//! Declares user parameters once: the struct, default values, and a list of parameters with texts and ranges.
+//! The default file, the schema, explanations and checks are generated from this list.
 
 use std::ops::RangeInclusive;
 
@@ -14,21 +14,21 @@ const UNITS: [(&str, &str); 7] = [
     ("_m", "m"),
 ];
 
-/// What people set.
+/// A user parameter.
 #[derive(Debug)]
 pub struct Parameter {
-    /// Its name, with the unit at its end.
+    /// Name, ending with the unit.
     pub name: &'static str,
-    /// What it is, in words, line by line; `{range}` stands for its range.
+    /// Description, line by line; `{range}` stands for the range.
     pub doc: &'static [&'static str],
-    /// Smallest and largest value of a number that is limited.
+    /// Smallest and largest value of a number with limits.
     pub range: Option<RangeInclusive<f64>>,
-    /// What other parameters allow beyond that, in words.
+    /// Restriction by other parameters, in words.
     pub also: Option<&'static str>,
 }
 
 impl Parameter {
-    /// Its unit, with a space before it; empty: none.
+    /// Unit with a leading space; empty: no unit.
     fn unit(&self) -> String {
         let unit = UNITS.iter().find(|(end, _)| self.name.ends_with(end));
         unit.map(|(_, unit)| format!(" {unit}")).unwrap_or_default()
@@ -41,7 +41,7 @@ impl Parameter {
         Some(format!("{low} to {high}{}", self.unit()))
     }
 
-    /// What it is, in words, line by line.
+    /// Description with the range filled in, line by line.
     pub fn text(&self) -> String {
         let range = self.range_text().unwrap_or_default();
         let lines = self
@@ -52,7 +52,8 @@ impl Parameter {
     }
 }
 
-/// A number as people write it.
+/// A number in the notation of the documentation: π and 2π by name, exponents for very small and very large
+/// values.
 pub fn number_text(value: f64) -> String {
     use std::f64::consts::{PI, TAU};
     let size = value.abs();
@@ -67,8 +68,8 @@ pub fn number_text(value: f64) -> String {
     value.to_string()
 }
 
-/// Declares parameters: each with its words, its default, its range, and what other parameters allow beyond that.
-/// Without defaults all have to be given.
+/// Declares parameters: each with its text, type, default, range, and restrictions by other parameters.
+/// Without defaults there is no `Default`, and all values must be given.
 #[macro_export]
 macro_rules! parameters {
     ($(#[$meta:meta])* pub struct $name:ident {
@@ -104,8 +105,8 @@ macro_rules! parameters {
                     also: $crate::first_or_none!($($($also)?)?),
                 },)+];
 
-            /// The numbers among them, in the same order; `None`: it is no number, or has no limits. Allocates nothing: settings are
-            /// checked within a cycle.
+            /// Values of the numeric parameters with limits, in the same order; `None` for all others.
+            /// Allocates nothing, because settings are checked within a cycle.
             pub fn numbers(&self) -> [Option<f64>; Self::PARAMETERS.len()] {
                 [$($crate::number!(self.$field $(, $range)?),)+]
             }
@@ -125,7 +126,7 @@ macro_rules! number {
     };
 }
 
-/// `Some` of what is given.
+/// `Some` of the argument, or `None` without one.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! first_or_none {

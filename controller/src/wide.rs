@@ -1,10 +1,9 @@
-//! W numbers that are computed with side by side: one particle of a swarm in each lane.
+//! W numbers processed at once, for example one particle of a swarm in each lane.
 //!
-//! Nothing here names a processor. Plain arrays and loops over them, inlined into a function that was
-//! compiled for AVX-512 or AVX2, become vector instructions there; see
-//! [`Simd`](crate::optimizer::Simd). Products and sums stay separate operations (no fused
-//! multiply-add), so every lane holds **the same bits on every path**, and `Wide<1>` is the scalar
-//! reference.
+//! Nothing here depends on a processor. Loops over plain arrays become vector instructions when they are
+//! inlined into a function compiled for AVX-512 or AVX2; see [`Simd`](crate::optimizer::Simd). Products and
+//! sums stay separate operations (no fused multiply-add). So every lane holds **the same bits on every
+//! path**, and `Wide<1>` is the scalar reference.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -13,16 +12,16 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 #[repr(transparent)]
 pub(crate) struct Wide<const W: usize>(pub(crate) [f64; W]);
 
-/// W numbers in memory, at an address from which one register takes eight without crossing a cache line.
+/// W numbers in memory, aligned so that a register loads eight without crossing a cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(crate) struct Aligned<const W: usize>(pub(crate) Wide<W>);
 
-/// Lanes of the fast path: one AVX-512 register, two of AVX2.
+/// Lanes of the vector path: one AVX-512 register, or two AVX2 registers.
 pub(crate) const LANES: usize = 8;
 
-/// An expression for each lane. In `dev` the lanes are written out: LLVM takes half as long for a swarm without
-/// these loops, and makes slower code of it, so a release has the loops.
+/// An expression for each lane. In `dev` the loop is unrolled by hand: LLVM then compiles a swarm in half the
+/// time, but the code is slower, so a release has the loop.
 #[cfg(not(debug_assertions))]
 macro_rules! lanes {
     ($count:ident, |$lane:ident| $each:expr) => {
@@ -53,16 +52,16 @@ impl<const W: usize> Wide<W> {
         Self([value; W])
     }
 
-    /// Lane by lane from its index.
+    /// Each lane computed from its index.
     #[inline(always)]
     pub(crate) fn from_fn(mut lane: impl FnMut(usize) -> f64) -> Self {
-        // A plain loop: `array::from_fn` is not inlined into a function with other instructions.
+        // A plain loop: `array::from_fn` is not inlined into a function compiled for other instructions.
         let mut lanes = [0.0; W];
         lanes!(W, |i| lanes[i] = lane(i));
         Self(lanes)
     }
 
-    /// Each lane kept within `low` and `high`.
+    /// Each lane clamped to `low` and `high`.
     #[inline(always)]
     #[must_use]
     pub(crate) fn clamp(mut self, low: f64, high: f64) -> Self {
@@ -73,7 +72,7 @@ impl<const W: usize> Wide<W> {
         self
     }
 
-    /// The lane of `self` where `chosen`, that of `other` elsewhere.
+    /// The lane of `self` where `chosen` is true, that of `other` elsewhere.
     #[inline(always)]
     #[must_use]
     pub(crate) fn select(self, other: Self, chosen: [bool; W]) -> Self {
@@ -86,7 +85,8 @@ impl<const W: usize> Wide<W> {
         })
     }
 
-    /// All bits of each lane that is less than that of `other`, no bit of the others: for [`Self::masked`].
+    /// All bits set in each lane that is less than that of `other`, no bit in the others; for
+    /// [`Self::masked`].
     #[inline(always)]
     pub(crate) fn less_mask(self, other: Self) -> [u64; W] {
         let mut mask = [0; W];
@@ -95,7 +95,8 @@ impl<const W: usize> Wide<W> {
         mask
     }
 
-    /// The lane of `self` where the mask is set, that of `other` elsewhere. In a loop over memory this stays one instruction.
+    /// The lane of `self` where the mask is set, that of `other` elsewhere. In a loop over memory this
+    /// compiles to one instruction.
     #[inline(always)]
     #[must_use]
     pub(crate) fn masked(mut self, other: Self, mask: [u64; W]) -> Self {
@@ -105,7 +106,7 @@ impl<const W: usize> Wide<W> {
         self
     }
 
-    /// The first of the least among the first `count` lanes; a NaN is none of them.
+    /// Index of the first minimum among the first `count` lanes; NaN is ignored.
     #[inline(always)]
     pub(crate) fn first_least(self, count: usize) -> usize {
         let mut own = [f64::INFINITY; W];
@@ -127,7 +128,7 @@ impl<const W: usize> Wide<W> {
         first
     }
 
-    /// Square root lane by lane, as IEEE 754 rounds it.
+    /// Square root of each lane, rounded as in IEEE 754.
     #[inline(always)]
     #[must_use]
     pub(crate) fn sqrt(mut self) -> Self {
@@ -135,7 +136,7 @@ impl<const W: usize> Wide<W> {
         self
     }
 
-    /// Absolute value lane by lane.
+    /// Absolute value of each lane.
     #[inline(always)]
     #[must_use]
     pub(crate) fn abs(mut self) -> Self {
@@ -143,14 +144,14 @@ impl<const W: usize> Wide<W> {
         self
     }
 
-    /// The smaller of two numbers in each lane, NaN where either is: what is unknown is not lost.
+    /// The smaller of two numbers in each lane; NaN if either is NaN.
     #[inline(always)]
     #[must_use]
     pub(crate) fn min_or_nan(self, other: Self) -> Self {
         other.select(self, either(other.less(self), other.is_nan()))
     }
 
-    /// The smaller of two numbers in each lane; a NaN in `self` is dropped.
+    /// The smaller of two numbers in each lane; a NaN in `self` is ignored.
     #[inline(always)]
     #[must_use]
     pub(crate) fn min(mut self, other: Self) -> Self {
@@ -161,14 +162,14 @@ impl<const W: usize> Wide<W> {
         self
     }
 
-    /// The larger of two numbers in each lane; a NaN in `other` is dropped, one in `self` stays.
+    /// The larger of two numbers in each lane; a NaN in `other` is ignored, one in `self` stays.
     #[inline(always)]
     #[must_use]
     pub(crate) fn max(self, other: Self) -> Self {
         other.select(self, self.less(other))
     }
 
-    /// Whether each lane is less than that of `other`; never with a NaN.
+    /// Whether each lane is less than that of `other`; false with a NaN.
     #[inline(always)]
     pub(crate) fn less(self, other: Self) -> [bool; W] {
         let mut less = [false; W];
@@ -176,7 +177,7 @@ impl<const W: usize> Wide<W> {
         less
     }
 
-    /// Whether each lane is less than that of `other` or equal to it; never with a NaN.
+    /// Whether each lane is at most that of `other`; false with a NaN.
     #[inline(always)]
     pub(crate) fn less_or_equal(self, other: Self) -> [bool; W] {
         let mut less = [false; W];
@@ -193,7 +194,7 @@ impl<const W: usize> Wide<W> {
     }
 }
 
-/// Lane by lane both.
+/// Logical and in each lane.
 #[inline(always)]
 #[must_use]
 pub(crate) fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
@@ -201,7 +202,7 @@ pub(crate) fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] 
     a
 }
 
-/// Lane by lane at least one.
+/// Logical or in each lane.
 #[inline(always)]
 #[must_use]
 pub(crate) fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
@@ -209,7 +210,7 @@ pub(crate) fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W
     a
 }
 
-/// Lane by lane the opposite.
+/// Logical not in each lane.
 #[inline(always)]
 #[must_use]
 pub(crate) fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
@@ -225,7 +226,7 @@ pub(crate) fn any_set<const W: usize>(mask: [u64; W]) -> bool {
     set != 0
 }
 
-/// Whether any lane is chosen.
+/// Whether any lane is true.
 #[inline(always)]
 pub(crate) fn any<const W: usize>(chosen: [bool; W]) -> bool {
     let mut any = false;
@@ -233,7 +234,7 @@ pub(crate) fn any<const W: usize>(chosen: [bool; W]) -> bool {
     any
 }
 
-/// Whether every lane is chosen.
+/// Whether every lane is true.
 #[inline(always)]
 pub(crate) fn all<const W: usize>(chosen: [bool; W]) -> bool {
     let mut all = true;

@@ -1,4 +1,4 @@
-//! Calibration finds the robot that a simulated one is, from what its encoders and a sensor of its tip say.
+//! Calibration identifies the geometry of a simulated robot from its encoders and a tip sensor.
 
 use std::collections::BTreeMap;
 
@@ -13,14 +13,14 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::exciting_path::ExcitingPath;
 
-/// Between two rows (s).
+/// Time between two rows (s).
 const ROW_S: f64 = 0.02;
 
-/// A robot that is not what it is configured to be.
+/// A robot that differs from its configuration.
 struct Trial {
     configured: RobotParameters,
     truth: RobotParameters,
-    /// Of the first cable of each section (m).
+    /// Zero offset of the first cable of each section (m).
     offset_m: f64,
     base: Isometry3<f64>,
     sensor: Isometry3<f64>,
@@ -29,14 +29,15 @@ struct Trial {
 }
 
 impl Trial {
-    /// Recorded for so long (s).
+    /// A trial with a recording of this duration (s).
     fn recorded(seed: u64, sections: usize, duration_s: f64) -> Self {
         let mut trial = Self::new(seed, sections);
         trial.record(seed, duration_s);
         trial
     }
 
-    /// Lengths and cable radii are off by 5 %, angles by 3°, zeros by 2 mm; the `laboratory`'s motors and noise.
+    /// Lengths and cable radii differ by 5 %, angles by 3°, zeros by 2 mm; motors and noise of the
+    /// `laboratory`.
     fn new(seed: u64, sections: usize) -> Self {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
         let configured = RobotParameters::paper(sections);
@@ -65,7 +66,7 @@ impl Trial {
         }
     }
 
-    /// Moves it along an exciting path with position motors.
+    /// Records a motion along an exciting path with position motors.
     fn record(&mut self, seed: u64, duration_s: f64) {
         let model = Robot::new(&self.configured).unwrap();
         let flaws = Flaws {
@@ -114,7 +115,8 @@ impl Trial {
     }
 }
 
-/// Lengths and radii to 0.2 %, zeros to 0.05 mm, angles to 0.2°, and the truth inside the stated 95 %.
+/// Accuracy: lengths and radii 0.2 %, zeros 0.05 mm, angles 0.2°; the true values lie inside the stated 95 %
+/// intervals.
 #[test]
 fn lengths_radii_zeros_and_angles_are_found_and_the_bounds_are_honest() {
     let seeds = crate::number("CDCR_CALIBRATION_SEEDS", crate::repetitions(1, 4).into());
@@ -142,7 +144,7 @@ fn lengths_radii_zeros_and_angles_are_found_and_the_bounds_are_honest() {
         }
         for (j, zeros) in found.cable_zeros.iter().enumerate() {
             for (cable, (zero_m, within_m)) in zeros.iter().enumerate() {
-                // Beside their mean.
+                // Relative to their mean.
                 let truth_m = trial.offset_m * if cable == 0 { 2.0 / 3.0 } else { -1.0 / 3.0 };
                 let off_m = (zero_m - truth_m).abs();
                 worst[1] = worst[1].max(1e3 * off_m);
@@ -175,7 +177,7 @@ fn held(found: &Calibration) -> Vec<(Parameter, Vec<Parameter>)> {
     held.collect()
 }
 
-/// What positions cannot tell is held and named.
+/// Parameters that positions cannot identify are held and reported.
 fn check_held(found: &Calibration) {
     let mut held = held(found);
     held.sort_by_key(|(parameter, _)| parameter.to_string());
@@ -184,10 +186,11 @@ fn check_held(found: &Calibration) {
         names,
         [Parameter::BaseRotation(2), Parameter::SensorPosition(2)]
     );
-    // A turn of the base is one of all cables; a sensor on the axis lengthens the last arc.
+    // A rotation of the base equals one of all cables; a sensor on the axis lengthens the last arc.
     assert_eq!(held[0].1, [0, 1, 2].map(Parameter::CableAngle));
     assert_eq!(held[1].1, [Parameter::Length(2), Parameter::CableRadius(2)]);
-    // Held means as configured, but for what two small turns about x and y are about z.
+    // Held parameters stay as configured, except for the rotation about z that two small ones about x and y
+    // imply.
     assert!(found.geometry.value(Parameter::BaseRotation(2)).abs() < 1e-6);
     assert_eq!(found.geometry.value(Parameter::SensorPosition(2)), 0.0);
 }
@@ -204,7 +207,7 @@ fn base_and_sensor_are_found_where_the_tip_is_measured_with_its_rotation() {
     trial.measures_rotation = true;
     trial.record(2, 32.0);
     let found = trial.calibrate(&[]);
-    // The turn of the base about z, which is one of all cables and of the sensor.
+    // The rotation of the base about z equals one of all cables and of the sensor.
     assert_eq!(held(&found).len(), 1, "{:?}", held(&found));
     for estimate in &found.estimates {
         let truth = trial.truth_of(estimate.parameter);
@@ -235,7 +238,7 @@ fn rows_that_are_wrong_are_left_out_and_the_rest_is_held_out() {
         let apart = (found.value - clean.value).abs();
         assert!(apart < clean.within, "{}: {apart}", found.parameter);
     }
-    // Held out, and explained as well as what was fitted.
+    // The held-out rows are explained as well as the fitted ones.
     let [fitted, held_out] = clean.after;
     assert!(fitted.rows > 3 * held_out.rows && 6 * held_out.rows > trial.rows.len());
     assert!((held_out.rms_m / fitted.rms_m - 1.0).abs() < 0.1);
@@ -245,7 +248,7 @@ fn rows_that_are_wrong_are_left_out_and_the_rest_is_held_out() {
 #[test]
 fn a_section_that_does_not_move_is_named() {
     let mut trial = Trial::recorded(4, 2, 32.0);
-    // The second section's cables run as the first section makes them.
+    // The second section's cables follow the bends of the first section.
     let model = Robot::new(&trial.configured).unwrap();
     for row in &mut trial.rows {
         let mut bends = model.bend_from_cable_lengths(&row.cable_length_m);

@@ -1,4 +1,4 @@
-//! What a simulation may be told, and that it obeys.
+//! Options of the simulation and their effect.
 
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{NmpcSettings, SettingsError};
@@ -7,12 +7,12 @@ use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotPar
 use nalgebra::Vector3;
 
 const PERIOD_S: f64 = 0.005;
-/// As drivers are told by default: periods, and rad/s².
+/// Default stopping behaviour of drivers: periods, and rad/s².
 const STOPPING: (f64, f64) = (3.0, 40.0);
 
 type Loop = ClosedLoop<fn(f64) -> ReferenceSample>;
 
-/// One straight section, beside whose tip there is a ball.
+/// One straight section with a ball beside its tip.
 fn begin(period_s: f64) -> Result<Loop, SettingsError> {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let shape = Shape::Sphere {
@@ -25,7 +25,8 @@ fn begin(period_s: f64) -> Result<Loop, SettingsError> {
     })
 }
 
-/// Bends it towards the ball for a second: the least clearance, and the least where it comes to rest if no other command follows (m).
+/// Bends towards the ball for a second. Returns the smallest clearance (m), and the smallest at rest if no
+/// other command follows.
 fn least_m(mut closed: Loop) -> [f64; 2] {
     let desired_rates = BendRates::from_slice(&[1.0, 0.0]).unwrap();
     let mut least_m = [f64::INFINITY; 2];
@@ -73,7 +74,7 @@ fn commands_keep_clear_for_as_long_as_a_robot_is_told_to_obey_them() {
     };
     let [nearest_m, rests_m] = of(STOPPING);
     assert!(nearest_m < 0.0101 && rests_m >= 0.01 - 1e-12, "{rests_m} m");
-    // The robot that is told less of it keeps less, and the one that is told nothing stops at once.
+    // With fewer periods or an infinite deceleration the robot keeps less; by default it stops at once.
     let told = [(1.0, 40.0), (3.0, f64::INFINITY)].map(of);
     for [nearest_m, rests_m] in [least_m(begin(PERIOD_S).unwrap())].into_iter().chain(told) {
         assert!(

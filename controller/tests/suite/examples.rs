@@ -1,4 +1,4 @@
-//! The examples do what they say: each fails where it does not.
+//! The examples run and reach the results that they state.
 
 #![allow(
     unreachable_pub,
@@ -39,7 +39,7 @@ fn one_solve_converges() {
     one_solve::main().unwrap();
 }
 
-/// The same bits each time; the ideal robot is on the reference, that of the laboratory within some millimetres.
+/// Runs are bit-identical. The ideal robot is on the reference, the laboratory robot within some millimetres.
 #[test]
 fn a_closed_loop_is_written_to_the_bit() {
     for (preset, error_m) in [(Preset::Ideal, 1e-9), (Preset::Laboratory, 5e-3)] {

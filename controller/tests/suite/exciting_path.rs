@@ -1,18 +1,18 @@
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 
-/// Turns of each bend in a round, as parts of it: no two alike, so that every bend meets every other in many ways.
+/// Turns of each bend per round. All differ, so that every bend meets every other in many combinations.
 const TURNS: [f64; 12] = [
     1.0, 1.236, 0.854, 1.382, 1.09, 0.764, 1.326, 0.944, 1.18, 0.798, 1.416, 1.034,
 ];
-/// A round takes this long at least (s).
+/// Shortest duration of a round (s).
 const ROUND_MIN_S: f64 = 4.0;
-/// The path swells and fades within this part of its time, at either end.
+/// Share of the time in which the path fades in, and out.
 const FADE: f64 = 0.1;
-/// Samples to look at for its largest rate and stroke.
+/// Samples for the largest rate and stroke.
 const SAMPLES: u32 = 4000;
 
-/// A path that begins and ends at rest in the straight robot and shows between what a calibration has to see: every section bends in
-/// every direction, and no two alike.
+/// A path that starts and ends at rest in the straight robot and excites all parameters of a calibration.
+/// Every section bends in every direction, and no two alike.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ExcitingPath {
     amplitude_rad: Vec<f64>,
@@ -21,7 +21,8 @@ pub(crate) struct ExcitingPath {
 }
 
 impl ExcitingPath {
-    /// A path of `duration_s` (s) that uses these shares (0 to 1) of the bends and strokes, and of the speeds, that the robot allows.
+    /// A path of `duration_s` (s) that uses these shares (0 to 1) of the robot's limits of bends and strokes,
+    /// and of speeds.
     pub(crate) fn new(robot: &Robot, bend_share: f64, speed_share: f64, duration_s: f64) -> Self {
         let amplitudes = robot
             .sections()
@@ -32,7 +33,7 @@ impl ExcitingPath {
             rounds: 1.0,
             duration_s,
         };
-        // The last cables pass all sections, which bend the same way at worst.
+        // The last cables pass all sections; in the worst case all bend the same way.
         let sections = robot.sections().iter().zip(&path.amplitude_rad);
         let longest_m: f64 = sections
             .map(|(section, a)| core::f64::consts::SQRT_2 * a * section.cable_radius_m)
@@ -48,11 +49,11 @@ impl ExcitingPath {
         path
     }
 
-    /// How the robot is bent at `time_s`, 0 to the duration.
+    /// Configuration at `time_s`, 0 to the duration.
     pub(crate) fn bends(&self, time_s: f64) -> Configuration {
         let part = (time_s / self.duration_s).clamp(0.0, 1.0);
         let edge = (part.min(1.0 - part) / FADE).min(1.0);
-        // Smooth in position, speed and acceleration.
+        // Continuous in position, speed and acceleration.
         let swell = edge.powi(3) * (10.0 - 15.0 * edge + 6.0 * edge * edge);
         let mut bends = Configuration::straight(self.amplitude_rad.len());
         for (i, bend) in bends.as_mut_slice().iter_mut().enumerate() {
@@ -62,7 +63,7 @@ impl ExcitingPath {
         bends
     }
 
-    /// The largest share of an allowed rate or cable speed.
+    /// The largest rate or cable speed, as a share of its limit.
     fn rate_share(&self, robot: &Robot) -> f64 {
         let step_s = self.duration_s / f64::from(SAMPLES);
         let mut share = 0.0_f64;

@@ -1,5 +1,6 @@
-//! The tip's Jacobian against differences of the forward kinematics, for 1 to 6 different sections, bent, nearly straight and
-//! straight: velocities against the tip's position, rotational velocities by the identity Ṙ = skew(ω) R.
+//! The tip's Jacobian against finite differences of the forward kinematics, for 1 to 6 different sections,
+//! bent, nearly straight and straight. Velocities are compared with the tip's position, angular velocities by
+//! the identity Ṙ = skew(ω) R.
 
 use cdcr_controller::robot::{
     Configuration, Jacobian, Robot, RobotParameters, SECTIONS_MAX, ranges,
@@ -7,19 +8,19 @@ use cdcr_controller::robot::{
 use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
 
-/// Step of the fourth-order differences (rad): truncation (step⁴/30 times a fifth derivative) stays near 1e-13, rounding (a few
-/// 1e-15 of a chain of six sections, over the step) near 4e-12.
+/// Step of the fourth-order differences (rad). Truncation (step⁴/30 times a fifth derivative) stays near
+/// 1e-13; rounding (a few 1e-15 of a chain of six sections, over the step) near 4e-12.
 const STEP_RAD: f64 = 1e-3;
-/// What a difference may be off, per metre of reach or per radian.
+/// Tolerance of a difference, per metre of reach or per radian.
 const DIFFERENCE_TOLERANCE: f64 = 1e-11;
 
-/// Robots of 1 to 6 different sections, in shapes where each section is bent, nearly straight or exactly straight.
+/// Robots of 1 to 6 different sections, each bent, nearly straight or exactly straight.
 fn robots_and_shapes() -> impl Strategy<Value = (Robot, Configuration)> {
     let bend_rad = prop_oneof![
         6 => 0.0..2.8_f64,
         1 => 1e-12..1e-3_f64,
         1 => Just(0.0),
-        // Beyond what a robot can do, where the series gives way to the closed form.
+        // Beyond the limits of a robot, where the closed form replaces the series.
         1 => 3.1..6.2_f64,
     ];
     let section = (0.05..0.5_f64, bend_rad, -3.2..3.2_f64);
@@ -59,7 +60,7 @@ fn skew(w: Vector3<f64>) -> Matrix3<f64> {
     w.cross_matrix()
 }
 
-/// The claim itself, for every column.
+/// Checks every column.
 fn check(robot: &Robot, shape: &Configuration) -> Result<(), TestCaseError> {
     let mut jacobian = Jacobian::new();
     let pose = robot.tip_jacobian(shape, &mut jacobian);
@@ -93,7 +94,7 @@ proptest! {
 
     #[test]
     fn a_rigid_turn_of_the_base_section_turns_the_tip_about_its_end((robot, shape) in robots_and_shapes()) {
-        // Independent of differences: the velocity of the tip relative to the first joint is ω × lever.
+        // Independent of differences: the velocity of the tip relative to the first joint is ω × lever arm.
         let mut whole = Jacobian::new();
         let tip = robot.tip_jacobian(&shape, &mut whole).position_m;
         let first = Robot::new(&RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5, cable_stroke_max_m: 0.25 }).unwrap();

@@ -1,8 +1,9 @@
-//! The robot model against vectors that an independent program computed: `golden/kinematics.json`.
+//! The robot model against vectors from an independent program: `golden/kinematics.json`.
 //!
-//! The vectors are in millimetres (the paper's unit) with 17 digits. Recomputed with 50 digits they are right to 5e-14 mm,
-//! 2e-16 in rotations and 2e-12 mm/rad in Jacobians, except the one entry that [`JACOBIAN_BY_ANGLES_IS_WRONG_AT`] names.
-//! Tolerances are a few units of the last place of the largest number compared.
+//! The vectors are in millimetres (the paper's unit) with 17 digits. According to a recomputation with 50
+//! digits, they are accurate to 5e-14 mm, 2e-16 in rotations and 2e-12 mm/rad in Jacobians. The exception is
+//! the entry at [`JACOBIAN_BY_ANGLES_IS_WRONG_AT`]. Tolerances are a few units of the last place of the
+//! largest number compared.
 
 use std::fmt::Debug;
 
@@ -15,12 +16,12 @@ use serde_json::Value;
 const LENGTH_TOLERANCE_MM: f64 = 3e-13;
 /// Entries of rotations and angles (rad).
 const ROTATION_TOLERANCE: f64 = 6e-16;
-/// Velocity rows of the Jacobians (mm/rad); the vectors themselves are right to 2e-12.
+/// Velocity rows of the Jacobians (mm/rad); the vectors themselves are accurate to 2e-12.
 const VELOCITY_TOLERANCE_MM_RAD: f64 = 3e-12;
 
-/// θ of the case whose `J_tp` cancelled when it was made: velocities off by 0.11 mm/rad (8e-4 relative), found by
-/// recomputing it with 50 digits; its `J_uv` is right to 8e-15. There our (θ, φ) columns are compared with the chain rule
-/// applied to that `J_uv`.
+/// θ of the case whose `J_tp` lost digits by cancellation: velocities are off by 0.11 mm/rad (8e-4 relative),
+/// according to a recomputation with 50 digits. Its `J_uv` is accurate to 8e-15. There our (θ, φ) columns are
+/// compared with the chain rule applied to that `J_uv`.
 const JACOBIAN_BY_ANGLES_IS_WRONG_AT: f64 = 1e-7;
 
 /// One case of the file.

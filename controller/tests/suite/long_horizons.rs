@@ -1,4 +1,4 @@
-//! Twenty steps of horizon where they are hard: a spiral so fast that rates saturate, with obstacles around the body, within a budget.
+//! Horizons of twenty steps with saturated rates, obstacles around the body, and a limited budget.
 
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS};
@@ -10,7 +10,7 @@ use crate::{input, inside};
 
 const PERIOD_S: f64 = 0.005;
 const STEPS: u32 = 20;
-/// Nominal time of a solve: below a period.
+/// Nominal time of a solve, less than a period \[ns\].
 const BUDGET_NS: u32 = 4_500_000;
 
 /// Eq. 8 for the last of three sections of the paper's robot.
@@ -27,7 +27,7 @@ fn spiral(robot: &Robot, time_s: f64) -> ReferenceSample {
     ))
 }
 
-/// Sixteen balls around the foot of the last section, 16 mm beyond the safe distance.
+/// Sixteen balls around the base of the last section, 16 mm beyond the safe distance.
 fn balls(robot: &Robot, safe_distance_m: f64) -> Vec<Obstacle> {
     let last = robot.sections()[2];
     let apart_m = last.body_radius_m + safe_distance_m + 0.016 + 0.01;
@@ -40,20 +40,20 @@ fn balls(robot: &Robot, safe_distance_m: f64) -> Vec<Obstacle> {
     (0..16).map(ball).collect()
 }
 
-/// A robot that does what is planned, without a guard.
+/// A robot that executes the plan exactly, without a guard.
 struct Course {
     robot: Robot,
     settings: NmpcSettings,
     obstacles: Vec<Obstacle>,
     at: Configuration,
     reference: fn(&Robot, f64) -> ReferenceSample,
-    /// How many times as fast as the reference is.
+    /// Speed of the reference as a multiple of the paper's.
     speed: f64,
     cycles: u32,
 }
 
 impl Course {
-    /// A second of the paper's spiral at so many times its speed, among balls or not.
+    /// A second of the paper's spiral at a multiple of its speed, with or without balls.
     fn spiral(solver: SolverKind, speed: f64, among_balls: bool) -> Self {
         let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
         let settings = NmpcSettings {
@@ -78,7 +78,7 @@ impl Course {
         }
     }
 
-    /// The same with an upright capsule in the place of every so many balls.
+    /// The same with an upright capsule instead of each `every`-th ball.
     fn with_capsules(mut self, every: usize) -> Self {
         for obstacle in self.obstacles.iter_mut().skip(every - 1).step_by(every) {
             if let &Shape::Sphere { centre_m: start_m } = obstacle.shape() {
@@ -90,13 +90,13 @@ impl Course {
         self
     }
 
-    /// The same with so many steps of horizon.
+    /// The same with this number of horizon steps.
     fn with_steps(mut self, steps: u32) -> Self {
         self.settings.horizon_steps = steps;
         self
     }
 
-    /// A point 15 cm beside, from the first cycle on, for 0.2 s.
+    /// A goal 15 cm beside the tip, from the first cycle on, for 0.2 s.
     fn jump(solver: SolverKind) -> Self {
         Self {
             at: Configuration::from_bend_angles(&[[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]]),
@@ -114,7 +114,7 @@ impl Course {
         self.obstacles.iter().map(|one| one.moved(time_s)).collect()
     }
 
-    /// How far off a robot would be on average that stays where it is.
+    /// Mean distance from the reference of a robot that stays at rest.
     fn mean_at_rest_m(&self) -> f64 {
         let tip_m = self.robot.tip_position(&self.at);
         let errors = (1..=self.cycles).map(|cycle| {
@@ -124,7 +124,7 @@ impl Course {
         errors.sum::<f64>() / f64::from(self.cycles)
     }
 
-    /// Solves each cycle with so many quanta.
+    /// Solves each cycle with a budget of `quanta`.
     fn run(&self, quanta: u32) -> Outcome {
         let mut nmpc = Nmpc::new(self.robot.clone(), PERIOD_S, self.settings).unwrap();
         let (mut at, mut previous_rates) = (self.at, BendRates::zero(3));
@@ -163,17 +163,17 @@ impl Course {
     }
 }
 
-/// How far off it was, and how much farther than the safe distance from obstacles.
+/// Tracking error, and violation of the safe distance.
 #[derive(Debug)]
 struct Outcome {
     mean_m: f64,
     last_m: f64,
     spare_m: f64,
-    /// What the plan of the first cycle costs.
+    /// Cost of the plan of the first cycle.
     first_cost: f64,
     /// Quanta of all cycles.
     work: u32,
-    /// Where the tip ends.
+    /// Position of the tip at the end.
     tip_m: Vector3<f64>,
 }
 
@@ -192,7 +192,7 @@ fn a_fast_spiral_among_obstacles_is_followed_within_its_budget() {
     }
 }
 
-/// Blocks of several steps cannot follow a curve: with 20 of them, 40 steps were 2 µm off, and took four times the work of 20.
+/// Blocks of several steps cannot follow a curve: 40 steps in 20 were 2 µm off, with four times the work.
 #[test]
 fn every_step_of_a_longer_horizon_has_rates_of_its_own() {
     for solver in SOLVERS {
@@ -207,7 +207,7 @@ fn every_step_of_a_longer_horizon_has_rates_of_its_own() {
     }
 }
 
-/// Twenty steps alone are 0.7 mm off: their plans cost nothing until it is too late to go round.
+/// Without foresight, twenty steps are 0.7 mm off: plans cost nothing until it is too late to turn.
 #[test]
 fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
     for solver in SOLVERS {
@@ -219,7 +219,7 @@ fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
             };
             let outcome = course.run(quanta(BUDGET_NS));
             assert!(outcome.mean_m < 5e-5, "{solver:?}, {every}: {outcome:?}");
-            // Without foresight 534 and 1273 quanta per cycle.
+            // When refinement continued with negligible gains, it took a tenth more.
             let most = if solver == SolverKind::GaussNewton {
                 534
             } else {
@@ -231,7 +231,7 @@ fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
     }
 }
 
-/// What is foreseen may never come.
+/// The extrapolated reference may differ from the later one.
 #[test]
 fn a_fast_curve_that_stops_or_turns_back_is_followed_all_the_same() {
     const PERIODS: f64 = 10.0 * PERIOD_S;
@@ -284,7 +284,7 @@ fn thirty_steps_see_the_way_round_early_enough() {
     }
 }
 
-/// What a longer horizon loses on the spiral that goes on is given away for what comes after: no plan can follow it there.
+/// On the spiral, a longer horizon accepts an early error for the part after it, which no plan can follow.
 #[test]
 fn a_horizon_that_sees_the_end_of_the_curve_follows_it_all() {
     for solver in SOLVERS {
@@ -312,7 +312,7 @@ fn more_time_is_never_worse_and_the_safe_distance_is_kept_with_any() {
                 let outcome = course.run(quanta(budget_ns));
                 let what = format!("{solver:?}, {speed} times, {budget_ns} ns: {outcome:?}");
                 assert!(outcome.spare_m > -1e-9, "{what}");
-                // Below a micrometre nobody is worse off.
+                // Differences below a micrometre do not count.
                 let most_m = 1.05 * f64::max(best_m, 1e-6);
                 assert!(outcome.mean_m <= most_m, "{what}, at most {most_m}");
                 best_m = best_m.min(outcome.mean_m);
@@ -361,7 +361,7 @@ fn a_budget_that_ends_before_the_way_round_leads_up_to_the_obstacles() {
     }
 }
 
-/// A new plan among obstacles begins on several ways: whichever the budget ends, the plan costs no more than rest, and is the same again.
+/// A new plan among obstacles tries several ways. At any budget it costs no more than rest, reproducibly.
 #[test]
 fn a_new_plan_is_no_worse_than_rest_and_the_same_again_wherever_the_budget_ends() {
     let course = Course::jump(SolverKind::KpsoRefined);
@@ -400,8 +400,8 @@ fn a_new_plan_is_no_worse_than_rest_and_the_same_again_wherever_the_budget_ends(
 
 const HELD: [[f64; 2]; 3] = [[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]];
 
-/// A robot whose tip is on its goal for 0.3 s. Each ball comes towards the middle of its second section from a side, ±1, from a gap beyond
-/// the safe distance (m), at a speed (m/s).
+/// A robot holds its tip at a goal for 0.3 s. Balls move towards the middle of its second section:
+/// side ±1, initial gap beyond the safe distance (m), speed (m/s).
 fn hold(solver: SolverKind, balls: &[(f64, f64, f64)]) -> Course {
     let course = Course::spiral(solver, 1.0, false);
     let (robot, at) = (&course.robot, Configuration::from_bend_angles(&HELD));
@@ -441,7 +441,7 @@ fn a_robot_that_makes_way_sees_what_stands_on_the_other_side() {
             let outcome = course.run(quanta(budget_ns));
             let what = format!("{solver:?}, {budget_ns} ns: {outcome:?}");
             assert!(outcome.spare_m > -1e-9, "{what}");
-            // A step that is cut short leaves a fraction of a nanometre.
+            // A truncated step leaves a fraction of a nanometre.
             let most_m = if budget_ns < BUDGET_NS { 1e-9 } else { 1e-13 };
             assert!(outcome.mean_m < most_m, "{what}");
         }
@@ -483,7 +483,7 @@ fn twenty_microseconds_move_the_robot_among_capsules() {
     }
 }
 
-/// A warm start that no time is left to evaluate leads where nobody has seen whether it is clear, one step more in each cycle.
+/// A warm start that the budget leaves unevaluated may lead into obstacles, one step further in each cycle.
 #[test]
 fn with_any_work_at_all_the_safe_distance_is_kept() {
     for solver in SOLVERS {
@@ -504,7 +504,7 @@ fn an_interior_point_that_time_ends_leaves_what_it_found() {
         cycles: 1,
         ..Course::spiral(SolverKind::GaussNewton, 5.0, true)
     };
-    // With 10 quanta the part of the plan that was seen costs 6 % less than the way up to the balls.
+    // With 10 quanta, the evaluated part of the plan costs 6 % less than the plan up to the balls.
     let costs: Vec<_> = (quanta(20_000)..600)
         .step_by(crate::repetitions(3, 1) as usize)
         .map(|quanta| course.run(quanta).first_cost)
@@ -514,7 +514,7 @@ fn an_interior_point_that_time_ends_leaves_what_it_found() {
     let between = |cost: &&f64| **cost < 0.5 * first && **cost > 2.0 * last;
     let mut steps: Vec<_> = costs.iter().filter(between).collect();
     steps.dedup();
-    // The beginning of the first step, and two of the points of its interior point method at least.
+    // The start of the first step, and at least two points of its interior point method.
     assert!(steps.len() >= 3, "{steps:?}");
     assert!(last < 1e-9 * first, "{first} {last}");
 }

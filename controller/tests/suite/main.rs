@@ -1,4 +1,4 @@
-//! Tests of the public interface, in one program: each test program costs a link.
+//! Tests of the public interface in one program, because each test program has to be linked.
 
 #![allow(
     clippy::unwrap_used,
@@ -26,7 +26,7 @@ use cdcr_controller::reference::{ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration};
 use nalgebra::Vector3;
 
-/// One period after the last plan, without obstacles, with the tip where the bends say.
+/// Input one period after the last plan, without obstacles and without tip offset.
 fn input<'a>(
     configuration: &'a Configuration,
     previous_rates: &'a BendRates,
@@ -43,7 +43,7 @@ fn input<'a>(
     }
 }
 
-/// Where a reference wants the tip, in any orientation.
+/// A reference position for the tip, with free orientation.
 fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     ReferenceSample {
         state: ReferenceState::Inside,
@@ -52,12 +52,12 @@ fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     }
 }
 
-/// A number of the environment.
+/// A number from an environment variable.
 fn number(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
 }
 
-/// How often something is repeated: a part of it, so that whoever changes a line need not wait, and the whole with `CDCR_WHOLE`.
+/// Number of repetitions: `part` by default, to keep tests short, and `whole` with `CDCR_WHOLE`.
 fn repetitions(part: u32, whole: u32) -> u32 {
     match std::env::var_os("CDCR_WHOLE") {
         Some(_) => whole,
@@ -65,7 +65,7 @@ fn repetitions(part: u32, whole: u32) -> u32 {
     }
 }
 
-/// The first `part` of the cases, the hardest of which come first, and all of them with `CDCR_WHOLE`.
+/// The first `part` of the cases, hardest first; all of them with `CDCR_WHOLE`.
 fn cases<T>(part: usize, all: &[T]) -> &[T] {
     &all[..repetitions(part as u32, all.len() as u32) as usize]
 }

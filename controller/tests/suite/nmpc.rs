@@ -1,4 +1,4 @@
-//! What `Nmpc::solve` promises, held against the robot and references that make it hard.
+//! The guarantees of `Nmpc::solve`, tested with hard robots and references.
 
 use cdcr_controller::nmpc::{
     Coordinates, Nmpc, NmpcSettings, RateWeight, SolveInput, SolveStatus, SolverKind,
@@ -111,7 +111,7 @@ fn a_refined_plan_is_searched_around_only_where_an_error_is_left() {
 
 #[test]
 fn the_straight_robot_leaves_its_singular_shape() {
-    // Eq. 9: the line begins where the robot cannot move along its own axis.
+    // Eq. 9: the line starts where the robot cannot move its tip along its own axis.
     let robot = paper(3);
     let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
     let errors = track(&mut nmpc, Configuration::straight(3), 400, |cycle| {
@@ -154,7 +154,7 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
             (rates, report.status),
             (BendRates::zero(1), SolveStatus::NonFinite)
         );
-        // And the next solve is none the worse for it.
+        // The next solve is not affected.
         let at = Configuration::from_slice(&[0.1, 0.0]).unwrap();
         let input = SolveInput {
             configuration: &at,
@@ -169,7 +169,7 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
     }
 }
 
-/// A tip that is measured beside its bends: the plan keeps that much more distance.
+/// With the tip measured beside the model's, the plan keeps that much more distance.
 #[test]
 fn a_plan_keeps_the_offset_of_the_tip_as_distance() {
     let robot = paper(3);
@@ -231,7 +231,7 @@ fn without_a_reference_the_rates_are_zero() {
     let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
     let (at, rest) = (Configuration::straight(1), BendRates::zero(1));
     let input = input(&at, &rest, &[]);
-    // A plan from before counts for nothing.
+    // The earlier plan is ignored.
     let goal = [inside(Vector3::new(0.1, 0.0, 0.25))];
     let tracking = SolveInput {
         reference: &goal,
@@ -246,9 +246,9 @@ fn without_a_reference_the_rates_are_zero() {
 
 #[test]
 fn the_largest_problems_look_at_their_budget_all_along() {
-    // Six sections, N = 50 in M = 20 blocks, weights on rates and changes: 240 unknowns, 630 rows. Whatever
-    // the solver is doing, a quantum is 1.5 nominal microseconds, so a whole solve asks thousands of times,
-    // and a budget of some quanta ends it with little more work than one of none.
+    // Six sections, N = 50 in M = 20 blocks, weights on rates and changes: 240 unknowns, 630 rows. In every
+    // part of the solver a quantum is 1.5 nominal microseconds. So a whole solve checks the budget thousands
+    // of times, and a budget of some quanta ends it with little more work than one of none.
     let robot = paper(6);
     let at = Configuration::from_slice(&[0.1; 12]).unwrap();
     let (rest, goal) = (BendRates::zero(6), [inside(Vector3::new(0.3, 0.0, 1.5))]);
@@ -286,7 +286,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
 fn a_plan_without_a_budget_is_followed_to_its_end_and_restored_likewise() {
     let robot = paper(3);
     let (at, rest) = (Configuration::straight(3), BendRates::zero(3));
-    // An evaluation of so many steps takes more than the first quantum.
+    // Evaluating so many steps takes more than the first quantum.
     let goal = [ReferenceSample::at(Vector3::new(0.1, 0.2, 0.5)); 40];
     for (blocks, moves) in [(0, 39), (20, 1)] {
         let settings = NmpcSettings {
@@ -324,7 +324,7 @@ fn settings_that_are_refused_change_nothing() {
     assert!(!nmpc.restore_plan(&[0.0; 3], 0));
 }
 
-/// Any legal state, reference and settings.
+/// Any valid state, reference and settings.
 #[derive(Debug, Clone)]
 struct Case {
     robot: Robot,
@@ -337,7 +337,7 @@ struct Case {
     seed: u64,
 }
 
-/// Nothing, an axis or a rotation.
+/// No orientation, an axis or a rotation.
 fn orientations() -> impl Strategy<Value = Orientation> {
     prop_oneof![
         Just(Orientation::Free),
@@ -351,7 +351,7 @@ fn orientations() -> impl Strategy<Value = Orientation> {
     ]
 }
 
-/// Sections that differ, with limits that may be tight.
+/// Different sections, with limits that may be tight.
 fn robots(sections: usize) -> impl Strategy<Value = Robot> {
     let section = (0.05..0.5_f64, 0.3..3.1_f64, 0.5..8.0_f64, 0.0..0.03_f64);
     let limits = (0.01..0.5_f64, 0.005..0.3_f64);
@@ -372,7 +372,7 @@ fn robots(sections: usize) -> impl Strategy<Value = Robot> {
     })
 }
 
-/// Up to five spheres and capsules, some of them across the body.
+/// Up to five spheres and capsules, some overlapping the body.
 fn obstacle_sets() -> impl Strategy<Value = Vec<Obstacle>> {
     let point = || prop::array::uniform3(-0.8..0.8_f64).prop_map(Vector3::from);
     let shape = prop_oneof![
@@ -477,7 +477,7 @@ proptest! {
         let (rates, report, _) = solve_case(&case, u32::MAX);
         let (pairs, _) = rates.as_slice().as_chunks::<2>();
         for (pair, section) in pairs.iter().zip(case.robot.sections()) {
-            // Bend angles are brought back to the border by a factor, which rounds.
+            // With bend angles, rates are scaled to the limit, which rounds.
             let most = section.rate_max_rad_s * (1.0 + 1e-15);
             prop_assert!(pair.iter().all(|rate| rate.abs() <= most), "{pair:?} of {most}");
         }

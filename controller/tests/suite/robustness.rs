@@ -1,4 +1,5 @@
-//! A robot that is not its model, tracked as a daemon tracks it: how far its tip is from the reference in truth.
+//! Tracking in the way of the daemon, with a robot that differs from its model: the true distance of the tip
+//! from the reference.
 
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, FigureEight, FigureEightRun, Sensor};
 use cdcr_controller::estimator::Actuator;
@@ -11,18 +12,18 @@ use crate::{inside, number, repetitions};
 
 const PERIOD_S: f64 = 0.005;
 
-/// Noises that each robot is run with: `CDCR_ROBUSTNESS_SEEDS`.
+/// Noise seeds for each robot: `CDCR_ROBUSTNESS_SEEDS`.
 fn seeds() -> u64 {
     number("CDCR_ROBUSTNESS_SEEDS", repetitions(1, 3).into())
 }
 
-/// The error of the tip in truth, the first second apart.
+/// The true tip error, without the first second.
 #[derive(Debug, Default)]
 struct Figures {
     mean_mm: f64,
     rms_mm: f64,
     max_mm: f64,
-    /// Of the rates from cycle to cycle, all components together \[rad/s\].
+    /// RMS change of the rates from cycle to cycle, all components together \[rad/s\].
     rate_change_rms: f64,
 }
 
@@ -37,7 +38,7 @@ impl Figures {
     }
 }
 
-/// The worst of some seeds, for motors that obey positions and, where everything is repeated, for those that obey speeds.
+/// The worst result of some seeds, for position motors and, with `CDCR_WHOLE`, for speed motors.
 #[allow(
     clippy::large_types_passed_by_value,
     reason = "a robot is given once for each simulation"
@@ -59,7 +60,7 @@ fn worst(name: &str, driven: Driven) -> Figures {
     worst
 }
 
-/// An ideal robot that is estimated as one behind a driver.
+/// An ideal robot whose state is estimated as behind a driver.
 fn driven(flaws: Flaws) -> Driven {
     Driven {
         flaws,
@@ -116,7 +117,7 @@ fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
     assert!(figures.rate_change_rms < 0.05 * believed.rate_change_rms);
     let quiet = worst("no noise", driven(Flaws::default()));
     assert!(figures.rate_change_rms < 2.0 * quiet.rate_change_rms);
-    // Evenly spread within ± √3 of their standard deviation.
+    // Uniformly distributed within ± √3 standard deviations.
     let deviation = worst(
         "30 µm of standard deviation",
         driven(Flaws {
@@ -128,7 +129,8 @@ fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
     assert!(deviation.rate_change_rms < 2.0 * quiet.rate_change_rms);
 }
 
-/// A plan that does not know how fast rates may grow promises turns that never come: over 20 steps the tip was up to 8.6 mm off.
+/// A plan without the limit on the growth of rates contains turns that the robot cannot execute: over 20
+/// steps the tip was up to 8.6 mm off.
 #[test]
 fn a_long_horizon_knows_how_fast_rates_grow() {
     let settings = NmpcSettings {
@@ -157,7 +159,7 @@ fn a_long_horizon_knows_how_fast_rates_grow() {
     }
 }
 
-/// The figures of motors that are not quite what they are taken for: 30 ms ± 30 %, 15 ms ± 5 ms.
+/// Results with motors that differ from their model: 30 ms ± 30 %, 15 ms ± 5 ms.
 #[test]
 fn motors_need_not_be_known_exactly() {
     let motors = [(0.02, 0.039), (0.01, 0.021), (0.015, 0.03)];
@@ -177,16 +179,17 @@ fn motors_need_not_be_known_exactly() {
             },
         );
         assert!(figures.mean_mm < 0.15 && figures.max_mm < 0.5);
-        // Without the model the estimate makes up for most of it, too.
+        // Without the model the estimate also compensates for most of the lag.
         let unknown = worst(&format!("{name}, unknown"), lagging);
         assert!(unknown.mean_mm < 0.3 && unknown.max_mm < 1.0);
         assert!(unknown.mean_mm > figures.mean_mm);
     }
 }
 
-/// A ball crosses the tip of a robot whose motors follow 40 ms late: plan and guard take the ball where it is when the robot is
-/// there, so it gives way in time, and comes back. Behind a delay the distance is kept but for a fifth of what the ball comes in a
-/// period; a lag τ is a delay but for accelerations a, by a τ²/2. The ball comes 4 mm in the time of the motors.
+/// A ball crosses the tip of a robot whose motors follow 40 ms late. Plan and guard use the ball's position
+/// at the time when the motors arrive, so the robot gives way in time, and returns. Behind a delay the
+/// distance is kept except for a fifth of the ball's motion in a period. A lag τ acts as a delay except for
+/// accelerations a, with an error of a τ²/2. The ball moves 4 mm in the time of the motors.
 #[test]
 fn motors_with_a_lag_give_way_to_what_moves() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
@@ -229,7 +232,7 @@ fn motors_with_a_lag_give_way_to_what_moves() {
         }
         let error_m = closed.error_m();
         println!("{motors:?}, positions {obeys_positions}: {nearest_m} m, {error_m} m at the end");
-        // A tip moves by half the section's length for a radian.
+        // A tip moves by half the section's length per radian.
         let lag_rad = 0.5 * acceleration_rad_s2 * motors.time_constant_s.powi(2);
         let kept_m = settings.safe_distance_m - 0.5 * robot.sections()[0].length_m * lag_rad;
         assert!(nearest_m > kept_m - 1e-4, "{nearest_m} m of {kept_m} m");
@@ -258,7 +261,8 @@ fn a_model_that_is_wrong_is_corrected_at_a_tip_that_is_measured() {
     assert!(both.mean_mm < 0.2 && both.max_mm < 0.6);
 }
 
-/// Sections 5 % longer than the model, 30 µm of noise on the cables, 0.3 mm at the tip, which is measured 100 times a second.
+/// Sections 5 % longer than the model; noise of 30 µm on the cables and of 0.3 mm at the tip, measured at 100
+/// Hz.
 fn longer() -> Driven {
     let flaws = Flaws {
         length_error: 0.05,
@@ -277,8 +281,8 @@ fn ball(centre_m: [f64; 3]) -> Obstacle {
     Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()
 }
 
-/// The true robot keeps the safe distance of a ball on its way, although its model is 40 mm shorter: by as much as its tip is measured
-/// beside it, and by what noise of 0.3 mm at the tip leaves open of that.
+/// The true robot keeps the safe distance from a ball, although its model is 40 mm shorter. The margin is the
+/// measured tip offset, with an uncertainty from tip noise of 0.3 mm.
 #[test]
 fn a_body_that_is_known_to_be_beside_its_model_keeps_clear() {
     let eight = FigureEight::new().unwrap();
@@ -338,12 +342,13 @@ fn motors_run_through_the_play_of_their_cables() {
         let name = format!("play of 0.5 mm, known as {known_m} m");
         let figures = worst(&name, with_play(*known_m));
         assert!(figures.mean_mm < 0.3 && figures.max_mm < 2.0);
-        // They do not run through it for the noise of the tip.
+        // Tip noise does not drive the cables through their play.
         assert!(figures.rate_change_rms < 1.1 * unknown.rate_change_rms);
     }
 }
 
-/// What is sent somewhere and shall stay there, with 0.5 mm of play, tip sensor and noise: its play is taken for `known_m`, its motors lag.
+/// A robot sent to a goal where it shall stay, with 0.5 mm of play, tip sensor and noise. The play is
+/// configured as `known_m`, and the motors have a lag.
 fn resting(known_m: f64, lag_s: f64) -> Driven {
     let mut driven = with_play(known_m);
     driven.flaws.noise_m = 3e-5;
@@ -355,12 +360,12 @@ fn resting(known_m: f64, lag_s: f64) -> Driven {
     driven
 }
 
-/// Tip sensor and play do not make it swing farther, whether the play is not known, taken for less or for more than it is, or known, and whether
-/// its motors lag or not.
+/// Tip sensor and play do not increase the oscillation. The play is unknown, underestimated, overestimated or
+/// known, and motors have a lag or none.
 #[test]
 fn a_robot_with_play_stays_where_it_is_sent() {
     let eight = FigureEight::new().unwrap();
-    // Within how many mm with the first seed, and with each of five.
+    // Tolerance in mm with the first seed, and with each of five.
     let robots = [
         (6e-4, 0.0, 0.3, 0.3),
         (5e-4, 0.02, 0.3, 0.3),
@@ -388,7 +393,8 @@ fn a_robot_with_play_stays_where_it_is_sent() {
     }
 }
 
-/// What docs/tuning.md says of the preset `smooth`: a plan that may not turn round quickly does not leave the play.
+/// The statement in docs/tuning.md about the preset `smooth`: a plan that may not reverse quickly stays
+/// within the play.
 #[test]
 fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
     let settings = NmpcSettings {

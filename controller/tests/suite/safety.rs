@@ -1,4 +1,4 @@
-//! What limits and clearance guard leave of motion: a robot that could go on goes on.
+//! Liveness under limits and clearance guard: a robot that can move on does so.
 
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
@@ -14,7 +14,7 @@ use crate::{input, inside};
 const PERIOD_S: f64 = 0.005;
 const SAFE_M: f64 = 0.01;
 
-/// How fast rates grow, and shrink on the way to rest \[rad/s²\].
+/// Limit of the growth of rates, and deceleration to rest \[rad/s²\].
 const ACCELERATION_RAD_S2: f64 = 40.0;
 
 fn situation<'a>(
@@ -40,7 +40,7 @@ fn situation<'a>(
     }
 }
 
-/// The command that the daemon would send.
+/// The command of the daemon for this situation.
 pub(crate) fn command(
     robot: &Robot,
     at: &Configuration,
@@ -51,7 +51,7 @@ pub(crate) fn command(
     safe_command(&situation(robot, at, previous, obstacles), desired).rates
 }
 
-/// By how much the fastest component shrinks at most in a cycle on the way from `rates` to rest \[rad/s²\].
+/// Largest decrease of the fastest component in a cycle on the way from `rates` to rest \[rad/s²\].
 fn largest_deceleration_rad_s2(
     robot: &Robot,
     at: &Configuration,
@@ -87,7 +87,7 @@ fn norm(rates: &BendRates) -> f64 {
         .sqrt()
 }
 
-/// Distance to the straight robot in bends.
+/// Distance from the straight robot in bends.
 fn from_home_rad(at: &Configuration) -> f64 {
     at.as_slice()
         .iter()
@@ -152,7 +152,8 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
     assert!(frozen < 20 && mean_mm < 15.0);
 }
 
-/// Slower commands stop sooner: the fastest that stops at the limit has a way of its own. One section, 40 rad/s² and a command that is obeyed for 15 ms.
+/// Slower commands have shorter stopping paths; the fastest one that stops at the limit is found. One
+/// section, 40 rad/s², commands executed for 15 ms.
 #[test]
 fn a_command_towards_a_limit_is_the_fastest_that_stops_there() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
@@ -161,7 +162,7 @@ fn a_command_towards_a_limit_is_the_fastest_that_stops_there() {
     for room_rad in [0.005, 0.01, 0.02, 0.04] {
         let at = Configuration::from_slice(&[bend_max_rad - room_rad, 0.0]).unwrap();
         let rate_rad_s = command(&robot, &at, &desired, &[], &desired).as_slice()[0];
-        // rate · 15 ms + rate² / (2 · 40 rad/s²) = room
+        // rate · 15 ms + rate² / (2 · 40 rad/s²) = distance to the limit
         let moving_s = 3.0 * PERIOD_S;
         let exact_rad_s = ACCELERATION_RAD_S2
             * ((moving_s * moving_s + 2.0 * room_rad / ACCELERATION_RAD_S2).sqrt() - moving_s);
@@ -170,7 +171,8 @@ fn a_command_towards_a_limit_is_the_fastest_that_stops_there() {
     }
 }
 
-/// The plan ends inside its limits: where they hold the robot back from its goal, the safety check changes nothing for good.
+/// The plan ends inside its limits: where they keep the robot from its goal, the safety check changes no
+/// command permanently.
 #[test]
 fn a_plan_that_rests_at_a_limit_is_not_cut() {
     let limited: [fn(&mut RobotParameters); 2] = [
@@ -203,13 +205,14 @@ fn a_plan_that_rests_at_a_limit_is_not_cut() {
     }
 }
 
-/// A tip that turns out to be beside its bends while an obstacle is nearer than that allows: the robot comes no nearer and is free to leave, a robot at rest
-/// stays where it is, and a ramp that began before the tip was measured goes on where it leads away.
+/// The measured tip turns out beside the model's, with an obstacle nearer than this offset allows. The robot
+/// comes no nearer and may leave; a robot at rest stays. A ramp that began before the measurement continues
+/// if it leads away.
 #[test]
 fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let at = Configuration::from_slice(&[0.3, 0.0, 0.2, 0.0, 0.3, 0.0]).unwrap();
-    // Beside the tip, where a larger bend brings it.
+    // Beside the tip, in the direction in which the bend grows.
     let centre_m = robot.tip_position(&at) + Vector3::new(0.05, 0.0, -0.02);
     let ball = [Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()];
     let clear_m = |at: &Configuration| robot.clearance_m(at, &ball[0]);
@@ -240,7 +243,7 @@ fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
     };
     let slower = ramp_to_zero(&away, 10.0, PERIOD_S);
     assert_eq!(safe_command(&ramp, &slower).rates, slower);
-    // An offset that is not a number is not one of 0: nothing moves.
+    // An offset of NaN does not count as 0: nothing moves.
     let unknown = Situation {
         tip_offset_m: f64::NAN,
         ..moving
@@ -248,13 +251,13 @@ fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
     for desired in [&towards, &away] {
         assert_eq!(safe_command(&unknown, desired).rates, rest);
     }
-    // The thinnest clearance that is told is that of the body which may be there.
+    // The reported clearance is that of the thickened body.
     let told_m = safe_command(&moving, &rest).clearance_m;
     assert!((told_m - (clear_m(&at) - 0.03)).abs() < 1e-9, "{told_m}");
 }
 
-/// A section that is faster than an obstacle is thick does not jump over it between two periods: both ends of the period keep D, the way between passes
-/// through. (Six sections at 2 rad/s, three at 8 rad/s.)
+/// A section that moves further in a period than an obstacle is thick does not jump over it. Both ends of the
+/// period keep D; the motion between them passes through. (Six sections at 2 rad/s, three at 8 rad/s.)
 #[test]
 fn no_wire_is_jumped_over_within_a_period() {
     for (sections, rate_rad_s) in [(6, 2.0), (3, 8.0)] {
@@ -280,7 +283,7 @@ fn no_wire_is_jumped_over_within_a_period() {
         let moving = Situation {
             safe_distance_m: 0.005,
             acceleration_rad_s2: f64::INFINITY,
-            // Nothing but the period counts.
+            // Only the period counts.
             moving_s: PERIOD_S,
             deceleration_rad_s2: f64::INFINITY,
             ..situation(&robot, &at, &desired, &wire)
@@ -300,7 +303,8 @@ fn no_wire_is_jumped_over_within_a_period() {
     }
 }
 
-/// A mast beside the base is nearer than D to the first section and always will be; the tip, which bends towards it, keeps the whole of D.
+/// A mast beside the base is permanently nearer than D to the first section; the tip, which bends towards it,
+/// keeps the whole of D.
 #[test]
 fn an_obstacle_at_the_base_lowers_no_floor_of_the_tip() {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
@@ -329,9 +333,10 @@ fn an_obstacle_at_the_base_lowers_no_floor_of_the_tip() {
     assert!((0.03..0.0301).contains(&least_m));
 }
 
-/// Runs of a robot with `sections` that goes home past `balls` balls beside its body, one of them on its way: how many
-/// arrive, and how often it stood still before. From each of them the robot could come to rest as fast as it is allowed to, and
-/// no faster. It never circles: each half second leads nearer to home.
+/// Runs of a robot with `sections` that moves to the straight shape past `balls` balls beside its body, one
+/// of them in its way. Counts the arrivals, and the stops before. Each command allows the robot to come to
+/// rest with the allowed deceleration, and no faster. It never circles: each half second brings it nearer to
+/// the goal.
 fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
     let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(balls as u64);

@@ -23,7 +23,7 @@ fn sample(position_m: Vector3<f64>, orientation: Orientation) -> ReferenceSample
     }
 }
 
-/// A robot in a loop without delay or noise.
+/// A closed loop without delay or noise.
 struct Loop {
     nmpc: Nmpc,
     at: Configuration,
@@ -76,14 +76,15 @@ impl Loop {
 
 #[test]
 fn the_line_is_followed_with_its_orientation_from_the_singular_start() {
-    // Eq. 9. The robot starts straight, where it cannot move along its axis to first order; nobody tells it
-    // that an S shape helps.
+    // Eq. 9. The robot starts straight, where it cannot move along its axis to first order; no S shape is
+    // given.
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let line = |t: f64| {
         let position_m = Vector3::new(0.03 * t, 0.0, 0.9 - 0.01 * t);
         sample(position_m, Orientation::Axis(Vector3::z_axis()))
     };
-    // How soon the S shape is found is a matter of luck: of twenty seeds, two to four in forty runs take 5 to 8 µm on average.
+    // How soon the S shape is found depends on the seed: with twenty seeds, two to four of forty runs take 5
+    // to 8 µm on average.
     let mean_m = |coordinates, seed| {
         let settings = NmpcSettings {
             coordinates,
@@ -115,7 +116,7 @@ fn the_line_is_followed_with_its_orientation_from_the_singular_start() {
 
 #[test]
 fn a_stuck_robot_leaves_along_an_eigenvector() {
-    // The goal lies straight below the tip: without the Hessian no direction is better than another.
+    // The goal lies exactly below the tip: without the Hessian all directions are equal.
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let goal = inside(Vector3::new(0.0, 0.0, 0.85));
     for solver in [SolverKind::GaussNewton, SolverKind::KpsoRefined] {
@@ -137,7 +138,7 @@ fn a_stuck_robot_leaves_along_an_eigenvector() {
 
 #[test]
 fn bend_angles_leave_straight_in_any_direction() {
-    // A straight section has no direction φ, and no rate of φ gives it one: it bends towards its goal.
+    // A straight section has no direction φ, and no rate of φ changes that: it bends towards its goal.
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let there = Configuration::from_bend_angles(&[[0.4, 1.9]]);
     let goal = inside(robot.tip_position(&there));
@@ -161,7 +162,7 @@ fn bend_angles_leave_straight_in_any_direction() {
 
 #[test]
 fn a_full_orientation_is_reached_and_kept() {
-    // Six sections can place and turn their tip freely; the goal is a shape that exists.
+    // Six sections can reach any position and orientation nearby; the goal is the pose of a known shape.
     let robot = Robot::new(&RobotParameters::paper(4)).unwrap();
     let there = Configuration::from_slice(&[0.4, 0.1, -0.3, 0.5, 0.2, -0.6, 0.7, 0.2]).unwrap();
     let pose = robot.tip_pose(&there);
@@ -187,7 +188,7 @@ fn a_full_orientation_is_reached_and_kept() {
     }
 }
 
-/// The paper's third simulation: one section, a circle, an obstacle on it.
+/// The paper's third simulation: one section, a circular reference, an obstacle on it.
 fn circle(t: f64) -> ReferenceSample {
     let (sin, cos) = t.sin_cos();
     let position_m = Vector3::new(0.169_86 * cos, 0.169_86 * sin, 0.221_37);
@@ -241,7 +242,8 @@ fn the_body_keeps_its_distance_from_an_obstacle_on_the_reference() {
     }
 }
 
-/// A post that leans away from beside the base, which stands inside the safe distance and cannot leave, to where the tip is sent.
+/// A post beside the base leans towards the goal of the tip. The base is inside the safe distance and cannot
+/// leave it.
 #[test]
 fn what_is_too_near_to_the_base_keeps_its_distance_from_the_tip() {
     let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
@@ -271,7 +273,7 @@ fn what_is_too_near_to_the_base_keeps_its_distance_from_the_tip() {
 
 #[test]
 fn a_moving_obstacle_is_seen_coming() {
-    // It crosses the resting robot's tip at 0.1 m/s: the robot gives way before, and comes back.
+    // The obstacle crosses the resting robot's tip at 0.1 m/s: the robot gives way in time, and returns.
     let robot = line_robot();
     let rest = on_the_circle(0.0);
     let goal = inside(robot.tip_position(&rest));
@@ -309,7 +311,7 @@ fn a_constraint_that_no_plan_keeps_is_named_with_its_amount() {
         panic!("{report:?}");
     };
     assert_eq!(constraint, Constraint::Clearance);
-    // The backbone runs through a ball of 20 mm, and 10 mm are to be kept.
+    // The backbone runs through a ball of 20 mm, and the safe distance is 10 mm.
     assert!((0.025..=0.031).contains(&amount), "{amount}");
 }
 
@@ -354,7 +356,7 @@ fn limits_on_bend_stroke_and_cable_speed_shape_the_plan() {
     }
 }
 
-/// Obstacles around a body, some in reach within the horizon, some not, some moving.
+/// Obstacles around a body: some within reach over the horizon, some not, some moving.
 fn crowd(robot: &Robot, at: &Configuration) -> Vec<Obstacle> {
     let sections = robot.section_count();
     (0..40)
@@ -377,8 +379,8 @@ fn crowd(robot: &Robot, at: &Configuration) -> Vec<Obstacle> {
 
 #[test]
 fn culling_leaves_the_cost_as_it_is() {
-    // The cost of a plan, by the solver with its culling and lanes, and by the definition: every obstacle
-    // at every step with the exact clearance of every section.
+    // The cost of a plan by the solver, with culling and lanes, and by definition: every obstacle at every
+    // step with the exact clearance of every section.
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let at = Configuration::from_slice(&[0.5, 0.1, -0.4, 0.3, 0.2, 0.6]).unwrap();
     let obstacles = crowd(&robot, &at);
@@ -476,7 +478,7 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
     }
 }
 
-/// Tests that compare sets of instructions compare those of this processor.
+/// Reports each instruction set that this processor does not have, and that other tests thus do not compare.
 #[test]
 fn every_set_of_instructions_is_here() {
     for (simd, need) in [(Simd::Avx2, Need::Avx2), (Simd::Avx512, Need::Avx512)] {

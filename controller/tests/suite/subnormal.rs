@@ -1,4 +1,4 @@
-//! Subnormal numbers do not slow a solve down, so nobody needs to switch them off
+//! Subnormal numbers do not slow a solve down, so flushing them to zero is not needed
 //! (docs/decisions/0008-subnormal-numbers.md).
 
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 
 use crate::{input, inside};
 
-/// A solve at a configuration of about `bend_rad` with a tip that is off by about `error_m`.
+/// A solve at a configuration of about `bend_rad` with a tip error of about `error_m`.
 struct Scene {
     nmpc: Nmpc,
     configuration: Configuration,
@@ -47,11 +47,11 @@ impl Scene {
 
 #[test]
 fn subnormal_numbers_cost_no_more_than_zeros() {
-    // A straight robot is singular whether by zeros or by numbers that are nearly zero.
+    // A straight robot is singular, with zeros as well as with numbers near zero.
     let mut straight = Scene::new(0.0, 1e-3);
     let mut subnormal = Scene::new(1e-310, 1e-3);
     assert!(subnormal.configuration.as_slice()[0].is_subnormal());
-    // Side by side, so that a stall hits both.
+    // Interleaved, so that a stall affects both.
     let (mut of_zeros, mut of_subnormal): (Vec<_>, Vec<_>) = (0..401)
         .map(|seed| (straight.solve(seed), subnormal.solve(seed)))
         .unzip();

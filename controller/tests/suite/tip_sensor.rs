@@ -1,5 +1,5 @@
-//! Control by a tip sensor alone: three sections follow the paper's spiral (Eq. 8), and what the controller knows of the robot
-//! are noisy positions of its tip.
+//! Control with a tip sensor only: three sections follow the paper's spiral (Eq. 8), and noisy tip positions
+//! are the only measurements.
 
 use cdcr_controller::estimator::{Estimator, Measurement};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
@@ -15,21 +15,21 @@ use crate::{input, inside, number};
 
 const PERIOD_S: f64 = 0.005;
 
-/// What came of a run, without its first half second \[mm\].
+/// Tracking and estimation errors of a run, without its first half second \[mm\].
 struct Errors {
     mean_mm: f64,
     max_mm: f64,
 }
 
-/// The bends of the last of `sections` on the spiral at its angle `t` (rad), `share` of them.
+/// Bends on the spiral at its angle `t` (rad), for the last of `sections`, scaled by `share`.
 fn bent(sections: usize, share: f64, t: f64) -> Configuration {
     let mut bends = vec![[0.0; 2]; sections];
     bends[sections - 1] = [share * 2.0 * t / 15.0, t];
     Configuration::from_bend_angles(&bends)
 }
 
-/// The estimator begins `beside_rad` beside each bend; `noise_m` is the standard deviation of each measured coordinate. The spiral has this `share` of
-/// the paper's bends.
+/// The initial estimate differs by `beside_rad` in each bend. `noise_m` is the standard deviation of each
+/// measured coordinate. The spiral has this `share` of the paper's bends.
 fn follow_the_spiral(
     (sections, share): (usize, f64),
     noise_m: f64,
@@ -52,7 +52,7 @@ fn follow_the_spiral(
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut errors_mm = Vec::new();
     for cycle in 0..994 {
-        // Uniform numbers of the same standard deviation.
+        // Uniform noise of the same standard deviation.
         let width_m = noise_m * 3_f64.sqrt();
         let noise = Vector3::from_fn(|_, _| random.random_range(-width_m..=width_m));
         let measured = Measurement::TipPosition(robot.tip_position(&truth) + noise);
@@ -83,7 +83,7 @@ fn follow_the_spiral(
     }
 }
 
-/// A step that believes each position went 412 mm astray here, beyond the bend limit.
+/// A filter that trusted each position fully diverged by 412 mm here, beyond the bend limit.
 #[test]
 fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
     let seeds = u64::from(crate::repetitions(1, 5));
@@ -107,7 +107,8 @@ fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
     }
 }
 
-/// With fewer sections, and near the straight robot, where the tip tells least of the bends. `CDCR_TIP_RUNS`: runs of each.
+/// With fewer sections, and near the straight robot, where the tip determines the bends least.
+/// `CDCR_TIP_RUNS`: runs of each.
 #[test]
 fn a_tip_sensor_alone_is_enough_with_one_to_three_sections_and_near_straight() {
     let runs = number("CDCR_TIP_RUNS", 1);

@@ -1,4 +1,4 @@
-//! One arc without thickness, whose distances are known.
+//! One arc without thickness, with known distances.
 
 use core::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -30,7 +30,7 @@ fn the_papers_circle_has_the_routes_of_the_model() {
         let tip = robot.tip_position(&bent(deg.to_radians(), FRAC_PI_2));
         axis_distance_m(obstacle.shape(), tip)
     };
-    // Where `distance_m` passes D between an angle with less and one with more.
+    // The angle at which `distance_m` equals D, between one with less and one with more.
     let crossing_deg =
         |distance_m: &dyn Fn(f64) -> f64, wanted_m: f64, mut less: f64, mut more: f64| {
             for _ in 0..60 {
@@ -43,8 +43,8 @@ fn the_papers_circle_has_the_routes_of_the_model() {
             }
             more
         };
-    // The model gives tenths of a degree rounded to the safe side, the tip's to the nearest. The digits here are those of a
-    // sampled curve (Python, 4001 samples, bisection).
+    // The model gives tenths of a degree, rounded to the safe side, and to the nearest for the tip. These
+    // digits come from a sampled curve (Python, 4001 samples, bisection).
     for (safe_m, inside, outside, tip_alone) in [
         (0.01, (71.0029, 71.0), (79.5174, 79.6), (79.0177, 79.0)),
         (0.02, (67.0228, 67.0), (84.2634, 84.3), (83.0596, 83.1)),
@@ -94,7 +94,8 @@ fn half_a_circle_and_more_know_their_centre_their_gap_and_their_back() {
             let a = TAU * f64::from(i) / 200.0;
             for (share, y) in [(0.3, 0.0), (0.9, 0.02), (1.7, -0.1)] {
                 let found_m = distance_m(at(a, share, y));
-                // On the arc the circle's distance, in the gap the nearer end by the law of cosines.
+                // On the arc the distance to the circle, in the gap that to the nearer end by the law of
+                // cosines.
                 let beyond = if a <= theta {
                     0.0
                 } else {
@@ -113,7 +114,7 @@ fn half_a_circle_and_more_know_their_centre_their_gap_and_their_back() {
 
 #[test]
 fn an_obstacle_at_the_centre_of_the_circle_still_has_a_nearest_point_on_the_arc() {
-    // A regression: within rounding of the centre, the point was computed with none of its digits left.
+    // Regression: within rounding of the centre, the point lost all its digits.
     let robot = line_robot();
     let ways = crate::repetitions(2, 12);
     for theta in [0.8, 2.0, 2.8, PI, 4.0, TAU, 8.0] {
@@ -135,7 +136,8 @@ fn an_obstacle_at_the_centre_of_the_circle_still_has_a_nearest_point_on_the_arc(
 
 #[test]
 fn of_two_equally_near_places_one_is_found_and_clearance_does_not_jump() {
-    // A capsule across the mouth of an arc: two minima, one on either side. As it shifts, the nearest place changes sides.
+    // A capsule across the opening of an arc: two minima, one on each side. As it shifts, the nearest point
+    // changes sides.
     let robot = line_robot();
     let shape = bent(2.8, 0.0);
     let middle_m = robot.body_point(&shape, 0, 0.5);

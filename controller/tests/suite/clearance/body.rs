@@ -1,4 +1,4 @@
-//! The body as a whole: straight, touched, of different thickness, beside an obstacle that moves.
+//! The whole body: straight, in contact, of different thickness, beside a moving obstacle.
 
 use cdcr_controller::robot::{
     Configuration, Obstacle, Robot, RobotParameters, SECTIONS_MAX, Shape,
@@ -22,8 +22,8 @@ proptest! {
         }
     }
 
-    /// Sections that are all longer by the same part: no point of the true body is farther beside its model than the body became thicker, where the
-    /// tip is farther from the base than the point.
+    /// All sections are longer by the same factor. No point of the true body is farther from its model than
+    /// the thickening, if the tip is farther from the base than the point.
     #[test]
     fn a_thicker_body_holds_one_that_is_longer(
         n in 1..=SECTIONS_MAX,
@@ -57,7 +57,7 @@ proptest! {
         let backbone = Shape::Capsule { start_m: Vector3::zeros(), end_m: tip_m };
         let found_m = robot.clearance_m(&shape, &sphere(centre_m, 0.02));
         prop_assert!((found_m - (axis_distance_m(&backbone, centre_m) - 0.035)).abs() < 1e-15);
-        // Two segments: the common perpendicular if it meets both, else an end of one.
+        // Two segments: the common perpendicular if it meets both, otherwise an end of one.
         let obstacle = Shape::Capsule { start_m: centre_m, end_m };
         let span = end_m - centre_m;
         let normal = span.cross(&Vector3::z());

@@ -1,4 +1,4 @@
-//! Clearance against the sampled curve, and what two obstacles have to do with each other.
+//! Clearance against the sampled curve, and the clearance of two obstacles.
 
 use proptest::prelude::*;
 

@@ -1,4 +1,4 @@
-//! The derivatives against differences, and that clearance does not jump.
+//! Derivatives against finite differences, and continuity of the clearance.
 
 use cdcr_controller::robot::{COORDINATES_MAX, Nearest, SECTIONS_MAX};
 use nalgebra::Vector3;
@@ -57,7 +57,7 @@ proptest! {
                 robot.nearest(&moved, &obstacle)
             };
             let (ahead, behind) = (at(1.0), at(-1.0));
-            // Where the nearest place jumps there is a kink too.
+            // Where the nearest point jumps there is a kink too.
             let stays = |other: &Nearest| (other.point_m - nearest.point_m).norm() < 1e-3;
             if !(stays(&ahead) && stays(&behind)) {
                 continue;
@@ -65,7 +65,8 @@ proptest! {
             let expected = (ahead.clearance_m - behind.clearance_m) / (2.0 * STEP_RAD);
             let column = Vector3::from(jacobian[i]);
             let found = column.dot(&nearest.direction);
-            // The difference is a mean of gradients between the two: it may differ as much as they do.
+            // The difference is a mean of the gradients between both points, so it may differ as much as they
+            // do.
             let spread = [ahead, behind].map(|other| {
                 let turn = (other.direction - nearest.direction).norm();
                 turn * column.norm() + 2.0 * (other.point_m - nearest.point_m).norm()
@@ -86,7 +87,7 @@ proptest! {
         for (component, bend) in moved.as_mut_slice().iter_mut().zip(bends) {
             *component += size * bend;
         }
-        // No body point moves faster than the reach, per radian; each section moves by at most √2 size.
+        // No body point moves faster than the reach per radian; each section moves by at most √2 size.
         let travel_m = size * (by.norm() + 1.5 * robot.reach_m() * robot.section_count() as f64) + 1e-14;
         for (before, after) in [
             (sphere(start_m, 0.01), sphere(start_m + by * size, 0.01)),

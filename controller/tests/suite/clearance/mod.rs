@@ -1,7 +1,8 @@
-//! Clearance against an independent oracle (the curve sampled by forward kinematics, each sample's distance to the obstacle
-//! in closed form, then refined), against geometry that is known, and its derivatives against differences.
+//! Clearance against an independent oracle and against known geometry, and its derivatives against finite
+//! differences. The oracle samples the curve by forward kinematics, computes each sample's distance in closed
+//! form, and refines the minima.
 
-// `scene` is that of unit tests, too, where the crate has another name.
+// `scene` is shared with unit tests, where the crate has another name.
 use cdcr_controller::robot;
 
 mod arc;

@@ -1,4 +1,4 @@
-//! Numbers that are none, and the largest that are allowed.
+//! Numbers that are not finite, and the largest allowed ones.
 
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters, ranges};
 use nalgebra::Vector3;
@@ -38,7 +38,7 @@ fn the_largest_numbers_allowed_overflow_nothing() {
         let shape = Configuration::from_bend_angles(&[[theta, 1.0]; 6]);
         let away = robot.nearest(&shape, &sphere(far_m, 1e6));
         assert!((away.clearance_m - (3_f64.sqrt() - 1.0) * 1e6).abs() < 3.0);
-        // Six orders of magnitude longer than the robot: six digits of the distance go.
+        // Six orders of magnitude longer than the robot: six digits of the distance are lost.
         let through = robot.nearest(&shape, &capsule(-far_m, far_m, 0.0));
         assert!(
             (through.clearance_m + 0.015).abs() < 1e-9,

@@ -1,10 +1,10 @@
-//! The oracle: the sampled curve, and what is held against it.
+//! The oracle, a sampled curve, and the comparison with it.
 
 use cdcr_controller::robot::{Configuration, Nearest, Obstacle, Robot, Shape};
 use nalgebra::Vector3;
 
-/// What the answer may differ from the oracle (m): the oracle's own refinement is good to about 1e-12 m, and 1e-9 m is the
-/// promise to keep.
+/// Tolerance against the oracle (m). The oracle's refinement is accurate to about 1e-12 m; the guarantee is
+/// 1e-9 m.
 pub(crate) const TOLERANCE_M: f64 = 1e-11;
 
 /// Distance from a point to the axis of an obstacle (m): closed form.
@@ -24,7 +24,7 @@ pub(crate) fn axis_distance_m(shape: &Shape, point_m: Vector3<f64>) -> f64 {
     }
 }
 
-/// Least value of `f` near the middle of [low, high], by golden section.
+/// Minimum of `f` near the middle of [low, high], by golden section search.
 fn refined(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     const SHARE: f64 = 0.618_033_988_749_894_9;
     let (mut a, mut b) = (high - SHARE * (high - low), low + SHARE * (high - low));
@@ -43,7 +43,7 @@ fn refined(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     f_a.min(f_b)
 }
 
-/// Clearance by 600 samples of each section, of which every local minimum is refined.
+/// Clearance from 600 samples of each section, with every local minimum refined.
 fn sampled_clearance_m(robot: &Robot, shape: &Configuration, obstacle: &Obstacle) -> f64 {
     const SAMPLES: u32 = 600;
     let mut best = f64::INFINITY;
@@ -61,7 +61,7 @@ fn sampled_clearance_m(robot: &Robot, shape: &Configuration, obstacle: &Obstacle
                 distance_m = distance_m.min(refined(at, share(i - 1), share(i + 1)));
             }
         }
-        // A minimum between an end and its neighbour.
+        // A minimum between an end and the next sample.
         distance_m = distance_m.min(refined(at, 0.0, share(1)));
         distance_m = distance_m.min(refined(at, share(SAMPLES - 1), 1.0));
         best = best.min(distance_m - section.body_radius_m);
@@ -69,7 +69,7 @@ fn sampled_clearance_m(robot: &Robot, shape: &Configuration, obstacle: &Obstacle
     best - obstacle.radius_m()
 }
 
-/// All that a [`Nearest`] claims about itself.
+/// Checks the consistency of a [`Nearest`].
 pub(crate) fn check_consistent(
     robot: &Robot,
     shape: &Configuration,
@@ -89,7 +89,7 @@ pub(crate) fn check_consistent(
     for step_m in [1e-3, 1e-5] {
         let moved = nearest.point_m + nearest.direction * step_m;
         let gain_m = axis_distance_m(obstacle.shape(), moved) - distance_m;
-        // Exactly the step, but for the curvature that rounding of the nearest point lets in.
+        // Exactly the step, except for the curvature within the rounding of the nearest point.
         assert!(
             (gain_m - step_m).abs() < 1e-3 * step_m,
             "{gain_m:e} of {step_m:e} m"

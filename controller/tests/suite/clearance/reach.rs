@@ -1,4 +1,4 @@
-//! What is out of reach: further than the robot, or one of its sections, can travel.
+//! Obstacles out of reach: further than the robot, or one of its sections, can move.
 
 use core::f64::consts::PI;
 
@@ -30,11 +30,11 @@ proptest! {
             for (j, section) in robot.sections().iter().enumerate() {
                 let (exact_m, least_m) = (body.clearance_of(j, &obstacle), body.clearance_min_of(j, &obstacle));
                 prop_assert!(least_m <= exact_m);
-                // By at most what the arc leaves its chord by, on either side of it.
+                // By at most the distance of the arc from its chord, on either side.
                 let bulge_m = 0.125 * section.length_m * shape.bend_rad(j);
                 let is_known = shape.bend_rad(j) <= PI && least_m > f64::NEG_INFINITY;
                 prop_assert!(!is_known || exact_m - least_m <= 2.0 * bulge_m + 1e-6);
-                // In any direction; and in that of a straight section, it is the clearance.
+                // For any direction a lower bound; for that of a straight section the clearance itself.
                 let own = body.nearest_of(j, &obstacle).direction;
                 for direction in [own, -own, direction] {
                     let least_m = body.clearance_min_along(j, &obstacle, &direction);
@@ -44,7 +44,7 @@ proptest! {
                 let least_m = body.clearance_min_along(j, &obstacle, &own);
                 prop_assert!(bulge_m > 0.0 || exact_m < 1e-3 || exact_m - least_m <= 1e-9);
             }
-            // Within the diameter of the largest ball the bound has to let go.
+            // Within the diameter of the largest bounding ball, the bound must not exclude the obstacle.
             let largest_m = robot.sections().iter().map(|section| section.length_m).fold(0.0, f64::max);
             prop_assert!(robot.reaches(&shape, &obstacle, clearance_m));
             prop_assert!(!robot.reaches(&shape, &obstacle, clearance_m - largest_m - 1e-9));
@@ -63,7 +63,7 @@ proptest! {
         }
         let frames = [&shape, &moved].map(|shape| robot.section_frames(shape));
         let displacement_m = robot.displacement_m((&shape, &frames[0]), (&moved, &frames[1]));
-        // A second from one shape to the other.
+        // One second from one shape to the other.
         let rates_rad_s = core::array::from_fn(|j| largest_rad * rates[2 * j].hypot(rates[2 * j + 1]));
         let acceleration_m_s2 = robot.acceleration_m_s2(&rates_rad_s);
         for j in 0..robot.section_count() {
@@ -84,7 +84,7 @@ proptest! {
     ) {
         let mut moved = shape;
         for (j, (size, phi, is_along)) in changes.iter().enumerate().take(robot.section_count()) {
-            // Along the bend an arc's end moves fastest.
+            // An arc's end moves fastest along the bend.
             let phi = if *is_along { shape.direction_rad(j) } else { *phi };
             moved.as_mut_slice()[2 * j] += size * phi.cos();
             moved.as_mut_slice()[2 * j + 1] += size * phi.sin();

@@ -1,4 +1,4 @@
-//! What is drawn: robots, their shapes, and obstacles in special positions.
+//! Generated robots, shapes, and obstacles in special positions.
 
 use core::f64::consts::PI;
 
@@ -18,7 +18,8 @@ pub(crate) fn capsule(start_m: Vector3<f64>, end_m: Vector3<f64>, radius_m: f64)
     still(Shape::Capsule { start_m, end_m }, radius_m)
 }
 
-/// Robots of 1 to 6 different sections: bent, strongly bent, half a circle and more, nearly straight, straight.
+/// Robots of 1 to 6 different sections: bent, strongly bent, half a circle and more, nearly straight,
+/// straight.
 pub(crate) fn robots_and_shapes() -> impl Strategy<Value = (Robot, Configuration)> {
     let bend_rad = prop_oneof![
         6 => 0.0..2.8_f64,
@@ -26,7 +27,7 @@ pub(crate) fn robots_and_shapes() -> impl Strategy<Value = (Robot, Configuration
         1 => Just(PI),
         1 => -12.0..-2.0_f64, // the exponent of ten
         1 => Just(0.0),
-        // Beyond what a robot can do.
+        // Beyond the limits of a robot.
         1 => PI..8.0,
     ];
     let bend_rad = bend_rad.prop_map(|x: f64| if x < 0.0 { 10_f64.powf(x) } else { x });
@@ -61,16 +62,17 @@ pub(crate) fn vector(size: f64) -> impl Strategy<Value = Vector3<f64>> {
     prop::array::uniform3(-size..size).prop_map(Vector3::from)
 }
 
-/// How an obstacle is placed relative to the robot it is for, so that special positions are met.
+/// Position of an obstacle relative to the robot, so that special positions occur.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Place {
-    /// Anywhere around.
+    /// Anywhere around the robot.
     Around(Vector3<f64>, Vector3<f64>),
-    /// From near one point of the body towards any place.
+    /// From near a point of the body to any point.
     AtBody(usize, f64, Vector3<f64>, Vector3<f64>),
     /// Through two points of the body.
     Through([usize; 2], [f64; 2]),
-    /// Near the centre of a section's circle, along directions given in that section's axes; flat means in its plane.
+    /// Near the centre of a section's circle, along directions in that section's axes; flat means in its
+    /// plane.
     AtCentre(usize, Vector3<f64>, Vector3<f64>, bool),
     /// Along the start of a section.
     Along(usize, Vector3<f64>),
@@ -92,7 +94,7 @@ pub(crate) fn places() -> impl Strategy<Value = Place> {
     ]
 }
 
-/// The segment that a place means; its start is where a sphere goes.
+/// The segment of a place; its start is the centre of a sphere.
 pub(crate) fn segment(robot: &Robot, shape: &Configuration, place: Place) -> [Vector3<f64>; 2] {
     let n = robot.section_count();
     let frames = robot.section_frames(shape);

@@ -1,5 +1,5 @@
-//! The body and the obstacles as the oracle has them: arcs by chords and axis-angle rotations, distances to their points by
-//! closed formulas, and the least of them by branch and bound.
+//! Body and obstacles of the oracle: arcs by chords and axis-angle rotations, distances to their points in
+//! closed form, and the minimum by branch and bound.
 
 use cdcr_controller::robot::{Obstacle, RobotParameters, Shape};
 use nalgebra::{Rotation3, Vector3};
@@ -8,7 +8,7 @@ use nalgebra::{Rotation3, Vector3};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Arc {
     base_m: Vector3<f64>,
-    /// Unit vectors at the base: along the backbone, and to where it bends.
+    /// Unit vectors at the base: along the backbone, and in the direction of the bend.
     along: Vector3<f64>,
     inwards: Vector3<f64>,
     length_m: f64,
@@ -44,13 +44,13 @@ pub(super) fn arcs(parameters: &RobotParameters, bends_rad: &[f64]) -> Vec<Arc> 
 }
 
 impl Arc {
-    /// Where it ends (m).
+    /// End of the arc (m).
     pub(super) fn end_m(&self) -> Vector3<f64> {
         self.at(self.length_m).0
     }
 
-    /// The point that is `s_m` along the arc, and the tangent there. The chord to it has the length 2 ρ sin(α/2) for an
-    /// angle α, and half of that angle to the tangent at the base.
+    /// The point at `s_m` along the arc, and the tangent there. With an angle α, the chord to the point has
+    /// the length 2 ρ sin(α/2) and half that angle to the tangent at the base.
     pub(super) fn at(&self, s_m: f64) -> (Vector3<f64>, Vector3<f64>) {
         let angle = self.bend_rad * s_m / self.length_m;
         let (sin, cos) = (0.5 * angle).sin_cos();
@@ -64,12 +64,13 @@ impl Arc {
         (self.base_m + towards * chord_m, tangent)
     }
 
-    /// From the surface of the section to that of the obstacle (m), `within_m` too large at most, and where on the arc that
-    /// is; or something above `enough_m` where it is more than that.
+    /// Distance from the surface of the section to that of the obstacle (m), at most `within_m` too large,
+    /// and its place on the arc. Above `enough_m`, any value above it.
     ///
-    /// The distance to a convex set, here a point or a segment, is a convex function with slopes of 1 at most. Along an arc of
-    /// curvature κ its second derivative is -κ at least. So within h of a point with distance d and slope d' it is at
-    /// least d - |d'| h - κ h²/2, and at least d - h. The arc is halved where that does not settle it.
+    /// The distance to a convex set, here a point or a segment, is a convex function with slopes of at most
+    /// 1. Along an arc of curvature κ its second derivative is at least -κ. So within h of a point with
+    /// distance d and slope d' it is at least d - |d'| h - κ h²/2, and at least d - h. The arc is halved
+    /// where these bounds do not suffice.
     pub(super) fn nearest_m(&self, ball: &Ball, enough_m: f64, within_m: f64) -> (f64, f64) {
         let radii_m = self.body_radius_m + ball.radius_m;
         let enough_m = enough_m + radii_m;
@@ -110,7 +111,7 @@ impl Arc {
     }
 }
 
-/// An obstacle: all within `radius_m` of a segment, which is a point where its span is zero.
+/// An obstacle: all points within `radius_m` of a segment, or of a point if its span is zero.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ball {
     pub(super) start_m: Vector3<f64>,
@@ -120,7 +121,7 @@ pub(super) struct Ball {
 }
 
 impl Ball {
-    /// The same after some time.
+    /// The obstacle at a later time.
     pub(super) fn after(&self, time_s: f64) -> Self {
         Self {
             start_m: self.start_m + self.velocity_m_s * time_s,
@@ -128,7 +129,7 @@ impl Ball {
         }
     }
 
-    /// From a point to the axis (m), and the direction away from it, which there is none of on the axis.
+    /// Distance from a point to the axis (m), and the direction away from it; none on the axis.
     fn distance_m(&self, point_m: Vector3<f64>) -> (f64, Option<Vector3<f64>>) {
         let mut apart_m = point_m - self.start_m;
         let square_m2 = self.span_m.norm_squared();
@@ -143,7 +144,7 @@ impl Ball {
         )
     }
 
-    /// What the controller is given.
+    /// The same obstacle for the controller.
     pub(super) fn obstacle(&self) -> Obstacle {
         let shape = if self.span_m == Vector3::zeros() {
             Shape::Sphere {
@@ -159,8 +160,8 @@ impl Ball {
     }
 }
 
-/// What no point of each section moves by (m) when the bends change by this (rad): the tangents of section j turn by the
-/// changes of all sections up to it, at most, and by those of a section only beyond its base.
+/// Upper bound of the motion of each section (m) for this change of the bends (rad). The tangents of section
+/// j turn by at most the changes of all sections up to it; those of a section act only beyond its base.
 pub(super) fn travel_m(parameters: &RobotParameters, change_rad: &[f64]) -> Vec<f64> {
     let (mut turn_rad, mut way_m) = (0.0, 0.0);
     let sections = parameters.sections.iter().zip(change_rad.chunks(2));
@@ -191,7 +192,8 @@ mod tests {
     }
 
     proptest! {
-        /// A section is the exponential of its twist: turning by (-v, u, 0), moving by its length along z.
+        /// A section is the exponential of its twist: a rotation by (-v, u, 0) and a translation by its
+        /// length along z.
         #[test]
         fn arcs_are_exponentials_of_twists(bends in prop::collection::vec(-3.0..3.0_f64, 6), share in 0.0..1.0_f64) {
             let parameters = RobotParameters::paper(3);
@@ -213,7 +215,7 @@ mod tests {
             }
         }
 
-        /// The least of many samples is never below, and as near as samples are.
+        /// The minimum of many samples is never below the result, and as close as samples are.
         #[test]
         fn no_sample_is_nearer(
             bends in prop::collection::vec(-3.0..3.0_f64, 2),

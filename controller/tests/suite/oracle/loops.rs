@@ -1,4 +1,4 @@
-//! Closed loops that are drawn: the tip is sent from one goal to the next among obstacles, by the crate's own solver.
+//! Random closed loops: the crate's own solver moves the tip from goal to goal among obstacles.
 
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
@@ -19,7 +19,7 @@ const CYCLES: u32 = 120;
 /// Cycles from one goal to the next.
 const GOAL_CYCLES: u32 = 40;
 
-/// What is drawn of a loop.
+/// A random closed loop.
 pub(super) struct Scene {
     name: String,
     parameters: RobotParameters,
@@ -32,18 +32,18 @@ pub(super) struct Scene {
     cycles: u32,
 }
 
-/// What is between the commands and the robot.
+/// Path from the commands to the robot.
 #[derive(Debug, Clone)]
 enum Link {
-    /// Nothing: the ideal robot.
+    /// Ideal robot.
     Ideal,
-    /// Motors that obey positions.
+    /// Position motors.
     Motors(Motors),
-    /// Something that loses the commands of some cycles: the driver goes on with the last, and then comes to rest.
+    /// The commands of some cycles are lost: the driver continues the last one, and then comes to rest.
     Loses(Vec<bool>),
 }
 
-/// Motors that follow the commanded position of the period before with a lag, and encoders that count from elsewhere.
+/// Motors that follow the commanded position of the previous period with a lag, and encoders with offsets.
 #[derive(Debug, Clone)]
 struct Motors {
     lag_s: f64,
@@ -84,12 +84,12 @@ impl Scene {
         }
     }
 
-    /// Its first cycles alone.
+    /// The first cycles only.
     pub(super) fn first(self, cycles: u32) -> Self {
         Self { cycles, ..self }
     }
 
-    /// Runs it, with an account of each command.
+    /// Runs the loop and checks each command.
     pub(super) fn run(&self, account: &mut Account) {
         match &self.link {
             Link::Ideal => self.run_ideal(account),
@@ -113,7 +113,7 @@ impl Scene {
         inside(self.goals_m[goal.min(self.goals_m.len() - 1)])
     }
 
-    /// The moment of a cycle, for a robot that stops at once when no command follows.
+    /// The moment of a cycle, for a robot that stops at once without a further command.
     fn moment(
         &self,
         time_s: f64,
@@ -138,7 +138,7 @@ impl Scene {
         }
     }
 
-    /// The ideal robot, in the crate's own loop.
+    /// The ideal robot in the crate's own loop.
     fn run_ideal(&self, account: &mut Account) {
         let (robot, mut nmpc) = self.nmpc();
         let obstacles: Vec<Obstacle> = self.balls.iter().map(Ball::obstacle).collect();
@@ -166,7 +166,7 @@ impl Scene {
         }
     }
 
-    /// Behind motors, whose commands are obeyed for three periods before they ramp to rest.
+    /// With motors, whose commands are executed for three periods before the ramp to rest.
     fn run_motors(&self, motors: &Motors, account: &mut Account) {
         let (_, mut nmpc) = self.nmpc();
         let mut robot = self.start.clone();
@@ -207,9 +207,9 @@ impl Scene {
         }
     }
 
-    /// A robot that does what it was told last for three periods, and then ramps to rest: wherever it is on that way, each section keeps
-    /// what the standing robot had, but for what may lack between. A command that comes while it is on its way, after others were
-    /// lost, finds it there: so it may come nearer by that much, each time.
+    /// A robot that executes the last command for three periods, and then ramps to rest. On the whole path
+    /// each section keeps the clearance of the resting robot, except for the tolerance in between. A command
+    /// that follows lost ones may start on this path, so it may come nearer by that tolerance, each time.
     fn run_losing(&self, lost: &[bool], account: &mut Account) {
         let (_, mut nmpc) = self.nmpc();
         let (mut at, mut rates) = (self.start.clone(), vec![0.0; self.start.len()]);
@@ -248,7 +248,7 @@ impl Scene {
             at = moved(&moment.at, &told_rates, way.stopping.way_s(time_s));
             let share = way.stopping.share(time_s);
             rates = told_rates.iter().map(|rate| share * rate).collect();
-            // At rest it stays where it is: what moves on may run into it then.
+            // At rest the robot stays, so moving obstacles may run into it.
             let end_s = way.stopping.end_s();
             let left_m = way.left_m(time_s.min(end_s));
             assert!(
@@ -268,7 +268,7 @@ impl Scene {
         }
     }
 
-    /// How much nearer than allowed sections came to obstacles that stand (m), since the start.
+    /// Largest unallowed approach of a section to an obstacle at rest since the start (m).
     fn came_nearer_m(&self, at: &[f64]) -> f64 {
         let [start, now] = [self.start.as_slice(), at].map(|bends| arcs(&self.parameters, bends));
         let standing = self
@@ -287,7 +287,7 @@ impl Scene {
     }
 }
 
-/// The cycles whose commands are lost, one to thirty after each other.
+/// Cycles with lost commands, one to thirty in a row.
 fn losses(draw: &mut Draw) -> Vec<bool> {
     let mut lost = Vec::new();
     while lost.len() < CYCLES as usize {

@@ -1,7 +1,8 @@
-//! The safety checks beside an independent oracle: its own kinematics, distances, limits, way to rest and quadratic program, from
-//! the formulas of docs/model.md and the words of [`safe_command`](cdcr_controller::safety::safe_command) alone.
+//! The safety checks against an independent oracle. It has its own kinematics, distances, limits, stopping
+//! path and quadratic program, based only on docs/model.md and the documentation of
+//! [`safe_command`](cdcr_controller::safety::safe_command).
 //!
-//! A moment is a robot, its surroundings and desired rates, drawn from a number that a failed test prints.
+//! A moment is a robot, its surroundings and desired rates, generated from a seed that a failed test prints.
 
 mod body;
 mod loops;
@@ -18,27 +19,29 @@ use rule::{Margins, ROUNDING, moved, norm};
 
 use crate::number;
 
-/// The share of all commands that may stand still where the oracle finds a motion: the first of few, of which the 300 moments of the test have 2 and one
-/// more may, the second of many.
+/// Largest share of commands that may be at rest although the oracle finds a motion. The first is for few
+/// commands (the test's 300 moments have 2, and one more may), the second for many.
 const STANDS_MAX: [f64; 2] = [3.0 / 300.0, 0.0005];
-/// The closed loops, those that lose commands first.
+/// Seeds of the closed loops; those with lost commands first.
 const LOOPS: [u64; 12] = [6, 3, 0, 1, 2, 4, 5, 7, 8, 9, 10, 11];
 
-/// Decelerations at which the nearest rates inside the limits are compared (rad/s²): at once, where the limits are convex, and that of a daemon.
+/// Decelerations for the comparison of the nearest rates inside the limits (rad/s²): infinite, where the
+/// limits are convex, and that of a daemon.
 const DECELERATIONS_RAD_S2: [f64; 2] = [f64::INFINITY, 40.0];
 
-/// What was seen of many commands.
+/// Counts over many commands.
 struct Account {
     commands: u32,
-    /// Those that the guard changed.
+    /// Commands changed by the guard.
     changed: u32,
-    /// Those that may not stand still without need, those of them that do stand, and where the oracle finds a motion.
+    /// Commands that should not be at rest; those of them at rest; and those of them for which the oracle
+    /// finds a motion.
     asked: u32,
     stand: u32,
     stand_needlessly: u32,
-    /// Those where it finds one that holds by rounding, or by what obstacles move in a period, alone.
+    /// Those for which a motion is allowed only by rounding, or by the motion of obstacles in a period.
     stand_unsure: u32,
-    /// Those that break a rule.
+    /// Commands that violate a rule.
     broken: u32,
     least: Margins,
 }
@@ -55,7 +58,7 @@ impl Account {
         least: Margins::ALL,
     };
 
-    /// Holds the command of a moment, which `name` finds again, against every rule.
+    /// Checks the command of a moment, identified by `name`, against every rule.
     fn take(&mut self, name: &str, moment: &Moment, command: &SafeCommand) {
         let rates = command.rates.as_slice();
         let margins = moment.margins(rates);
@@ -63,7 +66,7 @@ impl Account {
         self.changed += u32::from(command.clearance_hit);
         self.least = self.least.least(margins);
         let off_m = command.clearance_m - moment.clearance_m();
-        // Margins do not see a NaN.
+        // Comparisons with margins do not detect NaN.
         let is_finite = command.rates.as_slice().iter().all(|rate| rate.is_finite());
         let is_right =
             off_m.abs() <= ROUNDING || off_m.is_nan() && command.clearance_m == f64::INFINITY;
@@ -73,7 +76,7 @@ impl Account {
         }
     }
 
-    /// Looks for a motion where the command is none.
+    /// Searches for a motion where the command is at rest.
     fn ask(&mut self, name: &str, moment: &Moment, command: &SafeCommand) {
         let rates = command.rates.as_slice();
         self.asked += 1;
@@ -83,7 +86,8 @@ impl Account {
         let desired_rates = moment.limited_rates();
         if norm(&desired_rates) > 1e-3 && stands(rates, &desired_rates) {
             self.stand += 1;
-            // Not away from what the limits leave without obstacles, which `the_limits_give_the_nearest_rates` holds against the oracle's own.
+            // Relative to the limits without obstacles, which `the_limits_give_the_nearest_rates` compares
+            // with the oracle's own.
             let mut free = moment.clone();
             free.balls.clear();
             let free = free.command();
@@ -116,7 +120,7 @@ impl Account {
     }
 }
 
-/// The oracle is not blind: the desired rates break each of the rules.
+/// Check of the oracle: the desired rates violate each of the rules.
 #[test]
 fn desired_rates_break_every_rule() {
     let mut worst = Margins::ALL;
@@ -135,14 +139,14 @@ fn seeds(count: &str, otherwise: u64) -> core::ops::Range<u64> {
     first..first + number(count, otherwise)
 }
 
-/// Whether a test runs what it is meant to: only then it has to have seen so much.
+/// Whether a test runs completely, so that its minimum counts apply.
 fn is_whole(count: &str) -> bool {
     ["CDCR_ORACLE_FIRST", count]
         .iter()
         .all(|name| std::env::var_os(name).is_none())
 }
 
-/// The moments of a test, and a name for each.
+/// The moments of a test, with names.
 fn moments(count: &str, otherwise: u64) -> impl Iterator<Item = (String, Moment)> {
     seeds(count, otherwise).map(|seed| (format!("moment {seed}"), Moment::random(seed)))
 }
@@ -156,8 +160,9 @@ fn no_moment_breaks_a_rule() {
     account.check();
 }
 
-/// A play of 0 changes no bit. Cables with play change nothing at the rules of robots without: these hold of what moves, wherever the cables are
-/// in their play. Only a ramp goes on along a way that the cables have gone on.
+/// A play of 0 changes no bit. With play in the cables, the rules of robots without play still apply: they
+/// concern the moving robot, wherever the cables are in their play. Only a ramp continues along a path on
+/// which the cables have continued.
 #[test]
 fn no_moment_with_play_breaks_a_rule() {
     let (mut account, mut by_play) = (Account::NEW, 0);
@@ -182,8 +187,10 @@ fn no_moment_with_play_breaks_a_rule() {
     );
 }
 
-/// Without obstacles a command is the nearest one inside every limit: of those that the oracle finds, that hold every limit to the bit and are not faster than asked for, none is nearer.
-/// Commands aim a rounding inside their limits (10⁻¹¹ m and rad): over a way of a millisecond, with a cable 3 mm from the backbone, that is 3 · 10⁻⁶ rad/s.
+/// Without obstacles, a command is the nearest one inside every limit. The oracle's candidates satisfy every
+/// limit to the bit, and none is faster than desired; none is nearer. Commands stay a rounding inside their
+/// limits (10⁻¹¹ m and rad). Over a path of a millisecond, with a cable 3 mm from the backbone, that is 3 ·
+/// 10⁻⁶ rad/s.
 #[test]
 fn the_limits_give_the_nearest_rates() {
     for deceleration_rad_s2 in DECELERATIONS_RAD_S2 {
@@ -218,8 +225,9 @@ fn the_limits_give_the_nearest_rates() {
     }
 }
 
-/// The solution of a linearisation counted as the longest one that there is: nothing was left to find the way. Or the share of a solution that
-/// holds was between those that were tried. Or nothing slow was tried, which is checked in less and turns aside less; nor anything else among many obstacles.
+/// Regressions: the solution of a linearisation counted as the longest possible one, so no time was left to
+/// find a motion. The feasible share of a solution lay between those tried. No slow motion was tried, which
+/// is checked faster and deviates less, nor another one among many obstacles.
 #[test]
 fn moments_that_stood_without_need_move() {
     for seed in [
@@ -234,8 +242,9 @@ fn moments_that_stood_without_need_move() {
     }
 }
 
-/// The first row of a section and an obstacle, around the standing robot, left the rates that broke the rule: it was taken for all that there is, and what
-/// broke the rule was scaled down, to a thousandth. Or slow rates were made anew twice, whatever came of it.
+/// Regressions: the first row of a section and an obstacle, around the resting robot, allowed the rates that
+/// violated the rule. It counted as the only one, and the rates were scaled down to a thousandth. Slow rates
+/// were computed twice, whatever the result.
 #[test]
 fn loops_that_stood_without_need_move() {
     let mut account = Account::NEW;

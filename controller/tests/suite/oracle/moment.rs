@@ -1,4 +1,4 @@
-//! What is drawn: a robot somewhere, what it was told before and desires now, and what is around it.
+//! Random moments: robot, configuration, last command, desired rates and surroundings.
 
 use core::f64::consts::PI;
 
@@ -14,12 +14,12 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::body::{Ball, arcs};
 use super::rule::{norm, strokes_m};
 
-/// All that a command depends on, in numbers: bends in rad, rates in rad/s, as (u, v) of each section, base first.
+/// All inputs of a command: bends in rad, rates in rad/s, as (u, v) of each section, base first.
 #[derive(Debug, Clone)]
 pub(super) struct Moment {
-    /// With the body that keeps a distance: thicker by its part of the offset of the tip.
+    /// Parameters with the body thickened by the share of the tip offset.
     pub(super) parameters: RobotParameters,
-    /// That offset (m).
+    /// The tip offset (m).
     pub(super) tip_offset_m: f64,
     pub(super) at: Vec<f64>,
     pub(super) commanded: Option<Vec<f64>>,
@@ -35,12 +35,12 @@ pub(super) struct Moment {
 }
 
 impl Moment {
-    /// What the crate makes of it.
+    /// The crate's command.
     pub(super) fn command(&self) -> SafeCommand {
         self.command_with(None)
     }
 
-    /// The same where the cables have play.
+    /// The same for cables with play.
     pub(super) fn command_with(&self, slack: Option<&Slack>) -> SafeCommand {
         let robot = Robot::new(&self.thinner()).unwrap();
         let at = Configuration::from_slice(&self.at).unwrap();
@@ -69,17 +69,18 @@ impl Moment {
         )
     }
 
-    /// The robot without its offset: what the controller is given.
+    /// The robot without the thickening, as given to the controller.
     fn thinner(&self) -> RobotParameters {
         let mut thinner = self.parameters.clone();
         for (section, thicker_m) in thinner.sections.iter_mut().zip(self.thicker_m()) {
-            // Not below zero by rounding.
+            // Rounding must not make it negative.
             section.body_radius_m = (section.body_radius_m - thicker_m).max(0.0);
         }
         thinner
     }
 
-    /// What each section is thicker by (m): a section up to whose end the robot is s long by offset · min(1, s/|p|), with the tip p.
+    /// Thickening of each section (m): offset · min(1, s/|p|), with the body length s up to its end and the
+    /// tip p.
     fn thicker_m(&self) -> Vec<f64> {
         let arcs = arcs(&self.parameters, &self.at);
         let away_m = arcs[arcs.len() - 1].end_m().norm();
@@ -93,7 +94,7 @@ impl Moment {
             .collect()
     }
 
-    /// The same with a tip that is measured this far beside where the bends place it (m).
+    /// The same with the measured tip at this distance from the model's (m).
     fn with_tip_offset(mut self, tip_offset_m: f64) -> Self {
         self.tip_offset_m = tip_offset_m;
         let thicker_m = self.thicker_m();
@@ -103,7 +104,7 @@ impl Moment {
         self
     }
 
-    /// A play of `play_m`, of which each cable has taken another part.
+    /// A play of `play_m`, with each cable at another position in it.
     pub(super) fn slack(seed: u64, play_m: f64) -> Slack {
         let mut draw = Draw::new(seed);
         Slack::new(
@@ -112,12 +113,12 @@ impl Moment {
         )
     }
 
-    /// Where the robot is, and where it is commanded to be.
+    /// The actual and the commanded configuration.
     pub(super) fn places(&self) -> impl Iterator<Item = &[f64]> {
         core::iter::once(self.at.as_slice()).chain(self.commanded.as_deref())
     }
 
-    /// Robots of 1 to 6 sections with strokes from tight to free, among 1 to 64 obstacles that stand or move.
+    /// Robots of 1 to 6 sections with strokes from tight to free, among 1 to 64 obstacles at rest or moving.
     pub(super) fn random(seed: u64) -> Self {
         let mut draw = Draw::new(seed);
         let (parameters, at) = draw.robot();
@@ -166,7 +167,7 @@ impl Moment {
     }
 }
 
-/// Random numbers, and what is made of them.
+/// Random number generator.
 pub(super) struct Draw(Xoshiro256PlusPlus);
 
 impl Draw {
@@ -211,7 +212,8 @@ impl Draw {
         }
     }
 
-    /// A robot, and bends inside its limits or a little beyond; its strokes reach as far as those bends need, to twice that.
+    /// A robot, and bends inside its limits or slightly beyond. Its strokes suffice for these bends, up to
+    /// twice as much.
     pub(super) fn robot(&mut self) -> (RobotParameters, Vec<f64>) {
         let mut parameters = RobotParameters::paper(self.count(6));
         let is_papers = self.chance(0.4);
@@ -246,7 +248,7 @@ impl Draw {
             .collect()
     }
 
-    /// Obstacles beside the body: from across it to out of reach, from wires to balls as thick as the body is.
+    /// Obstacles beside the body: from overlapping to out of reach, from wires to balls as thick as the body.
     pub(super) fn balls(
         &mut self,
         parameters: &RobotParameters,
@@ -289,7 +291,7 @@ impl Draw {
     }
 }
 
-/// Whether next to nothing is left of the desired rates.
+/// Whether the rates are a negligible share of the desired ones.
 pub(super) fn stands(rates: &[f64], desired_rates: &[f64]) -> bool {
     norm(rates) < 1e-3 * norm(desired_rates)
 }

@@ -1,34 +1,36 @@
-//! What the oracle would command: the nearest rates to the desired ones, where limits and clearances are linear.
+//! The oracle's command: the rates nearest to the desired ones, with linear limits and clearances.
 
 use super::body::{Arc, arcs};
 use super::moment::Moment;
 use super::rule::{Stopping, Way, fastest, moved, norm, strokes_m};
 
-/// Rates are linearised at the solution before, so often.
+/// Number of linearisations, each at the previous solution.
 const PASSES: u32 = 4;
 /// Sweeps of Hildreth's method.
 const SWEEPS: u32 = 300;
 /// Step of the numerical differences (rad).
 const STEP_RAD: f64 = 1e-4;
-/// What a solution keeps beyond each linear bound of a clearance, so that it may hold exactly (m).
+/// Margin of a solution inside each linear bound of a clearance, so that it may satisfy the exact one (m).
 const BEYOND_M: f64 = 1e-7;
-/// What a clearance that is made linear may be too large by (m).
+/// Largest error of a clearance for the linearisation (m).
 const WITHIN_M: f64 = 1e-9;
-/// Fastest components that are tried, each this share of the one before.
+/// Number of fastest components tried, each a fixed share of the one before.
 const SLOWER: i32 = 24;
 const LESS: f64 = 0.9;
-/// How far inside its linear limits a nearest command is looked for, in rad/s and m/s, so that it holds them to the bit.
+/// Margin of a nearest command inside its linear limits, in rad/s and m/s, so that it satisfies them to the
+/// bit.
 const INSIDE: f64 = 1e-10;
-/// The share of the desired rates that counts as motion.
+/// Smallest share of the desired rates that counts as motion.
 const LEAST: f64 = 0.05;
-/// Shares of a solution that are tried.
+/// Shares of a solution to try.
 const SHARES: [f64; 6] = [1.0, 0.999, 0.95, 0.7, 0.4, 0.2];
 
-/// A motion that holds every rule.
+/// A motion that satisfies every rule.
 pub(super) enum Motion {
-    /// Without help: no clearance lacks anything at the ends, nor more than 1 mm between.
+    /// Without tolerances: every clearance is kept at the ends, and within 1 mm in between.
     Sure(Vec<f64>),
-    /// By rounding, or by what obstacles move in a period, which may lack between the ends as far as a guard does not see it.
+    /// Only with rounding, or with the tolerance for the motion of obstacles in a period, which a guard does
+    /// not check in between.
     Unsure,
 }
 
@@ -46,15 +48,15 @@ impl Row {
         Self { normal, bound }
     }
 
-    /// Whether rates of which no component is faster can be on the other side.
+    /// Whether rates with components up to this value can violate the row.
     fn can_bound(&self, fastest_rad_s: f64) -> bool {
         let most: f64 = self.normal.iter().map(|n| fastest_rad_s * n.abs()).sum();
         -most < self.bound
     }
 }
 
-/// The nearest point to `desired_rates` inside all rows, by Hildreth's method: the multiplier of one row after another is set to
-/// what that row alone needs.
+/// The point nearest to `desired_rates` inside all rows, by Hildreth's method: each multiplier in turn is set
+/// to the value that its row alone requires.
 fn nearest(desired_rates: &[f64], rows: &[Row]) -> Vec<f64> {
     let mut at = desired_rates.to_vec();
     let mut multipliers = vec![0.0_f64; rows.len()];
@@ -81,12 +83,13 @@ fn nearest(desired_rates: &[f64], rows: &[Row]) -> Vec<f64> {
 }
 
 impl Moment {
-    /// The nearest rates to the desired ones inside the limits, linear, without obstacles.
+    /// The rates nearest to the desired ones inside the linear limits, without obstacles.
     pub(super) fn limited_rates(&self) -> Vec<f64> {
         self.slower_rates(f64::INFINITY, 0.0)
     }
 
-    /// Rates of which the nearest that hold are the nearest inside the limits: with ever slower fastest components, each with a way of its own.
+    /// Candidates for the nearest rates inside the limits: with decreasing fastest components, each with its
+    /// own stopping path.
     pub(super) fn limited_candidates(&self) -> Vec<Vec<f64>> {
         let has_ways = self.deceleration_rad_s2.is_finite();
         let scanned = if has_ways { SLOWER } else { 1 };
@@ -97,7 +100,8 @@ impl Moment {
             .collect()
     }
 
-    /// The nearest of which no component is faster than this, which stop with the way of those, this far inside every limit.
+    /// The nearest rates with components up to this value and its stopping path, at this margin inside every
+    /// limit.
     fn slower_rates(&self, most_rad_s: f64, inside: f64) -> Vec<f64> {
         let way_rad_s = most_rad_s.min(fastest(&self.desired_rates));
         let mut rows = self.limit_rows(&self.desired_rates, most_rad_s, way_rad_s);
@@ -107,7 +111,8 @@ impl Moment {
         nearest(&self.desired_rates, &rows)
     }
 
-    /// Rates of [`LEAST`] of the first of `wished` at least that hold every rule and are nearer to each of them than rest is, where the quadratic program leads to some.
+    /// Rates of at least [`LEAST`] of the first of `wished` that satisfy every rule and are nearer to each of
+    /// `wished` than rest is, if the quadratic program finds some.
     pub(super) fn way_out(&self, wished: &[&[f64]; 2]) -> Option<Motion> {
         let desired_rates = wished[0];
         let mut found = None;
@@ -127,7 +132,7 @@ impl Moment {
             }
             for share in SHARES {
                 let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
-                // Sweeps that end early can lead elsewhere: to rates that are farther from the desired ones than rest is.
+                // Sweeps that end early can give rates that are farther from the desired ones than rest is.
                 let is_nearer = wished
                     .iter()
                     .all(|wished| norm(&moved(&candidate, wished, -1.0)) < norm(wished));
@@ -145,7 +150,7 @@ impl Moment {
         found
     }
 
-    /// Of rates up to `fastest_rad_s`, with the way to rest of a fastest component of `way_rad_s`.
+    /// Limits of rates up to `fastest_rad_s`, with the stopping path for a fastest component of `way_rad_s`.
     fn limit_rows(&self, near: &[f64], fastest_rad_s: f64, way_rad_s: f64) -> Vec<Row> {
         let dimensions = self.desired_rates.len();
         let grows_rad_s = self.acceleration_rad_s2 * self.period_s;
@@ -198,11 +203,11 @@ impl Moment {
         rows
     }
 
-    /// The clearances after the period and at rest, made linear by differences at these rates.
+    /// The clearances after the period and at rest, linearised by finite differences at these rates.
     fn clearance_rows(&self, near: &[f64]) -> Vec<Row> {
         let mut rows = Vec::new();
         for place in self.places() {
-            // All that the desired rates could come near to.
+            // All obstacles that the desired rates could approach.
             let way = Way::new(self, place, &self.desired_rates);
             for time_s in [self.period_s, way.stopping.end_s()] {
                 let way_s = way.stopping.way_s(time_s);

@@ -1,4 +1,4 @@
-//! The rule as the oracle reads it: what a command, and the way to rest after it, may do.
+//! The oracle's version of the rule for a command and its stopping path.
 
 use core::f64::consts::TAU;
 
@@ -8,27 +8,29 @@ use nalgebra::Vector3;
 use super::body::{Arc, Ball, arcs, travel_m};
 use super::moment::Moment;
 
-/// What crate and oracle may differ by, in m, rad, m/s and rad/s: the promise of the crate's distances.
+/// Allowed difference between crate and oracle, in m, rad, m/s and rad/s: the accuracy that the crate states
+/// for distances.
 pub(super) const ROUNDING: f64 = 1e-9;
-/// What is not looked for between the places where the rule holds exactly (m).
+/// Violation that is not checked between the places where the rule applies exactly (m).
 pub(super) const DIP_M: f64 = 1e-3;
-/// What a clearance may be too large by (m): where the rule holds exactly, and on the way between.
+/// Largest error of a clearance (m): where the rule applies exactly, and on the path between.
 const EXACT_M: f64 = 1e-10;
 const COARSE_M: f64 = 1e-6;
-/// How often a span of time is halved before its middle stands for it.
+/// Largest number of halvings of a time span before its middle represents it.
 const HALVINGS: u32 = 14;
 
-/// What is left to a command: a rule is broken where it is below -[`ROUNDING`].
+/// Margins of a command: a rule is violated below -[`ROUNDING`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Margins {
-    /// To the limits of rates and acceleration (rad/s), of cable speeds (m/s), of bends (rad) and strokes (m).
+    /// Margins to the limits of rates and acceleration (rad/s), cable speeds (m/s), bends (rad) and strokes
+    /// (m).
     pub(super) rate: f64,
     pub(super) cable_speed: f64,
     pub(super) bend: f64,
     pub(super) stroke: f64,
-    /// Of the clearances beyond what each section must keep (m): after the period,
+    /// Margins of the clearances over the required ones (m): after the period,
     pub(super) period: f64,
-    /// on the whole way to rest, where 1 mm and what an obstacle moves in a period may lack,
+    /// on the whole path to rest, with a tolerance of 1 mm and the motion of an obstacle in a period,
     pub(super) way: f64,
     /// and at rest.
     pub(super) rest: f64,
@@ -45,7 +47,7 @@ impl Margins {
         rest: f64::INFINITY,
     };
 
-    /// The smaller of each.
+    /// The smaller of each margin.
     pub(super) fn least(self, other: Self) -> Self {
         Self {
             rate: self.rate.min(other.rate),
@@ -58,7 +60,7 @@ impl Margins {
         }
     }
 
-    /// Those that a rule bounds.
+    /// The margins that rules bound.
     pub(super) fn rules(&self) -> [f64; 7] {
         [
             self.rate,
@@ -71,14 +73,14 @@ impl Margins {
         ]
     }
 
-    /// Whether no rule is broken.
+    /// Whether every rule is satisfied.
     pub(super) fn hold(&self) -> bool {
         self.rules().iter().all(|margin| *margin >= -ROUNDING)
     }
 }
 
-/// How the robot comes to rest when no other command follows: it obeys this one for a while, and then its rates shrink
-/// together, evenly in time.
+/// How the robot comes to rest without a further command: it executes this one for a time, and then all rates
+/// decrease together, linearly in time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stopping {
     moving_s: f64,
@@ -93,12 +95,12 @@ impl Stopping {
         }
     }
 
-    /// When it rests (s).
+    /// Time of rest (s).
     pub(super) fn end_s(self) -> f64 {
         self.moving_s + self.ramp_s
     }
 
-    /// Bends have changed by the rates times this, at a time (s).
+    /// Factor of the rates in the change of the bends up to a time (s).
     pub(super) fn way_s(self, time_s: f64) -> f64 {
         let ramp_s = (time_s - self.moving_s).clamp(0.0, self.ramp_s);
         let lost_s = if ramp_s > 0.0 {
@@ -109,7 +111,7 @@ impl Stopping {
         time_s.min(self.moving_s) + ramp_s - lost_s
     }
 
-    /// The share of the rates that is left at a time (s).
+    /// The remaining share of the rates at a time (s).
     pub(super) fn share(self, time_s: f64) -> f64 {
         let ramp_s = (time_s - self.moving_s).max(0.0);
         if ramp_s > 0.0 {
@@ -135,8 +137,8 @@ pub(super) fn moved(at: &[f64], rates: &[f64], way_s: f64) -> Vec<f64> {
         .collect()
 }
 
-/// What each cable pays out for these bends (m), or their rates (m/s): the cable that is at the angle β around the backbone,
-/// r away from it, is shorter by r θ cos(β - φ) in each section that it passes.
+/// Stroke of each cable for these bends (m), or its speed for their rates (m/s). A cable at the angle β
+/// around the backbone, at the radius r, is shorter by r θ cos(β - φ) in each section that it passes.
 pub(super) fn strokes_m(parameters: &RobotParameters, bends: &[f64]) -> Vec<f64> {
     let mut strokes_m = Vec::new();
     for (j, ends) in parameters.sections.iter().enumerate() {
@@ -154,20 +156,21 @@ pub(super) fn strokes_m(parameters: &RobotParameters, bends: &[f64]) -> Vec<f64>
 }
 
 impl Moment {
-    /// What is left to these rates.
+    /// Margins of these rates.
     pub(super) fn margins(&self, rates: &[f64]) -> Margins {
         let places = self.places();
         let clearances = places.map(|place| self.clearances(place, rates));
         clearances.fold(self.limits(rates), Margins::least)
     }
 
-    /// Whether these rates hold every rule.
+    /// Whether these rates satisfy every rule.
     pub(super) fn hold(&self, rates: &[f64]) -> bool {
         let mut places = self.places();
         self.limits(rates).hold() && places.all(|place| self.clearances(place, rates).hold())
     }
 
-    /// Whether these rates hold every limit and, without help from rounding or from what obstacles move in a period, every clearance.
+    /// Whether these rates satisfy every limit, and every clearance without tolerances for rounding and
+    /// moving obstacles.
     pub(super) fn hold_surely(&self, rates: &[f64]) -> bool {
         let mut places = self.places();
         self.limits(rates).hold()
@@ -179,7 +182,7 @@ impl Moment {
             })
     }
 
-    /// Whether these rates are inside every limit, to the bit, and not faster than asked for.
+    /// Whether these rates satisfy every limit to the bit and are not faster than desired.
     pub(super) fn is_inside(&self, rates: &[f64]) -> bool {
         let slower = fastest(rates) <= fastest(&self.desired_rates);
         slower
@@ -190,7 +193,7 @@ impl Moment {
                 .all(|margin| *margin >= 0.0)
     }
 
-    /// From the body to the nearest obstacle now (m).
+    /// Present distance from the body to the nearest obstacle (m).
     pub(super) fn clearance_m(&self) -> f64 {
         let mut least_m = f64::INFINITY;
         for arc in arcs(&self.parameters, &self.at) {
@@ -241,7 +244,7 @@ impl Moment {
         margins
     }
 
-    /// The clearances from one place on.
+    /// Margins of the clearances from one configuration on.
     fn clearances(&self, place: &[f64], rates: &[f64]) -> Margins {
         self.clearances_along(&Way::new(self, place, rates))
     }
@@ -269,19 +272,20 @@ impl Moment {
     }
 }
 
-/// A section and an obstacle that can come near each other.
+/// A section and an obstacle that can approach each other.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pair {
     pub(super) section: usize,
     pub(super) ball: Ball,
-    /// The section of the robot that stands still.
+    /// The section of the resting robot.
     still: Arc,
-    /// What it keeps while the obstacle stands, too (m).
+    /// Required clearance, also while the obstacle rests (m).
     floor_m: f64,
-    /// What may lack between the places where the rule holds exactly (m), without and with what the obstacle moves in a period.
+    /// Tolerance between the places where the rule applies exactly (m), without and with the motion of the
+    /// obstacle in a period.
     dip_m: f64,
     may_lack_m: f64,
-    /// How fast the spare changes at most (m/s).
+    /// Largest rate of change of the margin (m/s).
     fastest_m_s: f64,
 }
 
@@ -304,14 +308,14 @@ impl<'a> Way<'a> {
         for ball in &moment.balls {
             let ball_m_s = ball.velocity_m_s.norm();
             let dip_m = DIP_M.min(0.5 * (moment.safe_m + moment.thinnest_m() + ball.radius_m));
-            // A ramp goes on along the way of the command before, where that may lack.
+            // A ramp may continue along the path of the previous command, where the tolerance applies.
             let goes_on = moment.comes_to_rest && ball_m_s == 0.0;
             let lacks_m = if goes_on { dip_m + COARSE_M } else { 0.0 };
             let keeps_m = moment.safe_m - lacks_m;
             for (section, (still, speed_m_s)) in still.iter().zip(&speeds_m_s).enumerate() {
-                // Where the obstacle moves, what the robot that stands keeps changes, too.
+                // If the obstacle moves, the clearance of the resting robot changes, too.
                 let fastest_m_s = speed_m_s + 2.0 * ball_m_s;
-                // One that is looked at too coarsely is kept.
+                // `DIP_M` covers the coarse tolerance of the distance.
                 let near_m = moment.safe_m + fastest_m_s * end_s + DIP_M;
                 if still.nearest_m(ball, near_m, DIP_M).0 < near_m {
                     let (clearance_m, _) = still.nearest_m(ball, keeps_m, EXACT_M);
@@ -336,7 +340,7 @@ impl<'a> Way<'a> {
         }
     }
 
-    /// The same, where what an obstacle moves in a period may not lack.
+    /// The same without the tolerance for the motion of an obstacle in a period.
     fn keeps_between_looks(mut self) -> Self {
         for pair in &mut self.pairs {
             pair.may_lack_m = pair.dip_m;
@@ -344,8 +348,8 @@ impl<'a> Way<'a> {
         self
     }
 
-    /// What is left of the clearances beyond what must be, at a time (m), one a pair, `within_m` too large at most. What
-    /// no pair can lose in `ahead_s` (s) need not be right.
+    /// Margins of the clearances at a time (m), one for each pair, at most `within_m` too large. Margins that
+    /// no pair can lose within `ahead_s` (s) need not be accurate.
     fn spares_m(&self, pairs: &[Pair], time_s: f64, ahead_s: f64, within_m: f64) -> Vec<f64> {
         let there = moved(self.place, self.rates, self.stopping.way_s(time_s));
         let body = arcs(&self.moment.parameters, &there);
@@ -358,7 +362,7 @@ impl<'a> Way<'a> {
         pairs.iter().map(spare_m).collect()
     }
 
-    /// What is left at a time (s), where what may lack between is allowed to (m).
+    /// Smallest margin at a time (s), with the tolerance between (m).
     pub(super) fn left_m(&self, time_s: f64) -> f64 {
         let spares_m = self.spares_m(&self.pairs, time_s, 0.0, EXACT_M);
         let left_m = spares_m.iter().zip(&self.pairs);
@@ -367,7 +371,7 @@ impl<'a> Way<'a> {
         })
     }
 
-    /// What a section keeps to an obstacle that is at `ball` by then (m).
+    /// Required clearance of a section to an obstacle at the position `ball` (m).
     pub(super) fn floor_m(&self, pair: &Pair, ball: &Ball) -> f64 {
         if pair.ball.velocity_m_s == Vector3::zeros() {
             return pair.floor_m;
@@ -377,8 +381,8 @@ impl<'a> Way<'a> {
         clearance_m.min(safe_m)
     }
 
-    /// Lowers `least_m` to what is left between two times where what may lack is allowed to. What cannot come below
-    /// half of that, and not below `least_m` either, is left out.
+    /// Lowers `least_m` to the smallest margin between two times, with the tolerance. Pairs that cannot fall
+    /// below half of the tolerance, or below `least_m`, are skipped.
     fn descend(&self, span_s: [f64; 2], open: Vec<Pair>, halvings: u32, least_m: &mut f64) {
         if open.is_empty() || *least_m < -ROUNDING {
             return;
