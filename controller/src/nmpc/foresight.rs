@@ -96,8 +96,8 @@ impl Foresight {
     }
 }
 
-/// Writes the first `steps` samples and extrapolates them to `longer` samples. False: the last five samples
-/// are not smooth, or have an orientation.
+/// Writes the first `steps` samples and extrapolates them to `longer` samples. False: there are too few
+/// samples, or the last five are not smooth, not inside the reference, or have an orientation.
 fn continue_reference(
     samples: &[ReferenceSample],
     steps: usize,
@@ -151,8 +151,8 @@ impl Solver {
         })
     }
 
-    /// Refines the plan over the longer horizon if that plan violates a constraint, or a rate of the
-    /// incumbent is at a bound. See [`Self::look_ahead`].
+    /// Calls [`Self::look_ahead`] if the plan extended to the longer horizon violates a constraint, or a rate
+    /// of the incumbent is at a bound.
     fn lead_on(
         &mut self,
         task: &Task,
@@ -180,6 +180,9 @@ impl Solver {
         report.evaluations = self.incumbent.evaluations();
     }
 
+    /// Refines the plan over the longer horizon, then its first part over the horizon of the task. The result
+    /// replaces the incumbent if it violates no constraint and costs no more, or next to nothing. It never
+    /// costs more than the warm start.
     fn look_ahead(
         &mut self,
         task: &Task,

@@ -1,7 +1,7 @@
 //! Penalties over the horizon for the limits on bend, cable stroke and cable speed.
 //!
 //! They guide the plan; the module `safety` enforces the limits on every command. A limit that no plan in the
-//! box can reach within the horizon is not evaluated.
+//! box can reach within the horizon costs nothing.
 
 use super::motion::Motion;
 use crate::optimizer::Evaluation;

@@ -130,8 +130,7 @@ impl<'a> Motion<'a> {
         bends
     }
 
-    /// Advances the rollouts by one period with the controls of the block of `step`. Integrates angles if P >
-    /// 0.
+    /// Advances the rollouts by one period with the controls of the block of `step`; in angles for P > 0.
     #[inline(always)]
     pub(super) fn advance<const W: usize, const P: usize>(
         &self,

@@ -12,7 +12,7 @@ use crate::wide::Wide;
 
 /// Index of the clearance among the violations: depth inside the safe distance \[m\].
 pub(super) const CLEARANCE: usize = 0;
-/// Nominal time of one section against a sphere \[ns\]: for W rollouts approximately, or for one exactly.
+/// Nominal time of one section against a sphere \[ns\]: for W rollouts at once, or for one.
 const SPHERE_NS: u32 = 40;
 /// Nominal time of one section against a capsule \[ns\], in the same cases.
 const CAPSULE_NS: u32 = 300;

@@ -42,7 +42,7 @@ pub(crate) struct Evaluation<const W: usize> {
     /// The cost, penalties included; ≥ 0. It may be infinite or NaN at an invalid point; such a point never
     /// becomes the incumbent.
     pub(crate) cost: Wide<W>,
-    /// Violation of each kind of constraint, in the units of the problem; 0 or less: satisfied.
+    /// Violation of each kind of constraint, in the units of the problem; 0: satisfied.
     pub(crate) violations: [Wide<W>; VIOLATIONS],
 }
 

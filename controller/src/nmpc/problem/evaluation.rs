@@ -33,9 +33,9 @@ impl TrackingProblem<'_> {
         Some(rollout.evaluation)
     }
 
-    /// Eq. 5 for one plan, and whether the plan is unchanged. If a block would increase a constraint
-    /// violation above the incumbent's, or the budget ends in it, the rates from that block on become zero,
-    /// or the nearest values in the box.
+    /// Eq. 5 for one plan, and whether the plan is unchanged. It is cut at the block that would increase a
+    /// constraint violation above the incumbent's, or in which the budget ends. The rates from that block on
+    /// become zero, or the nearest values in the box.
     pub(super) fn to_contact_in<const P: usize>(
         &self,
         z: &mut [f64],
