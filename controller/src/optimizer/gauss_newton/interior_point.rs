@@ -39,7 +39,7 @@ const NEGLIGIBLE: f64 = 1e-4;
 pub(super) struct Quadratic<'a> {
     pub model: &'a mut LinearModel,
     pub smoother: &'a mut Smoother,
-    /// Some if a Riccati sweep is faster.
+    /// Some: use a Riccati sweep instead of the smoother, if the weights are large enough.
     pub riccati: Option<&'a mut Riccati>,
     /// Jᵀ r.
     pub gradient: &'a [f64],
