@@ -124,8 +124,8 @@ impl LinearModel {
         self.weighed.clear();
     }
 
-    /// Adds a residual with its derivatives with respect to the state, to which the unknowns are rates. Adding
-    /// rows in the order of their blocks is fastest.
+    /// Adds a residual with its derivatives with respect to the state, to which the unknowns are rates.
+    /// Adding rows in the order of their blocks is fastest.
     pub(crate) fn push(&mut self, residual: f64, derivatives: &[f64], place: Place) {
         self.cost_rows += 1;
         let row = self.residuals.push(residual, place, self.stride);
