@@ -9,7 +9,7 @@
 //! - where the reference contains an orientation, the same for the orientation error beyond a tolerance;
 //! - optional weights on the controls and on their change;
 //! - penalties on clearances below the safe distance, and on bends, cable strokes and cable speeds beyond
-//! their limits.
+//!   their limits.
 //!
 //! | file | content |
 //! |---|---|

@@ -68,7 +68,7 @@ impl Arc {
     /// and its place on the arc. Above `enough_m`, any value above it.
     ///
     /// The distance to a convex set, here a point or a segment, is a convex function with slopes of at most
-    /// 1. Along an arc of curvature κ its second derivative is at least -κ. So within h of a point with
+    /// one. Along an arc of curvature κ its second derivative is at least -κ. So within h of a point with
     /// distance d and slope d' it is at least d - |d'| h - κ h²/2, and at least d - h. The arc is halved
     /// where these bounds do not suffice.
     pub(super) fn nearest_m(&self, ball: &Ball, enough_m: f64, within_m: f64) -> (f64, f64) {
