@@ -130,7 +130,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     fs::write(&file, &older).expect("written");
     let found = all(&folder, "--only budget");
     let errors = stderr(&found);
-    let words = "with renamed, solver, which this one lacks";
+    let words = "with renamed, solver, which is missing here";
     assert!(found.status.success() && errors.contains(words), "{errors}");
     assert_eq!(fs::read_to_string(&file).expect("the report"), older);
     let aside = json_in(&folder.join("partial").join("report.json"));
