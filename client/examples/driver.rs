@@ -1,5 +1,4 @@
-//! A complete driver with a simulated robot: replace `length_m` by your motors and encoders
-//! (docs/drivers.md).
+//! A complete driver: replace `length_m` by your motors and encoders (docs/drivers.md).
 //!
 //! ```sh
 //! cdcrd run --set link.kind=driver --set link.interface=position --set realtime.mode=prefer
@@ -31,8 +30,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut length_m = straight_cable_lengths_m(driver.robot());
     let mut last_ns = monotonic_ns();
     while !ending.load(Ordering::Relaxed) {
-        // A refused command is counted and reported (the 1st, 2nd, 4th, 8th …). The driver continues: when
-        // commands expire, the robot rests.
+        // Report the 1st, 2nd, 4th, 8th … refusal and continue: the robot rests when commands expire.
         let update = driver.update()?;
         if let Some(refusal) = update.refused
             && driver.refusals().is_power_of_two()

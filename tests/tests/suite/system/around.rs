@@ -218,7 +218,7 @@ fn what_does_not_happen_leaves_no_file() {
     place.says(
         "cdcrctl record --around fault -o none.mcap",
         1,
-        &["already exists"],
+        &["none.mcap exists: remove it"],
     );
     place.says("cdcrctl scope --trigger error>5", 2, &["unit"]);
 }

@@ -249,7 +249,9 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
     std::thread::sleep(Duration::from_secs(1));
     other.signal(Signal::INT);
     let printed = text(&other.output());
-    let told = printed.matches("the first position is not where").count();
+    let told = printed
+        .matches("the first commanded position differs")
+        .count();
     assert_eq!(told, 1, "{printed}");
 }
 

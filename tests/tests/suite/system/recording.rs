@@ -468,7 +468,7 @@ fn a_recording_whose_file_was_removed_is_an_error() {
     let mut run = Recorded::start(PATIENT);
     fs::remove_file(&run.file).unwrap();
     run.recorder.signal(Signal::INT);
-    let says = ["run.mcap was removed while it was recorded"];
+    let says = ["run.mcap was removed during the recording"];
     assert_says(&run.recorder.output(), 1, &says);
 }
 

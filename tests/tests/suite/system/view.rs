@@ -157,7 +157,7 @@ fn what_it_was_too_slow_for_is_told() {
         decode(&next(&mut socket, 0).1, &mut record).unwrap();
     }
     view.signal(Signal::INT);
-    assert_says(&view.output(), 0, &["lost: ", "too slow"]);
+    assert_says(&view.output(), 0, &["lost ", "too slow"]);
 }
 
 #[test]
