@@ -60,8 +60,7 @@ pub const CONTROL_BLOCKS_MAX: usize = crate::optimizer::BLOCKS_MAX;
 /// Largest number of control blocks with a weight on the change of rates, which couples all blocks in one
 /// dense matrix.
 const TIED_BLOCKS_MAX: usize = 20;
-/// Scalars of the longest plan: 50 blocks for up to two sections, 40 for three, 30 for four, 24 for five, 20
-/// for six.
+/// Scalars of the longest plan: 50 blocks for up to three sections, 37 for four, 30 for five, 25 for six.
 pub const PLAN_MAX: usize = 300;
 const _: () = assert!(COORDINATES_MAX * TIED_BLOCKS_MAX <= PLAN_MAX);
 const _: () = assert!(CONTROL_BLOCKS_MAX >= HORIZON_STEPS_MAX);

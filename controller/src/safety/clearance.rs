@@ -1,6 +1,7 @@
 //! The clearance guard: no command, and no ramp to rest after it, brings the body closer to an obstacle than
 //! allowed.
 
+mod body_pose;
 mod near;
 mod path_check;
 mod play;
@@ -13,7 +14,8 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
 use super::Limits;
 use super::projection::Region;
-use near::{BodyPose, NearObstacles, Violation};
+use body_pose::BodyPose;
+use near::{NearObstacles, Violation};
 use relinearised::{LINEARISATIONS, Linearisation, SLOW_LINEARISATION};
 
 /// Corrections of one command before it is scaled down instead.

@@ -8,6 +8,8 @@ use nalgebra::Vector3;
 
 use crate::{input, inside};
 
+mod foresight;
+
 const PERIOD_S: f64 = 0.005;
 const STEPS: u32 = 20;
 /// Nominal time of a solve, less than a period \[ns\].
@@ -91,6 +93,10 @@ impl Course {
     }
 
     /// The same with this number of horizon steps.
+    fn lasting(self, cycles: u32) -> Self {
+        Self { cycles, ..self }
+    }
+
     fn with_steps(mut self, steps: u32) -> Self {
         self.settings.horizon_steps = steps;
         self
@@ -207,65 +213,11 @@ fn every_step_of_a_longer_horizon_has_rates_of_its_own() {
     }
 }
 
-/// Without foresight, twenty steps are 0.7 mm off: plans cost nothing until it is too late to turn.
-#[test]
-fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
-    for solver in SOLVERS {
-        for &every in crate::cases(1, &[4, 17]) {
-            let course = Course::spiral(solver, 10.0, true).with_capsules(every);
-            let course = Course {
-                cycles: 99,
-                ..course
-            };
-            let outcome = course.run(quanta(BUDGET_NS));
-            assert!(outcome.mean_m < 5e-5, "{solver:?}, {every}: {outcome:?}");
-            // When refinement continued with negligible gains, it took a tenth more.
-            let most = if solver == SolverKind::GaussNewton {
-                534
-            } else {
-                1000
-            };
-            assert!(outcome.work < 99 * most, "{solver:?}, {every}: {outcome:?}");
-            assert!(outcome.spare_m > -1e-9, "{solver:?}, {every}: {outcome:?}");
-        }
-    }
-}
-
-/// The extrapolated reference may differ from the later one.
-#[test]
-fn a_fast_curve_that_stops_or_turns_back_is_followed_all_the_same() {
-    const PERIODS: f64 = 10.0 * PERIOD_S;
-    let stops: fn(&Robot, f64) -> ReferenceSample =
-        |robot, time_s| spiral(robot, f64::min(time_s, 60.0 * PERIODS));
-    let turns: fn(&Robot, f64) -> ReferenceSample = |robot, time_s| {
-        let until_s = 50.0 * PERIODS;
-        spiral(robot, until_s - (time_s - until_s).abs())
-    };
-    let stands: fn(&Robot, f64) -> ReferenceSample = |robot, _| spiral(robot, PERIODS);
-    for solver in SOLVERS {
-        for reference in [stops, turns, stands] {
-            let course = Course::spiral(solver, 10.0, true).with_capsules(4);
-            let course = Course {
-                reference,
-                cycles: 99,
-                ..course
-            };
-            let outcome = course.run(quanta(BUDGET_NS));
-            assert!(outcome.mean_m < 1e-9, "{solver:?}: {outcome:?}");
-            assert!(outcome.spare_m > -1e-9, "{solver:?}: {outcome:?}");
-        }
-    }
-}
-
 #[test]
 fn from_the_first_cycle_on_a_fast_spiral_is_followed_to_ten_nanometres() {
     for solver in SOLVERS {
-        let course = Course::spiral(solver, 10.0, false);
-        let outcome = Course {
-            cycles: 2,
-            ..course
-        }
-        .run(quanta(BUDGET_NS));
+        let course = Course::spiral(solver, 10.0, false).lasting(2);
+        let outcome = course.run(quanta(BUDGET_NS));
         assert!(outcome.mean_m < 1e-8, "{solver:?}: {outcome:?}");
     }
 }
@@ -500,10 +452,7 @@ fn with_any_work_at_all_the_safe_distance_is_kept() {
 
 #[test]
 fn an_interior_point_that_time_ends_leaves_what_it_found() {
-    let course = Course {
-        cycles: 1,
-        ..Course::spiral(SolverKind::GaussNewton, 5.0, true)
-    };
+    let course = Course::spiral(SolverKind::GaussNewton, 5.0, true).lasting(1);
     // With 10 quanta, the evaluated part of the plan costs 6 % less than the plan up to the balls.
     let costs: Vec<_> = (quanta(20_000)..600)
         .step_by(crate::repetitions(3, 1) as usize)

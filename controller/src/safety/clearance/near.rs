@@ -1,14 +1,13 @@
 //! Obstacles within reach of the body, section by section, and the margins of their clearances at points of
 //! the stopping path.
 
-use core::cell::{Cell, OnceCell};
+use core::cell::Cell;
 
 use nalgebra::Vector3;
 
-use crate::robot::{
-    BendRates, Body, BodyMotion, Closest, Configuration, Nearest, Pose, Robot, SECTIONS_MAX,
-};
+use crate::robot::{BendRates, Body, Closest, Nearest, SECTIONS_MAX};
 
+use super::body_pose::BodyPose;
 use super::watched::{CAPSULE_COST, PredictedObstacle, WatchedObstacle, least_m};
 use super::{ClearanceGuard, StoppingPath, fastest};
 
@@ -78,14 +77,6 @@ pub(super) struct Violation {
     pub(super) path_s: f64,
 }
 
-/// A configuration with its derived geometry.
-pub(super) struct BodyPose {
-    pub(super) at: Configuration,
-    frames: [Pose; SECTIONS_MAX + 1],
-    pub(super) body: Body,
-    motion: OnceCell<BodyMotion>,
-}
-
 /// The robot at s = `path_s`: bend + s q̇.
 pub(super) struct PathPoint {
     pub(super) path_s: f64,
@@ -93,28 +84,6 @@ pub(super) struct PathPoint {
     pub(super) pose: BodyPose,
     /// Upper bound of each section's distance from its present pose \[m\].
     displacement_m: [f64; SECTIONS_MAX],
-}
-
-impl BodyPose {
-    pub(super) fn new(robot: &Robot, at: &Configuration) -> Self {
-        let frames = robot.section_frames(at);
-        Self {
-            at: *at,
-            frames,
-            body: robot.body_from_frames(at, &frames),
-            motion: OnceCell::new(),
-        }
-    }
-
-    /// Motion of the body's points by the rates.
-    pub(super) fn motion(&self, robot: &Robot) -> &BodyMotion {
-        self.motion.get_or_init(|| robot.body_motion(&self.at))
-    }
-
-    /// Upper bound of the distance of each section's points from their position in another pose \[m\].
-    pub(super) fn displacement_m(&self, robot: &Robot, other: &Self) -> [f64; SECTIONS_MAX] {
-        robot.displacement_m((&other.at, &other.frames), (&self.at, &self.frames))
-    }
 }
 
 impl<'a> NearObstacles<'a> {

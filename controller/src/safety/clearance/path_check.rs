@@ -2,9 +2,8 @@
 
 use crate::robot::{BendRates, SECTIONS_MAX};
 
-use super::near::{
-    BodyPose, Margins, NEAR_MAX, NearObstacles, PathPoint, Sections, ends_s, sections,
-};
+use super::body_pose::BodyPose;
+use super::near::{Margins, NEAR_MAX, NearObstacles, PathPoint, Sections, ends_s, sections};
 use super::watched::{PredictedObstacle, WatchedObstacle};
 use super::{ClearanceGuard, StoppingPath, fastest};
 

@@ -4,7 +4,8 @@ use crate::estimator::Slack;
 use crate::robot::{BendRates, Configuration, SECTIONS_MAX};
 
 use super::ClearanceGuard;
-use super::near::{BodyPose, NearObstacles};
+use super::body_pose::BodyPose;
+use super::near::NearObstacles;
 use super::path_check::check;
 
 /// Rounding of clearances that stay constant, in the sums of a play \[m\].
