@@ -192,6 +192,7 @@ impl Reporter {
             reason: convert::reason(record.mode.reason()),
             faults: record.faults,
             settings: convert::settings_to_wire(&record.settings),
+            safe_distance_min_m: inputs.safe_distance_min_m,
             lease_holder: inputs.lease_holder,
             reference_end_ns: inputs.reference_end_ns,
             reference_points: inputs.reference_points,

@@ -90,6 +90,7 @@ impl Exchange {
             reference_end_ns: self.references.end_ns().unwrap_or(0),
             reference_points: self.references.points_ahead(now_ns) as u32,
             obstacles_refused: self.obstacles.refused(),
+            safe_distance_min_m: self.settings.safe_distance_min_m,
         }
     }
 }

@@ -13,9 +13,9 @@ pub(super) struct SettingsInForce {
     pub(super) revision: u64,
     /// Period of the cycle: the longest allowed solve \[ns\].
     period_ns: u64,
-    /// Configured safe distance: the smallest that clients may set \[m\].
-    safe_distance_min_m: f64,
-    /// Safe distance last set by a client \[m\]; 0: none.
+    /// Safe distance of the configuration read last: the smallest that clients may set \[m\].
+    pub(super) safe_distance_min_m: f64,
+    /// Safe distance last set by a client, wider than the configured one \[m\]; 0: none.
     safe_distance_set_m: f64,
 }
 
@@ -41,7 +41,8 @@ impl SettingsInForce {
                 let safe_distance_m = settings.nmpc.safe_distance_m;
                 // Clients send all settings, including those that they do not change.
                 if safe_distance_m != self.settings.nmpc.safe_distance_m {
-                    self.safe_distance_set_m = safe_distance_m;
+                    let is_wider = safe_distance_m > self.safe_distance_min_m;
+                    self.safe_distance_set_m = if is_wider { safe_distance_m } else { 0.0 };
                 }
                 self.take(settings);
                 Outcome::Accepted
@@ -56,6 +57,7 @@ impl SettingsInForce {
     pub(super) fn reload(&mut self, changed: &ChangedSettings) {
         let together = convert::with_changes(&self.settings, changed);
         let go_together = together.nmpc.validate().is_ok();
+        self.safe_distance_min_m = changed.after.nmpc.safe_distance_m;
         let mut settings = if go_together { together } else { changed.after };
         let safe_distance_m = &mut settings.nmpc.safe_distance_m;
         *safe_distance_m = safe_distance_m.max(self.safe_distance_set_m);

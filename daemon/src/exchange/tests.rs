@@ -390,10 +390,15 @@ fn a_safe_distance_that_a_client_set_wider_stays_when_that_of_the_configuration_
         assert_eq!(reload(&mut rig, before_m, after_m), in_force_m);
     }
     // A distance that a client reset, or only sent along, does not override the file.
-    set(&mut rig, safe(file, 0.02));
+    set(&mut rig, safe(file, 0.04));
     assert_eq!(reload(&mut rig, 0.04, 0.06), 0.06);
+    // No client goes below the file that was read last, whatever the daemon started with.
+    let nearer = convert::settings_to_wire(&safe(file, 0.05));
+    let outcome = rig.exchange.settings.change(&nearer);
+    assert_eq!(outcome, Outcome::OutOfRange);
     set(&mut rig, safe(file, 0.06));
     assert_eq!(reload(&mut rig, 0.06, 0.03), 0.03);
+    set(&mut rig, safe(file, 0.03));
 }
 
 #[test]

@@ -43,4 +43,6 @@ pub struct InputReport {
     /// Points of the reference in the future.
     pub reference_points: u32,
     pub obstacles_refused: u64,
+    /// Smallest safe distance that a client may set \[m\].
+    pub safe_distance_min_m: f64,
 }

@@ -48,6 +48,8 @@ pub struct Summary {
     /// Number of faults since the start.
     pub faults: u64,
     pub settings: wire::SolverSettings,
+    /// Smallest safe distance that a client may set \[m\].
+    pub safe_distance_min_m: f64,
     /// Holder of the lease; 0: none.
     pub lease_holder: u64,
     /// Time of the reference's last point \[ns\]; 0: none.

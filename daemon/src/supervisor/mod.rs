@@ -402,6 +402,7 @@ fn take_over(status: &mut wire::Status, summary: &Summary) {
     status.following_error_rad = summary.following.bend_rad;
     status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;
+    status.safe_distance_min_m = summary.safe_distance_min_m;
 }
 
 /// The status of the daemon before its first cycle.
