@@ -54,7 +54,7 @@ impl Exchange {
         while let Ok(changed) = self.ends.reloaded.pop() {
             self.settings.reload(&changed);
         }
-        self.take_requests(now_ns, shared);
+        self.take_requests(now_ns, clock, shared);
         self.references.forget_before(schedule, cycle);
         self.hand_over(schedule, cycle, now_ns, clock);
     }

@@ -9,6 +9,7 @@ use iceoryx2::active_request::ActiveRequest;
 use super::Exchange;
 use crate::convert::{self, Refused, mode_request};
 use crate::handover::{CycleAnswer, CycleRecord, CycleRequest, Shared};
+use crate::rt::clock::Clock;
 
 /// A request whose client waits for an answer.
 type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
@@ -67,7 +68,7 @@ impl RequestDesk {
 }
 
 impl Exchange {
-    pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) {
+    pub(super) fn take_requests(&mut self, now_ns: u64, clock: &impl Clock, shared: &Shared) {
         for _ in 0..REQUESTS_SEEN_PER_GATHER {
             let Ok(Some(asked)) = self.ports.control.receive() else {
                 return;
@@ -77,6 +78,11 @@ impl Exchange {
                 self.pass_stop_on(asked, now_ns, shared);
             } else if self.requests.taken < REQUESTS_PER_GATHER {
                 self.requests.taken += 1;
+                if asked.payload().header.sent_ns > clock.now_ns() {
+                    // By such a time a stop would never be newer than the request.
+                    self.answer_now(&asked, Outcome::OutOfRange, now_ns);
+                    continue;
+                }
                 self.take_request(asked, now_ns, shared);
             } else {
                 self.answer_now(&asked, Outcome::Busy, now_ns);

@@ -219,8 +219,18 @@ impl Rig {
         sender_id: u64,
         kind: RequestKind,
     ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
+        self.ask_at(sender_id, kind, self.now_ns())
+    }
+
+    fn ask_at(
+        &self,
+        sender_id: u64,
+        kind: RequestKind,
+        sent_ns: u64,
+    ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
+        let header = self.header(sender_id);
         let request = Request {
-            header: self.header(sender_id),
+            header: Header { sent_ns, ..header },
             kind: kind.code(),
             ..Request::default()
         };

@@ -55,3 +55,19 @@ fn what_was_asked_before_a_signal_is_not_carried_out_after_it() {
     rig.gather();
     assert!(matches!(rig.run(7, None), Mode::Holding { .. }));
 }
+
+/// A client whose clock is ahead: by its time, the reset would always be newer than the stop.
+#[test]
+fn a_request_from_the_future_resets_no_stop_that_came_after_it() {
+    let mut rig = homing("");
+    let answer = rig.ask_at(5, RequestKind::Reset, u64::MAX);
+    rig.cycle.stop();
+    assert!(matches!(rig.run(3, None), Mode::Stopped { .. }));
+    rig.next_cycle = 4;
+    rig.measure(1, 1.5, 0);
+    rig.gather();
+    assert!(matches!(rig.run(4, None), Mode::Stopped { .. }));
+    rig.publish();
+    let answer = answer.receive().unwrap().unwrap();
+    assert_eq!(answer.payload().outcome, Outcome::OutOfRange.code());
+}
