@@ -114,6 +114,8 @@ impl Measurements {
         } else {
             &mut self.newest
         };
+        // Bends determine the configuration, a tip does not: they replace it, also with the same time stamp.
+        newest.take_if(|newest| is_newer && !is_tip && is_a_tip(newest));
         let outcome = keep(newest, timed, is_newer);
         if outcome == Outcome::Accepted {
             if !is_bound && self.tip_sensor.is_none() {
@@ -237,6 +239,18 @@ mod tests {
         rig.desk.driver = BoundSender::new(0);
         let tip = rig.accept(2, TIP);
         assert_eq!(rig.newest(), (Some(tip), None));
+    }
+
+    #[test]
+    fn bends_count_though_each_tip_comes_before_them_with_their_time_stamp() {
+        let mut rig = Rig::new("");
+        for _ in 0..2 {
+            let stamp = rig.accept(1, TIP);
+            rig.now_ns -= 1_000_000;
+            assert_eq!(rig.accept(1, BENDS), stamp);
+            assert_eq!(rig.newest().0, Some(stamp));
+            assert!(rig.desk.newest().is_some_and(|newest| !is_a_tip(&newest)));
+        }
     }
 
     #[test]
