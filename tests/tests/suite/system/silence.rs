@@ -9,8 +9,8 @@ use cdcr_client::{
 };
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, ROBOT, TIMEOUT, text, tracked, until_undisturbed, wait_mode, wait_status,
-    wait_until,
+    Daemon, PATIENT, Program, ROBOT, TIMEOUT, assert_says, text, tracked, until_undisturbed,
+    wait_mode, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -103,6 +103,22 @@ fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
     let record = wait_mode(&mut telemetry, Mode::Stopped);
     assert_eq!(record.reason, Reason::DeadlineMisses.code());
     // The reset afterwards is tested in faults::timing.
+}
+
+#[test]
+fn a_recording_of_a_stopped_daemon_goes_on_when_it_wakes() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let file = daemon.place().folder().join("run.mcap");
+    let mut command = daemon.place().command("cdcrctl");
+    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&file));
+    wait_until("the recorder has begun", || file.exists());
+    freeze(&daemon, Duration::from_millis(2500));
+    let before = wait_status(&connection, |_| true);
+    wait_status(&connection, |status| status.cycles > before.cycles + 20);
+    recorder.signal(Signal::INT);
+    let said = assert_says(&recorder.output(), 0, &["run.mcap"]);
+    assert!(!said.contains("the daemon ended"), "{said}");
 }
 
 /// Like the first trial of a new user: only the robot is configured.

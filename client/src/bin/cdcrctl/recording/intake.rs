@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use cdcr_client::channels::Topic;
-use cdcr_client::{Connection, Message, Stream, monotonic_ns};
+use cdcr_client::{Connection, LinkError, Liveness, Message, Stream, monotonic_ns};
 use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 
 use crate::args::Target;
@@ -134,8 +134,14 @@ impl Streams {
             if reading.as_ref().is_ok_and(|read| !read.records.is_empty()) {
                 heard = Instant::now();
             } else if heard.elapsed() > QUIET {
-                if self.connection.status(QUIET).is_err() {
-                    return;
+                // A stopped daemon may continue: its next cycles belong to the recording.
+                match self.connection.status(QUIET) {
+                    Ok(_)
+                    | Err(LinkError::Silent {
+                        liveness: Liveness::Runs { .. },
+                        ..
+                    }) => {}
+                    Err(_) => return,
                 }
                 heard = Instant::now();
             }
