@@ -54,6 +54,8 @@ pub struct Reporter {
     incidents_sent: u64,
     last_mode: Mode,
     measured_error: MeasuredError,
+    /// The newest tip measured beside the bends was rejected.
+    tip_rejected: bool,
     attribution: Attribution,
 }
 
@@ -78,6 +80,7 @@ impl Reporter {
             incidents_sent: 0,
             last_mode: Mode::Starting,
             measured_error: MeasuredError::default(),
+            tip_rejected: false,
             attribution: Attribution::default(),
         }
     }
@@ -120,6 +123,11 @@ impl Reporter {
                 convert::reference_position_m(record),
                 sensed.into_iter().flatten(),
             );
+            match record.tip_use {
+                MeasurementUse::Implausible => self.tip_rejected = true,
+                MeasurementUse::Used => self.tip_rejected = false,
+                MeasurementUse::None | MeasurementUse::Repeated => {}
+            }
             let late_cause = match blame {
                 Blame::Own(_) => scheduling.late_cause,
                 Blame::InTime | Blame::Before(_) => LateCause::None.code(),
@@ -206,6 +214,7 @@ impl Reporter {
             measured_error_m: self.measured_error.distance_m(),
             following: record.following,
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
+            tip_rejected: self.tip_rejected,
             dropped_events: inputs.dropped_events,
             outcomes: inputs.outcomes,
         }

@@ -75,6 +75,8 @@ pub struct Summary {
     pub following: FollowingError,
     /// The following error exceeds its warning limit.
     pub following_warning: bool,
+    /// The newest tip measured beside the bends was rejected.
+    pub tip_rejected: bool,
     /// Events that no record could hold.
     pub dropped_events: u64,
     /// Number of messages by outcome.

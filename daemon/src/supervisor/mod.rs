@@ -250,6 +250,12 @@ impl Supervisor {
                 "following error above safety.following_warning_rad"
             );
         }
+        if summary.tip_rejected && !self.newest.tip_rejected {
+            tracing::warn!(
+                cycle = summary.cycle,
+                "the measured tip is not used: it jumps, is frozen, or is more than 0.1 m from where the bends place it"
+            );
+        }
         if is_cut_short(summary)
             && !is_cut_short(&self.newest)
             && self.said_cut.elapsed() >= LATE_LINE_EVERY

@@ -288,4 +288,9 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
     let silent = newest.unwrap();
     assert_eq!(silent.mode, Mode::Holding.code());
     assert!((silent.tip_offset_m[0] - offset_m[0]).abs() < OFFSET_M / 10.0);
+    // Only the log and the telemetry show a tip that is rejected.
+    robot.run_until(|| {
+        sense(&sensor, 0.3);
+        daemon.log().contains("the measured tip is not used")
+    });
 }
