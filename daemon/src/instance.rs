@@ -119,7 +119,9 @@ pub enum InstanceError {
     GroupRoot { root: String },
     #[error(transparent)]
     InsufficientSpace(ServiceError),
-    #[error("cannot use {path}: {cause}\nuse a root folder with write permission (--root)")]
+    #[error(
+        "cannot use {path}: {cause}\nremove it if another program put it there, or use a root folder with write permission (--root)"
+    )]
     File { path: String, cause: std::io::Error },
 }
 

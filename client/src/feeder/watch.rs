@@ -137,7 +137,7 @@ impl Watch {
 fn reason_remedy(reason: Reason) -> &'static str {
     match reason {
         Reason::Start => "The daemon was restarted: feed the reference again.",
-        Reason::Request => "Another client asked for it.",
+        Reason::Request => "Another client, or the signal SIGUSR1, asked for it.",
         Reason::ReferenceEnded => {
             "The chunks came too late: give this program more time, or send further ahead."
         }

@@ -216,9 +216,11 @@ fn a_latch_that_is_not_the_daemons_is_not_used() {
     let elsewhere = daemon.place().folder().join("elsewhere");
     fs::write(&elsewhere, "theirs and long enough").unwrap();
     std::os::unix::fs::symlink(&elsewhere, latch_of(&daemon)).unwrap();
-    daemon
-        .place()
-        .says("cdcrd run", 73, &[".latch", "it is a symbolic link"]);
+    daemon.place().says(
+        "cdcrd run",
+        73,
+        &[".latch", "it is a symbolic link\nremove it"],
+    );
     assert_eq!(
         fs::read_to_string(&elsewhere).unwrap(),
         "theirs and long enough"

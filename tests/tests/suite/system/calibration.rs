@@ -305,7 +305,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
         &[
             "held.csv: ",
             "rows until then",
-            "Another client asked for it",
+            "Another client, or the signal SIGUSR1, asked for it",
         ],
     );
     holds(&daemon.connect());
