@@ -19,6 +19,20 @@ fn a_measurement_that_is_old_at_its_arrival_is_refused_also_the_first() {
 }
 
 #[test]
+fn a_stamp_in_the_future_and_one_that_is_not_newer_are_refused() {
+    let mut rig = Rig::new("");
+    rig.measure_at(1, 0.5, rig.gather_ns() + 2 * MS);
+    assert_eq!(rig.gather().measurement, None);
+    assert_eq!(rig.counted(Outcome::OutOfRange), 1);
+    let measured_ns = rig.gather_ns();
+    for before_ns in [0, 0, MS] {
+        rig.measure_at(1, 0.5, measured_ns - before_ns);
+    }
+    assert_eq!(rig.gather().measurement.unwrap().measured_ns, measured_ns);
+    assert_eq!(rig.counted(Outcome::Stale), 2);
+}
+
+#[test]
 fn a_robot_has_one_driver_until_that_is_lost() {
     let mut rig = Rig::new("");
     rig.measure(1, 0.5, 0);
