@@ -1,9 +1,10 @@
 """A driver: the process between the daemon and a robot, here one that is simulated in numpy. Its winches follow with a lag of 20 ms.
 
-    cdcrd run --set link.kind=driver &
+    cdcrd run --set link.kind=driver --set realtime.mode=prefer &
     python driver.py 10
 
-A driver of your own replaces `Winches` by what talks to your motors. It needs no real-time priority to try it; docs/drivers.md says what it has to keep.
+A driver of your own replaces `Winches` by what talks to your motors. `prefer` lets the daemon run
+without real-time priority, to try it; docs/drivers.md says what a driver has to keep.
 """
 
 import sys

@@ -19,10 +19,13 @@ def main(seconds: float) -> None:
         for records in connection.live(batch_s=0.5):
             newest = records[-1]
             response_us = 1e-3 * (records["handed_over_ns"] - records["due_ns"])
-            tip_mm = 1e3 * newest["tip_position_m"]
+            tip_mm = ", ".join(f"{value:.2f}" for value in 1e3 * newest["tip_position_m"])
+            # Without a reference there is no error, and the record has NaN.
+            error_mm = 1e3 * newest["position_error_m"]
+            error = "-" if np.isnan(error_mm) else f"{error_mm:.3g} mm"
             print(
-                f"cycle {newest['cycle']}: {cdcr.Mode(newest['mode']).name.lower()}, tip {tip_mm.round(2)} mm, "
-                f"error {1e3 * newest['position_error_m']:.3g} mm, response {np.median(response_us):.0f} µs, "
+                f"cycle {newest['cycle']}: {cdcr.Mode(newest['mode']).name.lower()}, tip {tip_mm} mm, "
+                f"error {error}, response {np.median(response_us):.0f} µs, "
                 f"{newest['deadline_misses_total']} deadline misses, {connection.lost_records()} records lost",
                 flush=True,
             )

@@ -31,8 +31,16 @@ pub enum ReadError {
     )]
     Compressed(String),
     /// A record is invalid.
-    #[error("the recording is damaged: {0}")]
+    #[error("the recording is damaged: {}", cause(.0))]
     Damaged(McapError),
+}
+
+/// The decoder calls every failed decompression "I/O error from writing, or reading a compression stream".
+fn cause(error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => error.to_string(),
+        error => error.to_string(),
+    }
 }
 
 /// Content of a recording, in the order of the file.

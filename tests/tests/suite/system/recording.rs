@@ -441,7 +441,10 @@ fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
     fs::write(run.file.with_file_name("damaged.mcap"), &bytes).unwrap();
     fs::write(run.file.with_file_name("begun.mcap"), &bytes[..8]).unwrap();
     let place = run.daemon.place();
-    let says = ["the recording is damaged", "info --repair damaged.mcap"];
+    let says = [
+        "error: damaged.mcap: the recording is damaged",
+        "; recover the part before the damage with `cdcrctl info --repair damaged.mcap`",
+    ];
     place.says("cdcrctl info damaged.mcap", 1, &says);
     let says = ["is damaged", "saved", "the first"];
     place.says("cdcrctl info --repair damaged.mcap", 0, &says);

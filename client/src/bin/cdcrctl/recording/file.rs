@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use cdcr_interchange::decode;
 use cdcr_interchange::mcap::{Item, Message, ReadError, Reader};
 use cdcr_shared_types::message::Struct;
@@ -144,10 +144,6 @@ impl Recording {
                 self.is_cut = true;
                 Ok(None)
             }
-            Err(error @ ReadError::Damaged(_)) => Err(error).with_context(|| {
-                let name = self.path.display();
-                format!("{name}; recover the part before it with `cdcrctl info --repair {name}`")
-            }),
             item => item.with_context(|| self.path.display().to_string()),
         }
     }
@@ -156,7 +152,13 @@ impl Recording {
     pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
         loop {
             let name = self.path.display().to_string();
-            match self.next_item()? {
+            let item = self.next_item().map_err(|error| match error.downcast_ref() {
+                Some(ReadError::Damaged(_)) => anyhow!(
+                    "{error:#}; recover the part before the damage with `cdcrctl info --repair {name}`"
+                ),
+                _ => error,
+            })?;
+            match item {
                 None => return Ok(None),
                 Some(Item::Message(message)) => {
                     if let Some(message) = decoded(&message).with_context(|| name)? {
