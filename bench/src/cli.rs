@@ -11,11 +11,10 @@ use cdcr_bench::compare::{ChangeClass, Comparison, Input};
 use cdcr_bench::deadline::DeadlineOptions;
 use cdcr_bench::footprint::FootprintOptions;
 use cdcr_bench::latency::LatencyOptions;
-use cdcr_bench::latency::baseline::{self, PeerOptions};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::QualityOptions;
 use cdcr_bench::rate::RateOptions;
-use cdcr_bench::report::{self, BenchReport, Bundle, Extent, Plan, Start, make};
+use cdcr_bench::report::{self, BenchReport, Extent, Files, Plan, Start, make};
 use cdcr_bench::robustness::RobustnessOptions;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::simulation::Effort;
@@ -55,9 +54,6 @@ enum Command {
     /// Compare two runs and list changes beyond the noise of their rounds.
     #[command(after_help = "Example: cdcr-bench compare before/report.json after/report.json")]
     Compare(CompareArguments),
-    /// The other process of `latency`.
-    #[command(name = baseline::PEER, hide = true)]
-    Peer(PeerOptions),
 }
 
 /// Declares the benchmarks: description, name, options, and the text after the help.
@@ -205,7 +201,6 @@ pub(crate) fn run() -> Result<()> {
         Command::All(asked) => asked.run(start()?),
         Command::One(one) => one.run(&start()?),
         Command::Compare(asked) => asked.run(),
-        Command::Peer(asked) => baseline::peer(&asked),
     }
 }
 
@@ -221,7 +216,7 @@ impl Output {
         drop(progress);
         // Written before printing, because the reader may close the pipe.
         if let Some(folder) = &self.out {
-            keep(&start.bundle_of(&dataset)?, folder)?;
+            keep(&start.files_of(&dataset)?, folder)?;
         }
         let machine = start.environment.line();
         show(&match self.format {
@@ -263,9 +258,9 @@ impl AllArguments {
             parts: report::run(self.plans(), &mut progress)?,
         };
         drop(progress);
-        keep(&report.bundle()?, &self.folder(&report)?)?;
+        keep(&report.files()?, &self.folder(&report)?)?;
         show(&report.summary())?;
-        let failed: Vec<&str> = report.failures().map(|(name, _)| name).collect();
+        let failed = report.failed();
         ensure!(
             failed.is_empty(),
             "{} of {} benchmarks failed: {}; see the report, which includes the others",
@@ -314,14 +309,10 @@ impl CompareArguments {
 }
 
 /// Writes all files, and reports that on standard error.
-fn keep(bundle: &Bundle, folder: &Path) -> Result<()> {
-    bundle.write(folder)?;
-    writeln!(
-        std::io::stderr(),
-        "{} files written to {}",
-        bundle.0.len(),
-        folder.display()
-    )?;
+fn keep(files: &Files, folder: &Path) -> Result<()> {
+    report::write(files, folder)?;
+    let (count, folder) = (files.len(), folder.display());
+    writeln!(std::io::stderr(), "{count} files written to {folder}")?;
     Ok(())
 }
 

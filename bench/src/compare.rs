@@ -17,7 +17,7 @@ use statrs::function::factorial::binomial;
 
 use crate::dataset::{Column, Sheet, fixed, shorted, signed, word};
 use crate::environment::Environment;
-use crate::metric::{Better, Metric, range};
+use crate::metric::{Better, Metric};
 use crate::named::named;
 use crate::run_options::RunOptions;
 use ChangeClass::{
@@ -185,16 +185,19 @@ impl Comparison {
 }
 
 fn warnings(before: &Input, after: &Input) -> Vec<String> {
-    let machine = before.environment.differing(&after.environment);
-    let another = |(what, old, new)| format!("another {what}: {old} before, {new} after");
-    let mut warnings: Vec<String> = machine.into_iter().map(another).collect();
+    let mut warnings = Vec::new();
+    for (what, old, new) in before.environment.differing(&after.environment) {
+        warnings.push(format!("another {what}: {old} before, {new} after"));
+    }
     warnings.extend((!warnings.is_empty()).then(|| OTHER_MACHINE.to_owned()));
     match (&before.options, &after.options) {
         (Some(old), Some(new)) => {
             let differing = old.differing(new);
-            warnings.extend(differing.iter().map(|(name, old, new)| {
-                format!("another value of {name}: {old} before, {new} after")
-            }));
+            for (name, old, new) in &differing {
+                warnings.push(format!(
+                    "another value of {name}: {old} before, {new} after"
+                ));
+            }
             warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
         }
         (None, None) => {}
@@ -229,21 +232,20 @@ impl Change {
     /// `None` unless both runs measured the number at least once.
     fn of(old: &Metric, new: &Metric) -> Option<Self> {
         let (before, after) = (old.median()?, new.median()?);
-        let [old_range, new_range] = [old, new].map(|metric| range(metric.rounds.iter().copied()));
-        let (old_range, new_range) = (old_range?, new_range?);
+        let (old_range, new_range) = (old.range()?, new.range()?);
         let counts = [old.rounds.len(), new.rounds.len()];
         let percent = (before != 0.0).then(|| 100.0 * (after - before) / before.abs());
         let is_small = percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
         let is_apart = old_range.1 < new_range.0 || new_range.1 < old_range.0;
         let is_better = (new.better == Better::Lower) == (after < before);
         let is_judged = counts.iter().all(|count| *count >= ROUNDS_MIN);
-        let [same, better, worse] = match counts {
+        let classes = match counts {
             [1, 1] => [OneValueAlike, OneValueBetter, OneValueWorse],
             _ if is_judged => [WithinNoise, Improved, Worse],
             _ => [TooFewRounds; 3],
         };
         let spread = |median: f64, range, rounds: usize| json!({ "median": median, "range": range, "rounds": rounds });
-        let chance = chance_apart(counts);
+        let (is_changed, chance) = (is_apart && !is_small, chance_apart(counts));
         Some(Self {
             name: new.name.clone(),
             unit: new.unit.clone(),
@@ -251,11 +253,7 @@ impl Change {
             before: spread(before, old_range, counts[0]),
             after: spread(after, new_range, counts[1]),
             percent,
-            verdict: match is_apart && !is_small {
-                false => same,
-                true if is_better => better,
-                true => worse,
-            },
+            verdict: classes[usize::from(is_changed) * (2 - usize::from(is_better))],
             chance: (is_apart && counts != [1, 1]).then_some(chance),
             false_alarm: if is_judged { chance } else { 0.0 },
         })

@@ -117,11 +117,7 @@ impl Environment {
 
     /// The minimal description for a number: processor, kernel, real-time rights.
     pub fn line(&self) -> String {
-        let realtime = if self.is_realtime() {
-            "granted"
-        } else {
-            "refused"
-        };
+        let realtime = ["refused", "granted"][usize::from(self.is_realtime())];
         let machine = self.model_and_kernel();
         format!("Measured on {machine}, real time {realtime}.")
     }
@@ -132,10 +128,8 @@ impl Environment {
             "" => String::new(),
             commit => format!(" ({commit})"),
         };
-        format!(
-            "cdcr {version}{commit}, {started}, {}",
-            self.model_and_kernel()
-        )
+        let machine = self.model_and_kernel();
+        format!("cdcr {version}{commit}, {started}, {machine}")
     }
 }
 
@@ -199,10 +193,9 @@ impl Root {
         let model = model.or_else(|| self.read("proc/device-tree/model"));
         // Caches of the core, like `L1 Data 32K`.
         let cache = |index: usize| {
-            let words = ["level", "type", "size"]
-                .map(|name| self.read(&format!("{folder}/cache/index{index}/{name}")));
-            let [level, kind, size] = words;
-            Some(format!("L{} {} {}", level?, kind?, size?))
+            let read = |name: &str| self.read(&format!("{folder}/cache/index{index}/{name}"));
+            let (level, kind) = (read("level")?, read("type")?);
+            Some(format!("L{level} {kind} {}", read("size")?))
         };
         let khz = self.read(&format!("{folder}/cpufreq/scaling_cur_freq"));
         let khz: Option<f64> = khz.and_then(|khz| khz.parse().ok());
@@ -228,8 +221,8 @@ impl Root {
     fn hypervisor(&self) -> Option<String> {
         let is_virtual = self.is_virtual();
         let firmware = || {
-            let names = ["sys_vendor", "product_name"].into_iter();
-            let names = names.filter_map(|name| self.read(&format!("sys/class/dmi/id/{name}")));
+            let name = |name: &&str| self.read(&format!("sys/class/dmi/id/{name}"));
+            let names = ["sys_vendor", "product_name"].iter().filter_map(name);
             let names = names.collect::<Vec<_>>().join(" ");
             (is_virtual == Some(true) && !names.is_empty()).then_some(names)
         };
@@ -268,13 +261,12 @@ fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
 /// The commit, with a `+` for changed files; `None` without git or outside a working copy of this project.
 fn commit() -> Option<String> {
     let git = |arguments: &str| {
+        let mut git = Command::new("git");
         // Read-only.
-        let arguments = ["--no-optional-locks"]
-            .into_iter()
-            .chain(arguments.split(' '));
-        let output = Command::new("git").args(arguments).output();
-        let output = output.ok().filter(|output| output.status.success())?;
-        Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
+        git.arg("--no-optional-locks").args(arguments.split(' '));
+        let output = git.output().ok()?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        output.status.success().then(|| text.trim().to_owned())
     };
     let root = git("rev-parse --show-toplevel")?;
     let manifest = std::fs::read_to_string(Path::new(&root).join("bench/Cargo.toml")).ok()?;

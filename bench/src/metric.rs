@@ -42,6 +42,11 @@ impl Metric {
     pub fn median(&self) -> Option<f64> {
         median(self.rounds.iter().copied())
     }
+
+    /// Smallest and largest round; `None` without rounds.
+    pub fn range(&self) -> Option<(f64, f64)> {
+        range(self.rounds.iter().copied())
+    }
 }
 
 /// Median; of an even count, the mean of the middle two. `None` if empty. The values must be finite.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Instant, SystemTime};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -28,6 +28,12 @@ const QUICK: &str =
 
 /// Keys of a report that are not results of a benchmark.
 const NO_RESULTS: [&str; 4] = ["environment", "extent", "options", "took_s"];
+
+/// Key of the cause in the result of a failed benchmark.
+const ERROR: &str = "error";
+
+/// File contents by name, which may contain a folder.
+pub type Files = BTreeMap<String, String>;
 
 /// Start time, machine and options of a run.
 #[derive(Debug, Clone)]
@@ -69,79 +75,60 @@ impl Start {
     }
 
     /// One result in all formats.
-    pub fn bundle_of(&self, dataset: &Dataset) -> Result<Bundle> {
-        let (name, machine) = (dataset.name, self.machine());
-        let mut bundle = Bundle::new(name, self.json_of(dataset)?);
-        bundle.add_documents(name, dataset.heading, "", &[dataset, &machine])?;
-        bundle.add_data(self.time, dataset)?;
-        Ok(bundle)
+    pub fn files_of(&self, dataset: &Dataset) -> Result<Files> {
+        let all = [dataset, &self.machine()];
+        let mut files = documents(
+            dataset.name,
+            dataset.heading,
+            "",
+            &all,
+            self.json_of(dataset)?,
+        );
+        add_data(&mut files, self.time, dataset)?;
+        Ok(files)
     }
 }
 
-/// File contents by name, which may contain a folder.
-#[derive(Debug)]
-pub struct Bundle(pub BTreeMap<String, String>);
+fn documents(name: &str, title: &str, introduction: &str, all: &[&Dataset], json: String) -> Files {
+    let texts: Vec<String> = all.iter().map(|dataset| dataset.text()).collect();
+    Files::from([
+        (format!("{name}.json"), json),
+        (format!("{name}.txt"), texts.join("\n")),
+        (format!("{name}.html"), page::page(title, introduction, all)),
+    ])
+}
 
-impl Bundle {
-    fn new(name: &str, json: String) -> Self {
-        Self(BTreeMap::from([(format!("{name}.json"), json)]))
+fn add_data(files: &mut Files, started: SystemTime, dataset: &Dataset) -> Result<()> {
+    for (file, csv) in dataset.csv() {
+        files.insert(format!("{file}.csv"), csv?);
     }
+    for plot in &dataset.plots {
+        files.insert(format!("{}.svg", plot.name), plot.svg.clone());
+    }
+    if let Some(log) = hlog::log(started, &dataset.recordings)? {
+        files.insert(format!("histograms/{}.hlog", dataset.name), log);
+    }
+    Ok(())
+}
 
-    fn add(&mut self, name: String, text: String) -> Result<()> {
-        ensure!(
-            !self.0.contains_key(&name),
-            "two files of one result are called {name}"
-        );
-        self.0.insert(name, text);
-        Ok(())
+/// Writes all files into `folder`, which is created if needed. The files are first written to a temporary
+/// folder and moved when all are complete, so that a full disk leaves older files unchanged.
+pub fn write(files: &Files, folder: &Path) -> Result<()> {
+    make(folder)?;
+    let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
+    let fresh = fresh.with_context(|| format!("cannot write into {}", folder.display()))?;
+    let cannot = |file: &Path| format!("cannot write {}", file.display());
+    for (name, text) in files {
+        let file = fresh.path().join(name);
+        make(file.parent().unwrap_or(folder))?;
+        fs::write(&file, text).with_context(|| cannot(&file))?;
     }
-
-    fn add_documents(
-        &mut self,
-        name: &str,
-        title: &str,
-        introduction: &str,
-        all: &[&Dataset],
-    ) -> Result<()> {
-        let texts: Vec<String> = all.iter().map(|dataset| dataset.text()).collect();
-        self.add(format!("{name}.txt"), texts.join("\n"))?;
-        self.add(format!("{name}.html"), page::page(title, introduction, all))
+    for name in files.keys() {
+        let place = folder.join(name);
+        make(place.parent().unwrap_or(folder))?;
+        fs::rename(fresh.path().join(name), &place).with_context(|| cannot(&place))?;
     }
-
-    fn add_data(&mut self, started: SystemTime, dataset: &Dataset) -> Result<()> {
-        let name = dataset.name;
-        for (file, csv) in dataset.csv() {
-            self.add(format!("{file}.csv"), csv?)?;
-        }
-        for plot in &dataset.plots {
-            self.add(format!("{}.svg", plot.name), plot.svg.clone())?;
-        }
-        if let Some(log) = hlog::log(started, &dataset.recordings)? {
-            self.add(format!("histograms/{name}.hlog"), log)?;
-        }
-        Ok(())
-    }
-
-    /// Writes all files into `folder`, which is created if needed. The files are first written to a temporary
-    /// folder and moved when all are complete, so that a full disk leaves older files unchanged.
-    pub fn write(&self, folder: &Path) -> Result<()> {
-        make(folder)?;
-        let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
-        let fresh =
-            fresh.with_context(|| format!("cannot write into the folder {}", folder.display()))?;
-        let cannot = |file: &Path| format!("cannot write {}", file.display());
-        for (name, text) in &self.0 {
-            let file = fresh.path().join(name);
-            make(file.parent().unwrap_or(folder))?;
-            fs::write(&file, text).with_context(|| cannot(&file))?;
-        }
-        for name in self.0.keys() {
-            let place = folder.join(name);
-            make(place.parent().unwrap_or(folder))?;
-            fs::rename(fresh.path().join(name), &place).with_context(|| cannot(&place))?;
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
 pub fn make(folder: &Path) -> Result<()> {
@@ -184,20 +171,28 @@ impl Plan {
         }
     }
 
-    /// Runs in a separate thread, whose core and priority settings end with it.
+    /// Runs in a separate thread, whose core and priority settings end with it. The result of a benchmark that
+    /// fails is its cause.
     fn carry_out(self, progress: &mut Progress) -> Part {
-        let (started, begin) = (SystemTime::now(), Instant::now());
+        let (started, begin, name) = (SystemTime::now(), Instant::now(), self.name);
         let run = self.run;
         let result = thread::scope(|scope| scope.spawn(|| run(progress)).join());
-        let panicked =
-            |_| "the benchmark panicked; what it said is on the standard error".to_owned();
+        let result = result.unwrap_or_else(|_| {
+            Err(anyhow!(
+                "the benchmark panicked; what it said is on the standard error"
+            ))
+        });
+        let failed = |cause: anyhow::Error| {
+            let mut dataset = Dataset::new(name, name, "");
+            dataset.note = format!("{name} failed. There is no result: {cause:#}");
+            dataset.warns = true;
+            dataset.fact(ERROR, format!("{cause:#}"));
+            dataset
+        };
         Part {
-            name: self.name,
+            dataset: result.unwrap_or_else(failed),
             started,
             took_s: begin.elapsed().as_secs_f64(),
-            result: result
-                .map_err(panicked)
-                .and_then(|result| result.map_err(|error| format!("{error:#}"))),
         }
     }
 }
@@ -216,11 +211,17 @@ pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
     Ok(parts)
 }
 
+/// The result of one benchmark of a report.
 pub struct Part {
-    pub name: &'static str,
+    pub dataset: Dataset,
     started: SystemTime,
     took_s: f64,
-    pub result: Result<Dataset, String>,
+}
+
+impl Part {
+    pub fn has_failed(&self) -> bool {
+        self.dataset.facts.contains_key(ERROR)
+    }
 }
 
 pub struct BenchReport {
@@ -231,27 +232,21 @@ pub struct BenchReport {
 }
 
 impl BenchReport {
-    fn datasets(&self) -> impl Iterator<Item = &Dataset> {
-        let parts = self.parts.iter();
-        parts.filter_map(|part| part.result.as_ref().ok())
-    }
-
-    pub fn failures(&self) -> impl Iterator<Item = (&'static str, &str)> {
-        let parts = self.parts.iter();
-        parts.filter_map(|part| Some((part.name, part.result.as_ref().err()?.as_str())))
+    pub fn failed(&self) -> Vec<&'static str> {
+        let failed = self.parts.iter().filter(|part| part.has_failed());
+        failed.map(|part| part.dataset.name).collect()
     }
 
     /// Results of each benchmark under its name; a failed one has the key `error`.
     fn results(&self) -> Map<String, Value> {
-        let result = |part: &Part| match &part.result {
-            Ok(dataset) => (part.name.to_owned(), dataset.json().into()),
-            Err(cause) => (part.name.to_owned(), json!({ "error": cause })),
-        };
-        self.parts.iter().map(result).collect()
+        let parts = self.parts.iter().map(|part| &part.dataset);
+        parts
+            .map(|dataset| (dataset.name.to_owned(), dataset.json().into()))
+            .collect()
     }
 
     fn metrics(&self) -> Vec<Metric> {
-        let metrics = self.datasets().flat_map(|dataset| &dataset.metrics);
+        let metrics = self.parts.iter().flat_map(|part| &part.dataset.metrics);
         metrics.cloned().collect()
     }
 
@@ -259,7 +254,7 @@ impl BenchReport {
     /// conditions of the targets were not met.
     fn targets(&self) -> Dataset {
         let mut parts = self.parts.iter();
-        let has_any = parts.any(|part| targets::JUDGED.contains(&part.name));
+        let has_any = parts.any(|part| targets::JUDGED.contains(&part.dataset.name));
         let realtime = self.start.environment.is_realtime();
         if !has_any || (realtime && self.default_config) {
             return targets::dataset(targets::targets(&self.metrics(), &self.results()));
@@ -275,7 +270,7 @@ impl BenchReport {
         }
     }
 
-    /// The sections before the results: machine, targets, failures.
+    /// The sections before the results: machine and targets.
     fn front(&self) -> Vec<Dataset> {
         let mut front = vec![self.start.machine(), self.targets()];
         front.retain(|dataset| dataset.tables().next().is_some() || !dataset.note.is_empty());
@@ -283,30 +278,32 @@ impl BenchReport {
             QUICK.clone_into(&mut front[0].note);
             front[0].warns = true;
         }
-        let failed = self.failures().map(|(name, cause)| Dataset {
-            name,
-            heading: name,
-            note: format!("{name} failed. There is no result: {cause}"),
-            warns: true,
-            ..Dataset::default()
-        });
-        front.extend(failed);
         front
     }
 
+    /// Machine, targets, and failed benchmarks.
     pub fn summary(&self) -> String {
-        let texts: Vec<String> = self.front().iter().map(Dataset::text).collect();
+        let failed = self.parts.iter().filter(|part| part.has_failed());
+        let failed = failed.map(|part| part.dataset.text());
+        let texts: Vec<String> = self
+            .front()
+            .iter()
+            .map(Dataset::text)
+            .chain(failed)
+            .collect();
         texts.join("\n")
     }
 
     fn json(&self) -> Result<String> {
-        let took = self.parts.iter().map(|part| (part.name, part.took_s));
-        let failed: Vec<&str> = self.failures().map(|(name, _)| name).collect();
+        let took = self
+            .parts
+            .iter()
+            .map(|part| (part.dataset.name, part.took_s));
         let targets = self.targets();
         let mut all = self.results();
         all.extend(targets.json());
         all.insert("extent".to_owned(), json!(self.extent));
-        all.insert("failed".to_owned(), json!(failed));
+        all.insert("failed".to_owned(), json!(self.failed()));
         all.insert("took_s".to_owned(), json!(took.collect::<BTreeMap<_, _>>()));
         if !targets.note.is_empty() {
             all.insert("targets_not_judged".to_owned(), targets.note.into());
@@ -314,35 +311,34 @@ impl BenchReport {
         self.start.json(all, &self.metrics())
     }
 
-    pub fn bundle(&self) -> Result<Bundle> {
-        let mut bundle = Bundle::new("report", self.json()?);
+    pub fn files(&self) -> Result<Files> {
         let front = self.front();
-        let all: Vec<&Dataset> = front.iter().chain(self.datasets()).collect();
-        bundle.add_documents(
-            "report",
-            "What cdcr reaches, measured",
-            page::INTRODUCTION,
-            &all,
-        )?;
+        let parts = self.parts.iter().map(|part| &part.dataset);
+        let all: Vec<&Dataset> = front.iter().chain(parts).collect();
+        let title = "What cdcr reaches, measured";
+        let mut files = documents("report", title, page::INTRODUCTION, &all, self.json()?);
         for part in &self.parts {
-            if let Ok(dataset) = &part.result {
-                bundle.add_data(part.started, dataset)?;
-            }
+            add_data(&mut files, part.started, &part.dataset)?;
         }
-        Ok(bundle)
+        Ok(files)
     }
 
     /// Names of benchmarks with a result in an older `report.json` and none in this one, including benchmarks
     /// that no longer exist.
     pub fn would_lose(&self, older: &str) -> Vec<String> {
         let older: Map<String, Value> = serde_json::from_str(older).unwrap_or_default();
-        let was_there = |name: &str, value: &Value| {
-            !NO_RESULTS.contains(&name) && value.is_object() && value.get("error").is_none()
+        let here = self.parts.iter().filter(|part| !part.has_failed());
+        let is_lost = |(name, value): &(&String, &Value)| {
+            !NO_RESULTS.contains(&name.as_str())
+                && value.is_object()
+                && value.get(ERROR).is_none()
+                && !here.clone().any(|part| part.dataset.name == name.as_str())
         };
-        let is_here = |name: &str| self.datasets().any(|dataset| dataset.name == name);
-        let mut lost = Vec::from_iter(older);
-        lost.retain(|(name, value)| was_there(name, value) && !is_here(name));
-        let mut lost: Vec<String> = lost.into_iter().map(|(name, _)| name).collect();
+        let mut lost: Vec<String> = older
+            .iter()
+            .filter(is_lost)
+            .map(|(name, _)| name.clone())
+            .collect();
         // The order of JSON keys depends on the features of other crates in the build.
         lost.sort_unstable();
         lost
@@ -355,29 +351,18 @@ mod tests {
 
     use super::*;
 
-    fn bundle(text: &str) -> Bundle {
-        let mut bundle = Bundle::new("a", text.to_owned());
-        bundle
-            .add("deep/b.hlog".to_owned(), text.to_owned())
-            .expect("another");
-        bundle
-            .add("deep/b.hlog".to_owned(), text.to_owned())
-            .expect_err("a second");
-        bundle
-    }
-
     #[test]
     fn a_folder_holds_the_files_and_nothing_else_or_the_older_ones() {
         let place = Scratch::temporary().expect("a folder");
         let folder = place.path().join("new");
-        bundle("old").write(&folder).expect("written");
-        bundle("new").write(&folder).expect("written over");
-        let mut broken = bundle("broken");
-        broken.add("x".repeat(300), String::new()).expect("a name");
-        broken
-            .write(&folder)
-            .expect_err("a name that no file can have");
-        for name in ["a.json", "deep/b.hlog"] {
+        let names = ["a.json", "deep/b.hlog"];
+        let files = |text: &str| Files::from(names.map(|name| (name.to_owned(), text.to_owned())));
+        write(&files("old"), &folder).expect("written");
+        write(&files("new"), &folder).expect("written over");
+        let mut broken = files("broken");
+        broken.insert("x".repeat(300), String::new());
+        write(&broken, &folder).expect_err("a name that no file can have");
+        for name in names {
             assert_eq!(fs::read_to_string(folder.join(name)).expect(name), "new");
         }
         let entries = fs::read_dir(&folder).expect("a folder").count();
@@ -392,7 +377,6 @@ mod tests {
             run: Box::new(|_| panic!("a test of a panic")),
         };
         let part = plan.carry_out(&mut Progress::silent());
-        let cause = part.result.err().expect("no result");
-        assert!(cause.contains("panicked"), "{cause}");
+        assert!(part.has_failed() && part.dataset.note.contains("panicked"));
     }
 }

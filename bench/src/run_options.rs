@@ -1,6 +1,7 @@
 //! Options of a run: runs with different options cannot be compared.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::hash::{DefaultHasher, Hasher};
 use std::path::Path;
 
@@ -16,33 +17,25 @@ pub struct RunOptions(BTreeMap<String, String>);
 impl RunOptions {
     /// The given options of this program, except those for the place and format of the result.
     pub fn of(command: &clap::Command, matches: &ArgMatches) -> Self {
-        let mut options = BTreeMap::new();
         let Some((name, matches)) = matches.subcommand() else {
-            return Self(options);
+            return Self::default();
         };
-        options.insert("command".to_owned(), name.to_owned());
-        let arguments = command
-            .find_subcommand(name)
-            .into_iter()
-            .flat_map(clap::Command::get_arguments);
-        for argument in arguments {
-            let (Some(long), id) = (argument.get_long(), argument.get_id().as_str()) else {
+        let mut options = BTreeMap::from([("command".to_owned(), name.to_owned())]);
+        let arguments = command.find_subcommand(name).into_iter();
+        for argument in arguments.flat_map(clap::Command::get_arguments) {
+            let (long, id) = (argument.get_long(), argument.get_id().as_str());
+            let long = long.filter(|long| !["out", "format"].contains(long));
+            let is_given = matches.value_source(id) == Some(ValueSource::CommandLine);
+            let Some(long) = long.filter(|_| is_given) else {
                 continue;
             };
-            let is_given = matches.value_source(id) == Some(ValueSource::CommandLine);
-            if !is_given || ["out", "format"].contains(&long) {
-                continue;
-            }
-            let values = matches.get_raw(id).into_iter().flatten();
-            let text = |value: &std::ffi::OsStr| match long {
+            let text = |value: &OsStr| match long {
                 // The content of the file instead of its path.
                 "config" => hash(Path::new(value)),
                 _ => value.to_string_lossy().into_owned(),
             };
-            options.insert(
-                long.to_owned(),
-                values.map(text).collect::<Vec<_>>().join(","),
-            );
+            let values = matches.get_raw(id).into_iter().flatten().map(text);
+            options.insert(long.to_owned(), values.collect::<Vec<_>>().join(","));
         }
         Self(options)
     }
@@ -78,21 +71,23 @@ mod tests {
     fn the_options_of_a_run_are_what_it_was_asked_for() {
         let argument = |name: &'static str| clap::Arg::new(name).long(name);
         let load = argument("load").value_delimiter(',');
-        let all = clap::Command::new("deadline").args([
-            argument("rounds").default_value("6"),
-            load.action(clap::ArgAction::Append),
-            argument("config"),
-        ]);
+        let load = load.action(clap::ArgAction::Append);
+        let rounds = argument("rounds").default_value("6");
+        let all = clap::Command::new("deadline").args([rounds, load, argument("config")]);
         let command = clap::Command::new("bench").subcommand(all);
         let of = |words: &str| {
             let words = format!("bench deadline {words}");
-            let matches = command.clone().get_matches_from(words.split(' '));
-            RunOptions::of(&command, &matches)
+            RunOptions::of(
+                &command,
+                &command.clone().get_matches_from(words.split(' ')),
+            )
         };
         let one = of("--load=none --load cpu --rounds 3");
         assert_eq!(one, of("--rounds=3 --load none,cpu"));
-        let other = of("--load none,cpu");
-        assert_eq!(one.differing(&other), [("rounds", "3", "none")]);
+        assert_eq!(
+            one.differing(&of("--load none,cpu")),
+            [("rounds", "3", "none")]
+        );
 
         // Configurations are compared by content, not by path.
         let folder = Scratch::temporary().expect("a folder");

@@ -1,30 +1,21 @@
-//! Latency of iceoryx2 alone between two processes on two cores: a thread that sends and polls, and a peer
-//! that polls and answers.
+//! Latency of iceoryx2 alone between two threads on two cores: one sends and polls, the other polls and answers.
+//! Each has a node of its own, as two processes have.
 //!
-//! The peer is this program with a hidden command. Neither side sleeps while it waits, and neither has a
-//! real-time priority: the kernel throttles a real-time thread that never sleeps.
+//! Neither side sleeps while it waits, and neither has a real-time priority: the kernel throttles a real-time
+//! thread that never sleeps.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::process;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use cdcr_client::monotonic_ns;
-use cdcr_process::{PREFIX, Place, Process, ROOT, program};
+use cdcr_process::Place;
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
-use iceoryx2::port::client::Client;
-use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::service::port_factory::{PortFactory as _, publish_subscribe, request_response};
-use rustix::process::{Signal, getppid, set_parent_process_death_signal};
-use signal_hook::consts::SIGTERM;
+use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
-use super::leg::Leg;
-use super::round::Round;
+use super::leg::{Leg, Round};
 use crate::interrupt;
 use crate::subject::TIMEOUT;
 use crate::system::cores::Cores;
@@ -34,109 +25,119 @@ use crate::watcher::on_client_core;
 const WARM_UP: usize = 200;
 const GAP_NS: u64 = 200_000;
 
-pub const PEER: &str = "peer";
-
 pub(super) fn expected_s(samples: usize) -> f64 {
     0.5 + 2.0 * (WARM_UP + samples) as f64 * GAP_NS as f64 * 1e-9
 }
 
 pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Result<()> {
-    // Dropped last.
     let place = Place::new()?;
-    let _peer = start_peer(&place, cores)?;
-    on_client_core(cores, false, || {
-        let near = Near::open(place.location(), cores.is_alone());
-        let near = near.context("a port of the bench")?;
-        near.repeat(samples, round, |sequence| near.play(sequence))?;
-        near.repeat(samples, round, |sequence| near.ask(sequence))
+    let (location, shares) = (place.location(), cores.is_alone());
+    let (ends, (opened, is_open)) = (AtomicBool::new(false), channel());
+    let ends = &ends;
+    thread::scope(|scope| {
+        let answering = scope.spawn(move || {
+            pin(cores.realtime);
+            answer(location, shares, &opened, ends)
+        });
+        // An error of the other thread drops its end of the channel.
+        let measured = match is_open.recv_timeout(TIMEOUT) {
+            Ok(()) => on_client_core(cores, false, || ask(location, shares, samples, round)),
+            Err(_) => Err(anyhow!("the answering thread opened no port")),
+        };
+        ends.store(true, Ordering::Relaxed);
+        let answered = answering.join();
+        answered.map_err(|_| anyhow!("the answering thread panicked"))??;
+        measured
     })
+    .context("iceoryx2 alone")
 }
 
-/// Starts the peer. Call it from a thread that outlives the peer.
-fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
-    let mut command = process::Command::new(program("cdcr-bench")?);
-    command
-        .arg(PEER)
-        .args(["--prefix", place.location().prefix(), "--root"])
-        .arg(place.location().root())
-        .args(["--parent", &process::id().to_string()])
-        .args(["--core", &cores.realtime.to_string()]);
-    if cores.is_alone() {
-        command.arg("--shares");
+/// On a shared core, lets the other thread run.
+fn pause(shares: bool) {
+    if shares {
+        thread::yield_now();
     }
-    cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
-#[derive(Debug, clap::Args)]
-pub struct PeerOptions {
-    /// Prefix of the files in shared memory.
-    #[arg(long)]
-    prefix: String,
-    /// Root folder of iceoryx2.
-    #[arg(long)]
-    root: PathBuf,
-    /// The process that started it.
-    #[arg(long)]
-    parent: u32,
-    #[arg(long)]
-    core: usize,
-    /// Both processes are on one core: let the other one run.
-    #[arg(long)]
-    shares: bool,
-}
-
-/// The peer: answers until SIGTERM or the end of its parent. Call it from the main thread.
-pub fn peer(options: &PeerOptions) -> Result<()> {
-    // SIGTERM may come twice, from the parent and from the kernel when the parent has ended. The handler is
-    // installed before the kernel's signal is requested.
-    let ends = Arc::new(AtomicBool::new(false));
-    signal_hook::flag::register(SIGTERM, Arc::clone(&ends)).context("signals")?;
-    set_parent_process_death_signal(Some(Signal::TERM)).context("to end with the parent")?;
-    let is_orphan = || getppid().is_none_or(|id| id.as_raw_pid().unsigned_abs() != options.parent);
-    ensure!(!is_orphan(), "the parent has ended");
-    pin(options.core);
-    let answered = answer(options, &ends);
-    // The parent can no longer clean up. Only a root folder of a [`Place`] is removed.
-    if is_orphan() && is_root_of_place(&options.root) {
-        let _ = fs::remove_dir_all(&options.root);
-    }
-    answered
-}
-
-fn is_root_of_place(root: &Path) -> bool {
-    let name = root.file_name().unwrap_or_default().to_string_lossy();
-    root.parent() == Some(Path::new(Location::MEMORY))
-        && name.starts_with(PREFIX)
-        && name.ends_with(ROOT)
-}
-
-fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
-    let location = Location::new(&options.prefix, &options.root)?;
-    let services = Services::open(&location).context("a service of the peer")?;
+fn answer(location: &Location, shares: bool, opened: &Sender<()>, ends: &AtomicBool) -> Result<()> {
+    let services = Services::open(location)?;
     let there = services.there.subscriber_builder().create()?;
     let back = services.back.publisher_builder().create()?;
     let control = services.control.server_builder().create()?;
-    // Checked in each iteration: on a shared, crowded core, every other thread may run in between.
+    opened.send(())?;
     while !ends.load(Ordering::Relaxed) {
-        if let Some(sample) = there.receive().context("the peer cannot hear")? {
+        if let Some(sample) = there.receive()? {
             let mut message = *sample.payload();
             message.header.sent_ns = monotonic_ns();
-            back.send_copy(message).context("the peer cannot answer")?;
+            back.send_copy(message)?;
         }
-        if let Some(asked) = control.receive().context("the peer cannot hear")? {
-            let response = Response {
-                request_sequence: asked.payload().header.sequence,
-                ..Response::default()
-            };
-            asked
-                .send_copy(response)
-                .context("the peer cannot answer")?;
+        if let Some(asked) = control.receive()? {
+            asked.send_copy(Response::default())?;
         }
-        if options.shares {
-            thread::yield_now();
-        }
+        pause(shares);
     }
     Ok(())
+}
+
+/// Sends messages, then requests, with a pause in between, and records those after the warm-up.
+fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> Result<()> {
+    let services = Services::open(location)?;
+    let there = services.there.publisher_builder().create()?;
+    let back = services.back.subscriber_builder().create()?;
+    let control = services.control.client_builder().create()?;
+    let mut repeat = |once: &dyn Fn(Header) -> Result<Vec<(Leg, u64, u64)>>| -> Result<()> {
+        for index in 0..WARM_UP + samples {
+            let sent_ns = monotonic_ns();
+            let times = once(Header {
+                sender_id: 1,
+                sequence: index as u64,
+                sent_ns,
+            })?;
+            for (leg, from_ns, to_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
+                round.record(leg, to_ns - from_ns);
+            }
+            // Without a sleep, like a thread that is awake when a message comes.
+            while monotonic_ns() < sent_ns + GAP_NS {
+                pause(shares);
+                interrupt::check()?;
+            }
+        }
+        Ok(())
+    };
+    repeat(&|header| {
+        there.send_copy(Command {
+            header,
+            ..Command::default()
+        })?;
+        let (stamp_ns, received_ns) = poll(shares, || {
+            Ok(back.receive()?.map(|sample| sample.header.sent_ns))
+        })?;
+        Ok(vec![
+            (Leg::BareRoundTrip, header.sent_ns, received_ns),
+            (Leg::BareOneWay, stamp_ns, received_ns),
+        ])
+    })?;
+    repeat(&|header| {
+        let pending = control.send_copy(Request {
+            header,
+            ..Request::default()
+        })?;
+        let (_, received_ns) = poll(shares, || Ok(pending.receive()?))?;
+        Ok(vec![(Leg::BareRequest, header.sent_ns, received_ns)])
+    })
+}
+
+/// Polls without a sleep until `look` returns a value, and returns it with its time.
+fn poll<T>(shares: bool, look: impl Fn() -> Result<Option<T>>) -> Result<(T, u64)> {
+    let begin = Instant::now();
+    loop {
+        if let Some(found) = look()? {
+            return Ok((found, monotonic_ns()));
+        }
+        ensure!(begin.elapsed() < TIMEOUT, "no answer within {TIMEOUT:?}");
+        pause(shares);
+        interrupt::check()?;
+    }
 }
 
 struct Services {
@@ -160,138 +161,5 @@ impl Services {
             back: topic("bare/back")?,
             control: control.open_or_create()?,
         })
-    }
-}
-
-struct Near {
-    there: Publisher<ipc::Service, Command, ()>,
-    back: Subscriber<ipc::Service, Command, ()>,
-    control: Client<ipc::Service, Request, (), Response, ()>,
-    shares: bool,
-}
-
-impl Near {
-    /// Opens the ports and waits for those of the peer, because earlier messages would be lost.
-    fn open(location: &Location, shares: bool) -> Result<Self> {
-        let services = Services::open(location)?;
-        let near = Self {
-            there: services.there.publisher_builder().create()?,
-            back: services.back.subscriber_builder().create()?,
-            control: services.control.client_builder().create()?,
-            shares,
-        };
-        let (there, control) = (
-            services.there.dynamic_config(),
-            services.control.dynamic_config(),
-        );
-        let deadline = Instant::now() + TIMEOUT;
-        while there.number_of_subscribers() == 0 || control.number_of_servers() == 0 {
-            interrupt::check()?;
-            let in_time = Instant::now() < deadline;
-            ensure!(
-                in_time,
-                "the peer of the bare measurement did not start within {TIMEOUT:?}"
-            );
-            thread::sleep(Duration::from_millis(2));
-        }
-        Ok(near)
-    }
-
-    /// Polls without a pause until `look` returns a value.
-    fn wait_for<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<(T, u64)> {
-        let begin = Instant::now();
-        while begin.elapsed() < TIMEOUT {
-            if let Some(found) = look()? {
-                return Ok((found, monotonic_ns()));
-            }
-            self.pause()?;
-        }
-        bail!("the peer of the bare measurement is silent for {TIMEOUT:?}")
-    }
-
-    fn pause(&self) -> Result<()> {
-        if self.shares {
-            thread::yield_now();
-        }
-        interrupt::check()
-    }
-
-    /// Repeats `once` with a pause in between, and records the iterations after the warm-up.
-    fn repeat<const N: usize>(
-        &self,
-        samples: usize,
-        round: &mut Round,
-        once: impl Fn(u64) -> Result<(u64, [(Leg, u64); N])>,
-    ) -> Result<()> {
-        for index in 0..WARM_UP + samples {
-            let (received_ns, times) = once(index as u64 + 1)?;
-            for (leg, since_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
-                round.record(leg, received_ns - since_ns);
-            }
-            // Without a sleep, like a thread that is awake when a message comes.
-            while monotonic_ns() < received_ns + GAP_NS {
-                self.pause()?;
-            }
-        }
-        Ok(())
-    }
-
-    fn play(&self, sequence: u64) -> Result<(u64, [(Leg, u64); 2])> {
-        let header = header(sequence);
-        let message = Command {
-            header,
-            ..Command::default()
-        };
-        let sent = self.there.send_copy(message);
-        sent.context("cannot send to the peer")?;
-        let (back, received_ns) = self.wait_for(|| {
-            let sample = self.back.receive().context("cannot hear the peer")?;
-            let back = sample.map(|sample| sample.header);
-            Ok(back.filter(|back| back.sequence == sequence))
-        })?;
-        let round_trip = (Leg::BareRoundTrip, header.sent_ns);
-        Ok((received_ns, [round_trip, (Leg::BareOneWay, back.sent_ns)]))
-    }
-
-    fn ask(&self, sequence: u64) -> Result<(u64, [(Leg, u64); 1])> {
-        let header = header(sequence);
-        let request = Request {
-            header,
-            ..Request::default()
-        };
-        let pending = self.control.send_copy(request);
-        let pending = pending.context("cannot ask the peer")?;
-        let (_, received_ns) =
-            self.wait_for(|| pending.receive().context("no answer of the peer"))?;
-        Ok((received_ns, [(Leg::BareRequest, header.sent_ns)]))
-    }
-}
-
-fn header(sequence: u64) -> Header {
-    Header {
-        sender_id: 1,
-        sequence,
-        sent_ns: monotonic_ns(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_the_root_of_a_place_is_removed() {
-        let place = Place::new().expect("a place");
-        assert!(is_root_of_place(place.location().root()));
-        for root in [
-            "/",
-            "/dev/shm",
-            "/dev/shm/root",
-            "/dev/shm/cdcrbed_1_0_root/..",
-            "/dev/shm/cdcrbed_1_0_lock",
-            "/tmp/cdcrbed_1_0_root",
-        ] {
-            assert!(!is_root_of_place(Path::new(root)), "{root}");
-        }
     }
 }

@@ -12,8 +12,7 @@ use cdcr_shared_types::codes::{
 };
 use cdcr_shared_types::{Measurement, Obstacle, Telemetry};
 
-use super::leg::Leg;
-use super::round::{Passage, Round};
+use super::leg::{Leg, Passage, Round};
 use super::{early_ns, scene};
 use crate::metric::median;
 use crate::watcher::{Seen, Watcher};

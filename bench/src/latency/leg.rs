@@ -1,6 +1,11 @@
-//! The measured legs, each from one time stamp to another.
+//! The measured legs, each from one time stamp to another, and their latencies in one round.
 
+use anyhow::Result;
+use cdcr_client::monotonic_ns;
+
+use crate::dataset::Recording;
 use crate::named::named;
+use crate::quantiles::histogram;
 
 const GATHER: &str = "start of the gather that takes it";
 const STOPPED: &str = "first command of mode stopped in the client's hands";
@@ -25,7 +30,7 @@ macro_rules! legs {
     };
 }
 
-// `bare` is iceoryx2 alone between two processes. `grid` is the wait for the grid, `machinery` the rest. The
+// `bare` is iceoryx2 alone between two threads. `grid` is the wait for the grid, `machinery` the rest. The
 // exchange answers a renewal of the lease, the cycle a request to track.
 legs! {
     BareOneWay = "bare.one_way": "stamp in the answer, read before it is sent" => "answer received";
@@ -64,9 +69,98 @@ impl Leg {
     pub fn is_grid(self) -> bool {
         matches!(self.name().split_once('.'), Some((_, "grid")))
     }
+}
 
-    /// A whole leg and the two that follow it in the list: its wait for the grid, and the machinery.
-    pub(super) fn with_parts(self) -> [Self; 3] {
-        [0, 1, 2].map(|part| Self::ALL[self as usize + part])
+/// Measurements of one round.
+pub(super) struct Round {
+    /// Stops without a result: a record or command is missing, or the robot was hardly moving.
+    pub(super) spoilt_stops: u64,
+    /// Samples whose command the client did not receive, because it was away too long.
+    pub(super) without_command: u64,
+    began_ns: u64,
+    /// One for each leg.
+    pub(super) legs: Vec<Recording>,
+}
+
+/// Times at which a message was sent, gathered and answered \[ns, `CLOCK_MONOTONIC`\].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
+pub(super) struct Passage {
+    pub(super) sent_ns: u64,
+    pub(super) gather_ns: u64,
+    pub(super) received_ns: u64,
+}
+
+impl Round {
+    /// An empty round of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
+    pub(super) fn new(began_ns: u64) -> Result<Self> {
+        let empty = |leg: Leg| {
+            Ok(Recording {
+                tag: leg.name().to_owned(),
+                start_s: 0.0,
+                duration_s: 0.0,
+                histogram_ns: histogram()?,
+            })
+        };
+        Ok(Self {
+            spoilt_stops: 0,
+            without_command: 0,
+            began_ns,
+            legs: Leg::ALL.into_iter().map(empty).collect::<Result<_>>()?,
+        })
+    }
+
+    /// Adds a latency, limited to one minute.
+    pub(super) fn record(&mut self, leg: Leg, latency_ns: u64) {
+        let now_s = monotonic_ns().saturating_sub(self.began_ns) as f64 * 1e-9;
+        let recording = &mut self.legs[leg as usize];
+        if recording.histogram_ns.is_empty() {
+            recording.start_s = now_s;
+        }
+        recording.duration_s = now_s - recording.start_s;
+        recording.histogram_ns.saturating_record(latency_ns);
+    }
+
+    /// Adds a whole leg and the two that follow it in the list: its wait for the grid, and the machinery. A
+    /// message that came during its gather did not wait.
+    pub(super) fn record_way(&mut self, whole: Leg, passage: &Passage) {
+        let whole_ns = passage.received_ns.saturating_sub(passage.sent_ns);
+        let grid_ns = passage.gather_ns.saturating_sub(passage.sent_ns);
+        let grid_ns = grid_ns.min(whole_ns);
+        let times_ns = [whole_ns, grid_ns, whole_ns - grid_ns];
+        for (part, time_ns) in times_ns.into_iter().enumerate() {
+            self.record(Leg::ALL[whole as usize + part], time_ns);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_way_is_made_of_a_wait_for_the_grid_and_machinery() {
+        let mut round = Round::new(0).expect("bounds");
+        for grid in Leg::ALL.into_iter().filter(|leg| leg.is_grid()) {
+            for gather_ns in [400, 90] {
+                let (sent_ns, received_ns) = (100, 1000);
+                let passage = Passage {
+                    sent_ns,
+                    gather_ns,
+                    received_ns,
+                };
+                round.record_way(Leg::ALL[grid as usize - 1], &passage);
+            }
+            let way = grid.name().trim_end_matches("grid");
+            let times_ns = [[900; 2], [300, 0], [600, 900]];
+            for (leg, times_ns) in round.legs[grid as usize - 1..].iter().zip(times_ns) {
+                let is_there = |ns: &u64| leg.histogram_ns.count_at(*ns) > 0;
+                assert!(
+                    leg.tag.starts_with(way) && times_ns.iter().all(is_there),
+                    "{leg:?}"
+                );
+            }
+            assert_eq!(round.legs[grid as usize + 1].tag, format!("{way}machinery"));
+        }
     }
 }

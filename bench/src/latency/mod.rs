@@ -1,18 +1,16 @@
 //! Latency of messages into the daemon, through it and back to a client.
 //!
-//! [`baseline`] measures iceoryx2 alone between two processes; `inputs` the time from a message or request to
+//! [`baseline`] measures iceoryx2 alone between two threads; `inputs` the time from a message or request to
 //! its effect; `stops` that from a stop to zero rates. [`Leg`] defines the stamps of each leg.
 //!
 //! Every message waits for the next gather, shortly before a release: half a period on average, by design.
 //! Therefore each latency is reported as a whole and in two parts: `grid`, until the gather that takes the
 //! message begins, and `machinery`, the rest.
 
-pub mod baseline;
-
+mod baseline;
 mod inputs;
 mod leg;
 mod report;
-mod round;
 mod scene;
 mod stops;
 
@@ -34,8 +32,8 @@ use crate::system::thread::may_be_realtime;
 use crate::watcher::{Looks, Watcher, on_client_core};
 use inputs::Source;
 pub use leg::Leg;
+use leg::Round;
 pub use report::STOP_MARGIN_US;
-use round::Round;
 
 /// Ratio of stops to samples in a round: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);

@@ -4,14 +4,11 @@ use anyhow::Result;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
-use super::leg::Leg;
-use super::round::Round;
+use super::leg::{Leg, Round};
 use crate::chart::{
     BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer, plot,
 };
-use crate::dataset::{
-    Column, Dataset, Recording, Sheet, each, fixed, number, plain, together, word,
-};
+use crate::dataset::{Column, Dataset, Sheet, each, fixed, number, plain, together, word};
 use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, pooled};
 
@@ -96,17 +93,16 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
         let each_round = round_rows(leg, rounds);
         legs.extend(row(leg, rounds, &each_round)?);
         if !leg.is_grid() {
-            let name = leg.name().replace('.', "/");
-            let latency = [("p50", "latency_us_p50"), ("p99", "latency_us_p99")];
-            for (quantile, key) in latency {
+            let path = format!("latency/{}", leg.name().replace('.', "/"));
+            for (quantile, key) in [("p50", "latency_us_p50"), ("p99", "latency_us_p99")] {
                 let values = each(&each_round, key);
-                dataset.lower(format!("latency/{name}_{quantile}"), "µs", values);
+                dataset.lower(format!("{path}_{quantile}"), "µs", values);
             }
         }
         of_rounds.extend(each_round);
-        let recordings = rounds.iter().map(|round| round.leg(leg).clone());
-        let is_there = |recording: &Recording| !recording.histogram_ns.is_empty();
-        dataset.recordings.extend(recordings.filter(is_there));
+        let recordings = rounds.iter().map(|round| &round.legs[leg as usize]);
+        let measured = recordings.filter(|recording| !recording.histogram_ns.is_empty());
+        dataset.recordings.extend(measured.cloned());
     }
     let ratios = RATIOS.map(|legs| ratio(&mut dataset, legs, rounds));
     let stops = legs
@@ -129,10 +125,8 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
         &panels(rounds, limit_us)?,
     )?);
     let shown = legs.iter().map(shown).collect();
-    let (of_ratios, ratios) = (
-        "Beside iceoryx2 alone: ratio of the medians",
-        ratios.into_iter().flatten().collect(),
-    );
+    let of_ratios = "Beside iceoryx2 alone: ratio of the medians";
+    let ratios = ratios.into_iter().flatten().collect();
     dataset.sheets = vec![
         Sheet::of(title, &COLUMNS, shown),
         Sheet::of(of_ratios, &RATIO_COLUMNS, ratios).key("ratios"),
@@ -148,21 +142,23 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     Ok(dataset)
 }
 
+fn quantiles(leg: Leg, round: &Round) -> Option<Quantiles> {
+    Quantiles::of(&round.legs[leg as usize].histogram_ns)
+}
+
 fn round_rows(leg: Leg, rounds: &[Round]) -> Vec<Value> {
     let row = |(index, round): (usize, &Round)| {
-        let latencies = &round.leg(leg).histogram_ns;
-        let (latency_us, samples) = (Quantiles::of(latencies)?, latencies.len());
-        Some(
-            json!({ "round": index + 1, "leg": leg, "samples": samples, "latency_us": latency_us }),
-        )
+        let samples = round.legs[leg as usize].histogram_ns.len();
+        let latency_us = quantiles(leg, round)?;
+        let round = index + 1;
+        Some(json!({ "round": round, "leg": leg, "samples": samples, "latency_us": latency_us }))
     };
     rounds.iter().enumerate().filter_map(row).collect()
 }
 
 /// The row of all rounds together; `None` without samples.
 fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
-    let all = of_all(leg, rounds)?;
-    let (from, to) = leg.definition();
+    let (all, (from, to)) = (of_all(leg, rounds)?, leg.definition());
     let row = json!({
         "leg": leg,
         "from": from,
@@ -176,13 +172,16 @@ fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>
 }
 
 fn of_all(leg: Leg, rounds: &[Round]) -> Result<Histogram<u64>> {
-    pooled(rounds.iter().map(|round| &round.leg(leg).histogram_ns))
+    pooled(
+        rounds
+            .iter()
+            .map(|round| &round.legs[leg as usize].histogram_ns),
+    )
 }
 
 /// Ratios of the medians of two legs.
 fn ratio(dataset: &mut Dataset, (leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
-    let p50 = |round: &Round, leg| Some(Quantiles::of(&round.leg(leg).histogram_ns)?.p50);
-    let of_round = |round: &Round| Some(p50(round, leg)? / p50(round, to)?);
+    let of_round = |round: &Round| Some(quantiles(leg, round)?.p50 / quantiles(to, round)?.p50);
     let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
     let [name, to_name] = [leg, to].map(|leg| leg.name().replace('.', "_"));
     let (p50, range) = (median(values.clone())?, range(values.clone()));
@@ -224,12 +223,8 @@ fn panels(rounds: &[Round], limit_us: f64) -> Result<Vec<Panel>> {
             curves.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
         }
         let axes = ["longer than, µs", "share of the samples"];
-        Ok(Panel::new(
-            title,
-            axes,
-            Scale::LogLog { floor: SHARES },
-            curves,
-        ))
+        let scale = Scale::LogLog { floor: SHARES };
+        Ok(Panel::new(title, axes, scale, curves))
     };
     PANELS.into_iter().map(panel).collect()
 }
@@ -257,11 +252,8 @@ mod tests {
             let setting = json!({ "period_us": 5000.0 });
             let found = dataset("", setting, &rounds).expect("a result");
             let json = found.json();
-            assert!(
-                [0, 1]
-                    .iter()
-                    .all(|stop| json["targets"][stop]["kept"] == kept)
-            );
+            let mut targets = json["targets"].as_array().into_iter().flatten();
+            assert!(targets.all(|target| target["kept"] == kept));
             let leg = &json["legs"][Leg::ReferenceCommand as usize];
             // The medians of the rounds are 50 and 100.
             let p50_us = number(leg, "rounds_us_p50").expect("a number");

@@ -11,8 +11,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
 use super::inputs::Phases;
-use super::leg::Leg;
-use super::round::{Passage, Round};
+use super::leg::{Leg, Passage, Round};
 use super::{early_ns, scene};
 use crate::watcher::{Seen, Watcher};
 
@@ -199,16 +198,16 @@ mod tests {
 
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
     fn stop() -> Vec<Seen> {
-        let speeds_rad_s = [
-            0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25, 0.15, 0.05, 0.0,
-        ];
-        let kept = |index: usize| {
-            let release_ns = 5_000_000 * (index as u64 + 1);
-            let mode = if index == 0 {
-                Mode::Tracking
+        let speed_rad_s = |index: u64| {
+            if index < 10 {
+                0.95 - 0.1 * index as f64
             } else {
-                Mode::Stopped
-            };
+                0.0
+            }
+        };
+        let kept = |index: u64| {
+            let release_ns = 5_000_000 * (index + 1);
+            let mode = [Mode::Tracking, Mode::Stopped][usize::from(index > 0)];
             let mut record = Telemetry {
                 mode: mode.code(),
                 gather_ns: release_ns - 200_000,
@@ -217,15 +216,15 @@ mod tests {
                 deceleration_rad_s2: 20.0,
                 ..Telemetry::default()
             };
-            record.header.sequence = 7 + index as u64;
-            record.previous_rate_rad_s[0] = speeds_rad_s[index.saturating_sub(1)];
-            record.command.bend_rate_rad_s[0] = speeds_rad_s[index];
+            record.header.sequence = 7 + index;
+            record.previous_rate_rad_s[0] = speed_rad_s(index.saturating_sub(1));
+            record.command.bend_rate_rad_s[0] = speed_rad_s(index);
             Seen {
                 record: Box::new(record),
                 received_ns: Some(release_ns + 60_000),
             }
         };
-        (0..speeds_rad_s.len()).map(kept).collect()
+        (0..=10).map(kept).collect()
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! The project's targets, and the values of a run.
 
+use std::ops::RangeInclusive;
+
 use serde_json::{Map, Value, json};
 
 use crate::dataset::{Dataset, Sheet, plain, shorted, word};
 use crate::deadline::misses_p_value;
 use crate::latency::STOP_MARGIN_US;
-use crate::metric::{Metric, range};
+use crate::metric::{Better, Metric};
 
 /// Reading guide of the rows: HTML.
 const EXPLANATION: &str = include_str!("targets.html");
@@ -16,74 +18,54 @@ pub(super) const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"
 /// Probability below which the additional misses are not considered chance.
 const CHANCE: f64 = 0.05;
 
-struct Found<'a> {
-    metrics: &'a [Metric],
-    results: &'a Map<String, Value>,
-}
-
 /// Value, range of its rounds, and its case or the amount of data.
 type Worst = (f64, Option<(f64, f64)>, String);
-/// Description, target in words, unit, value, and condition.
-type Wanted = (
-    &'static str,
-    &'static str,
-    &'static str,
-    fn(&Found<'_>) -> Option<Worst>,
-    fn(f64) -> bool,
-);
-
-#[rustfmt::skip]
-const WANTED: [Wanted; 14] = [
-    ("wake-up p50, daemon / bare loop", "≤ 1.1 for every load", "",
-        |found| found.most("deadline/*/realtime/wake_p50_to_bare"), |ratio| ratio <= 1.1),
-    ("wake-up p99, daemon / bare loop", "≤ 1.1 for every load", "",
-        |found| found.most("deadline/*/realtime/wake_p99_to_bare"), |ratio| ratio <= 1.1),
-    ("misses with cause compute or fault, all loads", "0", "",
-        |found| found.own_misses(), |count| count == 0.0),
-    ("misses beyond the bare loop's, all loads: probability by chance", "not below 0.05", "",
-        |found| found.chance_of_misses(), |probability| probability >= CHANCE),
-    ("release to command in the client, p50 less wake-up p50, no load", "≤ 40 µs", "µs",
-        |found| found.most("deadline/none/realtime/command_beyond_wake_p50"), |us| us <= 40.0),
-    ("response p99 under clients that connect, loaded / unloaded", "≤ 1.3", "",
-        |found| found.most("deadline/clients/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3),
-    ("response p99 under a flood, loaded / unloaded", "≤ 1.3", "",
-        |found| found.most("deadline/flood/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3),
-    ("shortest period that holds, kpso-refined, 3 sections, 2 steps", "≤ 0.5 ms", "ms",
-        |found| found.most("rate/shortest/3-sections/kpso-refined/n2"), |ms| ms <= 0.5),
-    ("safety checks p99, 6 sections, 64 obstacles in reach", "≤ 150 µs", "µs",
-        |found| found.most("guard/*/p99"), |us| us <= 150.0),
-    ("CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%",
-        |found| found.most("footprint/core_tracking_percent"), |percent| percent <= 3.0),
-    ("resident memory", "≤ 64 MB", "MB",
-        |found| found.most("footprint/resident_mb"), |mb| mb <= 64.0),
-    ("resident memory that tracking adds", "0", "kB",
-        |found| found.most("footprint/growth_kb"), |kb| kb <= 0.0),
-    ("memory is locked (1: in every round)", "1", "",
-        |found| found.least("footprint/locked"), |locked| locked == 1.0),
-    ("stop request to zero rates without ramp, p99, beyond one period", "≤ 100 µs", "µs",
-        |found| found.stop_beyond_period(), |us| us <= STOP_MARGIN_US),
-];
 
 /// Rows of the targets that the metrics and results of a run contain.
 pub(super) fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Value> {
-    let found = Found { metrics, results };
-    let target = |(what, target, unit, find, is_reached): Wanted| {
-        let (value, range, of) = find(&found)?;
-        let reached = is_reached(value);
+    let most = |pattern: &str| worst(metrics, pattern);
+    let up_to = |limit: f64| f64::MIN..=limit;
+    #[rustfmt::skip]
+    let wanted = [
+        ("wake-up p50, daemon / bare loop", "≤ 1.1 for every load", "",
+            most("deadline/*/realtime/wake_p50_to_bare"), up_to(1.1)),
+        ("wake-up p99, daemon / bare loop", "≤ 1.1 for every load", "",
+            most("deadline/*/realtime/wake_p99_to_bare"), up_to(1.1)),
+        ("misses with cause compute or fault, all loads", "0", "", own_misses(results), up_to(0.0)),
+        ("misses beyond the bare loop's, all loads: probability by chance", "not below 0.05", "",
+            chance_of_misses(results), CHANCE..=1.0),
+        ("release to command in the client, p50 less wake-up p50, no load", "≤ 40 µs", "µs",
+            most("deadline/none/realtime/command_beyond_wake_p50"), up_to(40.0)),
+        ("response p99 under clients that connect, loaded / unloaded", "≤ 1.3", "",
+            most("deadline/clients/realtime/response_p99_to_unloaded"), up_to(1.3)),
+        ("response p99 under a flood, loaded / unloaded", "≤ 1.3", "",
+            most("deadline/flood/realtime/response_p99_to_unloaded"), up_to(1.3)),
+        ("shortest period that holds, kpso-refined, 3 sections, 2 steps", "≤ 0.5 ms", "ms",
+            most("rate/shortest/3-sections/kpso-refined/n2"), up_to(0.5)),
+        ("safety checks p99, 6 sections, 64 obstacles in reach", "≤ 150 µs", "µs", most("guard/*/p99"), up_to(150.0)),
+        ("CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%",
+            most("footprint/core_tracking_percent"), up_to(3.0)),
+        ("resident memory", "≤ 64 MB", "MB", most("footprint/resident_mb"), up_to(64.0)),
+        ("resident memory that tracking adds", "0", "kB", most("footprint/growth_kb"), up_to(0.0)),
+        ("memory is locked (1: in every round)", "1", "", most("footprint/locked"), 1.0..=1.0),
+        ("stop request to zero rates without ramp, p99, beyond one period", "≤ 100 µs", "µs",
+            stop_beyond_period(results), up_to(STOP_MARGIN_US)),
+    ];
+    let row = |(what, target, unit, found, reached): (
+        _,
+        _,
+        _,
+        Option<Worst>,
+        RangeInclusive<f64>,
+    )| {
+        let (value, range, of) = found?;
+        let reached = reached.contains(&value);
+        // `unit` is empty for a ratio or a count, `range` null without rounds.
         Some(json!({
-            "what": what,
-            "target": target,
-            "found": value,
-            // Empty for a ratio or a count.
-            "unit": unit,
-            // Smallest and largest round, if measured in rounds.
-            "range": range,
-            // The case of the value, or the amount of data.
-            "of": of,
-            "reached": reached,
+            "what": what, "target": target, "found": value, "unit": unit, "range": range, "of": of, "reached": reached,
         }))
     };
-    WANTED.into_iter().filter_map(target).collect()
+    wanted.into_iter().filter_map(row).collect()
 }
 
 pub(super) fn dataset(targets: Vec<Value>) -> Dataset {
@@ -96,107 +78,94 @@ pub(super) fn dataset(targets: Vec<Value>) -> Dataset {
         plain("unit", "unit"),
         shorted("rounds", "range"),
     ];
-    let title = if targets.is_empty() {
-        ""
-    } else {
-        "Figures to reach"
+    let heading = "Figures to reach";
+    let title = if targets.is_empty() { "" } else { heading };
+    let mut dataset = Dataset::new("targets", heading, EXPLANATION);
+    dataset.sheets = vec![Sheet::of(title, &columns, targets).key("targets")];
+    dataset
+}
+
+/// The worst of the metrics whose names match the pattern, by their medians; a number of which more is better,
+/// by its worst round.
+fn worst(metrics: &[Metric], pattern: &str) -> Option<Worst> {
+    let values = metrics.iter().filter_map(|metric| {
+        let of = own_part(pattern, &metric.name)?;
+        let (least, most) = metric.range()?;
+        let value = match metric.better {
+            Better::Lower => metric.median()?,
+            Better::Higher => least,
+        };
+        let range = (metric.rounds.len() > 1).then_some((least, most));
+        Some((value, range, of))
+    });
+    values.max_by(|one, other| one.0.total_cmp(&other.0))
+}
+
+/// Misses, own misses and due releases (executed and skipped cycles) of the real-time cases of a subject,
+/// `daemon` or `bare`, by load.
+fn misses<'a>(results: &'a Map<String, Value>, subject: &str) -> Vec<(&'a Value, [u64; 3])> {
+    let cases = results
+        .get("deadline")
+        .and_then(|it| it["cases"].as_array());
+    let is_it = |case: &&Value| case["realtime"] == true && case["subject"] == subject;
+    let counts = |case: &'a Value| {
+        let count = |key: &str| case[key].as_u64().unwrap_or(0);
+        let due = count("cycles") + count("skipped_periods");
+        (
+            &case["load"],
+            [count("deadline_misses"), count("own_misses"), due],
+        )
     };
-    Dataset {
-        name: "targets",
-        heading: "Figures to reach",
-        explanation: EXPLANATION,
-        sheets: vec![Sheet::of(title, &columns, targets).key("targets")],
-        ..Dataset::default()
-    }
+    cases
+        .into_iter()
+        .flatten()
+        .filter(is_it)
+        .map(counts)
+        .collect()
 }
 
-impl Found<'_> {
-    /// The metric with the largest median among the matching names.
-    fn most(&self, pattern: &str) -> Option<Worst> {
-        let values = self.metrics.iter().filter_map(|metric| {
-            let of = own_part(pattern, &metric.name)?;
-            Some((metric.median()?, range_of_rounds(metric), of))
-        });
-        values.max_by(|one, other| one.0.total_cmp(&other.0))
-    }
+fn own_misses(results: &Map<String, Value>) -> Option<Worst> {
+    let period_ms = results.get("deadline")?["period_ms"].as_f64()?;
+    let cases = misses(results, "daemon");
+    let sum = |index: usize| cases.iter().map(|(_, counts)| counts[index]).sum::<u64>();
+    let minutes = sum(2) as f64 * period_ms / 60e3;
+    (sum(2) > 0).then(|| (sum(1) as f64, None, format!("{minutes:.1} min")))
+}
 
-    fn least(&self, name: &str) -> Option<Worst> {
-        let metric = self.metrics.iter().find(|metric| metric.name == name)?;
-        let (value, _) = range(metric.rounds.iter().copied())?;
-        Some((value, range_of_rounds(metric), String::new()))
-    }
-
-    /// The real-time cases of a subject, `daemon` or `bare`.
-    fn cases(&self, subject: &'static str) -> impl Iterator<Item = &Value> {
-        let deadline = self.results.get("deadline");
-        let cases = deadline.and_then(|result| result["cases"].as_array());
-        let all = cases.into_iter().flatten();
-        all.filter(move |case| case["realtime"] == true && case["subject"] == subject)
-    }
-
-    fn own_misses(&self) -> Option<Worst> {
-        let period_ms = self.results.get("deadline")?["period_ms"].as_f64()?;
-        let (mut own, mut cycles) = (0, 0);
-        for case in self.cases("daemon") {
-            own += case["own_misses"].as_u64()?;
-            cycles += due(case)?;
+/// Over all loads that were measured with both subjects.
+fn chance_of_misses(results: &Map<String, Value>) -> Option<Worst> {
+    let all_bare = misses(results, "bare");
+    let (mut ours, mut bare) = ((0, 0), (0, 0));
+    for (load, daemon) in misses(results, "daemon") {
+        if let Some((_, beside)) = all_bare.iter().find(|(of, _)| *of == load) {
+            ours = (ours.0 + daemon[0], ours.1 + daemon[2]);
+            bare = (bare.0 + beside[0], bare.1 + beside[2]);
         }
-        let minutes = cycles as f64 * period_ms / 60e3;
-        (cycles > 0).then(|| (own as f64, None, format!("{minutes:.1} min")))
     }
-
-    /// Over all loads that were measured with both subjects.
-    fn chance_of_misses(&self) -> Option<Worst> {
-        let (mut ours, mut bare) = ((0, 0), (0, 0));
-        for daemon in self.cases("daemon") {
-            let beside = self.cases("bare").find(|it| it["load"] == daemon["load"]);
-            let Some(beside) = beside else {
-                continue;
-            };
-            for (sum, case) in [(&mut ours, daemon), (&mut bare, beside)] {
-                sum.0 += case["deadline_misses"].as_u64()?;
-                sum.1 += due(case)?;
-            }
-        }
-        let of = format!("{} against {}", counts(ours), counts(bare));
-        (ours.1 > 0 && bare.1 > 0).then(|| (misses_p_value(ours, bare), None, of))
-    }
-
-    /// As evaluated by `latency`, for its period.
-    fn stop_beyond_period(&self) -> Option<Worst> {
-        let targets = self.results.get("latency")?["targets"].as_array()?;
-        let values = targets.iter().filter_map(|target| {
-            let (p99_us, limit_us) = (target["p99_us"].as_f64()?, target["limit_us"].as_f64()?);
-            let beyond_us = p99_us - limit_us + STOP_MARGIN_US;
-            Some((beyond_us, None, target["leg"].as_str()?.to_owned()))
-        });
-        values.max_by(|one: &Worst, other| one.0.total_cmp(&other.0))
-    }
+    let of = format!("{} of {} against {} of {}", ours.0, ours.1, bare.0, bare.1);
+    (ours.1 > 0 && bare.1 > 0).then(|| (misses_p_value(ours, bare), None, of))
 }
 
-/// Due releases: executed and skipped cycles.
-fn due(case: &Value) -> Option<u64> {
-    Some(case["cycles"].as_u64()? + case["skipped_periods"].as_u64()?)
-}
-
-fn range_of_rounds(metric: &Metric) -> Option<(f64, f64)> {
-    range(metric.rounds.iter().copied()).filter(|_| metric.rounds.len() > 1)
-}
-
-fn counts((misses, due): (u64, u64)) -> String {
-    format!("{misses} of {due}")
+/// As evaluated by `latency`, for its period.
+fn stop_beyond_period(results: &Map<String, Value>) -> Option<Worst> {
+    let targets = results.get("latency")?["targets"].as_array()?;
+    let values = targets.iter().filter_map(|target| {
+        let (p99_us, limit_us) = (target["p99_us"].as_f64()?, target["limit_us"].as_f64()?);
+        let beyond_us = p99_us - limit_us + STOP_MARGIN_US;
+        Some((beyond_us, None, target["leg"].as_str()?.to_owned()))
+    });
+    values.max_by(|one: &Worst, other| one.0.total_cmp(&other.0))
 }
 
 /// The words of a name at each `*` of the pattern; `None` if they do not match.
 fn own_part(pattern: &str, name: &str) -> Option<String> {
-    let [pattern, name] = [pattern, name].map(|text| text.split('/').collect::<Vec<_>>());
-    let fits = |(pattern, word): (&&str, &&str)| *pattern == "*" || pattern == word;
-    let is_it = pattern.len() == name.len() && pattern.iter().zip(&name).all(fits);
-    let own = pattern
-        .iter()
-        .zip(name)
-        .filter(|(pattern, _)| **pattern == "*");
-    is_it.then(|| own.map(|(_, word)| word).collect::<Vec<_>>().join(" "))
+    let [patterns, words] = [pattern, name].map(|text| text.split('/').collect::<Vec<_>>());
+    let pairs = || patterns.iter().zip(&words);
+    let fits = pairs().all(|(pattern, word)| *pattern == "*" || pattern == word);
+    let own = pairs()
+        .filter(|(pattern, _)| **pattern == "*")
+        .map(|(_, word)| *word);
+    (fits && patterns.len() == words.len()).then(|| own.collect::<Vec<_>>().join(" "))
 }
 
 #[cfg(test)]
@@ -204,7 +173,6 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::metric::Better;
 
     #[test]
     fn the_worst_load_counts_and_what_was_not_measured_has_no_row() {

@@ -66,17 +66,11 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let names: Vec<String> = (0..31).map(|i| format!("a/{i}")).collect();
     for (worse, fails) in [(4, false), (5, true)] {
         let run = |file, worse| {
-            let rounds = |i| {
-                if i < worse {
-                    &[5.0, 6.0, 7.0]
-                } else {
-                    &[1.0, 2.0, 3.0]
-                }
-            };
+            let rounds = |i| [&[1.0, 2.0, 3.0][..], &[5.0, 6.0, 7.0]][usize::from(i < worse)];
             let numbers = names
                 .iter()
                 .enumerate()
-                .map(|(i, name)| (&**name, "µs", &rounds(i)[..]));
+                .map(|(i, name)| (&**name, "µs", rounds(i)));
             write(folder.path(), file, &[], &numbers.collect::<Vec<_>>())
         };
         let found = compare(
@@ -90,23 +84,13 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
 }
 
 #[test]
+#[rustfmt::skip]
 fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
     let folder = Scratch::temporary().expect("a folder");
     let (one, two): (&[f64], &[f64]) = (&[1.0, 1.1, 1.2], &[2.0, 2.1, 2.2]);
-    let old = [
-        ("same", "µs", one),
-        ("worse", "µs", one),
-        ("gone", "µs", one),
-        ("unit", "µs", one),
-        ("empty", "µs", &[]),
-    ];
-    let new = [
-        ("same", "µs", one),
-        ("worse", "µs", two),
-        ("new", "µs", one),
-        ("unit", "ms", one),
-        ("empty", "µs", one),
-    ];
+    let old = [("same", one), ("worse", one), ("gone", one), ("unit", one), ("empty", &[])];
+    let old = old.map(|(name, all)| (name, "µs", all));
+    let new = [("same", "µs", one), ("worse", "µs", two), ("new", "µs", one), ("unit", "ms", one), ("empty", "µs", one)];
     let before = write(folder.path(), "a.json", &[], &old);
     let machine = ("environment", json!({ "kernel": { "release": "7.0" } }));
     let options = ("options", json!({ "command": "all", "rounds": "6" }));
@@ -116,10 +100,7 @@ fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
         (&[][..], &[][..]),
         (&[machine], &[other_kernel, "bare loop"]),
         (&[options], &[other_rounds, "for this reason"]),
-        (
-            &[("options", Value::Null)],
-            &["the run after does not contain its options"],
-        ),
+        (&[("options", Value::Null)], &["the run after does not contain its options"]),
     ] {
         let after = write(folder.path(), "b.json", keys, &new);
         let found = compare("--format json", [&before, &after]);
@@ -132,11 +113,7 @@ fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
         // 2 of the 20 divisions of six rounds leave three and three disjoint.
         let by_chance = number(&document, "changed_by_chance");
         assert!((by_chance - 0.2).abs() < 1e-12, "{document}");
-        assert_eq!(
-            list(&document, "warnings").len(),
-            warned.len(),
-            "{document}"
-        );
+        assert_eq!(list(&document, "warnings").len(), warned.len(), "{document}");
         let text = document["warnings"].to_string().replace("\\\"", "\"");
         assert!(warned.iter().all(|words| text.contains(words)), "{text}");
     }
@@ -146,10 +123,7 @@ fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
 fn files_that_are_no_results_are_named_with_what_is_expected() {
     let folder = Scratch::temporary().expect("a folder");
     let good = write(folder.path(), "good.json", &[], &[]);
-    let (bad, missing) = (
-        folder.path().join("bad.json"),
-        folder.path().join("missing.json"),
-    );
+    let [bad, missing] = ["bad.json", "missing.json"].map(|name| folder.path().join(name));
     let is_refused = |files, words: [&str; 2]| {
         let found = compare("", files);
         let errors = stderr(&found);

@@ -79,11 +79,11 @@ fn the_folder_holds_figures_a_page_and_tables() {
     let place = Scratch::temporary().expect("a folder");
     let folder = place.path().join("new").join("paper");
     let start = Start::now(RunOptions::default()).expect("a machine");
-    let bundle = start.bundle_of(&report(QUICK)).expect("all formats");
-    bundle.write(&folder).expect("written");
+    let files = start.files_of(&report(QUICK)).expect("all formats");
+    cdcr_bench::report::write(&files, &folder).expect("written");
     let mut figures = 0;
     let is_picture = |name: &&String| Path::new(name).extension().is_some_and(|end| end == "svg");
-    for name in bundle.0.keys().filter(is_picture) {
+    for name in files.keys().filter(is_picture) {
         let text = std::fs::read_to_string(folder.join(name)).expect("a text");
         let picture = roxmltree::Document::parse(&text).expect("XML");
         let texts = picture.descendants().filter_map(|node| node.text());
@@ -97,7 +97,7 @@ fn the_folder_holds_figures_a_page_and_tables() {
         let has_period = texts.contains(&"period 5 ms");
         assert_eq!(has_period, name.ends_with("-times.svg"), "{name}");
         let id = name.trim_end_matches(".svg");
-        let page = &bundle.0["paper.html"];
+        let page = &files["paper.html"];
         for link in [
             format!("<a href=\"#{id}\">"),
             format!("<figure id=\"{id}\">"),

@@ -37,9 +37,6 @@ _cdcr__bench() {
             cdcr__bench,paper)
                 cmd="cdcr__bench__subcmd__paper"
                 ;;
-            cdcr__bench,peer)
-                cmd="cdcr__bench__subcmd__peer"
-                ;;
             cdcr__bench,quality)
                 cmd="cdcr__bench__subcmd__quality"
                 ;;
@@ -59,7 +56,7 @@ _cdcr__bench() {
 
     case "${cmd}" in
         cdcr__bench)
-            opts="-h -V --help --version all deadline latency rate footprint quality robustness paper solver budget compare peer"
+            opts="-h -V --help --version all deadline latency rate footprint quality robustness paper solver budget compare"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -280,36 +277,6 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --out)
-                    COMPREPLY=($(compgen -f "${cur}"))
-                    return 0
-                    ;;
-                *)
-                    COMPREPLY=()
-                    ;;
-            esac
-            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
-            return 0
-            ;;
-        cdcr__subcmd__bench__subcmd__peer)
-            opts="-h --prefix --root --parent --core --shares --help"
-            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
-                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
-                return 0
-            fi
-            case "${prev}" in
-                --prefix)
-                    COMPREPLY=($(compgen -f "${cur}"))
-                    return 0
-                    ;;
-                --root)
-                    COMPREPLY=($(compgen -f "${cur}"))
-                    return 0
-                    ;;
-                --parent)
-                    COMPREPLY=($(compgen -f "${cur}"))
-                    return 0
-                    ;;
-                --core)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

@@ -37,7 +37,6 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "paper" -d 'Ru
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "solver" -d 'Measure solve times on every SIMD path of this processor, over sections, steps, particles, iterations and obstacles'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "budget" -d 'Measure by how much a solve exceeds its time budget, from 0 to 1 ms, and check that its plan is never worse than the warm start'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "compare" -d 'Compare two runs and list changes beyond the noise of their rounds'
-complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "peer" -d 'The other process of `latency`'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l out -d 'Output folder for report.html, report.txt, report.json, a CSV per table, SVG plots and raw histograms; created if missing, written only at the end' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l rounds -d 'Rounds per benchmark, 1 to 100 [default: as each benchmark]; compare needs at least 3' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l only -d 'Run only these benchmarks, comma-separated' -r -f -a "deadline\t'Measure deadline misses and latencies of the daemon under named loads, next to a bare loop in the same run'
@@ -146,9 +145,3 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l format
 json\t'One JSON object with every number'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l fail-on-worse -d 'Exit with status 1 when more numbers changed for the worse than chance explains: more than half of the changes expected by chance, rounded up, plus two. Numbers with only one value per run are ignored'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l prefix -d 'Prefix of the files in shared memory' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l root -d 'Root folder of iceoryx2' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l parent -d 'The process that started it' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l core -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -l shares -d 'Both processes are on one core: let the other one run'
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -s h -l help -d 'Print help'
