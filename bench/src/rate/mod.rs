@@ -3,25 +3,26 @@
 //! `bench/README.md` defines when a period *holds*, and how often a trial is repeated. The report contains
 //! every trial.
 
-mod case;
 mod report;
 mod trial;
 
 use std::time::Instant;
 
 use anyhow::Result;
+use cdcr_client::{PAPER_SECTION_M, counted};
+use serde::Serialize;
 
-pub use case::Case;
 pub use report::picture;
-pub use trial::{Trial, TrialOutcome};
 
-use crate::benchmark::Benchmark;
+use crate::benchmark::{Benchmark, with_period};
 use crate::dataset::Dataset;
+use crate::experiment::Solver;
 use crate::interrupt;
 use crate::progress::Progress;
+use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use case::Stage;
+use trial::{Trial, TrialOutcome};
 
 /// Tried periods, longest first \[ms\]: 200 Hz to 10 kHz.
 const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
@@ -32,6 +33,8 @@ const FIRST_GUESS: usize = 4;
 const TRIALS: f64 = 3.2;
 /// Approximate time for start, begin of tracking, warm-up and end of a trial \[s\].
 const AROUND_S: f64 = 1.0;
+/// Largest share of the period for spinning.
+const SPIN_SHARE: f64 = 0.25;
 
 #[derive(Debug, Clone, clap::Args)]
 pub struct RateOptions {
@@ -60,12 +63,10 @@ pub struct RateOptions {
     pub steps_ms: Vec<f64>,
 }
 
-fn spin_us(text: &str) -> Result<f64, String> {
-    let value = text.parse().map_err(|_| "must be a number")?;
-    let is_within = (0.0..=1000.0).contains(&value);
-    is_within
-        .then_some(value)
-        .ok_or_else(|| "must be 0 to 1000".to_owned())
+fn spin_us(text: &str) -> Result<f64, &'static str> {
+    let value = text.parse().ok();
+    let value = value.filter(|us| (0.0..=1000.0).contains(us));
+    value.ok_or("must be 0 to 1000")
 }
 
 impl RateOptions {
@@ -106,86 +107,149 @@ impl Benchmark for RateOptions {
         f64::from(self.rounds) * round_s + self.cases.len() as f64 * self.search_s()
     }
 
+    /// Measures the default case with each of its periods in rounds, then searches for the shortest period
+    /// of each case.
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        report::dataset(measure(self, progress)?)
+        let stage = Stage::new(self.spin_us)?;
+        let mut trial = |case: Case, period_ms: f64, more_s: f64| {
+            interrupt::check()?;
+            progress.expect(more_s);
+            progress.begin(&format!("{} every {period_ms} ms", case.name()));
+            let trial = Trial::run(&stage, case, period_ms, self.measured_s(period_ms))?;
+            progress.advance(self.trial_s(period_ms));
+            anyhow::Ok(trial)
+        };
+        let mut steps: Vec<Vec<Trial>> = self.steps_ms.iter().map(|_| Vec::new()).collect();
+        for _ in 0..self.rounds {
+            for (step, period_ms) in steps.iter_mut().zip(&self.steps_ms) {
+                step.push(trial(Case::DEFAULT, *period_ms, 0.0)?);
+            }
+        }
+        // Each search begins at the result of the previous one.
+        let (mut shortest, mut guess) = (Vec::new(), FIRST_GUESS);
+        for case in &self.cases {
+            // The number and duration of the trials is only known now.
+            let mut known_s = self.search_s();
+            let found = search(*case, &self.periods_ms, guess, |period_ms| {
+                let more_s = self.trial_s(period_ms) - std::mem::take(&mut known_s);
+                trial(*case, period_ms, more_s)
+            })?;
+            let mut periods_ms = self.periods_ms.iter();
+            let held = periods_ms.position(|period_ms| Some(*period_ms) == found.held_ms);
+            guess = held.unwrap_or(0);
+            shortest.push(found);
+        }
+        report::dataset(stage.realtime, self.spin_us, steps, &shortest)
     }
 }
 
-/// Results of the default case with each of its periods, and the shortest period of each case.
-#[derive(Debug)]
-pub struct Measured {
-    pub realtime: bool,
-    /// Requested spin time before each release \[µs\], at most a quarter of the period; `None`: the daemon's
-    /// default.
-    pub spin_us: Option<f64>,
-    /// The rounds of the default case with each period.
-    pub steps: Vec<Vec<Trial>>,
-    pub shortest: Vec<Shortest>,
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Case {
+    pub sections: usize,
+    pub solver: Solver,
+    pub horizon_steps: u32,
+}
+
+impl Case {
+    pub const DEFAULT: Self = Self {
+        sections: 3,
+        solver: Solver::KpsoRefined,
+        horizon_steps: 2,
+    };
+
+    /// One to three sections with every solver and both horizons, ordered so that neighbours are similar.
+    pub fn all() -> Vec<Self> {
+        let mut all = Vec::new();
+        for solver in [Solver::GaussNewton, Solver::Kpso, Solver::KpsoRefined] {
+            for horizon_steps in [2, 10] {
+                all.extend((1..=3).map(|sections| Self {
+                    sections,
+                    solver,
+                    horizon_steps,
+                }));
+            }
+        }
+        all
+    }
+
+    fn name(&self) -> String {
+        let (solver, steps) = (self.solver.name(), self.horizon_steps);
+        let sections = counted(self.sections, "section");
+        format!("{sections}, {solver}, N = {steps}")
+    }
+
+    /// The sections of the robot as a configuration value.
+    fn robot(&self) -> String {
+        let section = |index: usize| {
+            let offset_rad = (40.0 * index as f64).to_radians();
+            format!(
+                "{{ length_m = {PAPER_SECTION_M:?}, cable_radius_m = 0.0125, cable_offset_rad = {offset_rad:?}, \
+                 bend_max_rad = 2.8, rate_max_rad_s = 2.0, body_radius_m = 0.015 }}"
+            )
+        };
+        let sections: Vec<String> = (0..self.sections).map(section).collect();
+        format!("[{}]", sections.join(", "))
+    }
 }
 
 #[derive(Debug)]
-pub struct Shortest {
-    pub case: Case,
+struct Stage {
+    cores: Cores,
+    realtime: bool,
+    /// Time before a release at which the cycle thread begins to spin \[µs\], at most a quarter of the
+    /// period; `None`: the daemon's default.
+    spin_us: Option<f64>,
+    begun: Instant,
+}
+
+impl Stage {
+    fn new(spin_us: Option<f64>) -> Result<Self> {
+        let cores = Cores::find()?;
+        cores.stay_off();
+        Ok(Self {
+            cores,
+            realtime: may_be_realtime(),
+            spin_us,
+            begun: Instant::now(),
+        })
+    }
+
+    /// Launch of a daemon with this case and this period.
+    fn launch(&self, case: &Case, period_ms: f64) -> Launch {
+        let launch = Launch::patient(None).placed(&self.cores, self.realtime);
+        let launch = with_period(launch, period_ms)
+            .with("robot.sections", case.robot())
+            .with("controller.solver", case.solver.name())
+            .with("controller.horizon_steps", case.horizon_steps);
+        match self.spin_within_us(period_ms) {
+            Some(spin_us) => launch.with("realtime.spin_us", spin_us),
+            None => launch,
+        }
+    }
+
+    /// Requested spin time before a release with this period \[µs\].
+    fn spin_within_us(&self, period_ms: f64) -> Option<f64> {
+        let most_us = SPIN_SHARE * period_ms * 1e3;
+        self.spin_us.map(|spin_us| spin_us.min(most_us))
+    }
+}
+
+#[derive(Debug)]
+struct Shortest {
+    case: Case,
     /// In the order of execution; the last trial of a period decides.
-    pub trials: Vec<Trial>,
+    trials: Vec<Trial>,
     /// The shortest period that held; `None` if not even the longest did.
-    pub held_ms: Option<f64>,
+    held_ms: Option<f64>,
     /// The next shorter period; `None` if there is none.
-    pub failed_ms: Option<f64>,
+    failed_ms: Option<f64>,
 }
 
 impl Shortest {
-    pub fn trials_with(&self, period_ms: Option<f64>) -> Vec<&Trial> {
+    fn trials_with(&self, period_ms: Option<f64>) -> Vec<&Trial> {
         let is_it = |trial: &&Trial| Some(trial.period_ms) == period_ms;
         self.trials.iter().filter(is_it).collect()
     }
-}
-
-/// Measures the default case with each of its periods in rounds, then searches for the shortest period of
-/// each case.
-pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measured> {
-    let cores = Cores::find()?;
-    cores.stay_off();
-    let stage = Stage {
-        cores,
-        realtime: may_be_realtime(),
-        spin_us: options.spin_us,
-        begun: Instant::now(),
-    };
-    let mut measured = Measured {
-        realtime: stage.realtime,
-        spin_us: options.spin_us,
-        steps: options.steps_ms.iter().map(|_| Vec::new()).collect(),
-        shortest: Vec::new(),
-    };
-    let mut trial = |case: Case, period_ms: f64, more_s: f64| {
-        interrupt::check()?;
-        progress.expect(more_s);
-        progress.begin(&format!("{} every {period_ms} ms", case.name()));
-        let trial = Trial::run(&stage, case, period_ms, options.measured_s(period_ms))?;
-        progress.advance(options.trial_s(period_ms));
-        anyhow::Ok(trial)
-    };
-    for _ in 0..options.rounds {
-        for (step, period_ms) in measured.steps.iter_mut().zip(&options.steps_ms) {
-            step.push(trial(Case::DEFAULT, *period_ms, 0.0)?);
-        }
-    }
-    // Each search begins at the result of the previous one.
-    let mut guess = FIRST_GUESS;
-    for case in &options.cases {
-        // The number and duration of the trials is only known now.
-        let mut known_s = options.search_s();
-        let found = search(*case, &options.periods_ms, guess, |period_ms| {
-            let more_s = options.trial_s(period_ms) - std::mem::take(&mut known_s);
-            trial(*case, period_ms, more_s)
-        })?;
-        let mut periods_ms = options.periods_ms.iter();
-        let held = periods_ms.position(|period_ms| Some(*period_ms) == found.held_ms);
-        guess = held.unwrap_or(0);
-        measured.shortest.push(found);
-    }
-    Ok(measured)
 }
 
 /// The shortest of these periods that holds; they are sorted, longest first. Moves step by step from the
@@ -203,18 +267,16 @@ fn search(
         if trials.iter().any(|trial| trial.period_ms == *period_ms) {
             break;
         }
-        let mut outcome = None;
+        let mut outcome = TrialOutcome::Slow;
         for count in 1.. {
-            let tried = trial(*period_ms)?;
-            let decides = count >= tried.outcome.trials();
-            outcome = Some(tried.outcome);
-            trials.push(tried);
-            if decides {
+            trials.push(trial(*period_ms)?);
+            outcome = trials[trials.len() - 1].outcome;
+            if count >= outcome.trials() {
                 break;
             }
         }
         index = match outcome {
-            Some(TrialOutcome::Holds) => index + 1,
+            TrialOutcome::Holds => index + 1,
             _ => index.saturating_sub(1),
         };
     }
@@ -233,21 +295,20 @@ fn search(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use trial::tests::{lossy, observed};
+    use serde_json::Value;
 
-    /// A trial that holds, or that lost releases because of the machine or the loop.
+    use super::*;
+    use TrialOutcome::{Holds, Machine, NotFollowed, Own, Slow};
+
     pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
-        let found = match outcome {
-            TrialOutcome::Holds => Ok(observed()),
-            TrialOutcome::Machine => Ok(lossy(0, 40, [3, 0, 0, 0, 0])),
-            TrialOutcome::Own => Ok(lossy(0, 40, [0, 0, 3, 0, 0])),
-            TrialOutcome::Slow => Ok(lossy(0, 40, [0; 5])),
-            TrialOutcome::NotFollowed => Err("too short".to_owned()),
+        let row = match outcome {
+            Holds => {
+                serde_json::json!({ "cycles": 4000, "response_us": { "p50": 30.0 }, "core_share": 0.2 })
+            }
+            _ => Value::Null,
         };
-        let trial = Trial::new(Case::DEFAULT, period_ms, None, found);
-        assert_eq!(trial.outcome, outcome);
-        trial
+        let remarks = if outcome == Holds { "" } else { "too short" };
+        Trial::new(Case::DEFAULT, period_ms, None, outcome, remarks, row)
     }
 
     /// Searches with simulated trials: `outcome` gets the index of the period and the number of its trial.
@@ -261,31 +322,19 @@ mod tests {
         found.unwrap()
     }
 
-    /// Number of trials that held, and of all trials.
-    fn tally(trials: &[&Trial]) -> (usize, usize) {
-        let held = trials.iter().filter(|trial| trial.holds()).count();
-        (held, trials.len())
-    }
-
     #[test]
     fn the_border_lies_between_what_held_and_what_failed() {
-        use TrialOutcome::{Holds, Machine, NotFollowed, Own, Slow};
         for failing in [Machine, Own, Slow, NotFollowed] {
             let all = (0..=7).flat_map(|holding| (0..9).map(move |first| (holding, first)));
             for (holding, guess) in all {
-                let found = find(
-                    guess,
-                    |index, _| if index < holding { Holds } else { failing },
-                );
+                let outcome = |index, _| if index < holding { Holds } else { failing };
+                let found = find(guess, outcome);
                 let period_ms = |index: usize| PERIODS_MS.get(index).copied();
                 assert_eq!(found.held_ms, holding.checked_sub(1).and_then(period_ms));
                 assert_eq!(found.failed_ms, period_ms(holding));
-                let [held, failed] = [found.held_ms, found.failed_ms]
-                    .map(|period_ms| tally(&found.trials_with(period_ms)));
-                assert!(held == (1, 1) || holding == 0);
-                assert!(failed == (0, failing.trials()) || holding == 7);
-                let mut trials = found.trials.iter();
-                assert!(trials.all(|trial| trial.holds() || !trial.remarks().is_empty()));
+                let counts = [found.held_ms, found.failed_ms].map(|ms| found.trials_with(ms).len());
+                assert!(counts[0] == 1 || holding == 0);
+                assert!(counts[1] == failing.trials() || holding == 7);
                 if guess + 1 == holding && holding < 7 {
                     assert_eq!(found.trials.len(), 1 + failing.trials(), "a good guess");
                 }
@@ -296,8 +345,20 @@ mod tests {
         for spoilt in 0..Machine.trials() {
             let found = find(2, |_, count| if count > spoilt { Holds } else { Machine });
             assert_eq!((found.held_ms, found.failed_ms), (Some(0.1), None));
-            assert_eq!(tally(&found.trials_with(found.held_ms)), (1, spoilt + 1));
             assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
+        }
+    }
+
+    #[test]
+    fn the_daemon_accepts_every_robot_with_every_period() {
+        // `None`: the default spin time.
+        for (case, period_ms, spin_us) in [(0, 5.0, Some(1e3)), (1, 0.5, Some(0.0)), (2, 0.1, None)]
+        {
+            let stage = Stage::new(spin_us).unwrap();
+            let launch = stage.launch(&Case::all()[case], period_ms);
+            let output = launch.command("check").unwrap().output().unwrap();
+            let errors = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{errors}");
         }
     }
 }

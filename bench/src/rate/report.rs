@@ -3,13 +3,12 @@
 use anyhow::Result;
 use serde_json::{Value, json};
 
-use super::case::Case;
 use super::trial::Trial;
-use super::{Measured, Shortest};
+use super::{Case, Shortest};
 use crate::chart::{BLUE, DARK, GREEN, ORANGE, Panel, Scale, of_rows, plot};
 use crate::dataset::{
-    Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
-    word,
+    Column, Dataset, Plot, Sheet, each, filled, fixed, joined, number, percent, plain, power,
+    together, word,
 };
 
 const EXPLANATION: &str = include_str!("rate.html");
@@ -77,13 +76,18 @@ const NUMBERS: [(&str, &str, &str); 6] = [
     ("own_misses", "", "own_misses"),
 ];
 
-pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
-    let how = how(measured.realtime, measured.spin_us);
+pub(super) fn dataset(
+    realtime: bool,
+    spin_us: Option<f64>,
+    steps: Vec<Vec<Trial>>,
+    shortest: &[Shortest],
+) -> Result<Dataset> {
+    let how = how(realtime, spin_us);
     let mut dataset = Dataset::new("rate", "How fast the loop can go", EXPLANATION);
-    dataset.fact("realtime", measured.realtime);
-    dataset.fact("spin_us", measured.spin_us);
+    dataset.fact("realtime", realtime);
+    dataset.fact("spin_us", spin_us);
     let (mut default, mut rounds) = (Vec::new(), Vec::new());
-    for step in &measured.steps {
+    for step in &steps {
         let of_step = rows(step);
         let row = step_row(step, &of_step);
         let rate_hz = number(&row, "rate_hz").unwrap_or(f64::NAN);
@@ -93,20 +97,18 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         rounds.extend(of_step);
     }
     let (mut found, mut trials) = (Vec::new(), Vec::new());
-    for shortest in &measured.shortest {
-        let name = format!("rate/shortest/{}", shortest.case.key());
-        dataset.lower(name, "ms", shortest.held_ms);
-        found.push(shortest_row(shortest));
+    for shortest in shortest {
+        let row = shortest_row(shortest);
+        let name = "rate/shortest/{sections}-sections/{solver}/n{horizon_steps}";
+        dataset.lower(filled(name, &row), "ms", shortest.held_ms);
+        found.push(row);
         trials.extend(rows(&shortest.trials));
     }
     dataset.plots.push(picture(&default)?);
-    let (of_default, of_shortest) = (
-        format!(
-            "The default ({}) with shorter and shorter periods, medians over rounds{how}",
-            Case::DEFAULT.name()
-        ),
-        format!("Shortest period that holds{how}"),
-    );
+    let name = Case::DEFAULT.name();
+    let of_default =
+        format!("The default ({name}) with shorter and shorter periods, medians over rounds{how}");
+    let of_shortest = format!("Shortest period that holds{how}");
     dataset.sheets = vec![
         Sheet::of(&of_shortest, &SHORTEST, found)
             .key("shortest")
@@ -118,7 +120,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         Sheet::of("", &[], rounds).key("default_rounds"),
         Sheet::of("", &[], trials).key("trials"),
     ];
-    let trials = measured.steps.into_iter().flatten();
+    let trials = steps.into_iter().flatten();
     dataset.recordings = trials.filter_map(|trial| trial.responses).collect();
     Ok(dataset)
 }
@@ -133,18 +135,11 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
         Some(0.0) => ", without rehearsal or spinning".to_owned(),
         Some(us) => format!(", spinning {us} µs (at most a quarter of the period)"),
     };
-    let refused = if realtime {
-        ""
-    } else {
-        ", without SCHED_FIFO (not granted)"
-    };
+    let refused = [", without SCHED_FIFO (not granted)", ""][usize::from(realtime)];
     spin + refused
 }
 
 /// Plot of the default case at each rate, from the rows of its result.
-///
-/// # Errors
-/// When the plot cannot be drawn.
 pub fn picture(rows: &[Value]) -> Result<Plot> {
     let line = |label: &str, key: &str, colour| of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
@@ -158,11 +153,12 @@ pub fn picture(rows: &[Value]) -> Result<Plot> {
         line("of the core", "core_share", BLUE),
         line("solves cut short", "budget_hit_share", ORANGE),
     ];
+    let scale = Scale::LogLog { floor: 1.0 };
     let panels = [
         panel(
             "Response of the default",
             "response time [µs]",
-            Scale::LogLog { floor: 1.0 },
+            scale,
             times,
         ),
         panel("What it costs", "share", Scale::LogAcross, shares),
@@ -217,20 +213,15 @@ fn held_in(trials: &[&Trial]) -> String {
 fn step_row(trials: &[Trial], rounds: &[Value]) -> Value {
     // The first round that did not hold, otherwise the last one.
     let shown = trials.iter().find(|trial| !trial.holds()).or(trials.last());
-    let period_ms = shown.map_or(f64::NAN, |trial| trial.period_ms);
     let all = together(rounds, &COUNTS);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
+    let due = sum(&["cycles", "skipped_periods"]).max(1.0);
     let trials: Vec<&Trial> = trials.iter().collect();
     let own = json!({
-        "sections": Case::DEFAULT.sections,
-        "horizon_steps": Case::DEFAULT.horizon_steps,
-        "period_ms": period_ms,
-        "period_us": 1e3 * period_ms,
-        "rate_hz": 1e3 / period_ms,
         "rounds": trials.len(),
         "rounds_held": count_held(&trials),
         "held_in": held_in(&trials),
-        "lost_share": sum(&["deadline_misses", "skipped_periods"]) / sum(&["cycles", "skipped_periods"]).max(1.0),
+        "lost_share": sum(&["deadline_misses", "skipped_periods"]) / due,
         "tracking_share_least": each(rounds, "tracking_share").reduce(f64::min).unwrap_or(0.0),
         "remarks": shown.map(Trial::remarks).unwrap_or_default(),
     });
@@ -239,8 +230,8 @@ fn step_row(trials: &[Trial], rounds: &[Value]) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use super::super::TrialOutcome::{Holds, NotFollowed};
     use super::super::tests::trial;
+    use super::super::trial::TrialOutcome::{Holds, NotFollowed};
     use super::*;
 
     #[test]
@@ -251,18 +242,14 @@ mod tests {
         };
         let mut trials = tried(0.5, &[NotFollowed, Holds]);
         trials.extend(tried(0.25, &[NotFollowed; 3]));
-        let found = dataset(Measured {
-            realtime: false,
-            spin_us: Some(0.0),
-            steps: vec![tried(5.0, &[Holds; 2]), tried(0.1, &[Holds, NotFollowed])],
-            shortest: vec![Shortest {
-                case: Case::DEFAULT,
-                trials,
-                held_ms: Some(0.5),
-                failed_ms: Some(0.25),
-            }],
-        })
-        .unwrap();
+        let steps = vec![tried(5.0, &[Holds; 2]), tried(0.1, &[Holds, NotFollowed])];
+        let shortest = Shortest {
+            case: Case::DEFAULT,
+            trials,
+            held_ms: Some(0.5),
+            failed_ms: Some(0.25),
+        };
+        let found = dataset(false, Some(0.0), steps, &[shortest]).unwrap();
         let json = found.json();
         assert_eq!(json["default"][1]["rounds_held"], 1);
         assert_eq!(json["default"][1]["remarks"], "too short");
@@ -289,6 +276,5 @@ mod tests {
             let metric = found.metrics.iter().find(|metric| metric.name == name);
             assert_eq!(metric.unwrap().rounds, rounds, "{name}");
         }
-        assert_eq!(found.recordings.len(), 3);
     }
 }

@@ -3,12 +3,13 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_client::{FeedError, LinkError, monotonic_ns};
+use cdcr_client::{FeedError, LinkError, counted as count_of, monotonic_ns};
 use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::Mode;
 use serde_json::{Value, json};
+use statrs::statistics::{Data, OrderStatistics as _};
 
-use super::case::{Case, Stage};
+use super::{Case, Stage};
 use crate::causes::Causes;
 use crate::dataset::{Recording, joined};
 use crate::interrupt;
@@ -34,24 +35,48 @@ const WORTH_A_REMARK: f64 = 0.01;
 /// Largest share of releases without a cycle in time for a period that holds.
 const LOST_MAX: f64 = 1e-3;
 
+/// Result of a trial for its period.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TrialOutcome {
+    Holds,
+    /// A cycle was late because of the daemon itself; decisive.
+    Own,
+    /// Too many releases were lost because of the machine (late wake-ups, stalls, other tasks); the work
+    /// itself fits into the period.
+    Machine,
+    /// Too many releases were lost, without evidence that only the machine is the cause.
+    Slow,
+    /// The robot did not follow its reference all the time.
+    NotFollowed,
+}
+
+impl TrialOutcome {
+    /// Largest number of trials of a period when one of them ends with this outcome.
+    pub(super) fn trials(self) -> usize {
+        match self {
+            Self::Holds | Self::Own | Self::NotFollowed => 1,
+            Self::Slow => 2,
+            Self::Machine => 3,
+        }
+    }
+}
+
 #[derive(Debug)]
-pub struct Trial {
-    pub case: Case,
-    pub period_ms: f64,
-    pub outcome: TrialOutcome,
+pub(super) struct Trial {
+    pub(super) period_ms: f64,
+    pub(super) outcome: TrialOutcome,
     /// The results as a row.
-    pub row: Value,
+    pub(super) row: Value,
     /// Response times of the cycles whose records were received; `None` if the robot did not follow.
-    pub responses: Option<Recording>,
+    pub(super) responses: Option<Recording>,
 }
 
 impl Trial {
-    pub fn run(stage: &Stage, case: Case, period_ms: f64, measured_s: f64) -> Result<Self> {
+    pub(super) fn run(stage: &Stage, case: Case, period_ms: f64, measured_s: f64) -> Result<Self> {
+        let spin_us = stage.spin_within_us(period_ms);
         let observe = || {
             let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
-            let length = Duration::from_secs_f64(measured_s);
-            let tag = format!("{}.{:.0}-hz.response", case.solver.name(), 1e3 / period_ms);
-            let observed = Observed::from_daemon(&daemon, stage, length, tag);
+            let observed = observe(&daemon, stage, Duration::from_secs_f64(measured_s));
             daemon.stop().and(observed)
         };
         let mut found = observe();
@@ -62,35 +87,46 @@ impl Trial {
             }
         }
         interrupt::check()?;
-        let found = match found {
+        match found {
             Err(error) if period_ms < EASY_MS && did_not_follow(&error) => {
-                let why = format!("{error:#}");
-                let why = why.lines().next().unwrap_or_default();
-                Err(format!("did not follow: {why}"))
+                let why = format!("did not follow: {error:#}");
+                let (why, outcome) = (why.lines().next(), TrialOutcome::NotFollowed);
+                let why = why.unwrap_or_default();
+                Ok(Self::new(
+                    case,
+                    period_ms,
+                    spin_us,
+                    outcome,
+                    why,
+                    Value::Null,
+                ))
             }
-            found => Ok(found?),
-        };
-        let spin_us = stage.spin_within_us(period_ms);
-        Ok(Self::new(case, period_ms, spin_us, found))
+            found => {
+                let (observed, mut responses) = found?;
+                let (outcome, remarks) = (observed.outcome(period_ms), observed.remarks(period_ms));
+                let solver = case.solver.name();
+                responses.tag = format!("{solver}.{:.0}-hz.response", 1e3 / period_ms);
+                let row = observed.row();
+                Ok(Self {
+                    responses: Some(responses),
+                    ..Self::new(case, period_ms, spin_us, outcome, &remarks, row)
+                })
+            }
+        }
     }
 
-    /// From the measurement, or from the reason why the robot left its reference.
     pub(super) fn new(
         case: Case,
         period_ms: f64,
         spin_us: Option<f64>,
-        found: Result<Observed, String>,
+        outcome: TrialOutcome,
+        remarks: &str,
+        measured: Value,
     ) -> Self {
-        let (outcome, remarks, measured) = match &found {
-            Ok(observed) => (
-                observed.outcome(period_ms),
-                observed.remarks(period_ms),
-                observed.row(),
-            ),
-            Err(why) => (TrialOutcome::NotFollowed, why.clone(), Value::Null),
-        };
         let own = json!({
             "period_ms": period_ms,
+            "period_us": 1e3 * period_ms,
+            "rate_hz": 1e3 / period_ms,
             // Requested spin time before each release; null: the daemon's default.
             "spin_us": spin_us,
             "holds": outcome == TrialOutcome::Holds,
@@ -98,19 +134,18 @@ impl Trial {
             "remarks": remarks,
         });
         Self {
-            case,
             period_ms,
             outcome,
             row: joined([json!(case), own, measured]),
-            responses: found.ok().map(|observed| observed.responses),
+            responses: None,
         }
     }
 
-    pub fn holds(&self) -> bool {
+    pub(super) fn holds(&self) -> bool {
         self.outcome == TrialOutcome::Holds
     }
 
-    pub fn remarks(&self) -> &str {
+    pub(super) fn remarks(&self) -> &str {
         self.row["remarks"].as_str().unwrap_or_default()
     }
 }
@@ -133,34 +168,8 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
         || words.any(|words| words.starts_with(DOES_NOT_FOLLOW))
 }
 
-/// Result of a trial for its period.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum TrialOutcome {
-    Holds,
-    /// A cycle was late because of the daemon itself; decisive.
-    Own,
-    /// Too many releases were lost because of the machine (late wake-ups, stalls, other tasks); the work
-    /// itself fits into the period.
-    Machine,
-    /// Too many releases were lost, without evidence that only the machine is the cause.
-    Slow,
-    /// The robot did not follow its reference all the time.
-    NotFollowed,
-}
-
-impl TrialOutcome {
-    /// Largest number of trials of a period when one of them ends with this outcome.
-    pub fn trials(self) -> usize {
-        match self {
-            Self::Holds | Self::Own | Self::NotFollowed => 1,
-            Self::Slow => 2,
-            Self::Machine => 3,
-        }
-    }
-}
-
-#[derive(Debug)]
-pub(super) struct Observed {
+#[derive(Debug, Default)]
+struct Observed {
     duration_s: f64,
     counted: Statistics,
     /// Core shares of cycle and exchange, by the kernel's count.
@@ -169,67 +178,71 @@ pub(super) struct Observed {
     tracking_share: f64,
     /// Distance of the tip from its reference in the received records: median and 99th percentile \[mm\].
     error_mm: [f64; 2],
-    responses: Recording,
+}
+
+/// Observes a tracking daemon: its statistics, and the response times in the received records.
+fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed, Recording)> {
+    let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
+    let connection = daemon.connect()?;
+    let mut telemetry = connection.telemetry()?;
+    // A new client makes the daemon map memory; this belongs to the warm-up.
+    interrupt::sleep(WARM_UP)?;
+    while telemetry.try_next()?.is_some() {}
+
+    let (begin_ns, mut responses) = (monotonic_ns(), histogram()?);
+    let (mut received, mut errors_m) = (0_usize, Vec::new());
+    connection.reset_statistics()?;
+    let (before, begin) = (threads(daemon.id()), Instant::now());
+    // Until the statistics cover `length`; they restart a moment after the request.
+    let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + TIMEOUT);
+    let status = loop {
+        let in_time = Instant::now() < deadline;
+        ensure!(
+            in_time,
+            "the daemon did not reset its statistics, or sends no status"
+        );
+        interrupt::check()?;
+        while let Some(record) = telemetry.try_next()? {
+            received += 1;
+            responses.saturating_record(record.handed_over_ns.saturating_sub(record.due_ns));
+            if record.mode == Mode::Tracking.code() {
+                errors_m.push(record.position_error_m);
+            }
+        }
+        let status = connection.status(TIMEOUT)?;
+        let since_ns = status.statistics_since_ns;
+        if since_ns >= begin_ns && status.header.sent_ns >= since_ns + length_ns {
+            break status;
+        }
+        std::thread::sleep(READ_EVERY);
+    };
+    let (after, passed) = (threads(daemon.id()), begin.elapsed());
+    tracking.stop()?;
+    let counted = status.since_reset;
+    ensure!(counted.response.count > 0, "the daemon ran no cycle");
+    let duration_s = (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9;
+    let tracking_share = errors_m.len() as f64 / received.max(1) as f64;
+    let (share, mut errors_m) = (
+        |name| core_share(&before, &after, name, passed),
+        Data::new(errors_m),
+    );
+    let observed = Observed {
+        duration_s,
+        counted,
+        core_shares: ["cdcr-cycle", "cdcr-exchange"].map(share),
+        tracking_share,
+        error_mm: [0.5, 0.99].map(|part| 1e3 * errors_m.quantile(part)),
+    };
+    let responses = Recording {
+        tag: String::new(),
+        start_s: (begin - stage.begun).as_secs_f64(),
+        duration_s,
+        histogram_ns: responses,
+    };
+    Ok((observed, responses))
 }
 
 impl Observed {
-    fn from_daemon(daemon: &Daemon, stage: &Stage, length: Duration, tag: String) -> Result<Self> {
-        let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
-        let connection = daemon.connect()?;
-        let mut telemetry = connection.telemetry()?;
-        // A new client makes the daemon map memory; this belongs to the warm-up.
-        interrupt::sleep(WARM_UP)?;
-        while telemetry.try_next()?.is_some() {}
-
-        let (begin_ns, mut responses) = (monotonic_ns(), histogram()?);
-        let (mut received, mut errors_m) = (0_usize, Vec::new());
-        connection.reset_statistics()?;
-        let (before, begin) = (threads(daemon.id()), Instant::now());
-        // Until the statistics cover `length`; they restart a moment after the request.
-        let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + TIMEOUT);
-        let status = loop {
-            let in_time = Instant::now() < deadline;
-            ensure!(
-                in_time,
-                "the daemon did not reset its statistics, or sends no status"
-            );
-            interrupt::check()?;
-            while let Some(record) = telemetry.try_next()? {
-                received += 1;
-                responses.saturating_record(record.handed_over_ns.saturating_sub(record.due_ns));
-                if record.mode == Mode::Tracking.code() {
-                    errors_m.push(record.position_error_m);
-                }
-            }
-            let status = connection.status(TIMEOUT)?;
-            let since_ns = status.statistics_since_ns;
-            if since_ns >= begin_ns && status.header.sent_ns >= since_ns + length_ns {
-                break status;
-            }
-            std::thread::sleep(READ_EVERY);
-        };
-        let (after, passed) = (threads(daemon.id()), begin.elapsed());
-        tracking.stop()?;
-        let counted = status.since_reset;
-        ensure!(counted.response.count > 0, "the daemon ran no cycle");
-        errors_m.sort_by(f64::total_cmp);
-        let share = |name| core_share(&before, &after, name, passed);
-        let duration_s = (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9;
-        Ok(Self {
-            duration_s,
-            counted,
-            core_shares: ["cdcr-cycle", "cdcr-exchange"].map(share),
-            tracking_share: errors_m.len() as f64 / received.max(1) as f64,
-            error_mm: [0.5, 0.99].map(|quantile| quantile_mm(&errors_m, quantile)),
-            responses: Recording {
-                tag,
-                start_s: (begin - stage.begun).as_secs_f64(),
-                duration_s,
-                histogram_ns: responses,
-            },
-        })
-    }
-
     /// Whether the period held, and if not, the cause.
     fn outcome(&self, period_ms: f64) -> TrialOutcome {
         // Duration of the work of a release with the usual wake-up latency of the machine.
@@ -260,11 +273,6 @@ impl Observed {
         (self.counted.deadline_misses + skipped) as f64 / due.max(1) as f64
     }
 
-    /// Share of the core used by both real-time threads.
-    fn core_share(&self) -> f64 {
-        self.core_shares.iter().sum()
-    }
-
     fn row(&self) -> Value {
         let (counted, causes) = (&self.counted, self.causes());
         json!({
@@ -286,7 +294,7 @@ impl Observed {
             "response_us": Quantiles::reported(&counted.response),
             "cycle_core_share": self.core_shares[0],
             "exchange_core_share": self.core_shares[1],
-            "core_share": self.core_share(),
+            "core_share": self.core_shares.iter().sum::<f64>(),
             "tracking_share": self.tracking_share,
             "error_p50_mm": self.error_mm[0],
             "error_p99_mm": self.error_mm[1],
@@ -303,18 +311,18 @@ impl Observed {
             words if words.is_empty() => words,
             words => format!(" ({words})"),
         };
-        let core = percent(self.core_share());
+        let (own, core) = (causes.own(), self.core_shares.iter().sum());
         let cut = self.share_of_cycles(counted.budget_hits);
         let stale = self.share_of_cycles(counted.stale_inputs);
         let (dropped, followed) = (counted.dropped_records, 100.0 * self.tracking_share);
         #[rustfmt::skip]
         let remarks = [
-            (causes.own() > 0, cdcr_client::counted(causes.own(), "own miss")),
+            (own > 0, count_of(own, "own miss")),
             (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
-            (self.core_share() >= FULL, format!("core full ({core}): the system halts its threads")),
+            (core >= FULL, format!("core full ({}): the system halts its threads", percent(core))),
             (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
             (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
-            (dropped > 0, cdcr_client::counted(dropped, "record") + " dropped"),
+            (dropped > 0, count_of(dropped, "record") + " dropped"),
             (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
         ];
         let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
@@ -323,63 +331,12 @@ impl Observed {
     }
 }
 
-/// A quantile of sorted distances \[mm\]; NaN if empty.
-fn quantile_mm(sorted_m: &[f64], quantile: f64) -> f64 {
-    let last = sorted_m.len().saturating_sub(1);
-    let index = (quantile * last as f64).round() as usize;
-    sorted_m
-        .get(index)
-        .map_or(f64::NAN, |error_m| error_m * 1e3)
-}
-
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use cdcr_client::Liveness;
-    use cdcr_shared_types::LatencySummary;
     use cdcr_shared_types::codes::LateCause::{Compute, Load, PageFault, Platform, Stall};
 
     use super::*;
-
-    pub(in crate::rate) fn observed() -> Observed {
-        let us = |us: u64| LatencySummary {
-            count: 4000,
-            p50_ns: 1000 * us,
-            p999_ns: 3000 * us,
-            ..LatencySummary::default()
-        };
-        Observed {
-            duration_s: 2.0,
-            counted: Statistics {
-                cycles: 4000,
-                wake: us(10),
-                compute: us(22),
-                response: us(30),
-                ..Statistics::default()
-            },
-            core_shares: [0.1; 2],
-            tracking_share: 1.0,
-            error_mm: [1e-9; 2],
-            responses: Recording {
-                tag: String::new(),
-                start_s: 0.0,
-                duration_s: 2.0,
-                histogram_ns: histogram().unwrap(),
-            },
-        }
-    }
-
-    /// The same with these counts of misses, skipped periods, and causes: platform, load, compute, page
-    /// fault, stall.
-    pub(in crate::rate) fn lossy(misses: u64, skipped: u64, causes: [u64; 5]) -> Observed {
-        let mut observed = observed();
-        observed.counted.deadline_misses = misses;
-        observed.counted.skipped_periods = skipped;
-        let order = [Platform, Load, Compute, PageFault, Stall];
-        for (cause, count) in order.into_iter().zip(causes) {
-            observed.counted.causes[cause.code() as usize] = count;
-        }
-        observed
-    }
 
     #[test]
     #[rustfmt::skip]
@@ -389,6 +346,9 @@ pub(super) mod tests {
         let words = "3 late, 40 skipped (2 platform, 1 stall)";
         let excused = format!("the machine: {words}");
         let fault = "1 own miss; 0 late, 1000 skipped (10 platform, 1 page fault)";
+        let mut observed = Observed { tracking_share: 1.0, ..Observed::default() };
+        observed.counted.cycles = 4000;
+        (observed.counted.wake.p50_ns, observed.counted.compute.p999_ns) = (10_000, 66_000);
         for (misses, skipped, causes, period_ms, outcome, remarks) in [
             (0, 0, none, 0.5, Holds, ""),
             (4, 0, none, 0.5, Holds, ""),
@@ -402,21 +362,21 @@ pub(super) mod tests {
             // A miss of the daemon's own is decisive.
             (0, 0, [0, 0, 1, 0, 0], 0.5, Own, "1 own miss"),
             (0, 1000, [10, 0, 0, 1, 0], 0.5, Own, fault),
+            (0, 0, none, 0.5, Holds, ""),
         ] {
-            let observed = lossy(misses, skipped, causes);
+            (observed.counted.deadline_misses, observed.counted.skipped_periods) = (misses, skipped);
+            for (cause, count) in [Platform, Load, Compute, PageFault, Stall].into_iter().zip(causes) {
+                observed.counted.causes[cause.code() as usize] = count;
+            }
             assert_eq!(observed.outcome(period_ms), outcome, "{observed:?}");
             assert_eq!(observed.remarks(period_ms), remarks);
         }
         // Loss of solution quality is remarked even when the period holds.
-        let mut cut = observed();
-        cut.counted.budget_hits = 1600;
-        (cut.core_shares, cut.tracking_share) = ([0.9, 0.1], 0.5);
-        assert_eq!(cut.outcome(0.5), Holds);
+        observed.counted.budget_hits = 1600;
+        (observed.core_shares, observed.tracking_share) = ([0.9, 0.1], 0.5);
+        assert_eq!(observed.outcome(0.5), Holds);
         let expected = "core full (100 %): the system halts its threads; 40 % of the solves cut short; followed in 50.0 %";
-        assert_eq!(cut.remarks(0.5), expected);
-        let errors_m: Vec<f64> = (0..=100).map(|index| f64::from(index) * 1e-3).collect();
-        assert!((quantile_mm(&errors_m, 0.99) - 99.0).abs() < 1e-9);
-        assert!(quantile_mm(&[], 0.5).is_nan());
+        assert_eq!(observed.remarks(0.5), expected);
     }
 
     #[test]

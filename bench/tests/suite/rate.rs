@@ -1,42 +1,28 @@
 //! Results of `cdcr-bench rate`, from short trials with real daemons.
+
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{self, Case, Measured, RateOptions, Trial};
+use cdcr_bench::rate::{Case, RateOptions};
+use serde_json::Value;
 
-use crate::{machine, number};
-
-fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
-    let options = RateOptions {
-        rounds: 1,
-        length: (0.2, 60.0),
-        cases,
-        periods_ms: periods_ms.to_vec(),
-        steps_ms: steps_ms.to_vec(),
-        ..RateOptions::of_report(true)
-    };
-    rate::measure(&options, &mut Progress::silent()).unwrap()
-}
+use crate::{list, machine, number};
 
 /// The numbers of a trial are consistent, independent of the machine.
-fn assert_consistent(trial: &Trial) {
-    let row = &trial.row;
-    assert_eq!(row["holds"], trial.holds());
-    assert!(
-        number(row, "cycles") > 0.0 && number(row, "duration_s") >= 0.2,
-        "{row}"
-    );
-    assert!(!trial.holds() || number(row, "lost_share") <= 1e-3, "{row}");
-    assert!(trial.holds() || !trial.remarks().is_empty(), "{row}");
-    let (wake, response) = (&row["wake_us"], &row["response_us"]);
-    assert!(number(wake, "p50") <= number(response, "p50"), "{row}");
-    assert!(number(response, "p999") <= number(response, "max"), "{row}");
-    assert!(!trial.responses.as_ref().unwrap().histogram_ns.is_empty());
+fn assert_consistent(trial: &Value) {
+    let holds = trial["holds"] == true;
+    assert!(number(trial, "cycles") > 0.0, "{trial}");
+    assert!(number(trial, "duration_s") >= 0.2, "{trial}");
+    assert!(!holds || number(trial, "lost_share") <= 1e-3, "{trial}");
+    assert!(holds || trial["remarks"] != "", "{trial}");
+    let (wake, response) = (&trial["wake_us"], &trial["response_us"]);
+    assert!(number(wake, "p50") <= number(response, "p50"), "{trial}");
+    let [most, share] = [number(response, "max"), number(trial, "tracking_share")];
+    assert!(number(response, "p999") <= most, "{trial}");
+    assert!(share > 0.0 && share <= 1.0, "{trial}");
     for key in ["budget_hit_share", "stale_input_share"] {
-        assert!((0.0..=1.0).contains(&number(row, key)), "{row}");
+        assert!((0.0..=1.0).contains(&number(trial, key)), "{trial}");
     }
-    let share = number(row, "tracking_share");
-    assert!(share > 0.0 && share <= 1.0, "{row}");
 }
 
 #[test]
@@ -47,24 +33,31 @@ fn the_border_lies_between_what_held_and_what_failed() {
         solver: Solver::GaussNewton,
         horizon_steps: 2,
     };
-    let report = short(vec![case], &[5.0, 2.0], &[5.0]);
-    let [step] = &report.steps[..] else {
-        panic!("one period: {:?}", report.steps);
+    let options = RateOptions {
+        rounds: 1,
+        length: (0.2, 60.0),
+        cases: vec![case],
+        periods_ms: vec![5.0, 2.0],
+        steps_ms: vec![5.0],
+        ..RateOptions::of_report(true)
     };
-    assert_eq!(step.len(), 1);
-    assert_eq!(step[0].case, Case::DEFAULT);
-    let [shortest] = &report.shortest[..] else {
-        panic!("one case: {:?}", report.shortest);
-    };
-    assert_eq!(shortest.case, case);
-    assert!(shortest.held_ms.is_some() || shortest.failed_ms.is_some());
+    let found = options.run(&mut Progress::silent()).unwrap();
+    assert!(!found.recordings[0].histogram_ns.is_empty());
+    let json = Value::Object(found.json());
+    let [trials, rounds] = ["trials", "default_rounds"].map(|key| list(&json, key));
+    let shortest = &list(&json, "shortest")[0];
+    assert_eq!((rounds.len(), &rounds[0]["sections"]), (1, &Value::from(3)));
+    assert_eq!(shortest["solver"], "gauss-newton");
+    let [held, failed] = ["shortest_period_ms", "failed_period_ms"].map(|key| &shortest[key]);
+    assert!(held.is_number() || failed.is_number());
     // Two periods with up to three trials each; only the last one decides.
-    assert!((1..=6).contains(&shortest.trials.len()));
-    let held = shortest.trials_with(shortest.held_ms);
-    assert!(held.last().is_none_or(|trial| trial.holds()));
-    let mut failed = shortest.trials_with(shortest.failed_ms).into_iter();
-    assert!(failed.all(|trial| !trial.holds()));
-    for trial in shortest.trials.iter().chain(step) {
+    assert!((1..=6).contains(&trials.len()));
+    let mut from_last = trials.iter().rev();
+    let last = from_last.find(|trial| trial["period_ms"] == *held);
+    assert!(last.is_none_or(|trial| trial["holds"] == true));
+    let mut failed = trials.iter().filter(|trial| trial["period_ms"] == *failed);
+    assert!(failed.all(|trial| trial["holds"] == false));
+    for trial in trials.iter().chain(rounds) {
         assert_consistent(trial);
     }
 }
