@@ -16,7 +16,6 @@ pub trait Benchmark: clap::Args + Send + 'static {
     /// Changes the options to a short run, whose numbers prove little.
     fn quicken(&mut self);
 
-    /// Whether the command line has `--quick`.
     fn is_quick(&self) -> bool {
         false
     }
@@ -32,12 +31,10 @@ pub trait Benchmark: clap::Args + Send + 'static {
         options
     }
 
-    /// Rejects invalid combinations.
     fn check(&self) -> Result<()> {
         Ok(())
     }
 
-    /// The checked options of a command line.
     fn resolved(mut self) -> Result<Self> {
         self.check()?;
         if self.is_quick() {
@@ -57,7 +54,6 @@ pub trait Benchmark: clap::Args + Send + 'static {
     fn run(&self, progress: &mut Progress) -> Result<Dataset>;
 }
 
-/// The options of an empty command line.
 pub fn defaults<A: clap::Args>() -> A {
     let command = A::augment_args(clap::Command::new("defaults"));
     let matches = command.get_matches_from(["defaults"]);

@@ -44,7 +44,6 @@ impl Causes {
         NAMES.iter().map(|(cause, ..)| self.of(*cause)).sum()
     }
 
-    /// Text of the causes that occurred.
     pub fn words(self) -> String {
         let there = NAMES.iter().filter(|(cause, ..)| self.of(*cause) > 0);
         let words = there.map(|(cause, _, words)| format!("{} {words}", self.of(*cause)));

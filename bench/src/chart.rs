@@ -11,7 +11,6 @@ use serde_json::Value;
 
 use crate::dataset::{Plot, number};
 
-/// Shorter times are drawn at this value \[µs\].
 const SHORTEST_US: f64 = 0.1;
 
 /// Draws panels; `size` holds the panels per row and their height: see [`cdcr_chart::svg`].

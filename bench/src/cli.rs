@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::budget::BudgetOptions;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
@@ -22,7 +22,6 @@ use cdcr_bench::solver::SolverOptions;
 use cdcr_testbed::interrupt;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 
-/// Subfolder for a report that would replace results of an older one.
 const ASIDE: &str = "partial";
 
 const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
@@ -192,7 +191,6 @@ struct CompareArguments {
     fail_on_worse: bool,
 }
 
-/// Runs the command line.
 pub(crate) fn run() -> Result<()> {
     let (command, matches) = (Cli::command(), Cli::command().get_matches());
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
@@ -224,8 +222,9 @@ impl Output {
             Format::Markdown => format!("{}\n{machine}\n", dataset.markdown()),
             Format::Json => start.json_of(&dataset)?,
             Format::Csv => {
-                let own = dataset.csv().find(|(name, _)| *name == dataset.name);
-                own.map_or_else(|| Ok(String::new()), |(_, csv)| csv)?
+                let mut all = dataset.csv();
+                let own = all.find(|(name, _)| *name == dataset.name);
+                own.map_or(Ok(String::new()), |(_, csv)| csv)?
             }
         })
     }
@@ -239,23 +238,19 @@ impl AllArguments {
         asked.map(|name| name.plan(self)).collect()
     }
 
-    /// Expected duration \[s\].
-    fn expected_s(&self) -> f64 {
-        self.plans().iter().map(|plan| plan.expected_s).sum()
-    }
-
     fn run(self, start: Start) -> Result<()> {
         interrupt::catch()?;
         if let Some(config) = &self.config {
             ensure!(config.is_file(), "there is no file {}", config.display());
         }
         make(&self.out)?;
-        let mut progress = Progress::new(self.expected_s());
+        let plans = self.plans();
+        let mut progress = Progress::new(plans.iter().map(|plan| plan.expected_s).sum());
         let report = BenchReport {
             start,
             extent: self.extent,
             default_config: self.config.is_none(),
-            parts: report::run(self.plans(), &mut progress)?,
+            parts: report::run(plans, &mut progress)?,
         };
         drop(progress);
         keep(&report.files()?, &self.folder(&report)?)?;
@@ -278,14 +273,11 @@ impl AllArguments {
         if lost.is_empty() {
             return Ok(self.out.clone());
         }
-        let aside = self.out.join(ASIDE);
-        writeln!(
-            std::io::stderr(),
-            "{} contains an older report with {}, which is missing here: it is kept, and this report is written to {}",
-            self.out.display(),
-            lost.join(", "),
-            aside.display()
-        )?;
+        let (aside, lost) = (self.out.join(ASIDE), lost.join(", "));
+        let [here, there] = [&self.out, &aside].map(|folder| folder.display());
+        let words = format!("{here} contains an older report with {lost}, which is missing here");
+        let what = "it is kept, and this report is written to";
+        writeln!(std::io::stderr(), "{words}: {what} {there}")?;
         Ok(aside)
     }
 }
@@ -299,16 +291,14 @@ impl CompareArguments {
         })?;
         let worse = comparison.count(ChangeClass::Worse);
         let by_chance = comparison.worse_by_chance();
-        if self.fail_on_worse && worse > by_chance {
-            bail!(
-                "{worse} numbers are worse than before, beyond noise; chance explains at most {by_chance}"
-            );
-        }
+        ensure!(
+            !self.fail_on_worse || worse <= by_chance,
+            "{worse} numbers are worse than before, beyond noise; chance explains at most {by_chance}"
+        );
         Ok(())
     }
 }
 
-/// Writes all files, and reports that on standard error.
 fn keep(files: &Files, folder: &Path) -> Result<()> {
     report::write(files, folder)?;
     let (count, folder) = (files.len(), folder.display());

@@ -31,7 +31,6 @@ const ROUNDS_MIN: usize = 3;
 pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
 /// Numbers that may get worse in addition, because the number of chance changes varies, too.
 const WORSE_MARGIN: usize = 2;
-/// Longest list of names.
 const NAMES_MAX: usize = 12;
 const OTHER_MACHINE: &str = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
                              each run measured itself, can";
@@ -62,7 +61,6 @@ named! {
     }
 }
 
-/// The parts of a result that the comparison needs, of one benchmark or of all.
 #[derive(Debug, Clone, Deserialize)]
 pub struct Input {
     pub environment: Environment,
@@ -147,7 +145,6 @@ impl Comparison {
         verdicts.filter(|found| *found == verdict).count()
     }
 
-    /// A table of the changed numbers, and counts of the others.
     pub fn text(&self) -> Result<String> {
         let (before, after) = (self.before.run(), self.after.run());
         let mut text = format!("before: {before}\nafter:  {after}\n");

@@ -7,10 +7,11 @@ mod column;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use column::Show;
 pub use column::{Column, fixed, percent, plain, power, shorted, signed, word};
@@ -21,7 +22,6 @@ use crate::study::Rounds;
 /// The result of one benchmark, for people, for programs and for comparison with the next run.
 #[derive(Default)]
 pub struct Dataset {
-    /// Name of the command and of the files.
     pub name: &'static str,
     pub heading: &'static str,
     /// Method and reading guide: paragraphs of HTML.
@@ -32,10 +32,11 @@ pub struct Dataset {
     pub warns: bool,
     /// Keys of the JSON in addition to those of the sheets.
     pub facts: Map<String, Value>,
-    /// The most important sheet first.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
     pub metrics: Vec<Metric>,
+    /// Rows of the project's targets: see [`Self::target`].
+    pub targets: Vec<Value>,
     /// All measured latencies, from which other percentiles can be computed.
     pub recordings: Vec<Recording>,
 }
@@ -85,7 +86,6 @@ impl Dataset {
         self.add(Metric::new(name, unit, Better::Lower, rounds));
     }
 
-    /// Adds a number of which more is better.
     pub fn higher(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
         self.add(Metric::new(name, unit, Better::Higher, rounds));
     }
@@ -93,6 +93,22 @@ impl Dataset {
     fn add(&mut self, metric: Metric) {
         self.metrics
             .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
+    }
+
+    /// Adds a target of the project: description, target in words and unit; the value, the range of its rounds, and
+    /// its case or the amount of data; the values that reach it. Adds nothing without a value.
+    pub fn target(
+        &mut self,
+        [what, target, unit]: [&str; 3],
+        found: Option<(f64, Value, String)>,
+        reached: RangeInclusive<f64>,
+    ) {
+        self.targets.extend(found.map(|(value, range, of)| {
+            let reached = reached.contains(&value);
+            json!({
+                "what": what, "target": target, "unit": unit, "found": value, "range": range, "of": of, "reached": reached,
+            })
+        }));
     }
 
     /// Adds numbers of the same rounds of which less is better: name, unit and row key of each. Shares with
@@ -120,7 +136,6 @@ impl Dataset {
         }
     }
 
-    /// The rows under a key of the JSON.
     pub fn rows(&self, key: &str) -> &[Value] {
         let mut sheets = self.sheets.iter();
         let sheet = sheets.find(|sheet| sheet.key == Some(key));
@@ -165,7 +180,6 @@ impl Dataset {
     }
 }
 
-/// Rows and their output formats.
 #[derive(Debug)]
 pub struct Sheet {
     key: Option<&'static str>,
@@ -187,14 +201,12 @@ impl Sheet {
         }
     }
 
-    /// Adds the rows to the JSON under this key.
     #[must_use]
     pub fn key(mut self, key: &'static str) -> Self {
         self.key = Some(key);
         self
     }
 
-    /// Writes the rows to a CSV of this name, given without extension.
     #[must_use]
     pub fn file(mut self, name: &'static str) -> Self {
         self.file = Some(name);
@@ -231,7 +243,6 @@ impl Sheet {
         text
     }
 
-    /// Markdown for a web page or a document of the project.
     pub fn markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
         let heads = self.columns.iter().map(|c| c.head.to_owned());
@@ -302,7 +313,6 @@ pub fn number(row: &Value, key: &str) -> Option<f64> {
     flat(row).get(key)?.as_f64()
 }
 
-/// One number of each round that measured it.
 pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> {
     rounds.iter().filter_map(move |row| number(row, key))
 }
@@ -343,7 +353,6 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
     Value::Object(keys.into_iter().filter_map(of_key).collect())
 }
 
-/// Merges the fields of several objects; later ones win.
 pub fn joined<const N: usize>(objects: [Value; N]) -> Value {
     let mut all = Map::new();
     for object in objects {
@@ -373,8 +382,6 @@ pub(crate) fn flat(row: &Value) -> BTreeMap<String, Value> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     fn sheet() -> Sheet {

@@ -33,17 +33,9 @@ const CIRCLE_REFINEMENTS: u32 = 6;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Task {
-    Spiral {
-        sections: usize,
-    },
-    /// The line of three sections with a vertical tip.
-    Line {
-        rate_limit_rad_s: f64,
-    },
-    /// The circle of one section around an obstacle.
-    Circle {
-        safe_distance_m: f64,
-    },
+    Spiral { sections: usize },
+    Line { rate_limit_rad_s: f64 },
+    Circle { safe_distance_m: f64 },
 }
 
 impl Task {
@@ -117,7 +109,6 @@ impl Solver {
     }
 }
 
-/// One simulation with one solver in one kind of coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Experiment {
     pub task: Task,
@@ -126,7 +117,6 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    /// An experiment in the default coordinates.
     pub fn new(task: Task, solver: Solver) -> Self {
         Self {
             task,

@@ -11,7 +11,6 @@ use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
 
 use crate::dataset::Recording;
 
-/// From recorded nanoseconds to the microseconds of the readable column.
 const NS_PER_US: f64 = 1e3;
 
 /// The log of one benchmark whose run began at `started`; `None` without recordings.
@@ -31,18 +30,13 @@ pub fn log(started: SystemTime, recordings: &[Recording]) -> Result<Option<Strin
         .with_max_value_divisor(NS_PER_US)
         .begin_log_with(&mut bytes, &mut serializer)?;
     for recording in ordered {
-        let tag = Tag::new(&recording.tag).with_context(|| {
-            let tag = &recording.tag;
-            format!("the tag {tag:?} of a histogram must be without spaces, commas and line feeds")
-        })?;
-        let (start, duration) = (seconds(recording.start_s), seconds(recording.duration_s));
-        writer
-            .write_histogram(&recording.histogram_ns, start, duration, Some(tag))
-            .map_err(|cause| anyhow!("the histogram {}: {cause}", recording.tag))?;
+        let tag = &recording.tag;
+        let wrong = || format!("the tag {tag:?} must be without spaces, commas and line feeds");
+        let tag = Tag::new(tag).with_context(wrong)?;
+        let [start, duration] = [recording.start_s, recording.duration_s]
+            .map(|seconds| Duration::try_from_secs_f64(seconds).unwrap_or_default());
+        let written = writer.write_histogram(&recording.histogram_ns, start, duration, Some(tag));
+        written.map_err(|cause| anyhow!("the histogram {}: {cause}", recording.tag))?;
     }
     Ok(Some(String::from_utf8(bytes)?))
-}
-
-fn seconds(seconds: f64) -> Duration {
-    Duration::try_from_secs_f64(seconds).unwrap_or_default()
 }

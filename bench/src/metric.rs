@@ -8,7 +8,6 @@ use statrs::statistics::{Data, OrderStatistics as _};
 pub struct Metric {
     /// Words joined by slashes, like `deadline/none/daemon/response_p99`. The same in every run.
     pub name: String,
-    /// Its unit, like `µs`; empty for a ratio.
     pub unit: String,
     pub better: Better,
     /// The finite value of each round.
@@ -38,12 +37,10 @@ impl Metric {
         }
     }
 
-    /// Median of the rounds; `None` without rounds.
     pub fn median(&self) -> Option<f64> {
         median(self.rounds.iter().copied())
     }
 
-    /// Smallest and largest round; `None` without rounds.
     pub fn range(&self) -> Option<(f64, f64)> {
         range(self.rounds.iter().copied())
     }

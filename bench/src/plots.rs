@@ -1,11 +1,10 @@
 //! The paper's figures, drawn from the first run of each experiment.
 
-mod view;
-
 use anyhow::{Context, Result};
 use cdcr_client::counted;
 use cdcr_controller::nmpc::Coordinates;
-use cdcr_controller::robot::{Configuration, ZyxAngles};
+use cdcr_controller::robot::{Configuration, Robot, ZyxAngles};
+use nalgebra::Vector3;
 
 use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
@@ -15,7 +14,6 @@ use crate::closed_loop::Sample;
 use crate::dataset::Plot;
 use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};
-use view::{backbone, ball, path, reference};
 
 /// Smallest bend with a meaningful direction \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
@@ -24,21 +22,17 @@ const ERRORS: Scale = Scale::Log { floor: 1e-14 };
 const BROWN: RGBColor = RGBColor(120, 80, 40);
 const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
 const PALE_COLOURS: [RGBColor; 3] = [SKY, YELLOW, PURPLE];
-/// Number of drawn robot shapes on the line.
+const POINTS: u32 = 24;
 const SHAPES: usize = 6;
 
 /// Limit of drawn angle rates: a spike at a nearly straight section would flatten all other values \[rad/s\].
 const ANGLE_RATE_MAX_RAD_S: f64 = 10.0;
-/// Limit of drawn clearances beyond the safe distance \[mm\].
 const CLEARANCE_MAX_MM: f64 = 2.0;
-/// Smallest drawn share of the cycles.
 const SHARES: f64 = 1e-3;
 
-/// All plots: spiral, line and circle. The outcomes must contain every drawn experiment.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
-    let drawn = Task::all()
-        .into_iter()
-        .map(|task| Drawn::new(outcomes, task));
+    let tasks = Task::all().into_iter();
+    let drawn = tasks.map(|task| Drawn::new(outcomes, task));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
     let of = |name: &str| {
         let is_it = |one: &&Drawn<'_>| one.run.experiment.task.name() == name;
@@ -118,6 +112,30 @@ fn of_circles(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
     ]
 }
 
+fn path(view: View, samples: &[Sample]) -> Vec<Point> {
+    view.line(samples.iter().map(|sample| sample.tip.position_m.into()))
+}
+
+fn reference(view: View, samples: &[Sample]) -> Vec<Point> {
+    view.line(samples.iter().map(|sample| sample.reference_m.into()))
+}
+
+fn backbone(view: View, robot: &Robot, at: &Configuration) -> Vec<Point> {
+    let shares = (0..=POINTS).map(|i| f64::from(i) / f64::from(POINTS));
+    let sections = 0..robot.section_count();
+    let places = sections.flat_map(|j| shares.clone().map(move |share| (j, share)));
+    view.line(places.map(|(j, share)| robot.body_point(at, j, share).into()))
+}
+
+fn ball(view: View, centre_m: &Vector3<f64>, radius_m: f64) -> Vec<Point> {
+    let (x, y) = view.point((*centre_m).into());
+    let at = |degrees: u32| {
+        let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
+        (x + 1e3 * radius_m * cos, y + 1e3 * radius_m * sin)
+    };
+    (0..=360).step_by(4).map(at).collect()
+}
+
 fn over_time(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     samples.iter().map(|s| (s.time_s, value(s))).collect()
 }
@@ -184,18 +202,15 @@ impl<'a> Drawn<'a> {
         first.map_or(0, |sample| sample.configuration.section_count())
     }
 
-    /// Errors along the axes, and the paper's mean.
     fn errors(&self) -> Panel {
         let axis = |(i, label): (usize, &str)| {
             let along = over_time(self.samples(), |s| s.offset_mm()[i].abs());
             Curve::line(label, along, COLOURS[i]).width(3)
         };
-        let axes = ["|x error|", "|y error|", "|z error|"]
-            .into_iter()
-            .enumerate();
+        let axes = ["|x error|", "|y error|", "|z error|"].into_iter();
         let mean_mm = self.run.experiment.task.paper().mean_error_mm;
         let mean = mean_mm.map(|mm| self.level(format!("paper's mean {mm:e} mm"), mm, DARK));
-        let curves = axes.map(axis).chain(mean).collect();
+        let curves = axes.enumerate().map(axis).chain(mean).collect();
         timed(self.title.clone(), "error [mm]", ERRORS, curves)
     }
 
@@ -228,7 +243,6 @@ impl<'a> Drawn<'a> {
         Panel::new(title, [x, "share of the cycles"], scale, curves.collect())
     }
 
-    /// Bend θ and direction φ of every section.
     fn angles(&self) -> [Panel; 2] {
         let samples = self.samples();
         let bend = |j: usize| {
@@ -269,7 +283,6 @@ impl<'a> Drawn<'a> {
         ]
     }
 
-    /// Change of all cable lengths from the straight robot.
     fn cables(&self) -> Panel {
         let colours = [COLOURS, PALE_COLOURS, [DARK, GREY, BROWN]];
         let robot = &self.run.scene.robot;
@@ -312,12 +325,9 @@ impl<'a> Drawn<'a> {
                     continue;
                 };
                 let points = backbone(view, &self.run.scene.robot, &sample.configuration);
-                let is_end = i == 0 || i == SHAPES - 1;
-                let label = if is_end {
-                    format!("{:.2} s", sample.time_s)
-                } else {
-                    String::new()
-                };
+                let time = format!("{:.2} s", sample.time_s);
+                let label = Some(time).filter(|_| [0, SHAPES - 1].contains(&i));
+                let label = label.unwrap_or_default();
                 curves.push(Curve::line(label, points, between(GREY, BLUE, i)).width(5));
             }
             view.panel(format!("{}, {from}", self.title), curves)
@@ -401,7 +411,6 @@ fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
     ]
 }
 
-/// Each circle with its safe distance \[m\] and its colour.
 fn detours<'a>(tasks: &[&'a Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, f64, RGBColor)> {
     let with = |((task, distance_m), colour): ((&&'a Drawn<'a>, _), _)| (*task, distance_m, colour);
     tasks.iter().zip(CIRCLE_DISTANCES_M).zip(COLOURS).map(with)
@@ -430,7 +439,6 @@ fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
     view.panel(title, curves)
 }
 
-/// A value of each circle over time, by safe distance \[m\].
 fn of_detours(
     tasks: &[&Drawn<'_>],
     value: impl Fn(&Sample, f64) -> f64,
@@ -444,11 +452,8 @@ fn of_detours(
 
 fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
     let curves = of_detours(tasks, |sample, _| sample.error_mm()).collect();
-    let (title, scale) = (
-        "Simulated circle: error".to_owned(),
-        Scale::Log { floor: 1e-4 },
-    );
-    timed(title, "error [mm]", scale, curves)
+    let title = "Simulated circle: error".to_owned();
+    timed(title, "error [mm]", Scale::Log { floor: 1e-4 }, curves)
 }
 
 /// Negative where the body is nearer than the safe distance.

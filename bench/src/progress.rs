@@ -1,11 +1,10 @@
 //! Progress of a long measurement, and its remaining time.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write as _;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Shortest interval between lines without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
 /// Progress of a measurement of known duration, in seconds: a bar on a terminal, otherwise occasional lines,
@@ -16,28 +15,27 @@ pub struct Progress {
     part: String,
     total_s: f64,
     done_s: f64,
-    bar: Option<ProgressBar>,
+    /// Hidden without a terminal.
+    bar: ProgressBar,
+    has_lines: bool,
     begun: Instant,
     last_line: Option<Instant>,
 }
 
 impl Progress {
-    /// A measurement of about `total_s` \[s\].
     pub fn new(total_s: f64) -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| {
-            let template = "{bar:24} {percent:>3} %, {eta} left: {msg}";
-            let bar = ProgressBar::new(milliseconds(total_s));
-            // A stretch may take minutes; the remaining time is updated meanwhile.
+        let bar = ProgressBar::new(milliseconds(total_s));
+        // A stretch may take minutes; the remaining time is updated meanwhile.
+        if !bar.is_hidden() {
             bar.enable_steady_tick(Duration::from_millis(500));
-            match ProgressStyle::with_template(template) {
-                Ok(style) => bar.with_style(style),
-                Err(_) => bar,
-            }
-        });
+        }
+        let style = ProgressStyle::with_template("{bar:24} {percent:>3} %, {eta} left: {msg}");
+        let bar = style.map_or(bar.clone(), |style| bar.with_style(style));
         Self {
             part: String::new(),
             total_s,
             done_s: 0.0,
+            has_lines: bar.is_hidden(),
             bar,
             begun: Instant::now(),
             last_line: None,
@@ -46,7 +44,7 @@ impl Progress {
 
     pub fn silent() -> Self {
         let mut progress = Self::new(0.0);
-        progress.bar = Some(ProgressBar::hidden());
+        (progress.bar, progress.has_lines) = (ProgressBar::hidden(), false);
         progress
     }
 
@@ -61,34 +59,27 @@ impl Progress {
 
     pub fn begin(&mut self, what: &str) {
         let what = format!("{}{what}", self.part);
-        match &self.bar {
-            Some(bar) => bar.set_message(what),
-            None => self.write_line(&what),
+        let is_early = |last: Instant| last.elapsed() < LINE_EVERY;
+        if self.has_lines && !self.last_line.is_some_and(is_early) {
+            self.last_line = Some(Instant::now());
+            self.write_line(&what);
         }
+        self.bar.set_message(what);
     }
 
-    /// Adds completed time of the measurement \[s\].
     pub fn advance(&mut self, seconds: f64) {
         self.done_s += seconds;
-        if let Some(bar) = &self.bar {
-            bar.set_position(milliseconds(self.done_s).min(milliseconds(self.total_s)));
-        }
+        let done_s = self.done_s.min(self.total_s);
+        self.bar.set_position(milliseconds(done_s));
     }
 
     /// Changes the expected duration by `more_s`, which may be negative \[s\].
     pub fn expect(&mut self, more_s: f64) {
         self.total_s = (self.total_s + more_s).max(self.done_s);
-        if let Some(bar) = &self.bar {
-            bar.set_length(milliseconds(self.total_s));
-        }
+        self.bar.set_length(milliseconds(self.total_s));
     }
 
-    fn write_line(&mut self, what: &str) {
-        let is_early = |last: Instant| last.elapsed() < LINE_EVERY;
-        if self.last_line.is_some_and(is_early) {
-            return;
-        }
-        self.last_line = Some(Instant::now());
+    fn write_line(&self, what: &str) {
         let percent = 100.0 * (self.done_s / self.total_s.max(1e-9)).min(1.0);
         // Completed time counts measurement only; the work around it takes time, too.
         let slower = match self.done_s {
@@ -103,9 +94,7 @@ impl Progress {
 
 impl Drop for Progress {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
+        self.bar.finish_and_clear();
     }
 }
 

@@ -47,7 +47,6 @@ pub fn histogram() -> Result<Histogram<u64>> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
 }
 
-/// All histograms added.
 pub fn pooled<'a>(all: impl IntoIterator<Item = &'a Histogram<u64>>) -> Result<Histogram<u64>> {
     let mut sum = histogram()?;
     for times_ns in all {

@@ -1,7 +1,6 @@
 //! Results of one or all benchmarks as documents: text, JSON, CSV, plots, a page and raw histograms.
 
 mod page;
-mod targets;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,7 +13,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Sheet, plain, shorted, word};
 use crate::environment::Environment;
 use crate::hlog;
 use crate::interrupt;
@@ -22,12 +21,14 @@ use crate::metric::Metric;
 use crate::progress::Progress;
 use crate::run_options::RunOptions;
 
-/// Note in a report of `--quick`.
 const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
-/// Keys of a report that are not results of a benchmark.
 const NO_RESULTS: [&str; 4] = ["environment", "extent", "options", "took_s"];
+
+/// The benchmarks whose targets need real time and the default configuration.
+const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
+const TARGETS: &str = include_str!("report/targets.html");
 
 /// Key of the cause in the result of a failed benchmark.
 const ERROR: &str = "error";
@@ -74,7 +75,6 @@ impl Start {
         self.json(dataset.json(), &dataset.metrics)
     }
 
-    /// One result in all formats.
     pub fn files_of(&self, dataset: &Dataset) -> Result<Files> {
         let all = [dataset, &self.machine()];
         let mut files = documents(
@@ -136,7 +136,6 @@ pub fn make(folder: &Path) -> Result<()> {
     made.with_context(|| format!("cannot create the folder {}", folder.display()))
 }
 
-/// How much of each benchmark is run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::Args)]
 pub struct Extent {
     /// Run all benchmarks in a few minutes; not a measurement.
@@ -211,7 +210,6 @@ pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
     Ok(parts)
 }
 
-/// The result of one benchmark of a report.
 pub struct Part {
     pub dataset: Dataset,
     started: SystemTime,
@@ -253,24 +251,45 @@ impl BenchReport {
     /// The project's targets and the measured values. Without rows if none was measured; with a note if the
     /// conditions of the targets were not met.
     fn targets(&self) -> Dataset {
+        let mut dataset = Dataset::new("targets", "Figures to reach", TARGETS);
         let mut parts = self.parts.iter();
-        let has_any = parts.any(|part| targets::JUDGED.contains(&part.dataset.name));
+        let has_any = parts.any(|part| JUDGED.contains(&part.dataset.name));
         let realtime = self.start.environment.is_realtime();
+        let mut rows = Vec::new();
         if !has_any || (realtime && self.default_config) {
-            return targets::dataset(targets::targets(&self.metrics(), &self.results()));
-        }
-        let why = if realtime {
-            "they are for the default configuration, and --config named another"
+            let targets = self.parts.iter().map(|part| &part.dataset.targets);
+            rows.extend(targets.flatten().cloned());
+            // Measured by `solver`, for several crowds of obstacles.
+            let guards = self.metrics().into_iter().filter_map(|metric| {
+                let crowd = metric.name.strip_prefix("guard/")?.strip_suffix("/p99")?;
+                Some((metric.median()?, json!(metric.range()), crowd.to_owned()))
+            });
+            let worst = guards.max_by(|one, other| one.0.total_cmp(&other.0));
+            let what = "safety checks p99, 6 sections, 64 obstacles in reach";
+            dataset.target([what, "≤ 150 µs", "µs"], worst, f64::MIN..=150.0);
+            rows.append(&mut dataset.targets);
         } else {
-            "they are for real time, which this user is not granted"
-        };
-        Dataset {
-            note: format!("The figures to reach were not judged: {why}."),
-            ..targets::dataset(Vec::new())
+            let why = if realtime {
+                "they are for the default configuration, and --config named another"
+            } else {
+                "they are for real time, which this user is not granted"
+            };
+            dataset.note = format!("The figures to reach were not judged: {why}.");
         }
+        let columns = [
+            word("figure", "what"),
+            word("target", "target"),
+            word("of", "of"),
+            word("reached", "reached"),
+            shorted("found", "found"),
+            plain("unit", "unit"),
+            shorted("rounds", "range"),
+        ];
+        let title = if rows.is_empty() { "" } else { dataset.heading };
+        dataset.sheets = vec![Sheet::of(title, &columns, rows).key("targets")];
+        dataset
     }
 
-    /// The sections before the results: machine and targets.
     fn front(&self) -> Vec<Dataset> {
         let mut front = vec![self.start.machine(), self.targets()];
         front.retain(|dataset| dataset.tables().next().is_some() || !dataset.note.is_empty());
@@ -281,7 +300,6 @@ impl BenchReport {
         front
     }
 
-    /// Machine, targets, and failed benchmarks.
     pub fn summary(&self) -> String {
         let failed = self.parts.iter().filter(|part| part.has_failed());
         let failed = failed.map(|part| part.dataset.text());

@@ -51,7 +51,6 @@ impl RunOptions {
     }
 }
 
-/// Hash of the text of a file, in hexadecimal digits.
 fn hash(file: &Path) -> String {
     let Ok(text) = std::fs::read(file) else {
         return "not readable".to_owned();

@@ -10,11 +10,9 @@ use crate::interrupt;
 use crate::progress::Progress;
 
 pub(crate) struct Case<'a> {
-    /// Key of the table of its rows.
     pub(crate) table: &'static str,
     pub(crate) what: String,
     pub(crate) expected_s: f64,
-    /// Returns the rows of a round.
     pub(crate) measure: Box<dyn Fn(u32) -> Result<Vec<Value>> + 'a>,
 }
 

@@ -63,8 +63,7 @@ pub(crate) struct Watcher {
     /// Client for requests, opened at the first one.
     asker: Option<Asker>,
     commands: CommandStream,
-    telemetry: TelemetryStream,
-    /// The watched release, and whether polling for it has begun.
+    pub(crate) telemetry: TelemetryStream,
     next: u64,
     is_awake: bool,
     received: VecDeque<(u64, u64)>,
@@ -104,11 +103,6 @@ impl Watcher {
         time_ns.saturating_sub(self.status.origin_ns) / self.status.period_ns
     }
 
-    /// Number of lost records.
-    pub(crate) fn lost(&self) -> u64 {
-        self.telemetry.lost()
-    }
-
     pub(crate) fn open_asker(&mut self, location: &Location) -> Result<()> {
         self.asker = Some(Asker::open(location, ROBOT, self.connection.sender_id())?);
         Ok(())
@@ -144,7 +138,6 @@ impl Watcher {
         Ok(())
     }
 
-    /// Watches until the next release is over.
     pub(crate) fn watch_release(&mut self) -> Result<()> {
         while !self.watch(u64::MAX)? {}
         Ok(())

@@ -16,7 +16,6 @@ pub(super) enum Show {
     /// Left-aligned; all other formats are right-aligned.
     Word,
     Plain,
-    /// Three to four digits without trailing zeros; whole numbers in full.
     Short,
     Fixed(usize),
     Signed,

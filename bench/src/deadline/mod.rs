@@ -7,6 +7,7 @@
 mod report;
 mod stretch;
 mod tally;
+mod targets;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -15,7 +16,6 @@ use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use serde_json::json;
 
-pub use report::misses_p_value;
 pub use stretch::Subject;
 
 use crate::benchmark::Benchmark;
@@ -24,22 +24,18 @@ use crate::interrupt;
 use crate::load::Load;
 use crate::named::named;
 use crate::progress::Progress;
-use crate::subject::cyclictest::Cyclictest;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use report::{Cases, Key};
+use report::{Case, Cases, Key};
 use stretch::Runner;
 
 /// Uncounted time at the beginning of a stretch, in which memory is mapped and caches fill.
 pub const WARM_UP: Duration = Duration::from_secs(1);
-/// Start and end of the processes of a stretch \[s\].
 const AROUND_S: f64 = 1.2;
 
 named! {
     pub enum Setup {
-        /// `SCHED_FIFO`, a core of their own, locked memory.
         Realtime = "realtime",
-        /// An ordinary process without real time.
         Ordinary = "ordinary",
     }
 }
@@ -85,10 +81,10 @@ impl DeadlineOptions {
     }
 
     /// Keys of a round in the order of measurement: each round begins with another subject.
-    fn stretches(&self, runner: &Runner<'_>, is_realtime: bool, round: u32) -> Vec<Key> {
+    fn stretches(&self, is_realtime: bool, round: u32) -> Vec<Key> {
         let mut keys = Vec::new();
         for setup in Setup::ALL {
-            let mut subjects = runner.subjects(setup);
+            let mut subjects = Subject::of(setup);
             let count = subjects.len();
             subjects.rotate_left((round - 1) as usize % count);
             for load in self.loads(setup) {
@@ -104,7 +100,6 @@ impl DeadlineOptions {
         keys
     }
 
-    /// The loads of a set-up; empty if the set-up is not measured.
     fn loads(&self, setup: Setup) -> Vec<Load> {
         let usual: &[Load] = match (setup, self.setup, self.quick) {
             (Setup::Realtime, Setups::Ordinary, _) | (Setup::Ordinary, Setups::Realtime, _) => {
@@ -148,14 +143,9 @@ impl Benchmark for DeadlineOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let realtime = if may_be_realtime() {
-            2 + usize::from(Cyclictest::find().is_some())
-        } else {
-            0
-        };
-        let [with, without] = Setup::ALL.map(|setup| self.loads(setup).len());
+        let stretches = self.stretches(may_be_realtime(), 1).len();
         let segment_s = self.segment().as_secs_f64() + WARM_UP.as_secs_f64() + AROUND_S;
-        segment_s * (realtime * with + 2 * without) as f64 * f64::from(self.rounds)
+        segment_s * stretches as f64 * f64::from(self.rounds)
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
@@ -169,7 +159,7 @@ impl Benchmark for DeadlineOptions {
         let begin = Instant::now();
         let (mut cases, mut failures) = (Cases::new(), Vec::new());
         for round in 1..=self.rounds {
-            for key in self.stretches(&runner, is_realtime, round) {
+            for key in self.stretches(is_realtime, round) {
                 let names = [key.load.name(), key.setup.name(), key.subject.name()].join(", ");
                 let what = format!("round {round} of {}, load {names}", self.rounds);
                 progress.begin(&what);
@@ -184,7 +174,8 @@ impl Benchmark for DeadlineOptions {
                 })?;
                 let start_s = (start - begin).as_secs_f64();
                 let of_round = json!({ "round": round, "start_s": start_s });
-                cases.entry(key).or_default().push(key, of_round, tally);
+                let case = cases.entry(key).or_insert(Case::new()?);
+                case.push(key, of_round, tally)?;
                 progress.advance(start.elapsed().as_secs_f64());
             }
         }

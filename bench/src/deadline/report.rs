@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::slice;
 
 use anyhow::Result;
-use hdrhistogram::Histogram;
 use serde_json::{Map, Value, json};
 use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::stretch::Subject;
 use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, empty_times, times_json};
+use super::targets::add_targets;
 use super::{DeadlineOptions, Setup};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer, plot};
 use crate::dataset::{
@@ -18,13 +18,12 @@ use crate::dataset::{
 };
 use crate::load::Load;
 use crate::metric::{median, range};
-use crate::quantiles::{Quantiles, pooled};
+use crate::quantiles::Quantiles;
 
-/// Smallest drawn share of the cycles.
 const SHARES: f64 = 1e-5;
 
 /// Significance level of a difference between two counts of misses.
-const SIGNIFICANCE: f64 = 0.05;
+pub(super) const SIGNIFICANCE: f64 = 0.05;
 
 const EXPLANATION: &str = include_str!("deadline.html");
 
@@ -124,36 +123,47 @@ impl Key {
     }
 }
 
-/// All rounds of one subject under one load: a row and the latencies of each round.
-#[derive(Default)]
+/// All rounds of one subject under one load: a row and the latencies of each round, and all latencies.
 pub(super) struct Case {
-    rounds: Vec<Value>,
+    pub(super) rounds: Vec<Value>,
     times: Vec<Times>,
+    all: Times,
 }
 
 pub(super) type Cases = BTreeMap<Key, Case>;
 
 impl Case {
-    /// Adds a round: `of_round` holds what is known beside the measurement.
-    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) {
+    pub(super) fn new() -> Result<Self> {
+        let all = empty_times()?;
+        Ok(Self {
+            rounds: Vec::new(),
+            times: Vec::new(),
+            all,
+        })
+    }
+
+    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) -> Result<()> {
+        for (all, times) in self.all.iter_mut().zip(&tally.times) {
+            all.add(times)?;
+        }
         let times = times_json(&tally.times);
-        let mut row = joined([key.json(), of_round, tally.counts, times]);
+        // cyclictest reports neither causes nor the wait for its core, and only a daemon has clients.
+        let untold = json!({
+            "own_misses": null, "causes": null, "run_delay_ms": null,
+            "lost_records": null, "lost_commands": null, "budget_hits": null, "tracking_share": null,
+        });
+        let mut row = joined([untold, key.json(), of_round, tally.counts, times]);
         row["misses_per_million"] = per_million(misses(slice::from_ref(&row))).into();
         self.rounds.push(row);
         self.times.push(tally.times);
+        Ok(())
     }
 
-    fn sum(&self, key: &str) -> Option<f64> {
+    pub(super) fn sum(&self, key: &str) -> Option<f64> {
         each(&self.rounds, key).reduce(|sum, value| sum + value)
     }
 
-    /// One of the times, over all rounds.
-    fn pooled(&self, time: usize) -> Result<Histogram<u64>> {
-        pooled(self.times.iter().map(|times| &times[time]))
-    }
-
-    /// The row of all rounds together, their medians, and the rounds themselves.
-    fn row(&self, key: Key, times: &Times) -> Value {
+    fn row(&self, key: Key) -> Value {
         let mut all = together(&self.rounds, &COUNTED);
         for of_a_round in ["round", "start_s", "load_did"] {
             all.as_object_mut().and_then(|all| all.remove(of_a_round));
@@ -166,7 +176,7 @@ impl Case {
             "median_of_rounds": Map::from_iter(names.map(|name| (name.clone(), all[name].clone()))),
             "rounds": self.rounds,
         });
-        joined([all, key.json(), times_json(times), own])
+        joined([all, key.json(), times_json(&self.all), own])
     }
 }
 
@@ -184,7 +194,7 @@ fn time_rows(key: Key, times: &Times) -> Vec<Value> {
 }
 
 /// Deadline misses, and due releases: executed and skipped cycles.
-fn misses(rounds: &[Value]) -> (u64, u64) {
+pub(super) fn misses(rounds: &[Value]) -> (u64, u64) {
     let count = |key| each(rounds, key).sum::<f64>() as u64;
     let due = count("cycles") + count("skipped_periods");
     (count("deadline_misses"), due)
@@ -197,7 +207,7 @@ fn per_million((misses, due): (u64, u64)) -> f64 {
 /// Probability that chance alone gives the daemon at least its part of the misses of both, each given as
 /// misses and due cycles. Conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31,
 /// 1940). 1 when the daemon missed nothing.
-pub fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
+pub(super) fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
     let (misses, due) = (ours.0 + theirs.0, ours.1 + theirs.1);
     if ours.0 == 0 || due == 0 {
         return 1.0;
@@ -216,8 +226,7 @@ fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
     pairs.filter_map(ratio).collect()
 }
 
-/// Compares the daemon with the bare loop, and with the daemon without a load.
-fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
+pub(super) fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     let of = |load, subject| {
         cases.get(&Key {
             load,
@@ -231,34 +240,36 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     let [wake_p50, wake_p99] = ["wake_us_p50", "wake_us_p99"].map(|key| over(daemon, bare, key));
     let command: Vec<f64> = daemon.rounds.iter().filter_map(beyond).collect();
     let response = unloaded.map(|unloaded| over(daemon, unloaded, "response_us_p99"));
-    let response = response.unwrap_or_default();
-    let middle = |rounds: &Vec<f64>| median(rounds.iter().copied());
-    let ends = |rounds: &Vec<f64>| range(rounds.iter().copied());
     let (ours, theirs) = (misses(&daemon.rounds), misses(&bare.rounds));
     let p_value = misses_p_value(ours, theirs);
-    let row = json!({
+    let mut row = json!({
         "load": key.load,
         "set_up": key.setup,
         "realtime": key.setup == Setup::Realtime,
-        // Wake-up latency of the daemon over that of the bare loop: median and range of the rounds.
-        "wake_p50": middle(&wake_p50),
-        "wake_p99": middle(&wake_p99),
-        "wake_p50_range": ends(&wake_p50),
-        "wake_p99_range": ends(&wake_p99),
         // Per million due cycles; negative when the daemon missed less often.
         "misses_beyond_bare": per_million(ours) - per_million(theirs),
         "misses_p_value": p_value,
         "misses_more": p_value < SIGNIFICANCE,
         "own_misses": daemon.sum("own_misses").map(|count| count as u64),
-        "command_beyond_wake_p50_us": middle(&command),
-        "response_p99_to_unloaded": middle(&response),
     });
-    for (what, unit, rounds) in [
-        ("wake_p50_to_bare", "", wake_p50),
-        ("wake_p99_to_bare", "", wake_p99),
-        ("command_beyond_wake_p50", "µs", command),
-        ("response_p99_to_unloaded", "", response),
+    for (key_of_row, what, unit, rounds) in [
+        ("wake_p50", "wake_p50_to_bare", "", wake_p50),
+        ("wake_p99", "wake_p99_to_bare", "", wake_p99),
+        (
+            "command_beyond_wake_p50_us",
+            "command_beyond_wake_p50",
+            "µs",
+            command,
+        ),
+        (
+            "response_p99_to_unloaded",
+            "response_p99_to_unloaded",
+            "",
+            response.unwrap_or_default(),
+        ),
     ] {
+        row[key_of_row] = median(rounds.iter().copied()).into();
+        row[format!("{key_of_row}_range")] = json!(range(rounds.iter().copied()));
         let (load, setup) = (key.load.name(), key.setup.name());
         dataset.lower(format!("deadline/{load}/{setup}/{what}"), unit, rounds);
     }
@@ -271,15 +282,12 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     let of_daemon = cases.keys().filter(|key| key.subject == Subject::Daemon);
     let ratios = of_daemon.filter_map(|key| ratio(&mut dataset, *key, cases));
     let ratios: Vec<Value> = ratios.collect();
+    add_targets(&mut dataset, &ratios, cases, period_us);
     let segment_s = options.segment().as_secs_f64();
     let (mut rows, mut time_table, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
     for (key, case) in cases {
-        let mut times = empty_times()?;
-        for (index, of_time) in times.iter_mut().enumerate() {
-            *of_time = case.pooled(index)?;
-        }
-        rows.push(case.row(*key, &times));
-        time_table.extend(time_rows(*key, &times));
+        rows.push(case.row(*key));
+        time_table.extend(time_rows(*key, &case.all));
         rounds.extend_from_slice(&case.rounds);
         let path = format!("deadline/{}", key.path("/"));
         if key.subject == Subject::Daemon {
@@ -289,22 +297,21 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
         }
         for time in ["wake", "response", "command"] {
             for quantile in ["p50", "p99"] {
-                let rounds =
-                    each(&case.rounds, &format!("{time}_us_{quantile}")).collect::<Vec<_>>();
-                dataset.lower(format!("{path}/{time}_{quantile}"), "µs", rounds);
+                let key = format!("{time}_us_{quantile}");
+                let values = each(&case.rounds, &key);
+                dataset.lower(format!("{path}/{time}_{quantile}"), "µs", values);
             }
         }
         for (round, times) in case.rounds.iter().zip(&case.times) {
             let measured = TIME_NAMES.iter().zip(times);
             let measured = measured.filter(|(_, times)| !times.is_empty());
-            dataset
-                .recordings
-                .extend(measured.map(|(name, times)| Recording {
-                    tag: format!("{}.{name}", key.path(".")),
-                    start_s: number(round, "start_s").unwrap_or(0.0),
-                    duration_s: segment_s,
-                    histogram_ns: times.clone(),
-                }));
+            let recordings = measured.map(|(name, times)| Recording {
+                tag: format!("{}.{name}", key.path(".")),
+                start_s: number(round, "start_s").unwrap_or(0.0),
+                duration_s: segment_s,
+                histogram_ns: times.clone(),
+            });
+            dataset.recordings.extend(recordings);
         }
     }
     dataset.fact("rounds", options.rounds);
@@ -321,7 +328,7 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
         Sheet::of("", &COUNTS, rounds).file("deadline"),
     ];
     for (setup, name, caption) in PLOTS {
-        let panels = panels(cases, setup, period_us)?;
+        let panels = panels(cases, setup, period_us);
         if !panels.is_empty() {
             dataset.plots.push(plot(name, caption, (2, 520), &panels)?);
         }
@@ -329,8 +336,7 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     Ok(dataset)
 }
 
-/// One panel for each load: share of wake-ups, or of commands received by the client, over their lateness.
-fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Result<Vec<Panel>> {
+fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
     let keys = cases.keys().filter(|key| key.setup == setup);
     let mut loads: Vec<Load> = keys.map(|key| key.load).collect();
     loads.dedup();
@@ -342,24 +348,19 @@ fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Result<Vec<Panel>> {
             (Subject::Daemon, WAKE, "daemon", BLUE),
             (Subject::Bare, WAKE, "bare loop", GREEN),
         ] {
-            if let Some(case) = cases.get(&Key {
+            let key = Key {
                 setup,
                 load,
                 subject,
-            }) {
-                curves.push(Curve::line(label, longer(&case.pooled(time)?), colour));
-            }
+            };
+            let case = cases.get(&key).map(|case| longer(&case.all[time]));
+            curves.extend(case.map(|points| Curve::line(label, points, colour)));
         }
         // The deadline of a daemon is its period unless configured otherwise.
         curves.push(Curve::upright("period", period_us, SHARES, DARK).width(2));
         let axes = ["later than, µs after the release", "share of the cycles"];
         let scale = Scale::LogLog { floor: SHARES };
-        Ok(Panel::new(
-            format!("Load {}", load.name()),
-            axes,
-            scale,
-            curves,
-        ))
+        Panel::new(format!("Load {}", load.name()), axes, scale, curves)
     };
     loads.into_iter().map(panel).collect()
 }

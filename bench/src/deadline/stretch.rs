@@ -26,7 +26,6 @@ use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
 use crate::watcher::{Seen, Watcher, on_client_core};
 
-/// Real-time priority of every subject: that of the daemon's cycle thread, independent of the configuration.
 const CYCLE_PRIORITY: u8 = 80;
 /// Time by which the client wakes up before a release \[ns\], about the length of a late wake-up. At most a
 /// quarter of the period.
@@ -36,18 +35,23 @@ const LAST_NS: u64 = 300_000_000;
 
 named! {
     pub enum Subject {
-        /// The daemon's cycle thread without work: `cdcrd bare`.
         Bare = "bare",
         Daemon = "daemon",
-        /// cyclictest of rt-tests, with the daemon's period and priority.
         Cyclictest = "cyclictest",
+    }
+}
+
+impl Subject {
+    /// The subjects of a set-up: cyclictest only where it is installed.
+    pub(super) fn of(setup: Setup) -> Vec<Self> {
+        let has_cyclictest = setup == Setup::Realtime && Cyclictest::find().is_some();
+        Self::ALL[..2 + usize::from(has_cyclictest)].to_vec()
     }
 }
 
 pub(super) struct Runner<'a> {
     options: &'a DeadlineOptions,
     cores: Cores,
-    cyclictest: Option<Cyclictest>,
     pub(super) period: Duration,
     deadline_ns: u64,
     late_start_ns: u64,
@@ -65,7 +69,6 @@ impl<'a> Runner<'a> {
         Ok(Self {
             options,
             cores,
-            cyclictest: Cyclictest::find(),
             period: Duration::from_nanos(status.period_ns),
             deadline_ns: status.deadline_ns,
             late_start_ns: record.context("the daemon runs no cycle")?.late_start_ns,
@@ -84,15 +87,6 @@ impl<'a> Runner<'a> {
     pub(super) fn may_be_realtime(&self) -> bool {
         let start = || Daemon::start(&self.launch(Setup::Realtime), &self.cores);
         may_be_realtime() && start().and_then(Daemon::stop).is_ok()
-    }
-
-    pub(super) fn subjects(&self, setup: Setup) -> Vec<Subject> {
-        let mut subjects = Subject::ALL.to_vec();
-        subjects.retain(|subject| {
-            *subject != Subject::Cyclictest
-                || (setup == Setup::Realtime && self.cyclictest.is_some())
-        });
-        subjects
     }
 
     /// Measures the subject under the load. The counts of the load include the warm-up. A load with clients
@@ -157,7 +151,7 @@ impl<'a> Runner<'a> {
     }
 
     fn cyclictest(&self) -> Result<Tally> {
-        let cyclictest = self.cyclictest.as_ref().context("cyclictest is gone")?;
+        let cyclictest = Cyclictest::find().context("cyclictest is gone")?;
         let cycles = |time: Duration| (time.as_nanos() / self.period.as_nanos().max(1)) as u64;
         let (warm, counted) = (cycles(WARM_UP), cycles(self.options.segment()));
         let (core, priority) = (self.cores.realtime, Some(CYCLE_PRIORITY));
@@ -177,7 +171,7 @@ impl<'a> Runner<'a> {
         let begin_ns = monotonic_ns() + WARM_UP.as_nanos() as u64;
         let end_ns = begin_ns + self.options.segment().as_nanos() as u64;
         watcher.watch_until(begin_ns)?;
-        let (lost_before, before_ms) = (watcher.lost(), self.stolen_ms(setup));
+        let (lost_before, before_ms) = (watcher.telemetry.lost(), self.stolen_ms(setup));
         let mut records = Vec::new();
         // Incidents have more information than records: the time taken by the hypervisor.
         let mut causes = HashMap::new();
@@ -200,12 +194,11 @@ impl<'a> Runner<'a> {
             let cause = causes.get(&record.number);
             record.cycle.cause = cause.copied().unwrap_or(record.cycle.cause);
         }
-        let mut tally = tally(&records, watcher.lost() - lost_before)?;
+        let mut tally = tally(&records, watcher.telemetry.lost() - lost_before)?;
         tally.counts["steal_ms"] = stolen_ms.into();
         Ok(tally)
     }
 
-    /// Measures a tally, with the time taken by the hypervisor meanwhile.
     fn with_steal(&self, setup: Setup, measure: impl FnOnce() -> Result<Tally>) -> Result<Tally> {
         let before_ms = self.stolen_ms(setup);
         let mut tally = measure()?;
@@ -234,13 +227,11 @@ fn launch(options: &DeadlineOptions) -> Launch {
     }
 }
 
-/// Data kept of a daemon's cycle.
 struct Record {
     number: u64,
     cycle: Cycle,
     tracking: bool,
     budget_spent: bool,
-    /// Time from the release to the receipt of the command by the client.
     command_ns: Option<u64>,
 }
 

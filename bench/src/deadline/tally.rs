@@ -6,7 +6,6 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use crate::causes::Causes;
-use crate::dataset::joined;
 use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
@@ -19,7 +18,6 @@ const RESPONSE: usize = 2;
 pub(super) const COMMAND: usize = 3;
 pub(super) const TIME_NAMES: [&str; 4] = ["wake", "compute", "response", "command"];
 
-/// All latencies \[ns\]; empty where the subject has no such time.
 pub(super) type Times = [Histogram<u64>; 4];
 
 pub(super) fn empty_times() -> Result<Times> {
@@ -39,18 +37,6 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Adds null for unavailable counts. cyclictest reports neither causes nor the wait for its core, and
-    /// only a daemon has clients.
-    fn new(counts: Value, times: Times) -> Self {
-        let untold = json!({
-            "own_misses": null, "causes": null, "run_delay_ms": null,
-            "lost_records": null, "lost_commands": null, "budget_hits": null, "tracking_share": null,
-        });
-        let counts = joined([untold, counts]);
-        Self { counts, times }
-    }
-
-    /// Tally of cycles; `computes` says whether the handed-over commands were computed.
     pub(super) fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
         let (mut times, mut causes) = (empty_times()?, Causes::default());
         let mut after_miss = false;
@@ -74,7 +60,6 @@ impl Tally {
             "cycles": cycles.len(),
             "late_starts": count(|cycle| cycle.late_start),
             "deadline_misses": count(|cycle| cycle.deadline_miss),
-            // Misses caused by the daemon: a computation that took too long, or a page fault.
             "own_misses": count(|cycle| {
                 cycle.deadline_miss && matches!(cycle.cause, LateCause::Compute | LateCause::PageFault)
             }),
@@ -83,11 +68,9 @@ impl Tally {
             // Time that the thread was ready while another one had the core.
             "run_delay_ms": sum(|cycle| cycle.run_delay_ns) as f64 * 1e-6,
         });
-        Ok(Self::new(counts, times))
+        Ok(Self { counts, times })
     }
 
-    /// Tally of cyclictest: a wake-up later than `deadline_ns` is a miss, one later than `late_ns` a late
-    /// start.
     pub(super) fn of_cyclictest(
         latencies: &Latencies,
         deadline_ns: u64,
@@ -101,7 +84,7 @@ impl Tally {
             "deadline_misses": latencies.later_than(deadline_ns),
             "skipped_periods": latencies.skipped_periods,
         });
-        Ok(Self::new(counts, times))
+        Ok(Self { counts, times })
     }
 }
 
@@ -139,7 +122,6 @@ mod tests {
         let expected = json!({
             "cycles": 7, "late_starts": 2, "deadline_misses": 4, "own_misses": 2, "skipped_periods": 5,
             "causes": { "platform": 1, "load": 1, "fault": 1, "other": 1, "compute": 1 }, "run_delay_ms": 3.5,
-            "lost_records": null, "lost_commands": null, "budget_hits": null, "tracking_share": null,
         });
         assert_eq!(tally.counts, expected);
         assert_eq!(tally.times.map(|times| times.len()), [7, 7, 7, 0]);

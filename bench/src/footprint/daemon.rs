@@ -24,11 +24,8 @@ use crate::system::cores::Cores;
 use crate::system::counts::{core_share, threads};
 
 pub(super) const MB: f64 = 1e6;
-/// Pause between a change and the next measurement.
 const SETTLE: Duration = Duration::from_millis(500);
-/// Interval at which a client polls for a daemon.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
-/// Threads of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
 /// Measures the start-up times of a daemon, with a client that polls for it from the start of the process.
@@ -51,7 +48,6 @@ pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     daemon.stop()?;
     let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
     Ok(json!({
-        // To the first release of the grid.
         "first_release_ms": since_ms(status.origin_ns + status.period_ns),
         // To the message to a service manager after the first good cycle (`READY=1`).
         "ready_ms": since_ms(ready_ns),
@@ -203,7 +199,6 @@ fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
 struct Memory {
     /// `/proc/PID/status`. `VmLck` counts address ranges: more than the resident memory.
     status: String,
-    /// Since the start of the process.
     page_faults: u64,
 }
 

@@ -19,7 +19,6 @@ use crate::watcher::{Seen, Watcher};
 
 /// Messages of each kind before the first one counts: ports map memory, caches fill.
 pub(super) const WARM_UP: usize = 10;
-/// Records from which the lead of the gather is estimated.
 const LEAD_RECORDS: usize = 20;
 /// Messages without an effect that are tolerated in addition to the samples.
 const SPARE: usize = 500;
@@ -27,14 +26,12 @@ const SPARE: usize = 500;
 /// number, for every count.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// Times that are spread evenly over the period.
 #[derive(Default)]
 pub(super) struct Phases {
     taken: u32,
 }
 
 impl Phases {
-    /// The next time, as a part of `period_ns`.
     pub(super) fn next_ns(&mut self, period_ns: u64) -> u64 {
         self.taken += 1;
         ((f64::from(self.taken) * GOLDEN).fract() * period_ns as f64) as u64
@@ -42,9 +39,7 @@ impl Phases {
 }
 
 pub(super) enum Source {
-    /// A reference chunk that replaces the one before.
     Reference(ReferenceFeed),
-    /// A small sphere out of the robot's reach.
     Obstacle(ObstacleSender),
     Measurement(Box<Driver>),
     /// A request without an effect while the robot follows: to renew the lease, or to track.
@@ -126,7 +121,6 @@ impl Source {
     }
 }
 
-/// One source, and its messages.
 struct Line {
     source: Source,
     sent: HashMap<u64, Sent>,
@@ -153,7 +147,6 @@ impl Line {
         Ok(())
     }
 
-    /// Evaluates the effects of a cycle on the messages of this line.
     fn take(&mut self, cycle: &Seen, sender_id: u64, round: &mut Round) -> Result<()> {
         for (key, gather_ns, outcome) in self.source.taken(sender_id, &cycle.record) {
             let Some(sent) = self.sent.remove(&key) else {
@@ -246,7 +239,6 @@ pub(super) fn measure(
     )
 }
 
-/// Passes on answers and records to the lines.
 fn take(
     watcher: &mut Watcher,
     lines: &mut [Line],

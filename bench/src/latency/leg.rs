@@ -15,7 +15,6 @@ const HANDS: &str = "command in the client's hands";
 const FIRST: &str = "first command that uses it in the client's hands";
 const ANSWER: &str = "answer in the client's hands";
 
-/// Each leg: name, start stamp, end stamp.
 macro_rules! legs {
     ($($leg:ident = $name:literal: $from:expr => $to:expr;)+) => {
         named! { pub enum Leg { $($leg = $name,)+ } }
@@ -71,14 +70,12 @@ impl Leg {
     }
 }
 
-/// Measurements of one round.
 pub(super) struct Round {
     /// Stops without a result: a record or command is missing, or the robot was hardly moving.
     pub(super) spoilt_stops: u64,
     /// Samples whose command the client did not receive, because it was away too long.
     pub(super) without_command: u64,
     began_ns: u64,
-    /// One for each leg.
     pub(super) legs: Vec<Recording>,
 }
 
@@ -110,7 +107,6 @@ impl Round {
         })
     }
 
-    /// Adds a latency, limited to one minute.
     pub(super) fn record(&mut self, leg: Leg, latency_ns: u64) {
         let now_s = monotonic_ns().saturating_sub(self.began_ns) as f64 * 1e-9;
         let recording = &mut self.legs[leg as usize];

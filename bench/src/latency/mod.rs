@@ -33,15 +33,10 @@ use crate::watcher::{Looks, Watcher, on_client_core};
 use inputs::Source;
 pub use leg::Leg;
 use leg::Round;
-pub use report::STOP_MARGIN_US;
 
-/// Ratio of stops to samples in a round: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
-/// Duration of a stop, including the acceleration before it \[s\].
 const STOP_S: f64 = 0.25;
-/// Messages of the bare measurement for each sample; they are fast.
 const BARE_PER_SAMPLE: usize = 8;
-/// Time for a daemon to start and to end \[s\].
 const AROUND_S: f64 = 1.0;
 const PERIOD_S: f64 = 5e-3;
 /// Time by which the client wakes up early \[ns\]; on a short period, a quarter of the period.
@@ -258,13 +253,10 @@ impl Bench<'_> {
     }
 }
 
-/// Facts reported by the daemons, and the state of their client.
 #[derive(Default)]
 struct OfDaemon {
     period_us: f64,
-    /// Time from gather to release, from the daemon's records \[µs\].
     gather_lead_us: f64,
-    /// Whether one of the daemons lacked real time.
     refused: bool,
     looks: Looks,
 }

@@ -13,11 +13,10 @@ use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, pooled};
 
 /// Time that a stop may take beyond one period until zero rates \[µs\].
-pub const STOP_MARGIN_US: f64 = 100.0;
+const STOP_MARGIN_US: f64 = 100.0;
 /// Values needed for a 99th percentile: with fewer it is just the largest value.
 const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
-/// Smallest drawn share of the samples.
 const SHARES: f64 = 1e-4;
 
 const EXPLANATION: &str = include_str!("latency.html");
@@ -69,7 +68,6 @@ const UNMEASURED_COLUMNS: [Column; 4] = [
     ),
 ];
 
-/// The legs of each panel.
 #[rustfmt::skip]
 const PANELS: [(&str, &[Leg]); 4] = [
     ("Commands beside iceoryx2 alone",
@@ -83,7 +81,6 @@ const PANELS: [(&str, &[Leg]); 4] = [
         &[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]),
 ];
 
-/// The dataset of all rounds under this title; `setting` describes the measurement.
 pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
     let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
     let heading = "Latency: how long messages take";
@@ -109,6 +106,13 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
         .iter()
         .filter(|row| BOUND.iter().any(|leg| row["leg"] == leg.name()));
     let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
+    let beyond = targets.iter().filter_map(|target| {
+        let beyond_us = number(target, "p99_us")? - limit_us + STOP_MARGIN_US;
+        Some((beyond_us, Value::Null, target["leg"].as_str()?.to_owned()))
+    });
+    let worst = beyond.max_by(|one, other| one.0.total_cmp(&other.0));
+    let what = "stop request to zero rates without ramp, p99, beyond one period";
+    dataset.target([what, "≤ 100 µs", "µs"], worst, f64::MIN..=STOP_MARGIN_US);
     let sum = |count: fn(&Round) -> u64| rounds.iter().map(count).sum::<u64>();
     let unmeasured = json!({
         "spoilt_stops": sum(|round| round.spoilt_stops),
@@ -179,7 +183,6 @@ fn of_all(leg: Leg, rounds: &[Round]) -> Result<Histogram<u64>> {
     )
 }
 
-/// Ratios of the medians of two legs.
 fn ratio(dataset: &mut Dataset, (leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
     let of_round = |round: &Round| Some(quantiles(leg, round)?.p50 / quantiles(to, round)?.p50);
     let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
@@ -254,6 +257,7 @@ mod tests {
             let json = found.json();
             let mut targets = json["targets"].as_array().into_iter().flatten();
             assert!(targets.all(|target| target["kept"] == kept));
+            assert_eq!(found.targets[0]["reached"], kept);
             let leg = &json["legs"][Leg::ReferenceCommand as usize];
             // The medians of the rounds are 50 and 100.
             let p50_us = number(leg, "rounds_us_p50").expect("a number");
@@ -266,18 +270,14 @@ mod tests {
     #[test]
     fn what_was_not_measured_and_percentiles_of_too_few_values_are_not_told() {
         let leg = Leg::StopZeroHandover;
-        for (count, absent) in [
-            (99, [true; 3]),
-            (100, [false, true, false]),
-            (1000, [false; 3]),
-        ] {
+        let [both, p999, none] = [[true; 3], [false, true, false], [false; 3]];
+        for (count, absent) in [(99, both), (100, p999), (1000, none)] {
             let mut rounds = [Round::new(0).expect("bounds")];
             for us in 1..=count {
                 rounds[0].record(leg, 1000 * us);
             }
-            let row = row(leg, &rounds, &round_rows(leg, &rounds))
-                .expect("bounds")
-                .expect("samples");
+            let row = row(leg, &rounds, &round_rows(leg, &rounds));
+            let row = row.expect("bounds").expect("samples");
             let times = ["latency_us_p99", "latency_us_p999", "rounds_us_p99"];
             assert_eq!(times.map(|key| number(&shown(&row), key).is_none()), absent);
             assert_eq!(target(&row, 1.0)["kept"].is_null(), count < 100);

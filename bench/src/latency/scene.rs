@@ -15,12 +15,9 @@ use crate::watcher::Watcher;
 
 /// Time from sending to the begin of a reference \[ns\]; until then its first point applies.
 const BEGINS_NS: u64 = 500_000_000;
-/// Interval between requests to follow the reference.
 const ASK_AGAIN: Duration = Duration::from_millis(5);
-/// End of a reference, later than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
 
-/// Sends a new reference that stays at one position.
 pub(super) fn send(feed: &ReferenceFeed, position_m: [f64; 3]) -> Result<Header> {
     let now_ns = monotonic_ns();
     let point = |after_ns: u64| ReferencePoint {
@@ -42,7 +39,6 @@ pub(super) fn on_circle(index: usize, length_m: f64) -> [f64; 3] {
     [0.2 * length_m * cos, 0.2 * length_m * sin, 0.7 * length_m]
 }
 
-/// A position far to one side, alternating.
 pub(super) fn aside(index: usize, length_m: f64) -> [f64; 3] {
     let side = if index.is_multiple_of(2) { 0.4 } else { -0.4 };
     [side * length_m, 0.1 * length_m, 0.5 * length_m]

@@ -26,7 +26,6 @@ const SPEED_UP_MAX: u32 = 100;
 const REST_MAX: u32 = 1000;
 
 impl Seen {
-    /// Fastest component of the command.
     fn speed_rad_s(&self) -> f64 {
         largest(&self.record.command.bend_rate_rad_s)
     }
@@ -185,7 +184,6 @@ fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     })
 }
 
-/// Largest absolute rate \[rad/s\].
 fn largest(rates_rad_s: &[f64]) -> f64 {
     rates_rad_s
         .iter()

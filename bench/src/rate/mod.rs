@@ -33,7 +33,6 @@ const FIRST_GUESS: usize = 4;
 const TRIALS: f64 = 3.2;
 /// Approximate time for start, begin of tracking, warm-up and end of a trial \[s\].
 const AROUND_S: f64 = 1.0;
-/// Largest share of the period for spinning.
 const SPIN_SHARE: f64 = 0.25;
 
 #[derive(Debug, Clone, clap::Args)]
@@ -75,12 +74,10 @@ impl RateOptions {
         least_s.max(least_periods * period_ms * 1e-3)
     }
 
-    /// Expected duration of a trial \[s\].
     fn trial_s(&self, period_ms: f64) -> f64 {
         self.measured_s(period_ms) + AROUND_S
     }
 
-    /// Expected duration of a search \[s\].
     fn search_s(&self) -> f64 {
         let shortest_ms = self.periods_ms.last();
         shortest_ms.map_or(0.0, |period_ms| TRIALS * self.trial_s(*period_ms))
@@ -178,7 +175,6 @@ impl Case {
         format!("{sections}, {solver}, N = {steps}")
     }
 
-    /// The sections of the robot as a configuration value.
     fn robot(&self) -> String {
         let section = |index: usize| {
             let offset_rad = (40.0 * index as f64).to_radians();
@@ -214,7 +210,6 @@ impl Stage {
         })
     }
 
-    /// Launch of a daemon with this case and this period.
     fn launch(&self, case: &Case, period_ms: f64) -> Launch {
         let launch = Launch::patient(None).placed(&self.cores, self.realtime);
         let launch = with_period(launch, period_ms)

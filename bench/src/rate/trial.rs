@@ -19,7 +19,6 @@ use crate::subject::daemon::Daemon;
 use crate::subject::tracking::{DOES_NOT_FOLLOW, Tracking};
 use crate::system::counts::{core_share, threads};
 
-/// Time between the begin of tracking and the begin of the measurement.
 const WARM_UP: Duration = Duration::from_millis(300);
 /// Interval between reads of the records: short enough that their queue of 256 does not fill at 10 kHz.
 const READ_EVERY: Duration = Duration::from_millis(2);
@@ -35,7 +34,6 @@ const WORTH_A_REMARK: f64 = 0.01;
 /// Largest share of releases without a cycle in time for a period that holds.
 const LOST_MAX: f64 = 1e-3;
 
-/// Result of a trial for its period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TrialOutcome {
     Holds,
@@ -65,7 +63,6 @@ impl TrialOutcome {
 pub(super) struct Trial {
     pub(super) period_ms: f64,
     pub(super) outcome: TrialOutcome,
-    /// The results as a row.
     pub(super) row: Value,
     /// Response times of the cycles whose records were received; `None` if the robot did not follow.
     pub(super) responses: Option<Recording>,
@@ -130,7 +127,6 @@ impl Trial {
             // Requested spin time before each release; null: the daemon's default.
             "spin_us": spin_us,
             "holds": outcome == TrialOutcome::Holds,
-            // Failures and remarks.
             "remarks": remarks,
         });
         Self {
@@ -150,7 +146,6 @@ impl Trial {
     }
 }
 
-/// The error of a reference feed, if it is the cause.
 fn feed_error(error: &anyhow::Error) -> Option<&FeedError> {
     error.chain().find_map(|cause| cause.downcast_ref())
 }
@@ -172,7 +167,6 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
 struct Observed {
     duration_s: f64,
     counted: Statistics,
-    /// Core shares of cycle and exchange, by the kernel's count.
     core_shares: [f64; 2],
     /// Share of tracking cycles among those whose record was received.
     tracking_share: f64,

@@ -12,19 +12,17 @@ pub(super) const INTRODUCTION: &str = include_str!("introduction.html");
 /// the only result.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
     let heading = escape(title);
-    let link = |id: &str, words: &str, more: &str| {
-        format!("<li><a href=\"#{id}\">{words}</a>{more}</li>\n")
-    };
-    let plots = all.iter().flat_map(|dataset| &dataset.plots);
+    let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{words}</li>\n");
     let links: String = if introduction.is_empty() {
-        let more = |plot: &Plot| format!(": {}", escape(plot.caption));
-        plots
-            .map(|plot| link(plot.name, &plot.name.replace('-', " "), &more(plot)))
+        let plots = all.iter().flat_map(|dataset| &dataset.plots);
+        let words = |plot: &Plot| (plot.name.replace('-', " "), escape(plot.caption));
+        let words = plots.map(|plot| (plot.name, words(plot)));
+        words
+            .map(|(name, (words, caption))| link(name, &format!("{words}</a>: {caption}")))
             .collect()
     } else {
-        all.iter()
-            .map(|dataset| link(dataset.name, &escape(dataset.heading), ""))
-            .collect()
+        let link = |dataset: &&Dataset| link(dataset.name, &(escape(dataset.heading) + "</a>"));
+        all.iter().map(link).collect()
     };
     let contents = match links.as_str() {
         "" => links,
@@ -42,11 +40,7 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
         }
         let _ = writeln!(html, "{}", dataset.explanation);
         if !dataset.note.is_empty() {
-            let class = if dataset.warns {
-                " class=\"failed\""
-            } else {
-                ""
-            };
+            let class = ["", " class=\"failed\""][usize::from(dataset.warns)];
             let _ = writeln!(html, "<p{class}>{}</p>", escape(&dataset.note));
         }
         for table in dataset.tables().map(Sheet::text) {
@@ -65,7 +59,6 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
     html + "</body>\n</html>\n"
 }
 
-/// Escapes text for an element or a quoted attribute.
 fn escape(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('"', "&quot;");
     text.replace('<', "&lt;").replace('>', "&gt;")
