@@ -1,12 +1,8 @@
-//! Times of the kernels and of one solve of each solver. One second each: fast rather than precise.
+//! Times of the kernels; `cdcr-bench solver` measures whole solves. One second each: fast rather than precise.
 
 use std::hint::black_box;
 use std::time::Duration;
 
-use cdcr_bench::closed_loop::ClosedLoop;
-use cdcr_bench::experiment::{Experiment, Solver, Task};
-use cdcr_controller::nmpc::Nmpc;
-use cdcr_controller::optimizer::Budget;
 use cdcr_controller::robot::{
     Configuration, Jacobian, Obstacle, Robot, RobotParameters, SECTIONS_MAX, Shape,
 };
@@ -59,34 +55,12 @@ fn clearance(criterion: &mut Criterion) {
     group.finish();
 }
 
-fn solve(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("solve, spiral of 3 sections");
-    for solver in Solver::ALL {
-        let experiment = Experiment::new(Task::Spiral { sections: 3 }, solver);
-        let (scene, settings) = (
-            experiment.task.scene().expect("a scene"),
-            experiment.settings(),
-        );
-        let mut nmpc =
-            Nmpc::new(scene.robot.clone(), scene.period_s, settings).expect("legal settings");
-        let closed = ClosedLoop::new(&scene, settings).expect("legal settings");
-        group.bench_function(solver.name(), |bencher| {
-            bencher.iter(|| {
-                // The same start each time: a solve without a previous plan.
-                nmpc.forget_plan();
-                nmpc.solve(black_box(&closed.input()), &mut Budget::unlimited())
-            });
-        });
-    }
-    group.finish();
-}
-
 criterion_group! {
     name = kernels;
     config = Criterion::default()
         .sample_size(20)
         .warm_up_time(Duration::from_millis(200))
         .measurement_time(Duration::from_millis(800));
-    targets = kinematics, clearance, solve
+    targets = kinematics, clearance
 }
 criterion_main!(kernels);

@@ -7,20 +7,18 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::nmpc::{NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::BendRates;
-use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, GREEN, GREY, Panel, Scale, of_rows, plot};
-use crate::closed_loop::{self, ClosedLoop, End, PlanEvaluator, timed_solve};
-use crate::dataset::{Column, Dataset, RoundTable, fixed, percent, plain, word};
+use crate::closed_loop::{self, End, PlanEvaluator, Scene, timed_solve};
+use crate::dataset::{Dataset, RoundTable, fixed, percent, plain, word};
 use crate::experiment::{Solver, Task};
 use crate::progress::Progress;
 use crate::quantiles::{Quantiles, histogram};
-use crate::scene::Scene;
 use crate::solver::Size;
 use crate::study::{self, Case};
 
@@ -32,25 +30,23 @@ const WAYS: usize = 3;
 
 const EXPLANATION: &str = include_str!("budget.html");
 
-const COLUMNS: [Column; 11] = [
-    word("case", "case"),
-    plain("budget µs", "budget_us"),
-    plain("solves", "solves"),
-    percent("ended by it %", "ended_by_budget_share", 1),
-    fixed("over p50 µs", "over_us_p50", 2),
-    fixed("p99 µs", "over_us_p99", 2),
-    fixed("max µs", "over_us_max", 2),
-    fixed("bare p50 µs", "bare_over_us_p50", 2),
-    fixed("p99 µs", "bare_over_us_p99", 2),
-    fixed("max µs", "bare_over_us_max", 2),
-    plain("worse than warm start", "worse_than_warm_start"),
-];
-
 const TABLE: RoundTable = RoundTable {
     key: "cases",
     file: "budget",
     title: "How much later than its budget a solve ends, beside a loop without work",
-    columns: &COLUMNS,
+    columns: &[
+        word("case", "case"),
+        plain("budget µs", "budget_us"),
+        plain("solves", "solves"),
+        percent("ended by it %", "ended_by_budget_share", 1),
+        fixed("over p50 µs", "over_us_p50", 2),
+        fixed("p99 µs", "over_us_p99", 2),
+        fixed("max µs", "over_us_max", 2),
+        fixed("bare p50 µs", "bare_over_us_p50", 2),
+        fixed("p99 µs", "bare_over_us_p99", 2),
+        fixed("max µs", "bare_over_us_max", 2),
+        plain("worse than warm start", "worse_than_warm_start"),
+    ],
     counts: &["solves", "ended_by_budget", "worse_than_warm_start"],
     numbers: &[
         ("over_p50", "µs", "over_us_p50"),
@@ -83,26 +79,23 @@ impl Benchmark for BudgetOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, self.solves));
-        f64::from(self.rounds) * WAYS as f64 * budgets.sum::<f64>()
+        let of_way_s = BUDGETS_US.map(|us| expected_s(us, self.solves));
+        f64::from(self.rounds) * WAYS as f64 * of_way_s.iter().sum::<f64>()
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let (ways, solves) = (ways()?, self.solves);
+        let (ways, solves) = (Way::all()?, self.solves);
         let mut cases = Vec::new();
         for (way, us) in ways.iter().flat_map(|way| BUDGETS_US.map(|us| (way, us))) {
             cases.push(Case {
                 table: TABLE.key,
                 what: way.name.to_owned(),
-                expected_s: of_budget_s(us, solves),
+                expected_s: expected_s(us, solves),
                 measure: Box::new(move |_| Ok(vec![way.measure(us, solves)?])),
             });
         }
-        let mut dataset = Dataset::new(
-            "budget",
-            "How exactly a solve keeps its budget, offline",
-            EXPLANATION,
-        );
+        let heading = "How exactly a solve keeps its budget, offline";
+        let mut dataset = Dataset::new("budget", heading, EXPLANATION);
         dataset.add_rounds(&TABLE, &study::run(self.rounds, &cases, progress)?);
         dataset.fact("rounds", self.rounds);
         dataset.plots.push(plot(
@@ -115,8 +108,8 @@ impl Benchmark for BudgetOptions {
     }
 }
 
-/// Twice the budget: the wait without work, then the solve.
-fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
+/// Duration of a case: twice the budget for the wait without work and the solve \[s\].
+fn expected_s(budget_us: u64, solves: u64) -> f64 {
     solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
 }
 
@@ -146,42 +139,40 @@ struct Way {
     commands: Vec<BendRates>,
 }
 
-/// The cases: the default, the paper's swarm with an orientation of the tip, and many particles and steps
-/// among obstacles.
-fn ways() -> Result<Vec<Way>> {
-    let default = Size::paper(Task::Spiral { sections: 3 }, Solver::KpsoRefined);
-    let line = Task::Line {
-        rate_limit_rad_s: 2.0,
-    };
-    let all = [
-        ("default", default),
-        ("tip-axis", Size::paper(line, Solver::KpsoRefined)),
-        ("obstacles", default.among_obstacles()),
-    ];
-    let ways = all.into_iter();
-    ways.map(|(name, size)| Way::new(name, &size)).collect()
-}
-
 impl Way {
-    fn new(name: &'static str, size: &Size) -> Result<Self> {
-        let (scene, settings) = (size.scene()?, size.settings);
-        let samples = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
-        Ok(Self {
-            name,
-            scene,
-            settings,
-            commands: samples.into_iter().map(|sample| sample.rates).collect(),
-        })
+    /// The cases: the default, the paper's swarm with an orientation of the tip, and many particles and steps
+    /// among obstacles.
+    fn all() -> Result<Vec<Self>> {
+        let refined = |task| Size::paper(task, Solver::KpsoRefined);
+        let default = refined(Task::Spiral { sections: 3 });
+        let rate_limit_rad_s = 2.0;
+        let cases = [
+            ("default", default),
+            ("tip-axis", refined(Task::Line { rate_limit_rad_s })),
+            ("obstacles", default.among_obstacles()),
+        ];
+        let way = |(name, size): (_, Size)| {
+            let (scene, settings) = (size.scene()?, size.settings);
+            let samples = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
+            Ok(Self {
+                name,
+                scene,
+                settings,
+                commands: samples.into_iter().map(|sample| sample.rates).collect(),
+            })
+        };
+        cases.into_iter().map(way).collect()
     }
 
     /// Solves along the curve with this budget. Every solve has another seed and starts from zero rates, so
     /// that work is left. At its end the curve restarts.
     fn measure(&self, budget_us: u64, solves: u64) -> Result<Value> {
         let budget = Duration::from_micros(budget_us);
-        let mut nmpc = Nmpc::new(self.scene.robot.clone(), self.scene.period_s, self.settings)?;
+        let over_ns = |time: Duration| time.saturating_sub(budget).as_nanos() as u64;
+        let mut nmpc = self.scene.solver(self.settings)?;
         let mut evaluator = PlanEvaluator::new(&self.scene, self.settings)?;
-        let mut closed = ClosedLoop::new(&self.scene, self.settings)?;
-        let [mut over_ns, mut bare_over_ns] = [histogram()?, histogram()?];
+        let mut closed = self.scene.begin(self.settings)?;
+        let [mut own_ns, mut bare_ns] = [histogram()?, histogram()?];
         let (mut ended_by_budget, mut worse) = (0_u64, 0_u64);
         // Touches all memory that a solve may need.
         nmpc.solve(&closed.input(), &mut Budget::unlimited());
@@ -190,17 +181,17 @@ impl Way {
                 seed: cycle_seed(self.settings.seed, solve),
                 ..closed.input()
             };
-            record(&mut bare_over_ns, wait(budget), budget);
+            bare_ns.saturating_record(over_ns(wait(budget)));
             nmpc.forget_plan();
             let (_, report, time) = timed_solve(&mut nmpc, &input, End::After(budget));
-            record(&mut over_ns, time, budget);
+            own_ns.saturating_record(over_ns(time));
             ended_by_budget += u64::from(report.budget_spent);
-            let [plan_cost, warm_cost] =
-                [nmpc.plan(), nmpc.warm_plan()].map(|plan| evaluator.cost(&input, plan));
+            let plans = [nmpc.plan(), nmpc.warm_plan()];
+            let [plan_cost, warm_cost] = plans.map(|plan| evaluator.cost(&input, plan));
             worse += u64::from(plan_cost > warm_cost);
             closed.advance(&self.commands[solve as usize % self.commands.len()]);
-            if closed.is_over() {
-                closed = ClosedLoop::new(&self.scene, self.settings)?;
+            if closed.cycle() == self.scene.cycles {
+                closed = self.scene.begin(self.settings)?;
             }
         }
         let name = self.name;
@@ -212,13 +203,11 @@ impl Way {
             "case": name,
             "budget_us": budget_us,
             "solves": solves,
-            // Solves ended by the budget; the others had finished.
             "ended_by_budget": ended_by_budget,
             "ended_by_budget_share": ended_by_budget as f64 / solves as f64,
             // Time beyond the budget, of the solve and of the loop without work.
-            "over_us": Quantiles::of(&over_ns),
-            "bare_over_us": Quantiles::of(&bare_over_ns),
-            // Solves whose plan costs more than the warm start.
+            "over_us": Quantiles::of(&own_ns),
+            "bare_over_us": Quantiles::of(&bare_ns),
             "worse_than_warm_start": worse,
         }))
     }
@@ -231,8 +220,4 @@ fn wait(budget: Duration) -> Duration {
     let mut waiting = Budget::new(&mut is_spent);
     while waiting.left() {}
     begin.elapsed()
-}
-
-fn record(over_ns: &mut Histogram<u64>, time: Duration, budget: Duration) {
-    over_ns.saturating_record(time.saturating_sub(budget).as_nanos() as u64);
 }

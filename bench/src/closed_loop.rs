@@ -3,28 +3,95 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use cdcr_client::Trajectory;
 use cdcr_client::model::orientation_of;
 use cdcr_controller::closed_loop;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolverKind};
+use cdcr_controller::nmpc::{
+    Nmpc, NmpcSettings, SettingsError, SolveInput, SolveReport, SolverKind,
+};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{BendRates, Configuration, Pose};
-use derive_more::{Deref, DerefMut};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Robot, Shape};
 use nalgebra::Vector3;
 
-use crate::scene::Scene;
+pub const PERIOD_S: f64 = 0.005;
+
+/// A robot, the curve for its tip, and obstacles.
+pub struct Scene {
+    pub robot: Robot,
+    pub start: Configuration,
+    /// The curve. Time 0 is the first release; it lasts longer than the samples.
+    pub curve: Box<dyn Trajectory + Send>,
+    /// Obstacles at time 0; each moves at its velocity.
+    pub obstacles: Vec<Obstacle>,
+    pub cycles: u64,
+}
+
+impl Scene {
+    #[must_use]
+    pub fn at_most(self, cycles: u64) -> Self {
+        Self {
+            cycles: self.cycles.min(cycles),
+            ..self
+        }
+    }
+
+    pub fn time_s(&self, cycle: u64) -> f64 {
+        cycle as f64 * PERIOD_S
+    }
+
+    pub fn point_m(&self, cycle: u64) -> Vector3<f64> {
+        Vector3::from(self.curve.position_m(self.time_s(cycle)))
+    }
+
+    /// Centre of the first ball; infinite without one.
+    pub fn obstacle_m(&self) -> Vector3<f64> {
+        match self.obstacles.first().map(Obstacle::shape) {
+            Some(Shape::Sphere { centre_m }) => *centre_m,
+            _ => Vector3::repeat(f64::INFINITY),
+        }
+    }
+
+    pub fn solver(&self, settings: NmpcSettings) -> Result<Nmpc, SettingsError> {
+        Nmpc::new(self.robot.clone(), PERIOD_S, settings)
+    }
+
+    /// The scene at time 0.
+    pub fn begin(&self, settings: NmpcSettings) -> Result<ClosedLoop<'_>, SettingsError> {
+        let reference_at = |time_s| ReferenceSample {
+            orientation: orientation_of(self.curve.orientation(time_s)),
+            ..inside(self.curve.position_m(time_s).into())
+        };
+        closed_loop::ClosedLoop::new(
+            &self.robot,
+            PERIOD_S,
+            settings,
+            self.start,
+            &self.obstacles,
+            Box::new(reference_at),
+        )
+    }
+
+    /// Sample of the state that the previous cycle led to.
+    pub fn sample(&self, closed: &ClosedLoop<'_>, solve_time: Duration) -> Sample {
+        let configuration = *closed.configuration();
+        Sample {
+            time_s: closed.time_s(),
+            reference_m: self.point_m(closed.cycle()),
+            tip: self.robot.tip_pose(&configuration),
+            configuration,
+            rates: closed.command().rates,
+            clearance_m: closed.clearance_m(),
+            solve_ns: solve_time.as_nanos() as u64,
+        }
+    }
+}
 
 /// The ideal robot in a scene, with the safety checks of its commands, around any solver. The solver gets the
 /// exact curve at each step of its horizon. No command is lost, and the robot stops at once. Therefore the
 /// clearance guard certifies each command for one period, whereas a daemon certifies three periods and a
 /// ramp.
-#[derive(Deref, DerefMut)]
-pub struct ClosedLoop<'a> {
-    scene: &'a Scene,
-    #[deref]
-    #[deref_mut]
-    inner: closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>,
-}
+pub type ClosedLoop<'a> = closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>;
 
 #[derive(Debug, Clone)]
 pub struct Sample {
@@ -45,42 +112,6 @@ impl Sample {
 
     pub fn error_mm(&self) -> f64 {
         self.offset_mm().norm()
-    }
-}
-
-impl<'a> ClosedLoop<'a> {
-    pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Result<Self> {
-        let reference_at = |time_s| ReferenceSample {
-            orientation: orientation_of(scene.curve.orientation(time_s)),
-            ..inside(scene.curve.position_m(time_s).into())
-        };
-        let inner = closed_loop::ClosedLoop::new(
-            &scene.robot,
-            scene.period_s,
-            settings,
-            scene.start,
-            &scene.obstacles,
-            Box::new(reference_at) as Box<dyn Fn(f64) -> ReferenceSample + 'a>,
-        )?;
-        Ok(Self { scene, inner })
-    }
-
-    pub fn is_over(&self) -> bool {
-        self.inner.cycle() >= self.scene.cycles
-    }
-
-    /// Sample of the state that the previous cycle led to.
-    pub fn sample(&self, solve_time: Duration) -> Sample {
-        let configuration = *self.inner.configuration();
-        Sample {
-            time_s: self.inner.time_s(),
-            reference_m: self.scene.point_m(self.inner.cycle()),
-            tip: self.scene.robot.tip_pose(&configuration),
-            configuration,
-            rates: self.inner.command().rates,
-            clearance_m: self.inner.clearance_m(),
-            solve_ns: solve_time.as_nanos() as u64,
-        }
     }
 }
 
@@ -120,13 +151,13 @@ pub fn timed_solve(
 
 /// Runs the scene with one controller and returns a sample for every cycle.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
-    let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-    let mut closed = ClosedLoop::new(scene, settings)?;
+    let mut nmpc = scene.solver(settings)?;
+    let mut closed = scene.begin(settings)?;
     let mut samples = Vec::with_capacity(scene.cycles as usize);
-    while !closed.is_over() {
+    while closed.cycle() < scene.cycles {
         let (desired_rates, _, time) = timed_solve(&mut nmpc, &closed.input(), End::Never);
         closed.advance(&desired_rates);
-        samples.push(closed.sample(time));
+        samples.push(scene.sample(&closed, time));
     }
     Ok(samples)
 }
@@ -141,8 +172,7 @@ impl PlanEvaluator {
             refinement_steps: 0,
             ..settings
         };
-        let nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-        Ok(Self(nmpc))
+        Ok(Self(scene.solver(settings)?))
     }
 
     pub fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {

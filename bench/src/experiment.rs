@@ -1,12 +1,18 @@
 //! The paper's simulations, each with a solver and its settings.
 
+use std::f64::consts::{FRAC_PI_2, TAU};
+
 use anyhow::Result;
+use cdcr_client::{Circle, Line, Spiral, Trajectory};
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
+use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
+use nalgebra::Vector3;
 use serde::Serialize;
+use serde_json::Value;
 
+use crate::closed_loop::{Sample, Scene};
 use crate::named::named;
-use crate::scene::Scene;
 
 /// Limits on the rates of the line \[rad/s\]; not in the paper.
 pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
@@ -14,27 +20,16 @@ pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
 pub const LINE_TILT_MAX_RAD: f64 = 1e-2;
 /// Safe distances of the circle \[m\]; not in the paper.
 pub const CIRCLE_DISTANCES_M: [f64; 3] = [0.01, 0.02, 0.04];
-/// Swarm of the line: particles and iterations, as in the paper.
-const LINE_SWARM: (u32, u32) = (15, 70);
-/// Weight of the tilt on the line \[per rad²\], beside 1 per m² of position.
-const LINE_ORIENTATION_WEIGHT: f64 = 0.1;
-/// Tilt without cost on the line \[rad\]. Zero, although the paper allows 10⁻²: a vertical tip is possible,
-/// and a penalty that begins at the bound would allow the tip to exceed it.
-const LINE_TOLERANCE_RAD: f64 = 0.0;
-/// Steps of the circle: 0.1 s, enough to begin the detour before the obstacle.
-const CIRCLE_HORIZON: u32 = 20;
-/// Control blocks of the circle; 0: one for each step. Fewer cannot follow the circle between them, and leave
-/// a larger error than its rounded constants.
-const CIRCLE_BLOCKS: u32 = 0;
-
-/// Gauss-Newton steps on the circle. With the default of 3, a cycle ends before convergence, and the detour
-/// is up to a tenth wider.
-const CIRCLE_REFINEMENTS: u32 = 6;
+/// Duration of a curve beyond the samples \[s\]: the longest horizon is 50 steps.
+const BEYOND_S: f64 = 1.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Task {
+    /// Simulation 1 (Eq. 8): the spiral of the last section, from its first point.
     Spiral { sections: usize },
+    /// Simulation 2 (Eq. 9): the line of three sections from the straight robot, with a vertical tip.
     Line { rate_limit_rad_s: f64 },
+    /// Simulation 3: the circle of one section from the straight robot, around a point on it at t = π/2.
     Circle { safe_distance_m: f64 },
 }
 
@@ -55,11 +50,57 @@ impl Task {
     }
 
     pub fn scene(&self) -> Result<Scene> {
-        match *self {
-            Self::Spiral { sections } => Scene::spiral(sections),
-            Self::Line { rate_limit_rad_s } => Scene::line(rate_limit_rad_s),
-            Self::Circle { .. } => Scene::circle(),
-        }
+        let sections = match *self {
+            Self::Spiral { sections } => sections,
+            Self::Line { .. } => 3,
+            Self::Circle { .. } => 1,
+        };
+        let mut parameters = RobotParameters::paper(sections);
+        let of_sections = parameters.sections.iter();
+        let lengths_m: Vec<f64> = of_sections.map(|section| section.length_m).collect();
+        let mut start = Configuration::straight(sections);
+        let mut obstacles = Vec::new();
+        let (curve, cycles): (Box<dyn Trajectory + Send>, _) = match *self {
+            Self::Spiral { .. } => {
+                let spiral = Spiral {
+                    duration_s: Spiral::DURATION_S + BEYOND_S,
+                    ..Spiral::for_sections(&lengths_m)
+                };
+                start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&spiral.start_bend_rad());
+                (Box::new(spiral), 994)
+            }
+            Self::Line { rate_limit_rad_s } => {
+                for section in &mut parameters.sections {
+                    section.rate_max_rad_s = rate_limit_rad_s;
+                }
+                let line = Line {
+                    duration_s: Line::DURATION_S + BEYOND_S,
+                    tip_axis: Some([0.0, 0.0, 1.0]),
+                    ..Line::for_sections(&lengths_m)
+                };
+                (Box::new(line), 510)
+            }
+            Self::Circle { .. } => {
+                // Body and point have no radius, so clearance is the distance from the backbone.
+                parameters.sections[0].body_radius_m = 0.0;
+                let circle = Circle {
+                    duration_s: TAU + 2.0 * BEYOND_S,
+                    ..Circle::for_sections(&lengths_m)
+                };
+                let centre_m = Vector3::from(circle.position_m(FRAC_PI_2));
+                let point = Shape::Sphere { centre_m };
+                obstacles.push(Obstacle::new(point, 0.0, Vector3::zeros())?);
+                // One turn, and 0.7 s in which the straight robot approaches it.
+                (Box::new(circle), 1400)
+            }
+        };
+        Ok(Scene {
+            robot: Robot::new(&parameters)?,
+            start,
+            curve,
+            obstacles,
+            cycles,
+        })
     }
 
     pub fn paper(&self) -> PaperMetrics {
@@ -95,11 +136,14 @@ named! {
 impl Solver {
     #[must_use]
     pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
-        let (solver, velocity_rule) = match self {
-            Self::Kpso => (SolverKind::Kpso, settings.velocity_rule),
-            Self::KpsoVerbatim => (SolverKind::Kpso, VelocityRule::Verbatim),
-            Self::GaussNewton => (SolverKind::GaussNewton, settings.velocity_rule),
-            Self::KpsoRefined => (SolverKind::KpsoRefined, settings.velocity_rule),
+        let velocity_rule = match self {
+            Self::KpsoVerbatim => VelocityRule::Verbatim,
+            _ => settings.velocity_rule,
+        };
+        let solver = match self {
+            Self::Kpso | Self::KpsoVerbatim => SolverKind::Kpso,
+            Self::GaussNewton => SolverKind::GaussNewton,
+            Self::KpsoRefined => SolverKind::KpsoRefined,
         };
         NmpcSettings {
             solver,
@@ -131,12 +175,8 @@ impl Experiment {
         let both = [Coordinates::BendVector, Coordinates::BendAngles];
         let mut all = Vec::new();
         for task in Task::all() {
-            let count = if matches!(task, Task::Circle { .. }) {
-                1
-            } else {
-                2
-            };
-            for &coordinates in &both[..count] {
+            let is_circle = matches!(task, Task::Circle { .. });
+            for coordinates in both.into_iter().take(if is_circle { 1 } else { 2 }) {
                 all.extend(Solver::ALL.map(|solver| Self {
                     task,
                     solver,
@@ -147,7 +187,7 @@ impl Experiment {
         all
     }
 
-    /// The paper's parameters, completed by the project's defaults and the constants of this file.
+    /// The paper's parameters, completed by the project's defaults.
     pub fn settings(&self) -> NmpcSettings {
         let base = self.solver.of(NmpcSettings {
             coordinates: self.coordinates,
@@ -156,19 +196,36 @@ impl Experiment {
         match self.task {
             Task::Spiral { .. } => base,
             Task::Line { .. } => NmpcSettings {
-                swarm_size: LINE_SWARM.0,
-                swarm_iterations: LINE_SWARM.1,
-                orientation_weight: LINE_ORIENTATION_WEIGHT,
-                orientation_tolerance_rad: LINE_TOLERANCE_RAD,
+                // As in the paper.
+                swarm_size: 15,
+                swarm_iterations: 70,
+                // Per rad², beside 1 per m² of position.
+                orientation_weight: 0.1,
+                // Zero, although the paper allows 10⁻²: a vertical tip is possible, and a penalty that begins at
+                // the bound would allow the tip to exceed it.
+                orientation_tolerance_rad: 0.0,
                 ..base
             },
             Task::Circle { safe_distance_m } => NmpcSettings {
-                horizon_steps: CIRCLE_HORIZON,
-                control_blocks: CIRCLE_BLOCKS,
-                refinement_steps: CIRCLE_REFINEMENTS,
+                // 0.1 s, enough to begin the detour before the obstacle.
+                horizon_steps: 20,
+                // One for each step. Fewer cannot follow the circle between them, and leave a larger error than
+                // its rounded constants.
+                control_blocks: 0,
+                // With the default of 3, a cycle ends before convergence, and the detour is up to a tenth wider.
+                refinement_steps: 6,
                 safe_distance_m,
                 ..base
             },
         }
     }
+}
+
+/// An experiment, its row, its first run for the plots, and the results of each seed.
+pub struct Outcome {
+    pub experiment: Experiment,
+    pub scene: Scene,
+    pub row: Value,
+    pub first: Vec<Sample>,
+    pub runs: Vec<Value>,
 }

@@ -1,4 +1,4 @@
-//! `cdcr-bench`: benchmarks of the controller and the daemon.
+//! `cdcr-bench`: benchmarks of the controller and the daemon. ARCHITECTURE.md names every module.
 //!
 //! `deadline`, `latency`, `rate` and `footprint` measure the program `cdcrd` as a process, with real time
 //! where it is granted. All others run the controller in this process, without a daemon and without real
@@ -35,8 +35,6 @@ pub mod rate;
 pub mod report;
 pub mod robustness;
 pub mod run_options;
-pub mod scene;
-pub mod simulation;
 pub mod solver;
 mod study;
 mod watcher;

@@ -10,10 +10,10 @@ use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
     YELLOW, plot,
 };
-use crate::closed_loop::Sample;
+use crate::closed_loop::{PERIOD_S, Sample};
 use crate::dataset::Plot;
-use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Solver, Task};
-use crate::simulation::{Outcome, obstacle_m};
+use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Outcome, Solver, Task};
+use view::{backbone, ball, path, reference};
 
 /// Smallest bend with a meaningful direction \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
@@ -302,7 +302,7 @@ impl<'a> Drawn<'a> {
     /// period.
     fn times(&self) -> Panel {
         let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
-        let period_ms = 1e3 * self.run.scene.period_s;
+        let period_ms = 1e3 * PERIOD_S;
         let at = |label, ms: f64, colour| {
             Curve::upright(format!("{label} {ms} ms"), 1e3 * ms, SHARES, colour)
         };
@@ -420,7 +420,7 @@ fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
     let mut curves = Vec::new();
     for (task, distance_m, colour) in detours(tasks) {
         let (run, samples) = (task.run, task.samples());
-        let centre_m = obstacle_m(&run.scene);
+        let centre_m = run.scene.obstacle_m();
         if curves.is_empty() {
             curves.push(Curve::line("reference", reference(view, samples), GREY).width(10));
             curves.push(Curve::line("obstacle", ball(view, &centre_m, 2e-3), DARK).width(8));

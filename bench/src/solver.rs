@@ -20,13 +20,12 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, plot};
-use crate::closed_loop::{ClosedLoop, End, timed_solve};
+use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, RGBColor, Scale, plot};
+use crate::closed_loop::{End, PERIOD_S, Scene, timed_solve};
 use crate::dataset::{Column, Dataset, RoundTable, fixed, plain, word};
 use crate::experiment::{Experiment, Solver, Task};
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
-use crate::scene::Scene;
 use crate::study::{self, Case};
 
 const CYCLES_MAX: u64 = 400;
@@ -49,19 +48,35 @@ const SIZE_S: f64 = 1.0;
 
 const EXPLANATION: &str = include_str!("solver/solver.html");
 
+const TABLE: RoundTable = RoundTable {
+    key: "cases",
+    file: "solver",
+    title: "Time of a solve on every path of this processor",
+    columns: &COLUMNS,
+    counts: &[],
+    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
+    path: "solver/{solver}/{path}/{curve}/{sections}-sections-{horizon}-steps-{swarm}x{iterations}-{obstacles}-obstacles",
+};
+
+#[rustfmt::skip]
 const COLUMNS: [Column; 11] = [
-    word("solver", "solver"),
-    word("curve", "curve"),
-    word("path", "path"),
-    plain("sections", "sections"),
-    plain("horizon", "horizon"),
-    plain("swarm", "swarm"),
-    plain("iterations", "iterations"),
-    plain("obstacles", "obstacles"),
-    fixed("p50 µs", "p50_us", 2),
-    fixed("p99 µs", "p99_us", 2),
-    fixed("speed-up", "speedup_vs_scalar", 1),
+    word("solver", "solver"), word("curve", "curve"), word("path", "path"), plain("sections", "sections"),
+    plain("horizon", "horizon"), plain("swarm", "swarm"), plain("iterations", "iterations"), plain("obstacles", "obstacles"),
+    fixed("p50 µs", "p50_us", 2), fixed("p99 µs", "p99_us", 2), fixed("speed-up", "speedup_vs_scalar", 1),
 ];
+
+/// A table, its duration \[s\], and its rows; with a divisor above 1 only a part of them.
+type Measured = (&'static RoundTable, f64, fn(u64) -> Result<Vec<Value>>);
+
+/// What is measured beside the sizes.
+const BESIDE: [Measured; 4] = [
+    (&hard::TABLE, 10.0, hard::measure),
+    (&hard::DEADLINE_TABLE, 6.0, hard::measure_by_deadlines),
+    (&guard::TABLE, 3.0, guard::measure),
+    (&estimate::TABLE, 1.0, estimate::measure),
+];
+/// Divisor of a short run.
+const SHORTENED: u64 = 20;
 
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct SolverOptions {
@@ -75,37 +90,22 @@ pub struct SolverOptions {
 
 impl SolverOptions {
     fn cases(&self) -> Vec<Case<'static>> {
-        let mut sizes = sizes();
-        let shortened = if self.is_short { 20 } else { 1 };
-        if self.is_short {
-            sizes.retain(|size| size.task == Task::Spiral { sections: 1 });
-        }
+        let is_measured = |size: &Size| !self.is_short || size.task == Task::Spiral { sections: 1 };
         let of_size = |size: Size| Case {
             table: TABLE.key,
             what: size.solver.name().to_owned(),
             expected_s: SIZE_S,
             measure: Box::new(move |_| measure(&size)),
         };
-        let mut cases: Vec<_> = sizes.into_iter().map(of_size).collect();
-        let mut add = |table: &RoundTable, whole_s: f64, measure: fn(u64) -> Result<Vec<Value>>| {
-            cases.push(Case {
-                table: table.key,
-                what: table.file.to_owned(),
-                expected_s: whole_s / shortened as f64,
-                measure: Box::new(move |_| measure(shortened)),
-            });
+        let divisor = if self.is_short { SHORTENED } else { 1 };
+        let of_table = |(table, whole_s, measure): Measured| Case {
+            table: table.key,
+            what: table.file.to_owned(),
+            expected_s: whole_s / divisor as f64,
+            measure: Box::new(move |_| measure(divisor)),
         };
-        if !self.is_short {
-            add(&hard::TABLE, 10.0, |_| hard::measure());
-            add(&hard::DEADLINE_TABLE, 6.0, |_| hard::measure_by_deadlines());
-        }
-        add(&guard::TABLE, 3.0, |part| {
-            guard::measure(guard::MOMENTS / part)
-        });
-        add(&estimate::TABLE, 1.0, |part| {
-            estimate::measure(estimate::CYCLES / part)
-        });
-        cases
+        let of_sizes = sizes().into_iter().filter(is_measured).map(of_size);
+        of_sizes.chain(BESIDE.map(of_table)).collect()
     }
 }
 
@@ -130,13 +130,8 @@ impl Benchmark for SolverOptions {
         let found = study::run(self.rounds, &self.cases(), progress)?;
         let mut dataset = Dataset::new("solver", "Time of a solve, offline", EXPLANATION);
         dataset.fact("rounds", self.rounds);
-        for table in [
-            &TABLE,
-            &hard::TABLE,
-            &hard::DEADLINE_TABLE,
-            &guard::TABLE,
-            &estimate::TABLE,
-        ] {
+        dataset.add_rounds(&TABLE, &found);
+        for (table, ..) in BESIDE {
             dataset.add_rounds(table, &found);
         }
         // The paper's size is part of every series.
@@ -156,31 +151,19 @@ impl Benchmark for SolverOptions {
     }
 }
 
-const TABLE: RoundTable = RoundTable {
-    key: "cases",
-    file: "solver",
-    title: "Time of a solve on every path of this processor",
-    columns: &COLUMNS,
-    counts: &[],
-    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
-    path: "solver/{solver}/{path}/{curve}/{sections}-sections-{horizon}-steps-{swarm}x{iterations}-{obstacles}-obstacles",
-};
-
 /// The median of every solver on the fastest path over the number of sections.
 fn panel(cases: &[Value]) -> Panel {
-    let colours = [PURPLE, GREEN, BLUE, ORANGE];
-    let curves = Solver::ALL
-        .into_iter()
-        .zip(colours)
-        .map(|(solver, colour)| {
-            let points = growth::series(cases, solver, growth::SECTION);
-            Curve::line(solver.name(), points, colour)
-        });
+    let curve = |(solver, colour): (Solver, RGBColor)| {
+        let points = growth::series(cases, solver, growth::SECTION);
+        Curve::line(solver.name(), points, colour)
+    };
+    let solvers = Solver::ALL.into_iter().zip([PURPLE, GREEN, BLUE, ORANGE]);
+    let curves = solvers.map(curve).filter(|curve| !curve.is_empty());
     Panel::new(
         "Median of a solve on the fastest path",
         ["sections", "time [µs]"],
         Scale::Log { floor: 0.1 },
-        curves.filter(|curve| !curve.is_empty()).collect(),
+        curves.collect(),
     )
 }
 
@@ -243,24 +226,20 @@ impl Size {
     }
 
     pub(crate) fn scene(&self) -> Result<Scene> {
-        let scene = self.task.scene()?;
+        let mut scene = self.task.scene()?;
         let safe_m = self.settings.safe_distance_m;
-        let obstacles = obstacles(&scene.robot, safe_m, self.obstacles)?;
-        let cycles = if obstacles.is_empty() {
-            CYCLES_MAX
-        } else {
-            OBSTACLE_CYCLES_MAX
-        };
-        Ok(scene.with_obstacles(obstacles).at_most(cycles))
+        scene.obstacles = obstacles(&scene.robot, safe_m, self.obstacles)?;
+        Ok(scene.at_most(match self.obstacles {
+            0 => CYCLES_MAX,
+            _ => OBSTACLE_CYCLES_MAX,
+        }))
     }
 }
 
 /// Obstacles beside the lower quarter of the last section, on a spiral up the straight robot: spheres, and
 /// every fourth a vertical capsule.
 fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Obstacle>> {
-    let Some((last, below)) = robot.sections().split_last() else {
-        return Ok(Vec::new());
-    };
+    let (last, below) = robot.sections().split_last().context("no section")?;
     let base_m: f64 = below.iter().map(|section| section.length_m).sum();
     let apart_m = last.body_radius_m + safe_distance_m + OBSTACLE_GAP_M + OBSTACLE_RADIUS_M;
     let obstacle = |i: usize| {
@@ -282,14 +261,15 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
 /// Runs the closed loop, in which every path solves every cycle.
 fn measure(size: &Size) -> Result<Vec<Value>> {
     let (scene, settings) = (size.scene()?, size.settings);
-    let mut closed = ClosedLoop::new(&scene, settings)?;
+    let mut closed = scene.begin(settings)?;
     let mut runners = Vec::new();
     for path in Simd::available() {
-        let nmpc = Nmpc::with_simd(path, scene.robot.clone(), scene.period_s, settings)?;
+        let nmpc = Nmpc::with_simd(path, scene.robot.clone(), PERIOD_S, settings)?;
         runners.push((path, nmpc, histogram()?));
     }
     let begin = Instant::now();
-    while !closed.is_over() && (begin.elapsed() <= SIZE_TIME || closed.cycle() <= CYCLES_MIN) {
+    let is_short = |cycle| begin.elapsed() <= SIZE_TIME || cycle <= CYCLES_MIN;
+    while closed.cycle() < scene.cycles && is_short(closed.cycle()) {
         let mut desired_rates = None;
         for (path, nmpc, times) in &mut runners {
             let (rates, _, time) = timed_solve(nmpc, &closed.input(), End::Never);
@@ -301,11 +281,10 @@ fn measure(size: &Size) -> Result<Vec<Value>> {
         }
         closed.advance(&desired_rates.context("no path")?);
     }
-    let p50_us = runners
-        .iter()
-        .map(|(_, _, times)| quantile_us(times, 0.5))
-        .collect::<Vec<_>>();
-    let case = |((path, _, times), own_us): (&(Simd, Nmpc, _), &f64)| {
+    // The scalar path is the first.
+    let scalar_us = quantile_us(&runners[0].2, 0.5);
+    let case = |(path, _, times): &(Simd, Nmpc, _)| {
+        let p50_us = quantile_us(times, 0.5);
         json!({
             "solver": size.solver,
             // The line includes an orientation.
@@ -316,12 +295,12 @@ fn measure(size: &Size) -> Result<Vec<Value>> {
             "swarm": settings.swarm_size,
             "iterations": settings.swarm_iterations,
             "obstacles": size.obstacles,
-            "p50_us": own_us,
+            "p50_us": p50_us,
             "p99_us": quantile_us(times, 0.99),
-            "speedup_vs_scalar": p50_us[0] / own_us,
+            "speedup_vs_scalar": scalar_us / p50_us,
         })
     };
-    Ok(runners.iter().zip(&p50_us).map(case).collect())
+    Ok(runners.iter().map(case).collect())
 }
 
 #[cfg(test)]
@@ -344,7 +323,7 @@ mod tests {
             let settings = size.settings;
             // The obstacles that the solver considers: all that move within the horizon, with the body at its
             // rate limits.
-            let horizon_s = f64::from(settings.horizon_steps) * scene.period_s;
+            let horizon_s = f64::from(settings.horizon_steps) * PERIOD_S;
             let change_rad = SQRT_2 * scene.robot.sections()[0].rate_max_rad_s * horizon_s;
             let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);
             let reach_m = travel_m.map(|travel_m| travel_m + settings.safe_distance_m);

@@ -8,9 +8,9 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
+use crate::closed_loop::Scene;
 use crate::experiment::{CIRCLE_DISTANCES_M, Experiment, LINE_RATES_RAD_S, Solver, Task};
 use crate::named::named;
-use crate::scene::{PERIOD_S, Scene};
 
 /// Safe distance of the gap and the crossing \[m\].
 const SAFE_DISTANCE_M: f64 = 0.01;
@@ -19,15 +19,6 @@ const BODY_RADIUS_M: f64 = 0.015;
 const POST_RADIUS_M: f64 = 0.02;
 /// Space left by the gap on either side, beyond the body and its safe distance \[m\].
 const GAP_SLACK_M: f64 = 0.004;
-const GAP_X_M: f64 = 0.26;
-/// Radius of the ball of the crossing \[m\].
-const BALL_RADIUS_M: f64 = 0.03;
-const BALL_M_S: f64 = 0.2;
-/// Bend of one section on the paper's circle \[rad\].
-const CIRCLE_BEND_RAD: f64 = 75.0 * PI / 180.0;
-/// Cycles of the circle: the tip meets the point after 314 cycles and then passes it.
-const CIRCLE_CYCLES: u64 = 380;
-const JUMP_M: [f64; 3] = [-0.1, 0.1, -0.05];
 
 named! {
     pub enum Course {
@@ -47,33 +38,92 @@ named! {
 }
 
 impl Course {
+    /// The paper's simulation that it is the start of, and its cycles.
+    fn paper(self) -> Option<(Task, u64)> {
+        let rate_limit_rad_s = LINE_RATES_RAD_S[0];
+        let safe_distance_m = CIRCLE_DISTANCES_M[1];
+        Some(match self {
+            Self::Spiral => (Task::Spiral { sections: 3 }, 150),
+            Self::Line => (Task::Line { rate_limit_rad_s }, 150),
+            // The tip meets the point after 314 cycles and then passes it.
+            Self::Circle => (Task::Circle { safe_distance_m }, 380),
+            Self::Gap | Self::Crossing | Self::Jump => return None,
+        })
+    }
+
     pub fn scene(self) -> Result<Scene> {
-        match self {
-            Self::Spiral => Ok(Scene::spiral(3)?.at_most(150)),
-            Self::Line => Ok(Scene::line(LINE_RATES_RAD_S[0])?.at_most(150)),
-            Self::Circle => circle(),
-            Self::Gap => gap(),
-            Self::Crossing => crossing(),
-            Self::Jump => jump(),
+        if let Some((task, cycles)) = self.paper() {
+            let mut scene = task.scene()?.at_most(cycles);
+            if self == Self::Circle {
+                // On the curve: the paper's approach from the straight robot would dominate the mean error.
+                scene.start = Configuration::from_bend_angles(&[[75.0 * PI / 180.0, 0.0]]);
+            }
+            return Ok(scene);
         }
+        let at = Vector3::new;
+        let robot = Robot::new(&RobotParameters::paper(3))?;
+        let start = Configuration::from_bend_angles(&match self {
+            Self::Gap => [[0.1, 0.5], [0.1, -0.5], [0.15, 0.0]],
+            Self::Crossing => [[0.4, 0.0]; 3],
+            _ => [[0.4, 0.0], [0.4, 0.5], [0.4, 1.0]],
+        });
+        let tip_m = robot.tip_pose(&start).position_m;
+        let far_m = tip_m + at(-0.1, 0.1, -0.05);
+        let (way, cycles) = match self {
+            Self::Gap => (
+                vec![
+                    (0.3, at(0.19, 0.0, 0.83)),
+                    (1.0, at(0.34, 0.0, 0.74)),
+                    (1.6, at(0.42, -0.12, 0.64)),
+                ],
+                340,
+            ),
+            Self::Crossing => (vec![(1.6, at(0.4, 0.0, 0.7))], 300),
+            _ => (
+                vec![(0.2, tip_m), (0.2, far_m), (0.7, far_m), (0.7, tip_m)],
+                240,
+            ),
+        };
+        let mut knots = vec![(0.0, tip_m)];
+        knots.extend(way);
+        Ok(Scene {
+            robot,
+            start,
+            curve: Box::new(Legs(knots)),
+            obstacles: self.obstacles()?,
+            cycles,
+        })
+    }
+
+    fn obstacles(self) -> Result<Vec<Obstacle>> {
+        let y_m = BODY_RADIUS_M + SAFE_DISTANCE_M + GAP_SLACK_M + POST_RADIUS_M;
+        let post = |y_m: f64| {
+            let [start_m, end_m] = [0.55, 0.95].map(|z_m| Vector3::new(0.26, y_m, z_m));
+            let shape = Shape::Capsule { start_m, end_m };
+            Obstacle::new(shape, POST_RADIUS_M, Vector3::zeros())
+        };
+        let centre_m = Vector3::new(0.36, -0.16, 0.65);
+        let ball = Shape::Sphere { centre_m };
+        Ok(match self {
+            Self::Gap => vec![post(y_m)?, post(-y_m)?],
+            Self::Crossing => vec![Obstacle::new(ball, 0.03, Vector3::new(0.0, 0.2, 0.0))?],
+            _ => Vec::new(),
+        })
     }
 
     /// Settings with the default solver and swarm: the paper's for its scenes, otherwise a suitable horizon
     /// with separate controls for each step. With blocks of several steps, the plan of one cycle does not fit
     /// the next, and the robot misses the gap.
     pub fn settings(self) -> NmpcSettings {
-        let task = match self {
-            Self::Spiral => Task::Spiral { sections: 3 },
-            Self::Line => Task::Line {
-                rate_limit_rad_s: LINE_RATES_RAD_S[0],
-            },
-            Self::Circle => Task::Circle {
-                safe_distance_m: CIRCLE_DISTANCES_M[1],
-            },
-            Self::Gap => return ahead(5),
-            Self::Crossing | Self::Jump => return ahead(10),
-        };
-        Experiment::new(task, Solver::KpsoRefined).settings()
+        if let Some((task, _)) = self.paper() {
+            return Experiment::new(task, Solver::KpsoRefined).settings();
+        }
+        NmpcSettings {
+            horizon_steps: if self == Self::Gap { 5 } else { 10 },
+            control_blocks: 0,
+            safe_distance_m: SAFE_DISTANCE_M,
+            ..NmpcSettings::default()
+        }
     }
 }
 
@@ -99,79 +149,6 @@ impl Trajectory for Legs {
         let share = (time_s - from_s) / (to_s - from_s);
         (from_m + (to_m - from_m) * (0.5 - 0.5 * (PI * share).cos())).into()
     }
-}
-
-/// Starts on the curve: the paper's approach from the straight robot would dominate the mean error.
-fn circle() -> Result<Scene> {
-    Ok(Scene {
-        start: Configuration::from_bend_angles(&[[CIRCLE_BEND_RAD, 0.0]]),
-        ..Scene::circle()?.at_most(CIRCLE_CYCLES)
-    })
-}
-
-fn ahead(horizon_steps: u32) -> NmpcSettings {
-    NmpcSettings {
-        horizon_steps,
-        control_blocks: 0,
-        safe_distance_m: SAFE_DISTANCE_M,
-        ..NmpcSettings::default()
-    }
-}
-
-/// The paper's robot, whose tip moves from its present position through these points.
-fn scene(
-    bend_angles: [[f64; 2]; 3],
-    way: impl FnOnce(Vector3<f64>) -> Vec<(f64, Vector3<f64>)>,
-    obstacles: Vec<Obstacle>,
-    cycles: u64,
-) -> Result<Scene> {
-    let robot = Robot::new(&RobotParameters::paper(3))?;
-    let start = Configuration::from_bend_angles(&bend_angles);
-    let tip_m = robot.tip_pose(&start).position_m;
-    let mut knots = vec![(0.0, tip_m)];
-    knots.extend(way(tip_m));
-    Ok(Scene {
-        robot,
-        start,
-        curve: Box::new(Legs(knots)),
-        obstacles,
-        cycles,
-        period_s: PERIOD_S,
-    })
-}
-
-fn gap() -> Result<Scene> {
-    let way = |_| {
-        vec![
-            (0.3, Vector3::new(0.19, 0.0, 0.83)),
-            (1.0, Vector3::new(0.34, 0.0, 0.74)),
-            (1.6, Vector3::new(0.42, -0.12, 0.64)),
-        ]
-    };
-    let y_m = BODY_RADIUS_M + SAFE_DISTANCE_M + GAP_SLACK_M + POST_RADIUS_M;
-    let post = |y_m: f64| {
-        let [start_m, end_m] = [0.55, 0.95].map(|z_m| Vector3::new(GAP_X_M, y_m, z_m));
-        let shape = Shape::Capsule { start_m, end_m };
-        Obstacle::new(shape, POST_RADIUS_M, Vector3::zeros())
-    };
-    let posts = vec![post(y_m)?, post(-y_m)?];
-    scene([[0.1, 0.5], [0.1, -0.5], [0.15, 0.0]], way, posts, 340)
-}
-
-fn crossing() -> Result<Scene> {
-    let way = |_| vec![(1.6, Vector3::new(0.4, 0.0, 0.7))];
-    let centre_m = Vector3::new(0.36, -0.16, 0.65);
-    let velocity_m_s = Vector3::new(0.0, BALL_M_S, 0.0);
-    let ball = Obstacle::new(Shape::Sphere { centre_m }, BALL_RADIUS_M, velocity_m_s)?;
-    scene([[0.4, 0.0]; 3], way, vec![ball], 300)
-}
-
-fn jump() -> Result<Scene> {
-    let way = |tip_m| {
-        let far_m = tip_m + Vector3::from(JUMP_M);
-        vec![(0.2, tip_m), (0.2, far_m), (0.7, far_m), (0.7, tip_m)]
-    };
-    scene([[0.4, 0.0], [0.4, 0.5], [0.4, 1.0]], way, Vec::new(), 240)
 }
 
 #[cfg(test)]

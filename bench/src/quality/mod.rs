@@ -19,7 +19,7 @@ use crate::experiment::Solver;
 use crate::progress::Progress;
 use crate::study::{self, Case};
 use course::Course;
-use variant::{SOLVERS, Variant, iteration_us};
+use variant::{SOLVERS, Variant, Varied, iteration_us};
 
 /// Approximate duration of a contest \[s\].
 const CONTEST_S: f64 = 0.5;
@@ -51,52 +51,55 @@ pub struct QualityOptions {
 impl QualityOptions {
     /// All variants of a course, in the order of execution.
     fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
-        let mut variants = Vec::new();
-        for &budget_us in &self.budgets_us {
-            let timed = |solver| Variant::timed(course, solver, budget_us, iteration_us);
-            variants.extend(SOLVERS.map(timed));
-        }
-        for &swarm in &self.swarms {
-            let searching = [Solver::Kpso, Solver::KpsoRefined];
-            variants.extend(searching.map(|solver| Variant::swarm(course, solver, swarm)));
-        }
-        for &steps in &self.horizons {
-            variants.extend(SOLVERS.map(|solver| Variant::horizon(course, solver, steps)));
-        }
-        variants
+        let budgets = self.budgets_us.iter();
+        let mut varied: Vec<_> = budgets
+            .map(|us| Varied::Budget(*us, iteration_us))
+            .collect();
+        varied.extend(
+            self.swarms
+                .iter()
+                .map(|swarm| Varied::Swarm(swarm.0, swarm.1)),
+        );
+        varied.extend(self.horizons.iter().map(|steps| Varied::Horizon(*steps)));
+        let of = |varied| {
+            let has_swarm = |solver: &Solver| *solver != Solver::GaussNewton;
+            let is_for =
+                move |solver: &Solver| has_swarm(solver) || !matches!(varied, Varied::Swarm(..));
+            let solvers = SOLVERS.into_iter().filter(is_for);
+            solvers.map(move |solver| Variant::new(course, solver, varied))
+        };
+        varied.into_iter().flat_map(of).collect()
     }
 
     /// The cases of each round. `iteration_us`: duration of a swarm iteration on a course \[µs\].
     fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {
         let mut cases = Vec::new();
+        let (cycles_max, restarts) = (self.cycles_max, self.restarts);
         for &course in &self.courses {
-            let cycles_max = self.cycles_max;
             let cycles = course.scene()?.cycles.min(cycles_max);
             for variant in self.variants(course, iteration_us(course)?) {
-                let drive = move |round: u32| {
-                    variant.drive(&course.scene()?.at_most(cycles_max), round.into())
-                };
                 cases.push(Case {
-                    table: variant.axis().name(),
+                    table: variant.axis().0,
                     what: variant.words(),
                     expected_s: variant.expected_s(cycles),
-                    measure: Box::new(move |round| Ok(vec![drive(round)?])),
+                    measure: Box::new(move |round| {
+                        let scene = course.scene()?.at_most(cycles_max);
+                        Ok(vec![variant.drive(&scene, round.into())?])
+                    }),
                 });
             }
         }
-        let restarts = self.restarts;
-        for (field, restart) in Field::ALL
-            .into_iter()
-            .flat_map(|f| (0..restarts).map(move |n| (f, n)))
-        {
-            // Different in every round.
-            let seed = move |round: u32| u64::from((round - 1) * restarts + restart);
-            cases.push(Case {
-                table: report::PROBLEMS,
-                what: format!("random starts, {}", field.name()),
-                expected_s: CONTEST_S,
-                measure: Box::new(move |round| restarts::contest(field, seed(round))),
-            });
+        for field in Field::ALL {
+            for restart in 0..restarts {
+                // Different in every round.
+                let seed = move |round: u32| u64::from((round - 1) * restarts + restart);
+                cases.push(Case {
+                    table: report::PROBLEMS,
+                    what: format!("random starts, {}", field.name()),
+                    expected_s: CONTEST_S,
+                    measure: Box::new(move |round| restarts::contest(field, seed(round))),
+                });
+            }
         }
         Ok(cases)
     }

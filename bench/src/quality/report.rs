@@ -5,10 +5,8 @@ use serde_json::{Value, json};
 
 use super::course::Course;
 use super::restarts::{CONTENDERS, Contender, Field, STUCK_SHARE, arrives, excess_share, is_stuck};
-use super::variant::{Axis, SOLVERS};
-use crate::chart::{
-    BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, RGBColor, SKY, Scale, YELLOW, of_rows, plot,
-};
+use super::variant::SOLVERS;
+use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, RGBColor, Scale, of_rows, plot};
 use crate::dataset::{
     Column, Dataset, Plot, Sheet, by_rows, each, filled, fixed, number, percent, plain, power,
     together, word,
@@ -28,60 +26,41 @@ const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
 const EXPLANATION: &str = include_str!("quality.html");
 
+#[rustfmt::skip]
 const STUCK: [Column; 8] = [
-    word("between", "field"),
-    word("solver", "contender"),
-    plain("problems", "problems"),
-    percent("stuck %", "stuck_share", 1),
-    percent("does not arrive %", "missed_share", 1),
-    percent("cost above the best p50 %", "excess_share_p50", 1),
-    percent("max %", "excess_share_max", 1),
+    word("between", "field"), word("solver", "contender"), plain("problems", "problems"),
+    percent("stuck %", "stuck_share", 1), percent("does not arrive %", "missed_share", 1),
+    percent("cost above the best p50 %", "excess_share_p50", 1), percent("max %", "excess_share_max", 1),
     fixed("time p50 ms", "time_ms_p50", 1),
 ];
 
-fn columns(axis: Axis) -> [Column; 12] {
-    [
-        word("course", "course"),
-        word("solver", "solver"),
-        word(axis.name(), "value"),
-        power("mean error mm", "mean_error_mm"),
-        power("max mm", "max_error_mm"),
-        fixed("least clearance mm", "min_clearance_mm", 2),
-        fixed("too near ms", "below_safe_ms", 0),
-        percent("guarded %", "guarded_share", 1),
-        power("mean cost", "mean_cost"),
-        percent("cut short %", "cut_short_share", 1),
-        fixed("solve p50 µs", "solve_p50_us", 1),
-        fixed("p99 µs", "solve_p99_us", 1),
-    ]
-}
+/// The varied quantities: name, title of the table, and prefix of the names of its numbers.
+#[rustfmt::skip]
+const AXES: [[&str; 3]; 3] = [
+    ["budget", "What the time of a solve buys (on the clock)", "quality/budget/{course}/{solver}/{budget_us}-us"],
+    ["swarm", "What particles and iterations buy (without a budget)", "quality/swarm/{course}/{solver}/{swarm}x{iterations}"],
+    ["horizon", "What a longer horizon buys (without a budget, with the swarm of the course)",
+     "quality/horizon/{course}/{solver}/n{horizon}"],
+];
 
-/// Title of the table, and prefix of the names of its numbers.
-fn names(axis: Axis) -> (&'static str, &'static str) {
-    match axis {
-        Axis::Budget => (
-            "What the time of a solve buys (on the clock)",
-            "quality/budget/{course}/{solver}/{budget_us}-us",
-        ),
-        Axis::Swarm => (
-            "What particles and iterations buy (without a budget)",
-            "quality/swarm/{course}/{solver}/{swarm}x{iterations}",
-        ),
-        Axis::Horizon => (
-            "What a longer horizon buys (without a budget, with the swarm of the course)",
-            "quality/horizon/{course}/{solver}/n{horizon}",
-        ),
-    }
+#[rustfmt::skip]
+fn columns(axis: &'static str) -> [Column; 12] {
+    [
+        word("course", "course"), word("solver", "solver"), word(axis, "value"),
+        power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
+        fixed("least clearance mm", "min_clearance_mm", 2), fixed("too near ms", "below_safe_ms", 0),
+        percent("guarded %", "guarded_share", 1), power("mean cost", "mean_cost"), percent("cut short %", "cut_short_share", 1),
+        fixed("solve p50 µs", "solve_p50_us", 1), fixed("p99 µs", "solve_p99_us", 1),
+    ]
 }
 
 /// Results of every variant by axis, and of every contender.
 pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let mut dataset = Dataset::new("quality", "What time buys", EXPLANATION);
     let mut rows = Vec::new();
-    for axis in Axis::ALL {
-        let (title, path) = names(axis);
+    for [axis, title, path] in AXES {
         let mut of_axis = Vec::new();
-        for of_row in by_rows(found.of(axis.name())) {
+        for of_row in by_rows(found.of(axis)) {
             let row = together(&of_row, &["rounds"]);
             let path = filled(path, &row);
             let errors_mm = each(&of_row, "mean_error_mm").map(|mm| mm.max(METRIC_FLOOR_MM));
@@ -97,35 +76,27 @@ pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let of_rounds = found.of(PROBLEMS);
     let problems = of_rounds.concat();
     let mut stuck = Vec::new();
-    for (field, contender) in contests() {
-        let path = format!("quality/restarts/{}/{}/stuck", field.name(), contender.name);
-        let of_rounds = of_rounds.iter().map(|round| ended(round, field, contender));
-        dataset.lower(
-            path,
-            "%",
-            of_rounds.map(|rows| 100.0 * share(&rows, is_stuck)),
-        );
-        stuck.extend(stuck_row(&ended(&problems, field, contender)));
+    for field in Field::ALL {
+        for contender in &CONTENDERS {
+            let path = format!("quality/restarts/{}/{}/stuck", field.name(), contender.name);
+            let of_rounds = of_rounds.iter().map(|round| ended(round, field, contender));
+            let percent = of_rounds.map(|rows| 100.0 * share(&rows, is_stuck));
+            dataset.lower(path, "%", percent);
+            stuck.extend(stuck_row(&ended(&problems, field, contender)));
+        }
     }
-    let restarts = "Random starts: how often a solver ends more than 1 % above the best plan known";
-    let restarts = Sheet::of(restarts, &STUCK, stuck);
+    let title = "Random starts: how often a solver ends more than 1 % above the best plan known";
+    let restarts = Sheet::of(title, &STUCK, stuck);
     let restarts = restarts.key("restarts").file("quality-restarts");
     dataset.sheets.insert(1, restarts);
     dataset.plots = plots(&rows, &problems)?;
-    let cases = Sheet::of("", &columns(Axis::Budget), rows);
+    let cases = Sheet::of("", &columns("budget"), rows);
+    let problems = Sheet::of("", &[], problems).key(PROBLEMS);
     dataset.sheets.push(cases.key("cases").file("quality"));
-    let problems = Sheet::of("", &[], problems);
-    dataset
-        .sheets
-        .push(problems.key(PROBLEMS).file("quality-problems"));
+    dataset.sheets.push(problems.file("quality-problems"));
     dataset.fact("rounds", rounds);
     dataset.fact("stuck_above_share", STUCK_SHARE);
     Ok(dataset)
-}
-
-fn contests() -> impl Iterator<Item = (Field, &'static Contender)> {
-    let with = |field| CONTENDERS.iter().map(move |contender| (field, contender));
-    Field::ALL.into_iter().flat_map(with)
 }
 
 /// Results of a contender among the obstacles of `field`.
@@ -145,11 +116,8 @@ fn stuck_row(rows: &[&Value]) -> Option<Value> {
         "field": first["field"],
         "contender": first["contender"],
         "problems": rows.len(),
-        // Share that ended more than 1 % above the best known cost.
         "stuck_share": share(rows, is_stuck),
-        // Share whose plan ends more than 10 mm from the target.
         "missed_share": share(rows, |row| !arrives(row)),
-        // Excess over the best known cost, as a share of that cost.
         "excess_share_p50": median(excess()),
         "excess_share_max": excess().reduce(f64::max),
         "time_ms_p50": median(rows.iter().filter_map(|row| number(row, "time_ms"))),
@@ -161,47 +129,36 @@ fn plots(rows: &[Value], problems: &[Value]) -> Result<Vec<Plot>> {
         let panel = |course: &Course| panel(*course, rows, y, key, scale);
         Course::ALL.iter().filter_map(panel).collect()
     };
-    let errors = Scale::LogLog {
-        floor: ERROR_FLOOR_MM,
-    };
-    let excess = Field::ALL
-        .iter()
-        .filter_map(|field| excess(*field, problems));
-    let all: [(_, _, Vec<Panel>); 3] = [
+    let floor = ERROR_FLOOR_MM;
+    let errors = of_courses("mean error [mm]", "mean_error_mm", Scale::LogLog { floor });
+    let clearances = of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross);
+    let fields = Field::ALL.iter();
+    let excess: Vec<Panel> = fields
+        .filter_map(|field| excess(*field, problems))
+        .collect();
+    let all = [
         (
             "quality-error",
             "Mean error against the time of a solve, median over the rounds. A swarm has as many particles and \
              iterations as it has time for.",
-            of_courses("mean error [mm]", "mean_error_mm", errors),
+            errors,
         ),
         (
             "quality-clearance",
             "Smallest clearance of the body against the time of a solve, worst of all rounds. The guard keeps \
              the robot from entering the safe distance by its own motion.",
-            of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross),
+            clearances,
         ),
         (
             "quality-stuck",
             "Random starts, sorted by how far above the best known cost a solver ended. Where a curve crosses \
              the dark line, the rest to its right is stuck.",
-            excess.collect(),
+            excess,
         ),
     ];
     let drawn = all.into_iter().filter(|(_, _, panels)| !panels.is_empty());
-    drawn
-        .map(|(name, caption, panels)| plot(name, caption, (2, 560), &panels))
-        .collect()
-}
-
-fn colour(solver: &str) -> RGBColor {
-    match solver {
-        "gauss-newton" => ORANGE,
-        "gauss-newton-restarted" => GREY,
-        "kpso-refined" => BLUE,
-        "kpso-refined-20ms" => SKY,
-        "kpso-refined-5ms" => YELLOW,
-        _ => GREEN,
-    }
+    let plots = drawn.map(|(name, caption, panels)| plot(name, caption, (2, 560), &panels));
+    plots.collect()
 }
 
 /// A number over the budget of a solve, for each solver; `None` without measurements.
@@ -213,21 +170,22 @@ fn panel(
     scale: Scale,
 ) -> Option<Panel> {
     let is_it = |row: &&Value| {
-        row["axis"] == Axis::Budget.name() && row["course"] == course.name() && !row[key].is_null()
+        row["axis"] == "budget" && row["course"] == course.name() && !row[key].is_null()
     };
     let rows: Vec<&Value> = rows.iter().filter(is_it).collect();
-    let curve = |solver: Solver| {
+    let curve = |(solver, colour): (Solver, RGBColor)| {
         let ours = rows.iter().filter(|row| row["solver"] == solver.name());
-        let ours = ours.copied();
-        of_rows(solver.name(), ours, "budget_us", key, colour(solver.name()))
+        of_rows(solver.name(), ours.copied(), "budget_us", key, colour)
     };
-    let mut curves: Vec<Curve> = SOLVERS.map(curve).into();
-    let across = number(rows.first()?, "budget_us")?..number(rows.last()?, "budget_us")?;
+    let solvers = SOLVERS.into_iter().zip([GREEN, ORANGE, BLUE]);
+    let mut curves: Vec<Curve> = solvers.map(curve).collect();
     if scale == Scale::LogAcross {
         let safe_mm = 1e3 * course.settings().safe_distance_m;
+        let across = number(rows.first()?, "budget_us")?..number(rows.last()?, "budget_us")?;
         curves.push(Curve::level("safe distance", safe_mm, across, DARK));
     }
-    Some(Panel::new(course.name(), ["budget [µs]", y], scale, curves))
+    let axes = ["budget [µs]", y];
+    (!rows.is_empty()).then(|| Panel::new(course.name(), axes, scale, curves))
 }
 
 fn excess(field: Field, problems: &[Value]) -> Option<Panel> {
@@ -238,18 +196,15 @@ fn excess(field: Field, problems: &[Value]) -> Option<Panel> {
         let share = |index: usize| 100.0 * (index as f64 + 0.5) / rows.len() as f64;
         let points = percent.into_iter().enumerate();
         let points = points.map(|(index, percent)| (share(index), percent));
-        Curve::line(contender.name, points.collect(), colour(contender.name))
+        Curve::line(contender.name, points.collect(), contender.colour)
     };
     let mut curves: Vec<Curve> = CONTENDERS.iter().map(curve).collect();
     curves.retain(|curve| !curve.is_empty());
-    let floor = EXCESS_FLOOR_PERCENT;
     (!curves.is_empty()).then(|| {
         curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
-        Panel::new(
-            format!("Between tip and target: {}", field.name()),
-            ["share of the problems [%]", "cost above the best [%]"],
-            Scale::Log { floor },
-            curves,
-        )
+        let title = format!("Between tip and target: {}", field.name());
+        let axes = ["share of the problems [%]", "cost above the best [%]"];
+        let floor = EXCESS_FLOOR_PERCENT;
+        Panel::new(title, axes, Scale::Log { floor }, curves)
     })
 }

@@ -7,11 +7,11 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use cdcr_controller::nmpc::{Horizon, Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS, cycle_seed};
-use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
+use crate::chart::{BLUE, GREEN, GREY, ORANGE, RGBColor, SKY, YELLOW};
 use crate::closed_loop::inside;
 use crate::dataset::number;
 use crate::experiment::Solver;
@@ -63,33 +63,22 @@ pub struct Contender {
     random_plans: u64,
     /// Work limit of all its solves together.
     quanta: u32,
+    pub(super) colour: RGBColor,
 }
 
+#[rustfmt::skip]
 pub const CONTENDERS: [Contender; 6] = [
-    contender("kpso", Solver::Kpso, 0, u32::MAX),
-    contender("gauss-newton", Solver::GaussNewton, 0, u32::MAX),
-    contender("gauss-newton-restarted", Solver::GaussNewton, 3, u32::MAX),
-    contender("kpso-refined", Solver::KpsoRefined, 0, u32::MAX),
-    contender("kpso-refined-20ms", Solver::KpsoRefined, 0, quanta(20)),
-    contender("kpso-refined-5ms", Solver::KpsoRefined, 0, quanta(5)),
+    contender("kpso", Solver::Kpso, 0, u32::MAX, GREEN),
+    contender("gauss-newton", Solver::GaussNewton, 0, u32::MAX, ORANGE),
+    contender("gauss-newton-restarted", Solver::GaussNewton, 3, u32::MAX, GREY),
+    contender("kpso-refined", Solver::KpsoRefined, 0, u32::MAX, BLUE),
+    contender("kpso-refined-20ms", Solver::KpsoRefined, 0, 20_000_000 / QUANTUM_NS, SKY),
+    contender("kpso-refined-5ms", Solver::KpsoRefined, 0, 5_000_000 / QUANTUM_NS, YELLOW),
 ];
 
-const fn quanta(time_ms: u32) -> u32 {
-    1_000_000 * time_ms / QUANTUM_NS
-}
-
-const fn contender(
-    name: &'static str,
-    solver: Solver,
-    random_plans: u64,
-    quanta: u32,
-) -> Contender {
-    Contender {
-        name,
-        solver,
-        random_plans,
-        quanta,
-    }
+#[rustfmt::skip]
+const fn contender(name: &'static str, solver: Solver, random_plans: u64, quanta: u32, colour: RGBColor) -> Contender {
+    Contender { name, solver, random_plans, quanta, colour }
 }
 
 named! {
@@ -110,27 +99,22 @@ impl Field {
         numbers: &mut Numbers,
     ) -> Result<Vec<Obstacle>> {
         let still = Vector3::zeros();
-        let mut post = |share| {
+        let post = |share| {
             let [x, y] = [(); 2].map(|()| numbers.between(-BESIDE_M, BESIDE_M));
             let middle_m = way(share) + Vector3::new(x, y, 0.0);
             let half_m = Vector3::new(0.0, 0.0, POST_M.1);
             let (start_m, end_m) = (middle_m - half_m, middle_m + half_m);
             Obstacle::new(Shape::Capsule { start_m, end_m }, POST_M.0, still)
         };
+        let centre_m = way(0.5);
+        let ball = Shape::Sphere { centre_m };
         Ok(match self {
             Self::Free => Vec::new(),
-            Self::Ball => {
-                let centre_m = way(0.5);
-                vec![Obstacle::new(
-                    Shape::Sphere { centre_m },
-                    BALL_RADIUS_M,
-                    still,
-                )?]
+            Self::Ball => vec![Obstacle::new(ball, BALL_RADIUS_M, still)?],
+            Self::Posts => {
+                let posts = [0.3, 0.5, 0.7].into_iter().map(post);
+                posts.collect::<Result<_, _>>()?
             }
-            Self::Posts => [0.3, 0.5, 0.7]
-                .into_iter()
-                .map(&mut post)
-                .collect::<Result<_, _>>()?,
         })
     }
 }
@@ -139,9 +123,7 @@ impl Field {
 /// obstacles.
 struct Problem {
     start: Configuration,
-    still: BendRates,
     target_m: Vector3<f64>,
-    reference: Vec<ReferenceSample>,
     obstacles: Vec<Obstacle>,
 }
 
@@ -154,38 +136,23 @@ impl Problem {
             let [from_m, to_m] = [start, end].map(|shape| robot.tip_pose(&shape).position_m);
             let way = |share| from_m + share * (to_m - from_m);
             let obstacles = field.obstacles(way, &mut numbers)?;
-            let is_clear = |shape: &Configuration| {
-                robot
+            let is_clear = |shape| {
+                let clearance_m = robot
                     .body(shape)
-                    .least_clearance_m(obstacles.iter().copied())
-                    > CLEAR_M
+                    .least_clearance_m(obstacles.iter().copied());
+                clearance_m > CLEAR_M
             };
             let is_apart = APART_M.contains(&(to_m - from_m).norm());
             if is_apart && is_clear(&start) && is_clear(&end) {
                 return Ok(Self {
                     start,
-                    still: BendRates::zero(SECTIONS),
                     target_m: to_m,
-                    reference: vec![inside(to_m); HORIZON_STEPS as usize],
                     obstacles,
                 });
             }
         }
         let name = field.name();
         bail!("{name}: none of {DRAWS_MAX} random problems is clear; make the obstacles smaller")
-    }
-
-    /// Input of a solve with this seed; it starts from the present plan.
-    fn input(&self, seed: u64) -> SolveInput<'_> {
-        SolveInput {
-            configuration: &self.start,
-            previous_rates: &self.still,
-            reference: &self.reference,
-            obstacles: &self.obstacles,
-            tip_offset_m: 0.0,
-            elapsed_periods: 0,
-            seed,
-        }
     }
 
     /// Distance of the tip from the target at the end of a plan \[mm\].
@@ -224,27 +191,8 @@ fn settings(solver: Solver) -> NmpcSettings {
 pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
     let problem = Problem::draw(field, &robot, seed)?;
-    let mut rows = Vec::new();
-    for contender in &CONTENDERS {
-        let begin = Instant::now();
-        let mut attempt = Attempt::new(&robot, &problem, contender, seed)?;
-        attempt.converge();
-        for plan in 0..contender.random_plans {
-            attempt.restart(cycle_seed(seed, plan));
-            attempt.converge();
-        }
-        rows.push(json!({
-            "field": field,
-            // Seed of the problem and of the swarms.
-            "seed": seed,
-            "contender": contender.name,
-            "cost": attempt.best_cost,
-            // From the end of its plan to the target.
-            "end_error_mm": problem.end_error_mm(&robot, &attempt.best_plan),
-            "solves": attempt.solves,
-            "time_ms": 1e3 * begin.elapsed().as_secs_f64(),
-        }));
-    }
+    let row = |contender| compete(contender, &robot, field, &problem, seed);
+    let mut rows: Vec<Value> = CONTENDERS.iter().map(row).collect::<Result<_>>()?;
     let costs = rows.iter().filter_map(|row| number(row, "cost"));
     let best_cost = costs.fold(f64::INFINITY, f64::min);
     for row in &mut rows {
@@ -253,81 +201,82 @@ pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     Ok(rows)
 }
 
-fn costs(row: &Value) -> (f64, f64) {
-    let cost = |key| row[key].as_f64().unwrap_or(f64::NAN);
-    (cost("cost"), cost("best_cost"))
+/// The best plan of a contender, from rest and from its random plans. From each, it solves repeatedly from its
+/// own plan until the cost no longer decreases.
+fn compete(
+    contender: &Contender,
+    robot: &Robot,
+    field: Field,
+    problem: &Problem,
+    seed: u64,
+) -> Result<Value> {
+    let begin = Instant::now();
+    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings(contender.solver))?;
+    let (mut best_cost, mut best_plan) = (f64::INFINITY, nmpc.plan().to_vec());
+    let (mut solves, mut quanta_left) = (0_u64, contender.quanta);
+    let still = BendRates::zero(SECTIONS);
+    let reference = vec![inside(problem.target_m); HORIZON_STEPS as usize];
+    let random = (0..contender.random_plans).map(Some);
+    for random_plan in std::iter::once(None).chain(random) {
+        if let Some(number) = random_plan {
+            let mut numbers = Numbers::new(cycle_seed(seed, number));
+            let rate = |_: &f64| numbers.between(-RANDOM_RATE_RAD_S, RANDOM_RATE_RAD_S);
+            let plan: Vec<f64> = best_plan.iter().map(rate).collect();
+            nmpc.restore_plan(&plan, 0);
+        }
+        let (mut cost, mut idle) = (f64::INFINITY, 0);
+        for _ in 0..SOLVES_MAX {
+            let input = SolveInput {
+                configuration: &problem.start,
+                previous_rates: &still,
+                reference: &reference,
+                obstacles: &problem.obstacles,
+                tip_offset_m: 0.0,
+                elapsed_periods: 0,
+                seed: cycle_seed(seed, solves),
+            };
+            let (_, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta_left));
+            quanta_left -= report.quanta;
+            solves += 1;
+            let better = report.cost < cost * (1.0 - PROGRESS_SHARE);
+            idle = if better { 0 } else { idle + 1 };
+            cost = cost.min(report.cost);
+            if idle >= IDLE_SOLVES_MAX || quanta_left == 0 {
+                break;
+            }
+        }
+        if cost < best_cost {
+            best_cost = cost;
+            best_plan.copy_from_slice(nmpc.plan());
+        }
+    }
+    Ok(json!({
+        "field": field,
+        "seed": seed,
+        "contender": contender.name,
+        "cost": best_cost,
+        "end_error_mm": problem.end_error_mm(robot, &best_plan),
+        "solves": solves,
+        "time_ms": 1e3 * begin.elapsed().as_secs_f64(),
+    }))
+}
+
+fn cost(row: &Value, key: &str) -> f64 {
+    row[key].as_f64().unwrap_or(f64::NAN)
 }
 
 /// Excess of a cost over the best one, as a share of that.
 pub(super) fn excess_share(row: &Value) -> f64 {
-    let (cost, best_cost) = costs(row);
-    cost / best_cost - 1.0
+    cost(row, "cost") / cost(row, "best_cost") - 1.0
 }
 
 /// Whether a contender ended above the best known cost.
 pub(super) fn is_stuck(row: &Value) -> bool {
-    let (cost, best_cost) = costs(row);
-    cost > best_cost * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
+    cost(row, "cost") > cost(row, "best_cost") * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
 }
 
 pub(super) fn arrives(row: &Value) -> bool {
     number(row, "end_error_mm").is_some_and(|mm| mm <= ARRIVED_MM)
-}
-
-struct Attempt<'a> {
-    problem: &'a Problem,
-    nmpc: Nmpc,
-    seed: u64,
-    solves: u32,
-    quanta_left: u32,
-    best_cost: f64,
-    best_plan: Vec<f64>,
-}
-
-impl<'a> Attempt<'a> {
-    fn new(robot: &Robot, problem: &'a Problem, contender: &Contender, seed: u64) -> Result<Self> {
-        let nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings(contender.solver))?;
-        Ok(Self {
-            problem,
-            best_plan: nmpc.plan().to_vec(),
-            nmpc,
-            seed,
-            solves: 0,
-            quanta_left: contender.quanta,
-            best_cost: f64::INFINITY,
-        })
-    }
-
-    fn restart(&mut self, seed: u64) {
-        let mut numbers = Numbers::new(seed);
-        let mut rate = || numbers.between(-RANDOM_RATE_RAD_S, RANDOM_RATE_RAD_S);
-        let plan: Vec<f64> = self.best_plan.iter().map(|_| rate()).collect();
-        self.nmpc.restore_plan(&plan, 0);
-    }
-
-    /// Solves repeatedly from its own plan until the cost no longer decreases, and keeps the best plan.
-    fn converge(&mut self) {
-        let (mut cost, mut idle) = (f64::INFINITY, 0);
-        for _ in 0..SOLVES_MAX {
-            let input = self
-                .problem
-                .input(cycle_seed(self.seed, self.solves.into()));
-            let mut budget = Budget::of_quanta(self.quanta_left);
-            let (_, report) = self.nmpc.solve(&input, &mut budget);
-            self.quanta_left -= report.quanta;
-            self.solves += 1;
-            let better = report.cost < cost * (1.0 - PROGRESS_SHARE);
-            idle = if better { 0 } else { idle + 1 };
-            cost = cost.min(report.cost);
-            if idle >= IDLE_SOLVES_MAX || self.quanta_left == 0 {
-                break;
-            }
-        }
-        if cost < self.best_cost {
-            self.best_cost = cost;
-            self.best_plan.copy_from_slice(self.nmpc.plan());
-        }
-    }
 }
 
 #[cfg(test)]
@@ -337,10 +286,8 @@ mod tests {
     #[test]
     fn problems_can_be_solved_and_are_the_same_again() {
         let robot = Robot::new(&RobotParameters::paper(SECTIONS)).unwrap();
-        for (field, seed) in Field::ALL
-            .into_iter()
-            .flat_map(|f| (0..20).map(move |n| (f, n)))
-        {
+        let problems = |field| (0..20).map(move |seed| (field, seed));
+        for (field, seed) in Field::ALL.into_iter().flat_map(problems) {
             let draw = |seed| Problem::draw(field, &robot, seed).unwrap();
             let problem = draw(seed);
             assert_eq!(problem.target_m, draw(seed).target_m);
@@ -361,10 +308,8 @@ mod tests {
         let [once, again] = [&rows[1], &rows[2]];
         assert!(again["solves"].as_u64() > once["solves"].as_u64());
         assert!(excess_share(again) <= excess_share(once));
-        let best = rows
-            .iter()
-            .find(|row| row["cost"] == row["best_cost"])
-            .unwrap();
+        let is_best = |row: &&Value| row["cost"] == row["best_cost"];
+        let best = rows.iter().find(is_best).unwrap();
         assert!(!is_stuck(best) && excess_share(best) == 0.0);
     }
 
@@ -372,10 +317,8 @@ mod tests {
     fn a_new_plan_takes_the_better_way_round_a_ball_within_5_ms() {
         for seed in [5, 2013, 3006] {
             let rows = contest(Field::Ball, seed).unwrap();
-            let found = rows
-                .iter()
-                .find(|row| row["contender"] == "kpso-refined-5ms")
-                .unwrap();
+            let found = rows.last().unwrap();
+            assert_eq!(found["contender"], "kpso-refined-5ms");
             assert!(!is_stuck(found), "{found}");
         }
     }

@@ -4,37 +4,24 @@ use serde_json::{Value, json};
 
 use crate::dataset::{Column, Sheet, number, word};
 
-/// A part, the controller without it, the robot that shows its effect, and the key of the number.
+/// A part, the controller without it, the robot that shows its effect, the key of the number and its name.
 #[rustfmt::skip]
-const SHOWN: [[&str; 4]; 11] = [
-    ["filter of cables and bends", "no filter", "30 µm of noise", RATE_CHANGE],
-    ["filter of the tip", "no filter", "tip alone, 0.5 mm", MEAN],
-    ["filter of the tip", "no filter", "tip alone, 0.5 mm, 3 sections, through straight", MEAN],
-    ["model of the motors", "no actuator model", "lag 30 ms, delay 15 ms", MEAN],
-    ["model of the play", "no actuator model", "play of 0.5 mm", MEAN],
-    ["offset of the tip", "no tip", "wrong model", SETTLED],
-    ["that offset along the way", "no offset along the way", "wrong model, spiral", SETTLED],
-    ["that offset along the way", "no offset along the way", "wrong model, 5 % shorter", SETTLED],
-    ["weight on rates", "no weight on rates", "laboratory", REST_RATE],
-    ["margin of the clearance", "no margin", "5 % longer, ball", CLEARANCE],
-    ["all of it", "first version", "slow", MEAN],
+const SHOWN: [[&str; 5]; 11] = [
+    ["filter of cables and bends", "no filter", "30 µm of noise", "rate_change_rms", "rate change rms, rad/s"],
+    ["filter of the tip", "no filter", "tip alone, 0.5 mm", "mean_error_mm", MEAN],
+    ["filter of the tip", "no filter", "tip alone, 0.5 mm, 3 sections, through straight", "mean_error_mm", MEAN],
+    ["model of the motors", "no actuator model", "lag 30 ms, delay 15 ms", "mean_error_mm", MEAN],
+    ["model of the play", "no actuator model", "play of 0.5 mm", "mean_error_mm", MEAN],
+    ["offset of the tip", "no tip", "wrong model", "settled_error_mm", SETTLED],
+    ["that offset along the way", "no offset along the way", "wrong model, spiral", "settled_error_mm", SETTLED],
+    ["that offset along the way", "no offset along the way", "wrong model, 5 % shorter", "settled_error_mm", SETTLED],
+    ["weight on rates", "no weight on rates", "laboratory", "rest_rate_rad_s", "largest rate at rest, rad/s"],
+    ["margin of the clearance", "no margin", "5 % longer, ball", "min_clearance_mm", "least clearance, mm (safe distance 10)"],
+    ["all of it", "first version", "slow", "mean_error_mm", MEAN],
 ];
 
-const MEAN: &str = "mean_error_mm";
-const SETTLED: &str = "settled_error_mm";
-const RATE_CHANGE: &str = "rate_change_rms";
-const REST_RATE: &str = "rest_rate_rad_s";
-const CLEARANCE: &str = "min_clearance_mm";
-
-fn figure(key: &str) -> &'static str {
-    match key {
-        SETTLED => "settled error, mm",
-        RATE_CHANGE => "rate change rms, rad/s",
-        REST_RATE => "largest rate at rest, rad/s",
-        CLEARANCE => "least clearance, mm (safe distance 10)",
-        _ => "mean error, mm",
-    }
-}
+const MEAN: &str = "mean error, mm";
+const SETTLED: &str = "settled error, mm";
 
 const COLUMNS: [Column; 5] = [
     word("part", "part"),
@@ -46,20 +33,23 @@ const COLUMNS: [Column; 5] = [
 
 /// The effect of each part, from the rows of a result with the position interface; missing rows are left out.
 pub fn parts(rows: &[Value]) -> Sheet {
-    let rows = SHOWN.into_iter().filter_map(|[part, without, robot, key]| {
-        let of = |controller: &str| {
-            let mut rows = rows.iter().filter(|row| row["interface"] == "position");
-            let row = rows.find(|row| row["name"] == robot && row["controller"] == controller)?;
-            Some(text(number(row, key)?))
-        };
-        Some(json!({
-            "part": part,
-            "robot": robot,
-            "figure": figure(key),
-            "with": of("full")?,
-            "without": of(without)?,
-        }))
-    });
+    let rows = SHOWN
+        .into_iter()
+        .filter_map(|[part, without, robot, key, figure]| {
+            let of = |controller: &str| {
+                let mut rows = rows.iter().filter(|row| row["interface"] == "position");
+                let row =
+                    rows.find(|row| row["name"] == robot && row["controller"] == controller)?;
+                Some(text(number(row, key)?))
+            };
+            Some(json!({
+                "part": part,
+                "robot": robot,
+                "figure": figure,
+                "with": of("full")?,
+                "without": of(without)?,
+            }))
+        });
     let title =
         "What each part is for: with all that the controller does, and with that part switched off";
     Sheet::of(title, &COLUMNS, rows.collect())

@@ -1,13 +1,12 @@
-//! Scenarios: robots, what the controller knows of them, and the controllers compared on them.
+//! Robots, what the controller knows of them, and the controllers compared on them.
 
-use cdcr_controller::closed_loop::{Driven, FigureEight, Part, Sensor};
+use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightError, Part, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::{Flaws, Preset};
 use serde_json::Value;
 
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, RGBColor, SKY};
-use crate::named::named;
 
 /// Mean distance of the second half of the spiral from the nearest point that a tip with 5 % shorter sections
 /// reaches \[mm\]: see the test below.
@@ -16,71 +15,78 @@ const OUT_OF_REACH_MM: f64 = 34.22;
 /// Default time constant of a daemon's estimate \[s\].
 const TIME_CONSTANT_S: f64 = 0.18;
 
-named! {
-    pub(super) enum Control {
-        /// All parts of a daemon's controller.
-        Full = "full",
-        /// The motors are modelled as ideal.
-        NoActuator = "no actuator model",
-        /// Measurements are used unfiltered.
-        NoFilter = "no filter",
-        /// The change of the tip offset along its path is not estimated.
-        NoSlope = "no offset along the way",
-        /// Rates cost nothing.
-        NoRateWeight = "no weight on rates",
-        /// No clearance margin where the tip is measured in addition to the bends.
-        NoMargin = "no margin",
-        /// Unfiltered measurements, ideal motors, rates without cost.
-        First = "first version",
-        /// The tip sensor is not used.
-        NoTip = "no tip",
-        /// Nothing is measured.
-        OpenLoop = "open loop",
-    }
+/// The controller of a daemon, or the same with parts switched off.
+pub(super) struct Control {
+    pub(super) name: &'static str,
+    pub(super) colour: RGBColor,
+    /// Robots to compare it on. A part is only switched off on one or two robots that show its effect alone.
+    is_for: fn(&Scenario) -> bool,
+    change: fn(&mut Driven),
+}
+
+#[rustfmt::skip]
+const fn control(name: &'static str, colour: RGBColor, is_for: fn(&Scenario) -> bool, change: fn(&mut Driven)) -> Control {
+    Control { name, colour, is_for, change }
+}
+
+const NO_RATE_WEIGHT: &str = "no weight on rates";
+/// Unfiltered measurements, ideal motors, rates without cost.
+const FIRST: &str = "first version";
+
+/// The controllers, in the order of the tables; the whole one first.
+#[rustfmt::skip]
+pub(super) static CONTROLS: [Control; 9] = [
+    control("full", BLUE, |_| true, |_| {}),
+    control("no actuator model", GREEN, |on| on.actuator != Actuator::IDEAL, |it| it.actuator = Actuator::IDEAL),
+    control("no filter", SKY, |on| on.name == "30 µm of noise" || on.name.starts_with("tip alone"), unfiltered),
+    control("no offset along the way", SKY, |on| on.name.starts_with("wrong model"), |it| it.without = Some(Part::Slope)),
+    control(NO_RATE_WEIGHT, PURPLE, |on| on.name == "laboratory", |_| {}),
+    // No clearance margin where the tip is measured in addition to the bends.
+    control("no margin", SKY, |on| on.name == "5 % longer, ball", |it| it.without = Some(Part::Margin)),
+    control(FIRST, ORANGE, |_| true, |it| { unfiltered(it); it.actuator = Actuator::IDEAL; }),
+    control("no tip", PURPLE, |on| matches!(on.sensor, Sensor::CablesAndTip { .. }), |it| it.sensor = Sensor::Cables),
+    control("open loop", GREY, |_| true, |it| it.sensor = Sensor::Nothing),
+];
+
+fn unfiltered(driven: &mut Driven) {
+    (driven.time_constant_s, driven.without) = (0.0, Some(Part::Filter));
 }
 
 impl Control {
+    pub(super) fn is_full(&self) -> bool {
+        self.name == CONTROLS[0].name
+    }
+
+    fn weighs_rates(&self) -> bool {
+        ![NO_RATE_WEIGHT, FIRST].contains(&self.name)
+    }
+
     /// Whether the results at rest are reported with this controller.
-    pub(super) fn rests(self) -> bool {
-        matches!(self, Self::Full | Self::NoRateWeight | Self::First)
+    pub(super) fn rests(&self) -> bool {
+        self.is_full() || !self.weighs_rates()
     }
 
-    /// The figure eight with the solver settings of this controller.
-    pub(super) fn eight(self, eight: FigureEight) -> FigureEight {
-        match self {
-            Self::NoRateWeight | Self::First => eight.with_settings(NmpcSettings {
-                rate_weight: 0.0.into(),
-                ..NmpcSettings::default()
-            }),
-            _ => eight,
+    /// The way of a robot with the solver settings of this controller.
+    pub(super) fn eight(&self, way: Way) -> Result<FigureEight, FigureEightError> {
+        let eight = way()?;
+        if self.weighs_rates() {
+            return Ok(eight);
         }
-    }
-
-    pub(super) fn colour(self) -> RGBColor {
-        match self {
-            Self::Full => BLUE,
-            Self::NoActuator => GREEN,
-            Self::NoTip | Self::NoRateWeight => PURPLE,
-            Self::NoFilter | Self::NoSlope | Self::NoMargin => SKY,
-            Self::First => ORANGE,
-            Self::OpenLoop => GREY,
-        }
+        Ok(eight.with_settings(NmpcSettings {
+            rate_weight: 0.0.into(),
+            ..NmpcSettings::default()
+        }))
     }
 }
 
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Way {
-    /// The common figure eight of three sections.
-    Eight,
-    /// The figure eight of this many sections through the tip of the straight robot.
-    ThroughStraight(usize),
-    /// The paper's spiral, lowered by this distance \[m\].
-    Spiral { lower_m: f64 },
-}
+/// A way of the tip, and the robot whose tip it is.
+type Way = fn() -> Result<FigureEight, FigureEightError>;
 
 #[derive(Debug, Clone)]
 pub(super) struct Scenario {
     pub(super) name: &'static str,
+    /// The preset of `link.simulated`, if the robot is one.
+    pub(super) plant: &'static str,
     pub(super) flaws: Flaws,
     /// The controller's model of the motors.
     actuator: Actuator,
@@ -90,12 +96,14 @@ pub(super) struct Scenario {
     pub(super) ball_x_m: Option<f64>,
     /// The robot is also sent to a position at which it must stay.
     pub(super) rests: bool,
-    /// Numbers and their bounds; in addition, every command must be within its limits.
-    targets: Vec<(Figure, f64)>,
+    targets: &'static [Target],
 }
 
 /// A number with a target: its key in a row, its name, its unit.
 type Figure = (&'static str, &'static str, &'static str);
+/// A number and its bound; in addition, every command must be within its limits.
+type Target = (Figure, f64);
+
 const MEAN: Figure = ("mean_error_mm", "mean", "mm");
 const RMS: Figure = ("rms_error_mm", "rms", "mm");
 /// Mean error of the second half.
@@ -108,230 +116,145 @@ const RATE_CHANGE: Figure = ("rate_change_rms", "rate change", "× ideal");
 /// Of the true body; the only number with a lower bound.
 const CLEARANCE: Figure = ("min_clearance_mm", "clearance", "mm");
 
+const QUIET: &[Target] = &[(RMS, 0.15), (RATE_CHANGE, 2.0)];
+const PUNCTUAL: &[Target] = &[(MEAN, 0.5), (MAX, 2.0)];
+const EXACT: &[Target] = &[(SETTLED, 0.2)];
+const STILL: &[Target] = &[(AT_REST, 0.3)];
+
+/// Declares how a field of a scenario is changed.
+macro_rules! changes {
+    ($($field:ident: $type:ty;)+) => {
+        $(pub(super) fn $field(self, $field: $type) -> Self {
+            Self { $field, ..self }
+        })+
+    };
+}
+
 impl Scenario {
     /// The motors are known; the cable lengths are measured.
     fn new(name: &'static str, flaws: Flaws) -> Self {
         Self {
             name,
+            plant: "of its own",
             actuator: flaws.actuator,
             flaws,
             sensor: Sensor::Cables,
-            way: Way::Eight,
+            way: FigureEight::new,
             ball_x_m: None,
             rests: false,
-            targets: Vec::new(),
+            targets: &[],
         }
     }
 
-    fn sensor(self, sensor: Sensor) -> Self {
-        Self { sensor, ..self }
+    changes! {
+        plant: &'static str;
+        actuator: Actuator;
+        sensor: Sensor;
+        way: Way;
+        ball_x_m: Option<f64>;
+        rests: bool;
+        targets: &'static [Target];
     }
 
-    fn wants(self, targets: &[(Figure, f64)]) -> Self {
-        let targets = targets.to_vec();
-        Self { targets, ..self }
+    pub(super) fn preset(name: &'static str, preset: Preset) -> Self {
+        Self::new(name, preset.flaws()).plant(preset.name())
+    }
+
+    /// In the order of the tables.
+    #[rustfmt::skip]
+    pub(super) fn all() -> Vec<Self> {
+        let (of, preset) = (Self::new, Self::preset);
+        let ideal = Flaws::default();
+        let noise = |noise_m| Flaws { noise_m, ..ideal };
+        let tip_noise = |tip_noise_m| Flaws { tip_noise_m, ..ideal };
+        let lag = |delay_s, time_constant_s| Flaws { actuator: motors(delay_s, time_constant_s, 0.0), ..ideal };
+        let known = motors(0.015, 0.03, 0.0);
+        let wrong = |length_error| Flaws { length_error, payload_rad: [0.015, 0.0], ..tip_noise(3e-4) };
+        let play = |actuator| Flaws { actuator, noise_m: 3e-5, ..tip_noise(3e-4) };
+        let half_mm = play(motors(0.0, 0.0, 5e-4));
+        let both = |every| Sensor::CablesAndTip { every };
+        let alone = Sensor::Tip { every: 1 };
+        let spiral: Way = || FigureEight::spiral(0.0);
+        let one: Way = || FigureEight::through_straight(1);
+        let two: Way = || FigureEight::through_straight(2);
+        let three: Way = || FigureEight::through_straight(3);
+        let (fine, coarse): (&[Target], &[Target]) = (&[(MEAN, 0.1)], &[(MEAN, 0.25)]);
+        vec![
+            preset("ideal", Preset::Ideal),
+            of("30 µm of noise", noise(3e-5)).targets(QUIET),
+            // Uniform within ± √3 σ.
+            of("30 µm of noise, standard deviation", noise(3e-5 * 3_f64.sqrt())).targets(QUIET),
+            of("lag 30 ms, delay 15 ms", lag(0.015, 0.03)).actuator(known).targets(PUNCTUAL),
+            of("lag 21 ms, delay 10 ms", lag(0.01, 0.021)).actuator(known).targets(PUNCTUAL),
+            of("lag 39 ms, delay 20 ms", lag(0.02, 0.039)).actuator(known).targets(PUNCTUAL),
+            of("wrong model", wrong(0.05)).sensor(both(2)).targets(EXACT),
+            of("wrong model, 5 % shorter", wrong(-0.05)).sensor(both(2)).targets(EXACT),
+            of("wrong model, spiral", wrong(0.05)).sensor(both(2)).way(spiral).targets(EXACT),
+            of("wrong model, 5 % shorter, lower spiral", wrong(-0.05)).sensor(both(2)).way(|| FigureEight::spiral(0.06))
+                .targets(EXACT),
+            of("wrong model, 5 % shorter, spiral", wrong(-0.05)).sensor(both(2)).way(spiral)
+                .targets(&[(SETTLED, OUT_OF_REACH_MM + 0.2)]),
+            of("play of 0.5 mm", half_mm).sensor(both(1)).rests(true).targets(STILL),
+            of("play of 0.5 mm, known as 0.4", half_mm).actuator(motors(0.0, 0.0, 4e-4)).sensor(both(1)).rests(true)
+                .targets(STILL),
+            of("play of 0.5 mm, taken for 0.6", half_mm).actuator(motors(0.0, 0.0, 6e-4)).sensor(both(1)).rests(true)
+                .targets(STILL),
+            // With and without play, to separate a limit cycle at rest from noise.
+            of("lag 20 ms, tip at 100 Hz", play(motors(0.0, 0.02, 0.0))).sensor(both(2)).rests(true),
+            of("lag 20 ms, tip at 100 Hz, play of 0.5 mm", play(motors(0.0, 0.02, 5e-4))).sensor(both(2)).rests(true)
+                .targets(STILL),
+            of("tip alone, 0.1 mm", tip_noise(1e-4)).sensor(alone).targets(fine),
+            of("tip alone, 0.5 mm", tip_noise(5e-4)).sensor(alone).targets(coarse),
+            of("tip alone, 0.1 mm, 1 section, through straight", tip_noise(1e-4)).sensor(alone).way(one).targets(fine),
+            of("tip alone, 0.5 mm, 1 section, through straight", tip_noise(5e-4)).sensor(alone).way(one).targets(coarse),
+            of("tip alone, 0.1 mm, 2 sections, through straight", tip_noise(1e-4)).sensor(alone).way(two).targets(fine),
+            of("tip alone, 0.5 mm, 2 sections, through straight", tip_noise(5e-4)).sensor(alone).way(two).targets(coarse),
+            of("tip alone, 0.1 mm, 3 sections, through straight", tip_noise(1e-4)).sensor(alone).way(three).targets(fine),
+            of("tip alone, 0.5 mm, 3 sections, through straight", tip_noise(5e-4)).sensor(alone).way(three).targets(coarse),
+            // It would collide with the ball.
+            of("5 % longer, ball", Flaws { length_error: 0.05, ..play(Actuator::IDEAL) }).sensor(both(2))
+                .ball_x_m(Some(0.33)).targets(&[(CLEARANCE, 9.9)]),
+            preset("laboratory", Preset::Laboratory).rests(true),
+            // At the turn, 5 mm nearer to the tip than the safe distance.
+            preset("laboratory, ball", Preset::Laboratory).ball_x_m(Some(0.37)),
+            preset("sloppy, with tip", Preset::Sloppy).sensor(both(2)),
+            preset("slow", Preset::Slow),
+            preset("blind", Preset::Blind).sensor(alone),
+        ]
     }
 
     /// Whether a row reaches all targets; targets that were not measured count as reached. `ideal_change`:
     /// `rate_change_rms` of the ideal robot.
     pub(super) fn is_reached(&self, row: &Value, ideal_change: Option<f64>) -> bool {
-        let mut targets = self.targets.iter();
-        targets.all(|&(figure, bound)| {
-            let unit = if figure == RATE_CHANGE {
-                ideal_change
+        self.targets.iter().all(|&(figure, bound)| {
+            let found = row[figure.0].as_f64();
+            if figure == CLEARANCE {
+                found.is_none_or(|found| found >= bound)
+            } else if figure == RATE_CHANGE {
+                let found = found.zip(ideal_change);
+                found.is_none_or(|(found, ideal)| found / ideal <= bound)
             } else {
-                Some(1.0)
-            };
-            let found = row[figure.0].as_f64().zip(unit);
-            let found = found.map(|(found, unit)| found / unit);
-            found.is_none_or(|found| {
-                if figure == CLEARANCE {
-                    found >= bound
-                } else {
-                    found <= bound
-                }
-            })
+                found.is_none_or(|found| found <= bound)
+            }
         })
     }
 
     pub(super) fn wanted(&self) -> String {
-        let targets = self.targets.iter().map(|&(figure, bound)| {
+        if self.targets.is_empty() {
+            return "within limits".to_owned();
+        }
+        let words = self.targets.iter().map(|&(figure, bound)| {
             let sign = if figure == CLEARANCE { '≥' } else { '≤' };
             format!("{} {sign} {bound} {}", figure.1, figure.2)
         });
-        match self.targets.len() {
-            0 => "within limits".to_owned(),
-            _ => targets.collect::<Vec<_>>().join(", "),
-        }
+        words.collect::<Vec<_>>().join(", ")
     }
 
-    /// In the order of the tables.
-    pub(super) fn all() -> Vec<Self> {
-        let known = motors(0.015, 0.03);
-        let lagging = |name, actuator| Self {
-            actuator: known,
-            ..Self::new(name, with(|f| f.actuator = actuator)).wants(&[(MEAN, 0.5), (MAX, 2.0)])
-        };
-        let noisy = |name, noise_m| {
-            Self::new(name, with(|f| f.noise_m = noise_m)).wants(&[(RMS, 0.15), (RATE_CHANGE, 2.0)])
-        };
-        let noisy_tip = |name, noise_m| {
-            Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
-        };
-        let straight = |sections, name, noise_m| Self {
-            way: Way::ThroughStraight(sections),
-            ..noisy_tip(name, noise_m)
-        };
-        let wrong_model = |name, length_error, way| Self {
-            way,
-            ..Self::new(
-                name,
-                with(|f| {
-                    f.length_error = length_error;
-                    f.payload_rad = [0.015, 0.0];
-                    f.tip_noise_m = 3e-4;
-                }),
-            )
-            .sensor(Sensor::CablesAndTip { every: 2 })
-        };
-        let [spiral, lower] = [0.0, 0.06].map(|lower_m| Way::Spiral { lower_m });
-        let settled = [(SETTLED, 0.2)];
-        let play = with(|f| {
-            f.actuator.play_m = 5e-4;
-            f.noise_m = 3e-5;
-            f.tip_noise_m = 3e-4;
-        });
-        let mean = |mean_mm| [(MEAN, mean_mm)];
-        let tip = |every| Sensor::CablesAndTip { every };
-        let with_play = |name, play_m| Self {
-            actuator: Actuator {
-                play_m,
-                ..Actuator::IDEAL
-            },
-            rests: true,
-            ..Self::new(name, play)
-                .sensor(tip(1))
-                .wants(&[(AT_REST, 0.3)])
-        };
-        // With and without play, to separate a limit cycle at rest from noise.
-        let behind_lag = |name, play_m, wanted: &[_]| {
-            let actuator = Actuator {
-                play_m,
-                ..motors(0.0, 0.02)
-            };
-            Self {
-                rests: true,
-                ..Self::new(name, Flaws { actuator, ..play })
-                    .sensor(tip(2))
-                    .wants(wanted)
-            }
-        };
-        vec![
-            Self::new("ideal", Flaws::default()),
-            noisy("30 µm of noise", 3e-5),
-            // Uniform within ± √3 σ.
-            noisy("30 µm of noise, standard deviation", 3e-5 * 3_f64.sqrt()),
-            lagging("lag 30 ms, delay 15 ms", known),
-            lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
-            lagging("lag 39 ms, delay 20 ms", motors(0.02, 0.039)),
-            wrong_model("wrong model", 0.05, Way::Eight).wants(&settled),
-            wrong_model("wrong model, 5 % shorter", -0.05, Way::Eight).wants(&settled),
-            wrong_model("wrong model, spiral", 0.05, spiral).wants(&settled),
-            wrong_model("wrong model, 5 % shorter, lower spiral", -0.05, lower).wants(&settled),
-            wrong_model("wrong model, 5 % shorter, spiral", -0.05, spiral)
-                .wants(&[(SETTLED, OUT_OF_REACH_MM + 0.2)]),
-            with_play("play of 0.5 mm", 5e-4),
-            with_play("play of 0.5 mm, known as 0.4", 4e-4),
-            with_play("play of 0.5 mm, taken for 0.6", 6e-4),
-            behind_lag("lag 20 ms, tip at 100 Hz", 0.0, &[]),
-            behind_lag(
-                "lag 20 ms, tip at 100 Hz, play of 0.5 mm",
-                5e-4,
-                &[(AT_REST, 0.3)],
-            ),
-            noisy_tip("tip alone, 0.1 mm", 1e-4).wants(&mean(0.1)),
-            noisy_tip("tip alone, 0.5 mm", 5e-4).wants(&mean(0.25)),
-            straight(1, "tip alone, 0.1 mm, 1 section, through straight", 1e-4).wants(&mean(0.1)),
-            straight(1, "tip alone, 0.5 mm, 1 section, through straight", 5e-4).wants(&mean(0.25)),
-            straight(2, "tip alone, 0.1 mm, 2 sections, through straight", 1e-4).wants(&mean(0.1)),
-            straight(2, "tip alone, 0.5 mm, 2 sections, through straight", 5e-4).wants(&mean(0.25)),
-            straight(3, "tip alone, 0.1 mm, 3 sections, through straight", 1e-4).wants(&mean(0.1)),
-            straight(3, "tip alone, 0.5 mm, 3 sections, through straight", 5e-4).wants(&mean(0.25)),
-        ]
-        .into_iter()
-        .chain(Self::longer_and_presets())
-        .collect()
+    pub(super) fn controls(&self) -> impl Iterator<Item = &'static Control> {
+        CONTROLS.iter().filter(|control| (control.is_for)(self))
     }
 
-    /// A robot that would collide with the ball, and the presets of `link.simulated`.
-    fn longer_and_presets() -> Vec<Self> {
-        let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
-        let tip = |every| Sensor::CablesAndTip { every };
-        let longer = with(|f| {
-            f.length_error = 0.05;
-            f.noise_m = 3e-5;
-            f.tip_noise_m = 3e-4;
-        });
-        vec![
-            Self {
-                ball_x_m: Some(0.33),
-                ..Self::new("5 % longer, ball", longer)
-                    .sensor(tip(2))
-                    .wants(&[(CLEARANCE, 9.9)])
-            },
-            Self {
-                rests: true,
-                ..of_preset("laboratory", Preset::Laboratory)
-            },
-            Self {
-                // At the turn, 5 mm nearer to the tip than the safe distance.
-                ball_x_m: Some(0.37),
-                ..of_preset("laboratory, ball", Preset::Laboratory)
-            },
-            of_preset("sloppy, with tip", Preset::Sloppy).sensor(tip(2)),
-            of_preset("slow", Preset::Slow),
-            of_preset("blind", Preset::Blind).sensor(Sensor::Tip { every: 1 }),
-        ]
-    }
-
-    pub(super) fn is_ideal(&self) -> bool {
-        self.flaws == Flaws::default()
-    }
-
-    /// The preset of `link.simulated`, if the robot is one.
-    pub(super) fn plant(&self) -> &'static str {
-        let preset = Preset::ALL
-            .into_iter()
-            .find(|preset| preset.flaws() == self.flaws);
-        match preset {
-            Some(Preset::Laboratory) if matches!(self.sensor, Sensor::Tip { .. }) => {
-                Preset::Blind.name()
-            }
-            Some(preset) => preset.name(),
-            None => "of its own",
-        }
-    }
-
-    /// The controllers to compare on this scenario. A part is only switched off on one or two robots that
-    /// show its effect alone.
-    pub(super) fn controls(&self) -> impl Iterator<Item = Control> {
-        let name = self.name;
-        let has_tip = matches!(self.sensor, Sensor::CablesAndTip { .. });
-        let lags = self.actuator != Actuator::IDEAL;
-        Control::ALL
-            .into_iter()
-            .filter(move |control| match control {
-                Control::Full | Control::OpenLoop | Control::First => true,
-                Control::NoActuator => lags,
-                Control::NoFilter => name == "30 µm of noise" || name.starts_with("tip alone"),
-                Control::NoSlope => name.starts_with("wrong model"),
-                Control::NoRateWeight => name == "laboratory",
-                Control::NoMargin => name == "5 % longer, ball",
-                Control::NoTip => has_tip,
-            })
-    }
-
-    pub(super) fn driven(&self, control: Control, obeys_positions: bool, seed: u64) -> Driven {
+    pub(super) fn driven(&self, control: &Control, obeys_positions: bool, seed: u64) -> Driven {
         let mut driven = Driven {
             flaws: self.flaws,
             actuator: self.actuator,
@@ -341,36 +264,16 @@ impl Scenario {
             without: None,
             seed,
         };
-        match control {
-            Control::Full | Control::NoRateWeight => {}
-            Control::NoActuator => driven.actuator = Actuator::IDEAL,
-            Control::NoFilter => {
-                (driven.time_constant_s, driven.without) = (0.0, Some(Part::Filter));
-            }
-            Control::NoSlope => driven.without = Some(Part::Slope),
-            Control::NoMargin => driven.without = Some(Part::Margin),
-            Control::First => {
-                driven.actuator = Actuator::IDEAL;
-                (driven.time_constant_s, driven.without) = (0.0, Some(Part::Filter));
-            }
-            Control::NoTip => driven.sensor = Sensor::Cables,
-            Control::OpenLoop => driven.sensor = Sensor::Nothing,
-        }
+        (control.change)(&mut driven);
         driven
     }
 }
 
-fn with(change: impl FnOnce(&mut Flaws)) -> Flaws {
-    let mut flaws = Flaws::default();
-    change(&mut flaws);
-    flaws
-}
-
-fn motors(delay_s: f64, time_constant_s: f64) -> Actuator {
+fn motors(delay_s: f64, time_constant_s: f64, play_m: f64) -> Actuator {
     Actuator {
         delay_s,
         time_constant_s,
-        ..Actuator::IDEAL
+        play_m,
     }
 }
 
@@ -380,7 +283,8 @@ mod tests {
 
     use super::*;
     use crate::closed_loop;
-    use crate::scene::Scene;
+    use crate::closed_loop::Scene;
+    use crate::experiment::Task;
 
     /// A controller that knows the shorter sections keeps the tip at the nearest reachable point.
     #[test]
@@ -391,7 +295,7 @@ mod tests {
         }
         let scene = Scene {
             robot: Robot::new(&shorter).unwrap(),
-            ..Scene::spiral(3).unwrap()
+            ..Task::Spiral { sections: 3 }.scene().unwrap()
         };
         let samples = closed_loop::run(&scene, NmpcSettings::default()).unwrap();
         // The evaluated cycles: see `FigureEightRun::settled_mm`.

@@ -6,6 +6,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::Preset;
 use serde_json::{Value, json};
 
+use super::scenario::{CONTROLS, Scenario};
 use crate::chart::{BLUE, ORANGE, Panel, Scale, of_rows, plot};
 use crate::dataset::{Column, Dataset, Sheet, fixed, word};
 use crate::interrupt;
@@ -26,30 +27,17 @@ const COLUMNS: [Column; 6] = [
     ),
 ];
 
-struct Knob {
-    key: &'static str,
-    head: &'static str,
-    values: &'static [f64],
-}
-
-const KNOBS: [Knob; 3] = [
-    Knob {
-        key: "controller.rate_weight",
-        head: "controller.rate_weight [m²/(rad/s)²]",
-        values: &[0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5],
-    },
-    Knob {
-        key: "controller.rate_change_weight",
-        head: "controller.rate_change_weight [m²/(rad/s)²]",
-        values: &[0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4],
-    },
-    Knob {
-        key: "estimator.time_constant_ms",
-        head: "estimator.time_constant_ms [ms]",
-        values: &[0.0, 15.0, 30.0, 60.0, 100.0, 180.0, 300.0, 600.0, 1000.0],
-    },
+/// Key, its head in a plot, and the values of each knob.
+#[rustfmt::skip]
+const KNOBS: [(&str, &str, &[f64]); 3] = [
+    ("controller.rate_weight", "controller.rate_weight [m²/(rad/s)²]", &[0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5]),
+    ("controller.rate_change_weight", "controller.rate_change_weight [m²/(rad/s)²]",
+     &[0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4]),
+    ("estimator.time_constant_ms", "estimator.time_constant_ms [ms]",
+     &[0.0, 15.0, 30.0, 60.0, 100.0, 180.0, 300.0, 600.0, 1000.0]),
 ];
 
+/// A value of each knob.
 type Turned = [f64; KNOBS.len()];
 
 /// The preset `precise` of a daemon.
@@ -62,36 +50,51 @@ const PRESETS: [(&str, Turned); 4] = [
     ("smooth", [1e-10, 1e-5, 300.0]),
     ("fast", [1e-10, 0.0, 60.0]),
 ];
+const PRESET: &str = "preset";
 
-/// The knobs with `only` in their key, or all.
-fn knobs(only: Option<&str>) -> impl Iterator<Item = (usize, &'static Knob)> {
-    let is_meant =
-        move |(_, knob): &(usize, &Knob)| only.is_none_or(|only| knob.key.contains(only));
-    KNOBS.iter().enumerate().filter(is_meant)
+/// One row: its knob, what that is turned to, its value if it is a number, and all knobs.
+type Turn = (&'static str, String, Option<f64>, Turned);
+
+/// The presets, and every value of the knobs with `only` in their key.
+fn turns(only: Option<&str>) -> Vec<Turn> {
+    let presets = PRESETS.map(|(name, knobs)| (PRESET, name.to_owned(), None, knobs));
+    let mut turns = Vec::from(presets);
+    for (place, (key, _, values)) in KNOBS.into_iter().enumerate() {
+        if only.is_none_or(|only| key.contains(only)) {
+            turns.extend(values.iter().map(|&value| {
+                let is_small = value > 0.0 && value < 1e-3;
+                let short = is_small.then(|| format!("{value:e}"));
+                let mut knobs = PRECISE;
+                knobs[place] = value;
+                let text = short.unwrap_or_else(|| value.to_string());
+                (key, text, Some(value), knobs)
+            }));
+        }
+    }
+    turns
 }
 
 /// Whether `only` matches a knob or the presets, which are always measured.
 pub(super) fn is_any(only: Option<&str>) -> bool {
-    only == Some("preset") || knobs(only).next().is_some()
+    only == Some(PRESET) || turns(only).len() > PRESETS.len()
 }
 
+/// Runs of a sweep.
 pub(super) fn count(only: Option<&str>) -> usize {
-    2 * (PRESETS.len()
-        + knobs(only)
-            .map(|(_, knob)| knob.values.len())
-            .sum::<usize>())
+    2 * turns(only).len()
 }
 
 /// Varies the knobs with `only` in their key; a run takes about `run_s` \[s\].
 pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Result<Dataset> {
     let eight = FigureEight::new()?;
-    let mut row = |knob: &str, turned_to: String, value: Option<f64>, knobs: Turned| {
+    let mut rows = Vec::new();
+    for (knob, turned_to, value, knobs) in turns(only) {
         interrupt::check()?;
         progress.begin(knob);
         let both = follow(&eight, knobs, Sensor::CablesAndTip { every: 2 })?;
         let cables = follow(&eight, knobs, Sensor::Cables)?;
         progress.advance(2.0 * run_s);
-        anyhow::Ok(json!({
+        rows.push(json!({
             "knob": knob,
             "turned_to": turned_to,
             "value": value,
@@ -99,97 +102,66 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
             "max_error_mm": both.max_mm(),
             "rate_change_rms": both.rate_change_square().sqrt(),
             "cables_rate_change_rms": cables.rate_change_square().sqrt(),
-        }))
-    };
-    let (mut rows, mut panels) = (Vec::new(), Vec::new());
-    for (name, knobs) in PRESETS {
-        rows.push(row("preset", name.to_owned(), None, knobs)?);
+        }));
     }
-    for (place, knob) in knobs(only) {
-        let turned = knob.values.iter();
-        let turned = turned.map(|value| {
-            let is_small = *value > 0.0 && *value < 1e-3;
-            let text = if is_small {
-                format!("{value:e}")
-            } else {
-                value.to_string()
-            };
-            let mut knobs = PRECISE;
-            knobs[place] = *value;
-            row(knob.key, text, Some(*value), knobs)
-        });
-        let turned: Vec<Value> = turned.collect::<Result<_>>()?;
-        panels.extend(draw(knob, &turned));
-        rows.extend(turned);
-    }
-    Ok(Dataset {
-        name: "tuning",
-        heading: "What the knobs do",
-        explanation: EXPLANATION,
-        plots: vec![plot(
-            "tuning",
-            "Error of the tip and change of the rates over each knob, the robot of the laboratory.",
-            (2, 420),
-            &panels,
-        )?],
-        sheets: vec![
-            Sheet::of("What the knobs do", &COLUMNS, rows)
-                .key("knobs")
-                .file("tuning"),
-        ],
-        ..Dataset::default()
-    })
+    let mut dataset = Dataset::new("tuning", "What the knobs do", EXPLANATION);
+    dataset.plots.push(plot(
+        "tuning",
+        "Error of the tip and change of the rates over each knob, the robot of the laboratory.",
+        (2, 420),
+        &panels(&rows),
+    )?);
+    let sheet = Sheet::of("What the knobs do", &COLUMNS, rows);
+    dataset.sheets.push(sheet.key("knobs").file("tuning"));
+    Ok(dataset)
 }
 
 fn follow(eight: &FigureEight, knobs: Turned, sensor: Sensor) -> Result<FigureEightRun> {
-    let flaws = Preset::Laboratory.flaws();
     let [rate_weight, rate_change_weight, time_constant_ms] = knobs;
     let settings = NmpcSettings {
         rate_weight: rate_weight.into(),
         rate_change_weight,
         ..NmpcSettings::default()
     };
+    let robot = Scenario::preset("laboratory", Preset::Laboratory).sensor(sensor);
     let driven = Driven {
-        flaws,
-        actuator: flaws.actuator,
         time_constant_s: 1e-3 * time_constant_ms,
-        obeys_positions: true,
-        sensor,
-        without: None,
-        seed: 1,
+        ..robot.driven(&CONTROLS[0], true, 1)
     };
     Ok(eight.clone().with_settings(settings).run(driven, &[])?)
 }
 
-/// Error and rate change over a knob; the value 0 has no place on a logarithmic axis.
-fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
-    let turned = || rows.iter().filter(|row| row["value"] != json!(0.0));
-    let curve = |label, key, colour| of_rows(label, turned(), "value", key, colour);
-    let error = vec![
-        curve("mean", "mean_error_mm", BLUE),
-        curve("largest", "max_error_mm", ORANGE),
-    ];
-    let change = vec![
-        curve("cables and tip", "rate_change_rms", BLUE),
-        curve("cables only", "cables_rate_change_rms", ORANGE),
-    ];
-    let panel = |y, scale, curves| Panel::new(knob.key, [knob.head, y], scale, curves);
-    [
-        panel("error of the tip [mm]", Scale::LogAcross, error),
+/// Error and rate change over each knob; the value 0 has no place on a logarithmic axis.
+fn panels(rows: &[Value]) -> Vec<Panel> {
+    let mut panels = Vec::new();
+    for (key, head, _) in KNOBS {
+        let is_shown = |row: &&Value| row["knob"] == key && row["value"] != json!(0.0);
+        let shown: Vec<&Value> = rows.iter().filter(is_shown).collect();
+        let curve = |label, y, colour| of_rows(label, shown.iter().copied(), "value", y, colour);
+        let mut panel = |y, scale, curves| {
+            panels.extend((!shown.is_empty()).then(|| Panel::new(key, [head, y], scale, curves)));
+        };
+        let mean = curve("mean", "mean_error_mm", BLUE);
+        let largest = curve("largest", "max_error_mm", ORANGE);
         panel(
-            "rate change, rms [rad/s]",
-            Scale::LogLog { floor: 1e-4 },
-            change,
-        ),
-    ]
+            "error of the tip [mm]",
+            Scale::LogAcross,
+            vec![mean, largest],
+        );
+        let both = curve("cables and tip", "rate_change_rms", BLUE);
+        let cables = curve("cables only", "cables_rate_change_rms", ORANGE);
+        let scale = Scale::LogLog { floor: 1e-4 };
+        panel("rate change, rms [rad/s]", scale, vec![both, cables]);
+    }
+    panels
 }
 
 /// Effect of one knob of a sweep, from the rows of its result.
 pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
     let of = rows.iter().filter(|row| row["knob"] == knob).cloned();
     let mut columns = COLUMNS[1..].to_vec();
-    if knob == "preset" {
-        columns[0] = word("preset", "turned_to");
+    if knob == PRESET {
+        columns[0] = word(PRESET, "turned_to");
     }
     Sheet::of("", &columns, of.collect())
 }
@@ -208,17 +180,16 @@ mod tests {
         }
         let output = command.output().unwrap();
         let text = String::from_utf8(output.stdout).unwrap();
-        let value = text
-            .lines()
-            .find_map(|line| line.trim().strip_prefix("value "));
+        let mut lines = text.lines();
+        let value = lines.find_map(|line| line.trim().strip_prefix("value "));
         value.unwrap().trim().parse().unwrap()
     }
 
     #[test]
     fn the_presets_are_those_of_the_daemon() {
         for (name, knobs) in PRESETS {
-            let keys = KNOBS.each_ref().map(|knob| knob.key);
-            assert_eq!(knobs, keys.map(|key| in_force(name, key)), "{name}");
+            let found = KNOBS.map(|(key, ..)| in_force(name, key));
+            assert_eq!(knobs, found, "{name}");
         }
     }
 }

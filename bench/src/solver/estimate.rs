@@ -9,17 +9,16 @@ use cdcr_controller::estimator::{Actuator, Estimator, Measurement};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::cycle_seed;
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
-use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::closed_loop::{End, timed_solve};
-use crate::dataset::{Column, RoundTable, fixed, number, plain, word};
+use crate::dataset::{RoundTable, fixed, number, plain, word};
 use crate::named::named;
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
 
 const SECTIONS: usize = 3;
-pub const CYCLES: u64 = 2000;
+const CYCLES: u64 = 2000;
 const WARM_UP: u64 = 50;
 const CABLE_NOISE_M: f64 = 3e-5;
 const TIP_NOISE_M: f64 = 3e-4;
@@ -42,21 +41,19 @@ named! {
     }
 }
 
-const COLUMNS: [Column; 7] = [
-    word("measured", "sensed"),
-    plain("cycles", "cycles"),
-    fixed("estimate p50 µs", "estimate_p50_us", 2),
-    fixed("estimate p99 µs", "estimate_p99_us", 2),
-    fixed("solve p50 µs", "solve_p50_us", 2),
-    fixed("both p50 µs", "both_p50_us", 2),
-    fixed("more p50 µs", "more_p50_us", 2),
-];
-
 pub const TABLE: RoundTable = RoundTable {
     key: "estimate",
     file: "solver-estimate",
     title: "Time of the estimate and of the solve that follows it: three sections on the figure eight",
-    columns: &COLUMNS,
+    columns: &[
+        word("measured", "sensed"),
+        plain("cycles", "cycles"),
+        fixed("estimate p50 µs", "estimate_p50_us", 2),
+        fixed("estimate p99 µs", "estimate_p99_us", 2),
+        fixed("solve p50 µs", "solve_p50_us", 2),
+        fixed("both p50 µs", "both_p50_us", 2),
+        fixed("more p50 µs", "more_p50_us", 2),
+    ],
     counts: &[],
     numbers: &[
         ("p50", "µs", "estimate_p50_us"),
@@ -68,8 +65,9 @@ pub const TABLE: RoundTable = RoundTable {
 
 /// All kinds of measurement, one after the other. `more_p50_us` is the time beyond the first kind, the
 /// controller without filters and models.
-pub fn measure(cycles: u64) -> Result<Vec<Value>> {
-    let rows = Sensed::ALL.iter().map(|sensed| sensed.measure(cycles));
+pub fn measure(divisor: u64) -> Result<Vec<Value>> {
+    let kinds = Sensed::ALL.iter();
+    let rows = kinds.map(|sensed| sensed.measure(CYCLES / divisor));
     let mut rows: Vec<Value> = rows.collect::<Result<_>>()?;
     let both_us = |row: &Value| number(row, "both_p50_us").context("no time was measured");
     let of_first_us = both_us(&rows[0])?;
@@ -83,25 +81,11 @@ impl Sensed {
     fn estimator(self, robot: &Robot, begin: Configuration) -> Estimator {
         let estimator = Estimator::new(begin);
         match self {
-            Self::AtOnce => estimator,
-            Self::Play => {
-                let estimator = estimator.with_actuator(robot, LAG_AND_PLAY);
-                estimator.with_time_constant(TIME_CONSTANT_S)
-            }
-            _ => estimator.with_time_constant(TIME_CONSTANT_S),
+            Self::AtOnce => return estimator,
+            Self::Play => estimator.with_actuator(robot, LAG_AND_PLAY),
+            _ => estimator,
         }
-    }
-
-    /// Corrects the estimate with the measurements of a robot in this state.
-    fn correct(self, estimator: &mut Estimator, robot: &Robot, seen: &Seen) {
-        if self == Self::Tip {
-            estimator.correct(robot, &Measurement::TipPosition(seen.tip_m), 0.0);
-        } else {
-            estimator.correct(robot, &seen.cables, 0.0);
-        }
-        if matches!(self, Self::CablesAndTip | Self::Play) {
-            estimator.correct_tip(robot, &seen.tip_m, 0.0);
-        }
+        .with_time_constant(TIME_CONSTANT_S)
     }
 
     fn measure(self, cycles: u64) -> Result<Value> {
@@ -115,15 +99,25 @@ impl Sensed {
         let [mut estimates, mut solves, mut both] = [histogram()?, histogram()?, histogram()?];
         for cycle in 0..WARM_UP + cycles {
             truth = truth.advanced(&rates, FigureEight::PERIOD_S);
-            let seen = Seen::of(&robot, &truth, &mut numbers);
+            let mut noise_m = |most_m: f64| numbers.between(-most_m, most_m);
+            let lengths_m = robot.cable_lengths(&truth);
+            let lengths_m = lengths_m.map(|m| m + noise_m(CABLE_NOISE_M));
+            let tip_m = robot.tip_position(&truth);
+            let tip_m = tip_m.map(|m| m + noise_m(TIP_NOISE_M));
+            let first = match self {
+                Self::Tip => Measurement::TipPosition(tip_m),
+                _ => Measurement::CableLengths(lengths_m),
+            };
             let time_s = |step: u64| (cycle + step) as f64 * FigureEight::PERIOD_S;
             let steps = 1..=u64::from(settings.horizon_steps);
-            let reference: Vec<_> = steps
-                .map(|step| FigureEight::reference(time_s(step)))
-                .collect();
+            let reference = steps.map(|step| FigureEight::reference(time_s(step)));
+            let reference: Vec<_> = reference.collect();
             let begin = Instant::now();
             estimator.predict(&rates, FigureEight::PERIOD_S);
-            self.correct(&mut estimator, &robot, &seen);
+            estimator.correct(&robot, &first, 0.0);
+            if matches!(self, Self::CablesAndTip | Self::Play) {
+                estimator.correct_tip(&robot, &tip_m, 0.0);
+            }
             let estimate_time = begin.elapsed();
             let input = SolveInput {
                 configuration: estimator.configuration(),
@@ -137,11 +131,11 @@ impl Sensed {
             let (next, _, solve_time) = timed_solve(&mut nmpc, &input, End::Never);
             rates = next;
             if cycle >= WARM_UP {
-                let of_both = [estimate_time, solve_time, estimate_time + solve_time];
-                for (times, time) in [&mut estimates, &mut solves, &mut both]
-                    .into_iter()
-                    .zip(of_both)
-                {
+                for (times, time) in [
+                    (&mut estimates, estimate_time),
+                    (&mut solves, solve_time),
+                    (&mut both, estimate_time + solve_time),
+                ] {
                     times.saturating_record(time.as_nanos() as u64);
                 }
             }
@@ -154,21 +148,5 @@ impl Sensed {
             "solve_p50_us": quantile_us(&solves, 0.5),
             "both_p50_us": quantile_us(&both, 0.5),
         }))
-    }
-}
-
-struct Seen {
-    cables: Measurement,
-    tip_m: Vector3<f64>,
-}
-
-impl Seen {
-    fn of(robot: &Robot, truth: &Configuration, numbers: &mut Numbers) -> Self {
-        let mut noise_m = |most_m: f64| numbers.between(-most_m, most_m);
-        let lengths_m = robot.cable_lengths(truth);
-        Self {
-            cables: Measurement::CableLengths(lengths_m.map(|m| m + noise_m(CABLE_NOISE_M))),
-            tip_m: robot.tip_position(truth).map(|m| m + noise_m(TIP_NOISE_M)),
-        }
     }
 }

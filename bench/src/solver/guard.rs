@@ -4,19 +4,19 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
-use cdcr_controller::safety::{SafeCommand, Situation, safe_command};
-use hdrhistogram::Histogram;
+use cdcr_controller::safety::{Situation, safe_command};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-use crate::dataset::{Column, RoundTable, fixed, plain, word};
+use crate::closed_loop::PERIOD_S;
+use crate::dataset::{RoundTable, fixed, plain, word};
 use crate::named::named;
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
 
 const SECTIONS: usize = 6;
 const OBSTACLES: usize = 64;
-pub const MOMENTS: u64 = 1000;
+const MOMENTS: u64 = 1000;
 /// Repetitions of each command; the fastest counts, because only the machine differs between them.
 const REPEATS: usize = 5;
 const BEND_RAD: f64 = 0.8;
@@ -26,7 +26,6 @@ const SPEED_M_S: f64 = 0.3;
 const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
 /// Default parameters of a daemon.
-const PERIOD_S: f64 = 0.005;
 const MOVING_S: f64 = 3.0 * PERIOD_S;
 const DECELERATION_RAD_S2: f64 = 40.0;
 
@@ -40,31 +39,27 @@ named! {
     }
 }
 
-const COLUMNS: [Column; 6] = [
-    word("obstacles", "crowd"),
-    plain("moments", "moments"),
-    fixed("p50 µs", "p50_us", 1),
-    fixed("p99 µs", "p99_us", 1),
-    fixed("max µs", "max_us", 1),
-    fixed("changed %", "changed_percent", 1),
-];
-
 pub const TABLE: RoundTable = RoundTable {
     key: "guard",
     file: "solver-guard",
     title: "Time of the safety checks: six sections, 64 obstacles in reach",
-    columns: &COLUMNS,
+    columns: &[
+        word("obstacles", "crowd"),
+        plain("moments", "moments"),
+        fixed("p50 µs", "p50_us", 1),
+        fixed("p99 µs", "p99_us", 1),
+        fixed("max µs", "max_us", 1),
+        fixed("changed %", "changed_percent", 1),
+    ],
     counts: &[],
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
     path: "guard/{crowd}",
 };
 
-/// Measures every crowd at `moments` moments, the same ones in each round.
-pub fn measure(moments: u64) -> Result<Vec<Value>> {
-    Crowd::ALL
-        .iter()
-        .map(|crowd| crowd.measure(moments))
-        .collect()
+/// Every crowd at the same moments in each round.
+pub fn measure(divisor: u64) -> Result<Vec<Value>> {
+    let crowds = Crowd::ALL.into_iter();
+    crowds.map(|it| it.measure(MOMENTS / divisor)).collect()
 }
 
 impl Crowd {
@@ -72,8 +67,30 @@ impl Crowd {
         let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
         let (mut times, mut changed) = (histogram()?, 0);
         for seed in 0..moments {
-            let command = self.moment(&robot, seed)?.measure(&robot, &mut times);
-            changed += u64::from(command.clearance_hit);
+            let moment = self.moment(&robot, seed)?;
+            let situation = Situation {
+                robot: &robot,
+                at: &moment.at,
+                commanded: None,
+                slack: None,
+                previous: &moment.previous,
+                obstacles: &moment.obstacles,
+                safe_distance_m: SAFE_DISTANCE_M,
+                tip_offset_m: 0.0,
+                acceleration_rad_s2: DECELERATION_RAD_S2,
+                period_s: PERIOD_S,
+                moving_s: MOVING_S,
+                deceleration_rad_s2: DECELERATION_RAD_S2,
+                comes_to_rest: false,
+            };
+            let timed = |()| {
+                let begin = Instant::now();
+                let command = safe_command(&situation, &moment.desired);
+                (begin.elapsed().as_nanos() as u64, command.clearance_hit)
+            };
+            let runs = [(); REPEATS].map(timed);
+            times.saturating_record(runs.iter().map(|run| run.0).min().unwrap_or(u64::MAX));
+            changed += u64::from(runs[0].1);
         }
         Ok(json!({
             "crowd": self,
@@ -81,7 +98,6 @@ impl Crowd {
             "p50_us": quantile_us(&times, 0.5),
             "p99_us": quantile_us(&times, 0.99),
             "max_us": quantile_us(&times, 1.0),
-            // Share of the commands that the clearance guard changed.
             "changed_percent": 100.0 * changed as f64 / moments as f64,
         }))
     }
@@ -122,15 +138,14 @@ impl Crowd {
         let span_m = 0.1 * side.cross(&vector());
         let velocity_m_s = SPEED_M_S * vector();
         let centre_m = body_m + away_m * side;
-        let has_capsules = matches!(self, Self::HalfCapsules | Self::HalfCapsulesMoving);
+        let has_capsules = self.name().starts_with("half-capsules");
         let shape = if has_capsules && numbers.between(0.0, 1.0) < 0.5 {
             let (start_m, end_m) = (centre_m - span_m, centre_m + span_m);
             Shape::Capsule { start_m, end_m }
         } else {
             Shape::Sphere { centre_m }
         };
-        let moves = matches!(self, Self::BallsMoving | Self::HalfCapsulesMoving);
-        let velocity_m_s = if moves {
+        let velocity_m_s = if self.name().ends_with("moving") {
             velocity_m_s
         } else {
             Vector3::zeros()
@@ -144,35 +159,6 @@ struct Moment {
     previous: BendRates,
     desired: BendRates,
     obstacles: Vec<Obstacle>,
-}
-
-impl Moment {
-    fn measure(&self, robot: &Robot, times: &mut Histogram<u64>) -> SafeCommand {
-        let situation = Situation {
-            robot,
-            at: &self.at,
-            commanded: None,
-            slack: None,
-            previous: &self.previous,
-            obstacles: &self.obstacles,
-            safe_distance_m: SAFE_DISTANCE_M,
-            tip_offset_m: 0.0,
-            acceleration_rad_s2: DECELERATION_RAD_S2,
-            period_s: PERIOD_S,
-            moving_s: MOVING_S,
-            deceleration_rad_s2: DECELERATION_RAD_S2,
-            comes_to_rest: false,
-        };
-        let timed = |()| {
-            let begin = Instant::now();
-            let command = safe_command(&situation, &self.desired);
-            (begin.elapsed(), command)
-        };
-        let runs = [(); REPEATS].map(timed);
-        let fastest = runs.iter().map(|(time, _)| time.as_nanos() as u64).min();
-        times.saturating_record(fastest.unwrap_or(u64::MAX));
-        runs[0].1
-    }
 }
 
 #[cfg(test)]

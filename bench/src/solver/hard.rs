@@ -4,14 +4,14 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use cdcr_controller::nmpc::{Nmpc, SolveInput};
+use cdcr_controller::nmpc::SolveInput;
 use cdcr_controller::optimizer::QUANTUM_NS;
 use cdcr_controller::robot::BendRates;
 use serde_json::{Value, json};
 
 use super::Size;
-use crate::closed_loop::{End, inside, timed_solve};
-use crate::dataset::{Column, RoundTable, each, fixed, joined, plain, power, word};
+use crate::closed_loop::{End, PERIOD_S, inside, timed_solve};
+use crate::dataset::{RoundTable, each, fixed, joined, plain, power, word};
 use crate::experiment::{Solver, Task};
 use crate::quantiles::{histogram, quantile_us};
 
@@ -30,66 +30,64 @@ const DEADLINES_US: [u32; 8] = [20, 50, 100, 200, 300, 500, 1000, 4500];
 /// Largest number of cycles for each deadline.
 const DEADLINE_CYCLES_MAX: u64 = 199;
 
-const COLUMNS: [Column; 9] = [
-    word("solver", "solver"),
-    plain("speed", "speed"),
-    plain("obstacles", "obstacles"),
-    power("mean error mm", "mean_error_mm"),
-    power("max error mm", "max_error_mm"),
-    fixed("clearance - D mm", "spare_clearance_mm", 3),
-    fixed("p50 µs", "p50_us", 1),
-    fixed("p99 µs", "p99_us", 1),
-    fixed("cut short %", "cut_short_percent", 1),
-];
-
-const DEADLINE_COLUMNS: [Column; 12] = [
-    word("solver", "solver"),
-    plain("speed", "speed"),
-    plain("obstacles", "obstacles"),
-    power("20 µs", "error_mm_20_us"),
-    power("50 µs", "error_mm_50_us"),
-    power("100 µs", "error_mm_100_us"),
-    power("200 µs", "error_mm_200_us"),
-    power("300 µs", "error_mm_300_us"),
-    power("500 µs", "error_mm_500_us"),
-    power("1 ms", "error_mm_1000_us"),
-    power("4.5 ms", "error_mm_4500_us"),
-    fixed("clearance - D mm", "spare_clearance_mm", 3),
-];
-
-pub const DEADLINE_TABLE: RoundTable = RoundTable {
-    key: "hard_deadlines",
-    file: "solver-hard-deadlines",
-    title: "Mean error mm of the same by shorter deadlines, counted in work",
-    columns: &DEADLINE_COLUMNS,
-    counts: &[],
-    numbers: &[],
-    path: "",
-};
-
 pub const TABLE: RoundTable = RoundTable {
     key: "hard",
     file: "solver-hard",
     title: "Long horizons by a deadline: 3 sections, 20 steps, 4.5 ms a solve, no guard",
-    columns: &COLUMNS,
+    columns: &[
+        word("solver", "solver"),
+        plain("speed", "speed"),
+        plain("obstacles", "obstacles"),
+        power("mean error mm", "mean_error_mm"),
+        power("max error mm", "max_error_mm"),
+        fixed("clearance - D mm", "spare_clearance_mm", 3),
+        fixed("p50 µs", "p50_us", 1),
+        fixed("p99 µs", "p99_us", 1),
+        fixed("cut short %", "cut_short_percent", 1),
+    ],
     counts: &[],
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
     path: "hard/{solver}/{speed}-times/{obstacles}-obstacles",
 };
 
-/// Measures every problem with the refining solvers.
-pub fn measure() -> Result<Vec<Value>> {
-    every(|problem| follow(problem, CYCLES_MAX, None))
+pub const DEADLINE_TABLE: RoundTable = RoundTable {
+    key: "hard_deadlines",
+    file: "solver-hard-deadlines",
+    title: "Mean error mm of the same by shorter deadlines, counted in work",
+    columns: &[
+        word("solver", "solver"),
+        plain("speed", "speed"),
+        plain("obstacles", "obstacles"),
+        power("20 µs", "error_mm_20_us"),
+        power("50 µs", "error_mm_50_us"),
+        power("100 µs", "error_mm_100_us"),
+        power("200 µs", "error_mm_200_us"),
+        power("300 µs", "error_mm_300_us"),
+        power("500 µs", "error_mm_500_us"),
+        power("1 ms", "error_mm_1000_us"),
+        power("4.5 ms", "error_mm_4500_us"),
+        fixed("clearance - D mm", "spare_clearance_mm", 3),
+    ],
+    counts: &[],
+    numbers: &[],
+    path: "",
+};
+
+/// Every problem with the refining solvers; none in a short run.
+pub fn measure(divisor: u64) -> Result<Vec<Value>> {
+    every(divisor, |problem| {
+        follow(problem, CYCLES_MAX, End::After(BUDGET))
+    })
 }
 
 /// Mean errors of the same problems with shorter deadlines.
-pub fn measure_by_deadlines() -> Result<Vec<Value>> {
-    every(|problem| {
+pub fn measure_by_deadlines(divisor: u64) -> Result<Vec<Value>> {
+    every(divisor, |problem| {
         let mut by_deadlines = Vec::new();
         let mut row = json!({});
         for deadline_us in DEADLINES_US {
-            let quanta = 1000 * deadline_us / QUANTUM_NS;
-            let outcome = follow(problem, DEADLINE_CYCLES_MAX, Some(quanta))?;
+            let end = End::AfterQuanta(1000 * deadline_us / QUANTUM_NS);
+            let outcome = follow(problem, DEADLINE_CYCLES_MAX, end)?;
             row[format!("error_mm_{deadline_us}_us")] = outcome["mean_error_mm"].clone();
             by_deadlines.push(outcome);
         }
@@ -101,8 +99,11 @@ pub fn measure_by_deadlines() -> Result<Vec<Value>> {
 
 type Problem = (Solver, u32, usize);
 
-fn every(solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<Value>> {
+fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<Value>> {
     let mut rows = Vec::new();
+    if divisor > 1 {
+        return Ok(rows);
+    }
     for solver in [Solver::GaussNewton, Solver::KpsoRefined] {
         for obstacles in OBSTACLES {
             for speed in SPEEDS {
@@ -114,13 +115,8 @@ fn every(solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<Value>> {
     Ok(rows)
 }
 
-/// Follows a spiral at a multiple of the paper's speed. `quanta`: work limit of a solve; `None`: the budget
-/// by the clock. The robot executes the plan; no guard corrects it.
-fn follow(
-    (solver, speed, obstacles): Problem,
-    cycles_max: u64,
-    quanta: Option<u32>,
-) -> Result<Value> {
+/// Follows a spiral at a multiple of the paper's speed. The robot executes the plan; no guard corrects it.
+fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Result<Value> {
     let paper = Size::paper(Task::Spiral { sections: 3 }, solver);
     let longer = paper.with(|it| it.horizon_steps = HORIZON);
     let size = Size {
@@ -128,7 +124,7 @@ fn follow(
         ..longer
     };
     let (scene, settings) = (size.scene()?, size.settings);
-    let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
+    let mut nmpc = scene.solver(settings)?;
     let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
     let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
     let (mut errors_mm, mut times, mut cut_short) = (Vec::new(), histogram()?, 0);
@@ -147,11 +143,10 @@ fn follow(
             elapsed_periods: 1,
             seed: cycle,
         };
-        let end = quanta.map_or(End::After(BUDGET), End::AfterQuanta);
         let (rates, report, time) = timed_solve(&mut nmpc, &input, end);
         times.saturating_record(time.as_nanos() as u64);
         cut_short += u64::from(report.budget_spent);
-        at = at.advanced(&rates, scene.period_s);
+        at = at.advanced(&rates, PERIOD_S);
         previous_rates = rates;
         let error_m = (scene.robot.tip_position(&at) - window[0].position_m).norm();
         errors_mm.push(1e3 * error_m);
@@ -163,7 +158,6 @@ fn follow(
     Ok(json!({
         "mean_error_mm": errors_mm.iter().sum::<f64>() / count,
         "max_error_mm": errors_mm.iter().copied().fold(0.0, f64::max),
-        // Smallest clearance less the safe distance; null without obstacles.
         "spare_clearance_mm": spare_m.is_finite().then_some(1e3 * spare_m),
         "p50_us": quantile_us(&times, 0.5),
         "p99_us": quantile_us(&times, 0.99),

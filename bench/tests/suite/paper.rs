@@ -6,10 +6,10 @@ use std::path::Path;
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
+use cdcr_bench::paper::{Effort, run};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::Start;
 use cdcr_bench::run_options::RunOptions;
-use cdcr_bench::simulation::{Effort, run};
 use cdcr_scratch::Scratch;
 use serde_json::Value;
 
@@ -28,7 +28,7 @@ fn report(effort: Effort) -> Dataset {
 fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
     let report = report(QUICK);
     let rows = report.rows("simulations");
-    for solver in ["kpso", "kpso-verbatim", "gauss-newton", "kpso-refined"] {
+    for solver in Solver::ALL.map(Solver::name) {
         for (name, coordinates, count) in [
             ("spiral", "bend-vector", 3),
             ("spiral", "bend-angles", 3),
@@ -42,14 +42,14 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
         }
     }
     for row in rows {
-        let (own, has_paper_error): (&[&str], _) = match row["name"].as_str() {
-            Some("spiral") => (&["max_error_mm"], true),
-            Some("line") => (&["max_psi_rad", "max_theta_rad", "rate_limit_rad_s"], true),
-            Some("circle") => (&["min_clearance_mm", "safe_distance_mm"], false),
-            other => panic!("{other:?}"),
+        let own: &[&str] = match row["name"].as_str() {
+            Some("spiral") => &["max_error_mm"],
+            Some("line") => &["max_psi_rad", "max_theta_rad", "rate_limit_rad_s"],
+            _ => &["min_clearance_mm", "safe_distance_mm"],
         };
         assert!(own.iter().all(|key| row[key].is_f64()), "{row}");
-        let is_clearest = row["solver"] == "kpso-refined" && !has_paper_error;
+        let is_circle = row["name"] == "circle";
+        let is_clearest = row["solver"] == "kpso-refined" && is_circle;
         assert_eq!(row["seeds"], if is_clearest { 20 } else { 1 }, "{row}");
         // The tip does not reach the circle in a few cycles, so there is neither mean nor peak.
         assert!(row["mean_error_outside_mm"].is_null() && row["peak_error_mm"].is_null());
@@ -58,20 +58,17 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
             assert!(number(&row["solve_us"], key) > 0.0, "{row}");
         }
         assert!(row["paper"]["mean_solve_ms"].as_f64() > Some(1.0));
-        assert_eq!(row["paper"]["mean_error_mm"].is_f64(), has_paper_error);
+        assert_eq!(row["paper"]["mean_error_mm"].is_f64(), !is_circle);
     }
-}
-
-#[test]
-fn every_experiment_has_numbers_of_its_own_for_every_seed() {
-    let effort = Effort {
-        seeds: 2,
-        cycles_max: 2,
-    };
-    let metrics = report(effort).metrics;
-    let names: HashSet<&str> = metrics.iter().map(|metric| &*metric.name).collect();
+    // Each experiment has two numbers, with a value for every seed.
+    let names: HashSet<&str> = report.metrics.iter().map(|metric| &*metric.name).collect();
     assert_eq!(names.len(), 2 * Experiment::all().len());
-    assert!(metrics.iter().all(|metric| metric.rounds.len() >= 2));
+    assert!(
+        report
+            .metrics
+            .iter()
+            .all(|metric| [1, 20].contains(&metric.rounds.len()))
+    );
 }
 
 #[test]
@@ -82,6 +79,7 @@ fn the_folder_holds_figures_a_page_and_tables() {
     let files = start.files_of(&report(QUICK)).expect("all formats");
     cdcr_bench::report::write(&files, &folder).expect("written");
     let mut figures = 0;
+    let page = &files["paper.html"];
     let is_picture = |name: &&String| Path::new(name).extension().is_some_and(|end| end == "svg");
     for name in files.keys().filter(is_picture) {
         let text = std::fs::read_to_string(folder.join(name)).expect("a text");
@@ -90,28 +88,21 @@ fn the_folder_holds_figures_a_page_and_tables() {
         let texts: Vec<_> = texts.map(str::trim).collect();
         let is_axis = |text: &&str| ["time [s]", "x [mm]", "share of the cycles"].contains(text);
         assert!(texts.iter().any(is_axis), "{name}");
-        assert!(
-            texts.iter().any(|text| text.starts_with("Simulated")),
-            "{name}"
-        );
+        let is_title = |text: &&str| text.starts_with("Simulated");
+        assert!(texts.iter().any(is_title), "{name}");
         let has_period = texts.contains(&"period 5 ms");
         assert_eq!(has_period, name.ends_with("-times.svg"), "{name}");
         let id = name.trim_end_matches(".svg");
-        let page = &files["paper.html"];
-        for link in [
-            format!("<a href=\"#{id}\">"),
-            format!("<figure id=\"{id}\">"),
-        ] {
-            assert!(page.contains(&link), "{link}");
+        for link in ["<a href=\"#ID\">", "<figure id=\"ID\">"] {
+            assert!(page.contains(&link.replace("ID", id)), "{link} {id}");
         }
         figures += 1;
     }
     assert_eq!(figures, 18);
-    let page = std::fs::read_to_string(folder.join("paper.html")).expect("the page");
     assert_eq!(page.matches("<svg").count(), figures);
     // One for each simulation, and one for the machine.
     assert_eq!(page.matches("<pre").count(), 3 + 1);
-    needs_nothing_else(&page);
+    needs_nothing_else(page);
     assert!(folder.join("paper.json").exists() && folder.join("paper.csv").exists());
 }
 
