@@ -30,28 +30,20 @@ const WAYS: usize = 3;
 
 const EXPLANATION: &str = include_str!("budget.html");
 
+#[rustfmt::skip]
 const TABLE: RoundTable = RoundTable {
     key: "cases",
     file: "budget",
     title: "How much later than its budget a solve ends, beside a loop without work",
     columns: &[
-        word("case", "case"),
-        plain("budget µs", "budget_us"),
-        plain("solves", "solves"),
+        word("case", "case"), plain("budget µs", "budget_us"), plain("solves", "solves"),
         percent("ended by it %", "ended_by_budget_share", 1),
-        fixed("over p50 µs", "over_us_p50", 2),
-        fixed("p99 µs", "over_us_p99", 2),
-        fixed("max µs", "over_us_max", 2),
-        fixed("bare p50 µs", "bare_over_us_p50", 2),
-        fixed("p99 µs", "bare_over_us_p99", 2),
-        fixed("max µs", "bare_over_us_max", 2),
+        fixed("over p50 µs", "over_us_p50", 2), fixed("p99 µs", "over_us_p99", 2), fixed("max µs", "over_us_max", 2),
+        fixed("bare p50 µs", "bare_over_us_p50", 2), fixed("p99 µs", "bare_over_us_p99", 2), fixed("max µs", "bare_over_us_max", 2),
         plain("worse than warm start", "worse_than_warm_start"),
     ],
     counts: &["solves", "ended_by_budget", "worse_than_warm_start"],
-    numbers: &[
-        ("over_p50", "µs", "over_us_p50"),
-        ("over_p99", "µs", "over_us_p99"),
-    ],
+    numbers: &[("over_p50", "µs", "over_us_p50"), ("over_p99", "µs", "over_us_p99")],
     path: "budget/{case}/{budget_us}us",
 };
 
@@ -213,7 +205,6 @@ impl Way {
     }
 }
 
-/// Polls the budget until it is spent, without work.
 fn wait(budget: Duration) -> Duration {
     let begin = Instant::now();
     let mut is_spent = || begin.elapsed() >= budget;

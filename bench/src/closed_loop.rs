@@ -16,7 +16,6 @@ use nalgebra::Vector3;
 
 pub const PERIOD_S: f64 = 0.005;
 
-/// A robot, the curve for its tip, and obstacles.
 pub struct Scene {
     pub robot: Robot,
     pub start: Configuration,
@@ -56,7 +55,6 @@ impl Scene {
         Nmpc::new(self.robot.clone(), PERIOD_S, settings)
     }
 
-    /// The scene at time 0.
     pub fn begin(&self, settings: NmpcSettings) -> Result<ClosedLoop<'_>, SettingsError> {
         let reference_at = |time_s| ReferenceSample {
             orientation: orientation_of(self.curve.orientation(time_s)),
@@ -115,7 +113,6 @@ impl Sample {
     }
 }
 
-/// A point inside a reference, without an orientation.
 pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     ReferenceSample {
         state: ReferenceState::Inside,
@@ -124,7 +121,6 @@ pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
     }
 }
 
-/// Condition that ends a solve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
     Never,
@@ -132,7 +128,6 @@ pub enum End {
     AfterQuanta(u32),
 }
 
-/// Solves, and returns the duration, too.
 pub fn timed_solve(
     nmpc: &mut Nmpc,
     input: &SolveInput,
@@ -149,7 +144,6 @@ pub fn timed_solve(
     (rates, report, begin.elapsed())
 }
 
-/// Runs the scene with one controller and returns a sample for every cycle.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = scene.solver(settings)?;
     let mut closed = scene.begin(settings)?;

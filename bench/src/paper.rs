@@ -47,7 +47,6 @@ const CIRCLE: [Column; 5] = [
     plain("D mm", "safe_distance_mm"), fixed("min clearance mm", "min_clearance_mm", 4),
     power("mean error outside mm", "mean_error_outside_mm"), fixed("peak mm", "peak_error_mm", 2), plain("seeds", "seeds"),
 ];
-/// Columns before and after those of each simulation.
 const BEFORE: [Column; 2] = [word("solver", "solver"), word("coordinates", "coordinates")];
 #[rustfmt::skip]
 const AFTER: [Column; 4] = [
@@ -62,7 +61,6 @@ pub struct Effort {
     /// times.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
-    /// Cycles of a run at most.
     #[arg(skip = u64::MAX)]
     pub cycles_max: u64,
 }

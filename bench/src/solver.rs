@@ -68,14 +68,12 @@ const COLUMNS: [Column; 11] = [
 /// A table, its duration \[s\], and its rows; with a divisor above 1 only a part of them.
 type Measured = (&'static RoundTable, f64, fn(u64) -> Result<Vec<Value>>);
 
-/// What is measured beside the sizes.
 const BESIDE: [Measured; 4] = [
     (&hard::TABLE, 10.0, hard::measure),
     (&hard::DEADLINE_TABLE, 6.0, hard::measure_by_deadlines),
     (&guard::TABLE, 3.0, guard::measure),
     (&estimate::TABLE, 1.0, estimate::measure),
 ];
-/// Divisor of a short run.
 const SHORTENED: u64 = 20;
 
 #[derive(Debug, Clone, Copy, clap::Args)]

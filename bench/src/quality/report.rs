@@ -15,7 +15,6 @@ use crate::experiment::Solver;
 use crate::metric::median;
 use crate::study::Rounds;
 
-/// Key of the single problems.
 pub(super) const PROBLEMS: &str = "problems";
 
 /// Smaller errors count as equal in a comparison of two runs: a nanometre \[mm\].
@@ -54,7 +53,6 @@ fn columns(axis: &'static str) -> [Column; 12] {
     ]
 }
 
-/// Results of every variant by axis, and of every contender.
 pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let mut dataset = Dataset::new("quality", "What time buys", EXPLANATION);
     let mut rows = Vec::new();
@@ -99,7 +97,6 @@ pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     Ok(dataset)
 }
 
-/// Results of a contender among the obstacles of `field`.
 fn ended<'a>(problems: &'a [Value], field: Field, contender: &Contender) -> Vec<&'a Value> {
     let is_it = |row: &&Value| row["field"] == field.name() && row["contender"] == contender.name;
     problems.iter().filter(is_it).collect()

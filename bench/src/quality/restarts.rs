@@ -37,7 +37,6 @@ const BALL_RADIUS_M: f64 = 0.05;
 const POST_M: (f64, f64) = (0.015, 0.2);
 /// Largest offset of a post from the straight line along x and y \[m\].
 const BESIDE_M: f64 = 0.06;
-/// Draws after which a problem is abandoned.
 const DRAWS_MAX: u32 = 10_000;
 
 /// A solver is stuck if its cost exceeds the best one by more than this share.
@@ -265,12 +264,10 @@ fn cost(row: &Value, key: &str) -> f64 {
     row[key].as_f64().unwrap_or(f64::NAN)
 }
 
-/// Excess of a cost over the best one, as a share of that.
 pub(super) fn excess_share(row: &Value) -> f64 {
     cost(row, "cost") / cost(row, "best_cost") - 1.0
 }
 
-/// Whether a contender ended above the best known cost.
 pub(super) fn is_stuck(row: &Value) -> bool {
     cost(row, "cost") > cost(row, "best_cost") * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
 }

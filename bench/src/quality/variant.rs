@@ -30,7 +30,6 @@ const ROUNDING_M: f64 = 1e-9;
 const TIMED_ITERATIONS: u32 = 8;
 const TIMED_EVERY: u64 = 8;
 
-/// The varied quantity and its value.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Varied {
     /// The time of a solve by the clock, and the duration of an iteration of the swarm \[µs\].
@@ -114,7 +113,6 @@ impl Variant {
         1e-6 * limited_us.unwrap_or(UNLIMITED_US) * cycles as f64
     }
 
-    /// Drives a scene once and returns its row.
     pub(super) fn drive(&self, scene: &Scene, seed: u64) -> Result<Value> {
         let settings = NmpcSettings {
             seed,

@@ -204,7 +204,6 @@ impl RobustnessOptions {
 }
 
 impl Case {
-    /// One run for each seed.
     fn runs(&self, seeds: u32) -> Result<Runs> {
         let scenario = &self.scenario;
         let eight = self.control.eight(scenario.way)?;

@@ -55,7 +55,6 @@ pub fn parts(rows: &[Value]) -> Sheet {
     Sheet::of(title, &COLUMNS, rows.collect())
 }
 
-/// To three digits.
 fn text(value: f64) -> String {
     let before_point = value.abs().log10().floor();
     let digits = (2.0 - before_point).clamp(0.0, 4.0) as usize;

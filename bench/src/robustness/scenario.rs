@@ -106,7 +106,6 @@ type Target = (Figure, f64);
 
 const MEAN: Figure = ("mean_error_mm", "mean", "mm");
 const RMS: Figure = ("rms_error_mm", "rms", "mm");
-/// Mean error of the second half.
 const SETTLED: Figure = ("settled_error_mm", "settled", "mm");
 const MAX: Figure = ("max_error_mm", "max", "mm");
 /// Largest error of a robot at a position at which it must stay.
@@ -160,7 +159,6 @@ impl Scenario {
         Self::new(name, preset.flaws()).plant(preset.name())
     }
 
-    /// In the order of the tables.
     #[rustfmt::skip]
     pub(super) fn all() -> Vec<Self> {
         let (of, preset) = (Self::new, Self::preset);

@@ -14,17 +14,11 @@ use crate::progress::Progress;
 
 const EXPLANATION: &str = include_str!("tuning.html");
 
+#[rustfmt::skip]
 const COLUMNS: [Column; 6] = [
-    word("knob", "knob"),
-    word("value", "turned_to"),
-    fixed("error mean mm", "mean_error_mm", 3),
-    fixed("error max mm", "max_error_mm", 3),
-    fixed("rate change rad/s", "rate_change_rms", 4),
-    fixed(
-        "cables only: rate change rad/s",
-        "cables_rate_change_rms",
-        4,
-    ),
+    word("knob", "knob"), word("value", "turned_to"),
+    fixed("error mean mm", "mean_error_mm", 3), fixed("error max mm", "max_error_mm", 3),
+    fixed("rate change rad/s", "rate_change_rms", 4), fixed("cables only: rate change rad/s", "cables_rate_change_rms", 4),
 ];
 
 /// Key, its head in a plot, and the values of each knob.
@@ -37,7 +31,6 @@ const KNOBS: [(&str, &str, &[f64]); 3] = [
      &[0.0, 15.0, 30.0, 60.0, 100.0, 180.0, 300.0, 600.0, 1000.0]),
 ];
 
-/// A value of each knob.
 type Turned = [f64; KNOBS.len()];
 
 /// The preset `precise` of a daemon.
@@ -79,7 +72,6 @@ pub(super) fn is_any(only: Option<&str>) -> bool {
     only == Some(PRESET) || turns(only).len() > PRESETS.len()
 }
 
-/// Runs of a sweep.
 pub(super) fn count(only: Option<&str>) -> usize {
     2 * turns(only).len()
 }

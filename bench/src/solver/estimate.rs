@@ -41,25 +41,18 @@ named! {
     }
 }
 
+#[rustfmt::skip]
 pub const TABLE: RoundTable = RoundTable {
     key: "estimate",
     file: "solver-estimate",
     title: "Time of the estimate and of the solve that follows it: three sections on the figure eight",
     columns: &[
-        word("measured", "sensed"),
-        plain("cycles", "cycles"),
-        fixed("estimate p50 µs", "estimate_p50_us", 2),
-        fixed("estimate p99 µs", "estimate_p99_us", 2),
-        fixed("solve p50 µs", "solve_p50_us", 2),
-        fixed("both p50 µs", "both_p50_us", 2),
-        fixed("more p50 µs", "more_p50_us", 2),
+        word("measured", "sensed"), plain("cycles", "cycles"),
+        fixed("estimate p50 µs", "estimate_p50_us", 2), fixed("estimate p99 µs", "estimate_p99_us", 2),
+        fixed("solve p50 µs", "solve_p50_us", 2), fixed("both p50 µs", "both_p50_us", 2), fixed("more p50 µs", "more_p50_us", 2),
     ],
     counts: &[],
-    numbers: &[
-        ("p50", "µs", "estimate_p50_us"),
-        ("both/p50", "µs", "both_p50_us"),
-        ("more/p50", "µs", "more_p50_us"),
-    ],
+    numbers: &[("p50", "µs", "estimate_p50_us"), ("both/p50", "µs", "both_p50_us"), ("more/p50", "µs", "more_p50_us")],
     path: "estimate/{sensed}",
 };
 

@@ -17,55 +17,41 @@ use crate::quantiles::{histogram, quantile_us};
 
 /// Steps of the horizon, each with separate rates.
 const HORIZON: u32 = 20;
-/// Budget of a solve.
 const BUDGET: Duration = Duration::from_micros(4500);
-/// Speeds as multiples of the paper's.
 const SPEEDS: [u32; 4] = [1, 3, 5, 10];
 const OBSTACLES: [usize; 2] = [0, 16];
-/// Largest number of cycles.
 const CYCLES_MAX: u64 = 400;
 
 /// Deadlines, counted in quanta \[µs\].
 const DEADLINES_US: [u32; 8] = [20, 50, 100, 200, 300, 500, 1000, 4500];
-/// Largest number of cycles for each deadline.
 const DEADLINE_CYCLES_MAX: u64 = 199;
 
+#[rustfmt::skip]
 pub const TABLE: RoundTable = RoundTable {
     key: "hard",
     file: "solver-hard",
     title: "Long horizons by a deadline: 3 sections, 20 steps, 4.5 ms a solve, no guard",
     columns: &[
-        word("solver", "solver"),
-        plain("speed", "speed"),
-        plain("obstacles", "obstacles"),
-        power("mean error mm", "mean_error_mm"),
-        power("max error mm", "max_error_mm"),
+        word("solver", "solver"), plain("speed", "speed"), plain("obstacles", "obstacles"),
+        power("mean error mm", "mean_error_mm"), power("max error mm", "max_error_mm"),
         fixed("clearance - D mm", "spare_clearance_mm", 3),
-        fixed("p50 µs", "p50_us", 1),
-        fixed("p99 µs", "p99_us", 1),
-        fixed("cut short %", "cut_short_percent", 1),
+        fixed("p50 µs", "p50_us", 1), fixed("p99 µs", "p99_us", 1), fixed("cut short %", "cut_short_percent", 1),
     ],
     counts: &[],
     numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
     path: "hard/{solver}/{speed}-times/{obstacles}-obstacles",
 };
 
+#[rustfmt::skip]
 pub const DEADLINE_TABLE: RoundTable = RoundTable {
     key: "hard_deadlines",
     file: "solver-hard-deadlines",
     title: "Mean error mm of the same by shorter deadlines, counted in work",
     columns: &[
-        word("solver", "solver"),
-        plain("speed", "speed"),
-        plain("obstacles", "obstacles"),
-        power("20 µs", "error_mm_20_us"),
-        power("50 µs", "error_mm_50_us"),
-        power("100 µs", "error_mm_100_us"),
-        power("200 µs", "error_mm_200_us"),
-        power("300 µs", "error_mm_300_us"),
-        power("500 µs", "error_mm_500_us"),
-        power("1 ms", "error_mm_1000_us"),
-        power("4.5 ms", "error_mm_4500_us"),
+        word("solver", "solver"), plain("speed", "speed"), plain("obstacles", "obstacles"),
+        power("20 µs", "error_mm_20_us"), power("50 µs", "error_mm_50_us"), power("100 µs", "error_mm_100_us"),
+        power("200 µs", "error_mm_200_us"), power("300 µs", "error_mm_300_us"), power("500 µs", "error_mm_500_us"),
+        power("1 ms", "error_mm_1000_us"), power("4.5 ms", "error_mm_4500_us"),
         fixed("clearance - D mm", "spare_clearance_mm", 3),
     ],
     counts: &[],
