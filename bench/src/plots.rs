@@ -13,7 +13,6 @@ use crate::chart::{
 use crate::closed_loop::{PERIOD_S, Sample};
 use crate::dataset::Plot;
 use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Outcome, Solver, Task};
-use view::{backbone, ball, path, reference};
 
 /// Smallest bend with a meaningful direction \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
