@@ -103,6 +103,36 @@ impl Task {
         })
     }
 
+    /// The paper's parameters, completed by the project's defaults.
+    pub fn settings(self, solver: Solver) -> NmpcSettings {
+        let base = solver.of(NmpcSettings::default());
+        match self {
+            Self::Spiral { .. } => base,
+            Self::Line { .. } => NmpcSettings {
+                // As in the paper.
+                swarm_size: 15,
+                swarm_iterations: 70,
+                // Per rad², beside 1 per m² of position.
+                orientation_weight: 0.1,
+                // Zero, although the paper allows 10⁻²: a vertical tip is possible, and a penalty that begins at
+                // the bound would allow the tip to exceed it.
+                orientation_tolerance_rad: 0.0,
+                ..base
+            },
+            Self::Circle { safe_distance_m } => NmpcSettings {
+                // 0.1 s, enough to begin the detour before the obstacle.
+                horizon_steps: 20,
+                // One for each step. Fewer cannot follow the circle between them, and leave a larger error than
+                // its rounded constants.
+                control_blocks: 0,
+                // With the default of 3, a cycle ends before convergence, and the detour is up to a tenth wider.
+                refinement_steps: 6,
+                safe_distance_m,
+                ..base
+            },
+        }
+    }
+
     pub fn paper(&self) -> PaperMetrics {
         let (mean_error_mm, mean_solve_ms) = match self {
             Self::Spiral { sections: 1 } => (Some(5e-9), 4.0),
@@ -161,14 +191,6 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    pub fn new(task: Task, solver: Solver) -> Self {
-        Self {
-            task,
-            solver,
-            coordinates: NmpcSettings::default().coordinates,
-        }
-    }
-
     /// All experiments. The circle only in bend vectors: it starts straight, where bend angles have no
     /// direction, and its twenty steps have many local minima in angles.
     pub fn all() -> Vec<Self> {
@@ -187,36 +209,10 @@ impl Experiment {
         all
     }
 
-    /// The paper's parameters, completed by the project's defaults.
     pub fn settings(&self) -> NmpcSettings {
-        let base = self.solver.of(NmpcSettings {
+        NmpcSettings {
             coordinates: self.coordinates,
-            ..NmpcSettings::default()
-        });
-        match self.task {
-            Task::Spiral { .. } => base,
-            Task::Line { .. } => NmpcSettings {
-                // As in the paper.
-                swarm_size: 15,
-                swarm_iterations: 70,
-                // Per rad², beside 1 per m² of position.
-                orientation_weight: 0.1,
-                // Zero, although the paper allows 10⁻²: a vertical tip is possible, and a penalty that begins at
-                // the bound would allow the tip to exceed it.
-                orientation_tolerance_rad: 0.0,
-                ..base
-            },
-            Task::Circle { safe_distance_m } => NmpcSettings {
-                // 0.1 s, enough to begin the detour before the obstacle.
-                horizon_steps: 20,
-                // One for each step. Fewer cannot follow the circle between them, and leave a larger error than
-                // its rounded constants.
-                control_blocks: 0,
-                // With the default of 3, a cycle ends before convergence, and the detour is up to a tenth wider.
-                refinement_steps: 6,
-                safe_distance_m,
-                ..base
-            },
+            ..self.task.settings(self.solver)
         }
     }
 }

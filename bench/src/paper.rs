@@ -32,20 +32,21 @@ const CLEARANCE_SEEDS: u32 = 20;
 const WORK_S: f64 = 2.5e-4;
 const CYCLES: u64 = 1000;
 
+/// The simulations: name, title of the table, prefix of the names of the numbers (see [`filled`]), columns.
 #[rustfmt::skip]
-const SPIRAL: [Column; 4] = [
-    plain("sections", "sections"), power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
-    power("paper's mean mm", "paper_mean_error_mm"),
-];
-#[rustfmt::skip]
-const LINE: [Column; 6] = [
-    plain("limit rad/s", "rate_limit_rad_s"), power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
-    power("paper's mean mm", "paper_mean_error_mm"), power("max |Θ| rad", "max_theta_rad"), power("max |Ψ| rad", "max_psi_rad"),
-];
-#[rustfmt::skip]
-const CIRCLE: [Column; 5] = [
-    plain("D mm", "safe_distance_mm"), fixed("min clearance mm", "min_clearance_mm", 4),
-    power("mean error outside mm", "mean_error_outside_mm"), fixed("peak mm", "peak_error_mm", 2), plain("seeds", "seeds"),
+const SIMULATIONS: [(&str, &str, &str, &[Column]); 3] = [
+    ("spiral", "Simulation 1: spiral (Eq. 8)", "paper/spiral-{sections}/{coordinates}/{solver}", &[
+        plain("sections", "sections"), power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
+        power("paper's mean mm", "paper_mean_error_mm"),
+    ]),
+    ("line", "Simulation 2: line with a vertical tip (Eq. 9), 3 sections", "paper/line-{rate_limit_rad_s}rad_s/{coordinates}/{solver}", &[
+        plain("limit rad/s", "rate_limit_rad_s"), power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
+        power("paper's mean mm", "paper_mean_error_mm"), power("max |Θ| rad", "max_theta_rad"), power("max |Ψ| rad", "max_psi_rad"),
+    ]),
+    ("circle", "Simulation 3: circle around an obstacle, 1 section", "paper/circle-{safe_distance_mm}mm/{coordinates}/{solver}", &[
+        plain("D mm", "safe_distance_mm"), fixed("min clearance mm", "min_clearance_mm", 4),
+        power("mean error outside mm", "mean_error_outside_mm"), fixed("peak mm", "peak_error_mm", 2), plain("seeds", "seeds"),
+    ]),
 ];
 const BEFORE: [Column; 2] = [word("solver", "solver"), word("coordinates", "coordinates")];
 #[rustfmt::skip]
@@ -114,44 +115,29 @@ impl Benchmark for Effort {
 }
 
 fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
-    let all: Vec<Value> = outcomes.iter().map(|outcome| outcome.row.clone()).collect();
-    let table = |name: &str, title: &str, columns: &[Column]| {
-        let rows = all.iter().filter(|row| row["name"] == name);
-        let columns = [&BEFORE, columns, &AFTER].concat();
-        Sheet::of(title, &columns, rows.cloned().collect())
-    };
-    let line = "Simulation 2: line with a vertical tip (Eq. 9), 3 sections";
-    let circle = "Simulation 3: circle around an obstacle, 1 section";
-    let columns = [&BEFORE[..], &SPIRAL, &AFTER].concat();
-    let simulations = Sheet::of("", &columns, all.clone());
-    let mut dataset = Dataset {
-        plots: plots(outcomes)?,
-        sheets: vec![
-            table("spiral", "Simulation 1: spiral (Eq. 8)", &SPIRAL),
-            table("line", line, &LINE),
-            table("circle", circle, &CIRCLE),
-            simulations.key("simulations").file("paper"),
-        ],
-        ..Dataset::new("paper", "The paper's simulations, offline", EXPLANATION)
-    };
+    let heading = "The paper's simulations, offline";
+    let mut dataset = Dataset::new("paper", heading, EXPLANATION);
+    dataset.plots = plots(outcomes)?;
     // The seeds serve as rounds: results that depend on the random swarm get their spread from them.
     let numbers = [
         ("mean_error", "mm", "mean_error_mm"),
         ("solve_p50", "µs", "solve_p50_us"),
     ];
-    for Outcome { row, runs, .. } in outcomes {
-        dataset.compare(&filled(path(row), row), runs, &numbers);
+    let columns = |own: &[Column]| [&BEFORE[..], own, &AFTER].concat();
+    for (name, title, path, own) in SIMULATIONS {
+        let of_it = outcomes
+            .iter()
+            .filter(|outcome| outcome.row["name"] == name);
+        for Outcome { row, runs, .. } in of_it.clone() {
+            dataset.compare(&filled(path, row), runs, &numbers);
+        }
+        let rows = of_it.map(|outcome| outcome.row.clone()).collect();
+        dataset.sheets.push(Sheet::of(title, &columns(own), rows));
     }
+    let rows = outcomes.iter().map(|outcome| outcome.row.clone()).collect();
+    let sheet = Sheet::of("", &columns(SIMULATIONS[0].3), rows);
+    dataset.sheets.push(sheet.key("simulations").file("paper"));
     Ok(dataset)
-}
-
-/// Prefix of the names of the numbers: see [`filled`].
-fn path(row: &Value) -> &'static str {
-    match row["name"].as_str() {
-        Some("spiral") => "paper/spiral-{sections}/{coordinates}/{solver}",
-        Some("line") => "paper/line-{rate_limit_rad_s}rad_s/{coordinates}/{solver}",
-        _ => "paper/circle-{safe_distance_mm}mm/{coordinates}/{solver}",
-    }
 }
 
 /// Keeps the first run whole, and only the row data of the others, so that memory does not grow with the

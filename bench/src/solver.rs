@@ -23,7 +23,7 @@ use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, RGBColor, Scale, plot};
 use crate::closed_loop::{End, PERIOD_S, Scene, timed_solve};
 use crate::dataset::{Column, Dataset, RoundTable, fixed, plain, word};
-use crate::experiment::{Experiment, Solver, Task};
+use crate::experiment::{Solver, Task};
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
 use crate::study::{self, Case};
@@ -204,7 +204,7 @@ impl Size {
         Self {
             task,
             solver,
-            settings: Experiment::new(task, solver).settings(),
+            settings: task.settings(solver),
             obstacles: 0,
         }
     }

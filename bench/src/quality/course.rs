@@ -9,7 +9,7 @@ use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Sh
 use nalgebra::Vector3;
 
 use crate::closed_loop::Scene;
-use crate::experiment::{CIRCLE_DISTANCES_M, Experiment, LINE_RATES_RAD_S, Solver, Task};
+use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, Solver, Task};
 use crate::named::named;
 
 /// Safe distance of the gap and the crossing \[m\].
@@ -116,7 +116,7 @@ impl Course {
     /// the next, and the robot misses the gap.
     pub fn settings(self) -> NmpcSettings {
         if let Some((task, _)) = self.paper() {
-            return Experiment::new(task, Solver::KpsoRefined).settings();
+            return task.settings(Solver::KpsoRefined);
         }
         NmpcSettings {
             horizon_steps: if self == Self::Gap { 5 } else { 10 },

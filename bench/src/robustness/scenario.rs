@@ -99,26 +99,26 @@ pub(super) struct Scenario {
     targets: &'static [Target],
 }
 
-/// A number with a target: its key in a row, its name, its unit.
-type Figure = (&'static str, &'static str, &'static str);
-/// A number and its bound; in addition, every command must be within its limits.
-type Target = (Figure, f64);
+/// A number that is wanted: its key in a row, its name, and its bound \[mm\]. In addition, every command must be
+/// within its limits.
+type Target = (&'static str, &'static str, f64);
 
-const MEAN: Figure = ("mean_error_mm", "mean", "mm");
-const RMS: Figure = ("rms_error_mm", "rms", "mm");
-const SETTLED: Figure = ("settled_error_mm", "settled", "mm");
-const MAX: Figure = ("max_error_mm", "max", "mm");
-/// Largest error of a robot at a position at which it must stay.
-const AT_REST: Figure = ("rest_error_mm", "at rest", "mm");
-/// Root mean square of the rate changes, over that of the ideal robot.
-const RATE_CHANGE: Figure = ("rate_change_rms", "rate change", "× ideal");
+/// Over that of the ideal robot.
+const RATE_CHANGE: &str = "rate_change_rms";
 /// Of the true body; the only number with a lower bound.
-const CLEARANCE: Figure = ("min_clearance_mm", "clearance", "mm");
+const CLEARANCE: &str = "min_clearance_mm";
 
-const QUIET: &[Target] = &[(RMS, 0.15), (RATE_CHANGE, 2.0)];
-const PUNCTUAL: &[Target] = &[(MEAN, 0.5), (MAX, 2.0)];
-const EXACT: &[Target] = &[(SETTLED, 0.2)];
-const STILL: &[Target] = &[(AT_REST, 0.3)];
+const QUIET: &[Target] = &[
+    ("rms_error_mm", "rms", 0.15),
+    (RATE_CHANGE, "rate change", 2.0),
+];
+const PUNCTUAL: &[Target] = &[("mean_error_mm", "mean", 0.5), ("max_error_mm", "max", 2.0)];
+const FINE: &[Target] = &[("mean_error_mm", "mean", 0.1)];
+const COARSE: &[Target] = &[("mean_error_mm", "mean", 0.25)];
+const EXACT: &[Target] = &[("settled_error_mm", "settled", 0.2)];
+const NEAREST: &[Target] = &[("settled_error_mm", "settled", OUT_OF_REACH_MM + 0.2)];
+const STILL: &[Target] = &[("rest_error_mm", "at rest", 0.3)];
+const CLEAR: &[Target] = &[(CLEARANCE, "clearance", 9.9)];
 
 /// Declares how a field of a scenario is changed.
 macro_rules! changes {
@@ -176,7 +176,6 @@ impl Scenario {
         let one: Way = || FigureEight::through_straight(1);
         let two: Way = || FigureEight::through_straight(2);
         let three: Way = || FigureEight::through_straight(3);
-        let (fine, coarse): (&[Target], &[Target]) = (&[(MEAN, 0.1)], &[(MEAN, 0.25)]);
         vec![
             preset("ideal", Preset::Ideal),
             of("30 µm of noise", noise(3e-5)).targets(QUIET),
@@ -190,8 +189,7 @@ impl Scenario {
             of("wrong model, spiral", wrong(0.05)).sensor(both(2)).way(spiral).targets(EXACT),
             of("wrong model, 5 % shorter, lower spiral", wrong(-0.05)).sensor(both(2)).way(|| FigureEight::spiral(0.06))
                 .targets(EXACT),
-            of("wrong model, 5 % shorter, spiral", wrong(-0.05)).sensor(both(2)).way(spiral)
-                .targets(&[(SETTLED, OUT_OF_REACH_MM + 0.2)]),
+            of("wrong model, 5 % shorter, spiral", wrong(-0.05)).sensor(both(2)).way(spiral).targets(NEAREST),
             of("play of 0.5 mm", half_mm).sensor(both(1)).rests(true).targets(STILL),
             of("play of 0.5 mm, known as 0.4", half_mm).actuator(motors(0.0, 0.0, 4e-4)).sensor(both(1)).rests(true)
                 .targets(STILL),
@@ -201,17 +199,17 @@ impl Scenario {
             of("lag 20 ms, tip at 100 Hz", play(motors(0.0, 0.02, 0.0))).sensor(both(2)).rests(true),
             of("lag 20 ms, tip at 100 Hz, play of 0.5 mm", play(motors(0.0, 0.02, 5e-4))).sensor(both(2)).rests(true)
                 .targets(STILL),
-            of("tip alone, 0.1 mm", tip_noise(1e-4)).sensor(alone).targets(fine),
-            of("tip alone, 0.5 mm", tip_noise(5e-4)).sensor(alone).targets(coarse),
-            of("tip alone, 0.1 mm, 1 section, through straight", tip_noise(1e-4)).sensor(alone).way(one).targets(fine),
-            of("tip alone, 0.5 mm, 1 section, through straight", tip_noise(5e-4)).sensor(alone).way(one).targets(coarse),
-            of("tip alone, 0.1 mm, 2 sections, through straight", tip_noise(1e-4)).sensor(alone).way(two).targets(fine),
-            of("tip alone, 0.5 mm, 2 sections, through straight", tip_noise(5e-4)).sensor(alone).way(two).targets(coarse),
-            of("tip alone, 0.1 mm, 3 sections, through straight", tip_noise(1e-4)).sensor(alone).way(three).targets(fine),
-            of("tip alone, 0.5 mm, 3 sections, through straight", tip_noise(5e-4)).sensor(alone).way(three).targets(coarse),
+            of("tip alone, 0.1 mm", tip_noise(1e-4)).sensor(alone).targets(FINE),
+            of("tip alone, 0.5 mm", tip_noise(5e-4)).sensor(alone).targets(COARSE),
+            of("tip alone, 0.1 mm, 1 section, through straight", tip_noise(1e-4)).sensor(alone).way(one).targets(FINE),
+            of("tip alone, 0.5 mm, 1 section, through straight", tip_noise(5e-4)).sensor(alone).way(one).targets(COARSE),
+            of("tip alone, 0.1 mm, 2 sections, through straight", tip_noise(1e-4)).sensor(alone).way(two).targets(FINE),
+            of("tip alone, 0.5 mm, 2 sections, through straight", tip_noise(5e-4)).sensor(alone).way(two).targets(COARSE),
+            of("tip alone, 0.1 mm, 3 sections, through straight", tip_noise(1e-4)).sensor(alone).way(three).targets(FINE),
+            of("tip alone, 0.5 mm, 3 sections, through straight", tip_noise(5e-4)).sensor(alone).way(three).targets(COARSE),
             // It would collide with the ball.
             of("5 % longer, ball", Flaws { length_error: 0.05, ..play(Actuator::IDEAL) }).sensor(both(2))
-                .ball_x_m(Some(0.33)).targets(&[(CLEARANCE, 9.9)]),
+                .ball_x_m(Some(0.33)).targets(CLEAR),
             preset("laboratory", Preset::Laboratory).rests(true),
             // At the turn, 5 mm nearer to the tip than the safe distance.
             preset("laboratory, ball", Preset::Laboratory).ball_x_m(Some(0.37)),
@@ -224,28 +222,29 @@ impl Scenario {
     /// Whether a row reaches all targets; targets that were not measured count as reached. `ideal_change`:
     /// `rate_change_rms` of the ideal robot.
     pub(super) fn is_reached(&self, row: &Value, ideal_change: Option<f64>) -> bool {
-        self.targets.iter().all(|&(figure, bound)| {
-            let found = row[figure.0].as_f64();
-            if figure == CLEARANCE {
-                found.is_none_or(|found| found >= bound)
-            } else if figure == RATE_CHANGE {
-                let found = found.zip(ideal_change);
-                found.is_none_or(|(found, ideal)| found / ideal <= bound)
-            } else {
-                found.is_none_or(|found| found <= bound)
+        self.targets.iter().all(|&(key, _, bound)| {
+            let found = row[key].as_f64();
+            match key {
+                CLEARANCE => found.is_none_or(|found| found >= bound),
+                RATE_CHANGE => {
+                    let found = found.zip(ideal_change);
+                    found.is_none_or(|(found, ideal)| found / ideal <= bound)
+                }
+                _ => found.is_none_or(|found| found <= bound),
             }
         })
     }
 
     pub(super) fn wanted(&self) -> String {
-        if self.targets.is_empty() {
-            return "within limits".to_owned();
-        }
-        let words = self.targets.iter().map(|&(figure, bound)| {
-            let sign = if figure == CLEARANCE { '≥' } else { '≤' };
-            format!("{} {sign} {bound} {}", figure.1, figure.2)
+        let words = self.targets.iter().map(|&(key, name, bound)| match key {
+            CLEARANCE => format!("{name} ≥ {bound} mm"),
+            RATE_CHANGE => format!("{name} ≤ {bound} × ideal"),
+            _ => format!("{name} ≤ {bound} mm"),
         });
-        words.collect::<Vec<_>>().join(", ")
+        match self.targets {
+            [] => "within limits".to_owned(),
+            _ => words.collect::<Vec<_>>().join(", "),
+        }
     }
 
     pub(super) fn controls(&self) -> impl Iterator<Item = &'static Control> {

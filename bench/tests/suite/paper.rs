@@ -10,6 +10,7 @@ use cdcr_bench::paper::{Effort, run};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::Start;
 use cdcr_bench::run_options::RunOptions;
+use cdcr_controller::nmpc::Coordinates;
 use cdcr_scratch::Scratch;
 use serde_json::Value;
 
@@ -112,7 +113,12 @@ fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
         cycles_max: u64::MAX,
         ..QUICK
     };
-    let outcome = run(Experiment::new(task, solver), effort, || ());
+    let experiment = Experiment {
+        task,
+        solver,
+        coordinates: Coordinates::BendVector,
+    };
+    let outcome = run(experiment, effort, || ());
     let row = outcome.expect("the simulation runs").row;
     move |key| number(&row, key)
 }

@@ -1,7 +1,7 @@
 //! The tables of `docs/robustness.md` and `docs/tuning.md` and the plot of the rates match the committed
 //! results, which do not describe the machine. `CDCR_GENERATE=1` writes them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cdcr_bench::dataset::Sheet;
 use cdcr_bench::{rate, robustness};
@@ -30,16 +30,21 @@ fn table(file: &str, knob: Option<&str>, document: &Value) -> Sheet {
     }
 }
 
-/// A committed result. With `CDCR_GENERATE`, its description of the machine is removed.
-fn result(file: &Path) -> Value {
-    let json = std::fs::read_to_string(file).expect("the result");
+/// A committed result below `docs`. With `CDCR_GENERATE`, its description of the machine is removed.
+pub(crate) fn result(file: &str) -> Value {
+    let file = docs().join(file);
+    let json = std::fs::read_to_string(&file).expect("the result");
     let mut document: Value = serde_json::from_str(&json).expect("one object");
     let machine = document.as_object_mut().unwrap().remove("environment");
     if machine.is_some() {
         assert!(generates(), "{} describes a machine: {HOW}", file.display());
-        std::fs::write(file, format!("{document}\n")).expect("written");
+        std::fs::write(&file, format!("{document}\n")).expect("written");
     }
     document
+}
+
+fn docs() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs")
 }
 
 fn generates() -> bool {
@@ -49,20 +54,19 @@ fn generates() -> bool {
 /// The files below `docs` that are generated from a committed result are up to date.
 #[test]
 fn documents_hold_what_is_made_from_the_json_beside_them() {
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
-    let picture = rows(&result(&docs.join("results/rate.json")), "default");
+    let picture = rows(&result("results/rate.json"), "default");
     let picture = rate::picture(&picture).expect("a picture").svg;
     for (name, contained) in [
         ("robustness.md", "| 30 µm of noise |"),
         ("tuning.md", "| smooth |"),
         ("images/results-rate.svg", "<svg"),
     ] {
-        let place = docs.join(name);
+        let place = docs().join(name);
         let text = std::fs::read_to_string(&place).expect("the document");
         let made = if contained == "<svg" {
             picture.clone()
         } else {
-            with_tables(&docs, &text)
+            with_tables(&text)
         };
         assert!(made.contains(contained), "the tables of {name}");
         if generates() {
@@ -74,7 +78,7 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
 }
 
 /// A document with regenerated tables.
-fn with_tables(docs: &Path, text: &str) -> String {
+fn with_tables(text: &str) -> String {
     let (begin, end) = MARKS;
     let mut parts = text.split(begin);
     let mut made = parts.next().unwrap_or_default().to_owned();
@@ -84,7 +88,7 @@ fn with_tables(docs: &Path, text: &str) -> String {
         let (name, knob) = file
             .split_once(' ')
             .map_or((file, None), |(name, knob)| (name, Some(knob)));
-        let table = table(name, knob, &result(&docs.join(name))).markdown();
+        let table = table(name, knob, &result(name)).markdown();
         made += &[begin, file, " -->\n", table.trim_start(), end, rest].concat();
     }
     made

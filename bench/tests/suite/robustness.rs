@@ -1,17 +1,9 @@
 //! Results of `cdcr-bench robustness` from one seed, compared with the committed results.
 
-use std::path::Path;
-
 use serde_json::Value;
 
+use crate::results::result;
 use crate::{list, number, printed_json, program};
-
-/// A committed result.
-fn committed(name: &str) -> Value {
-    let place = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results");
-    let text = std::fs::read_to_string(place.join(name)).expect("the result");
-    serde_json::from_str(&text).expect("one object")
-}
 
 /// Each new row has the numbers of the committed row with the same `keys`.
 fn are_those(new: &[Value], committed: &[Value], keys: &[&str], numbers: &[&str]) {
@@ -59,7 +51,7 @@ const PARTS: [(&str, &str, &str, f64); 9] = [
 
 #[test]
 fn every_robot_has_every_part_of_the_controller_switched_off() {
-    let committed = committed("robustness.json");
+    let committed = result("results/robustness.json");
     let rows = list(&committed, "scenarios");
     let of = |name: &str, controller: &str, interface: &str, key: &str| {
         let expected = [name, controller, interface];
@@ -94,7 +86,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
 #[test]
 fn what_robots_do_that_are_not_their_model_is_what_was_committed() {
     let today = of_today("--seeds 1", "laboratory");
-    let committed = committed("robustness.json");
+    let committed = result("results/robustness.json");
     let [new, old] = [&today, &committed].map(|document| list(document, "metrics"));
     assert!(!is_whole() || new.len() == old.len());
     for new in new {
@@ -118,7 +110,7 @@ fn what_robots_do_that_are_not_their_model_is_what_was_committed() {
 
 #[test]
 fn what_the_knobs_do_is_what_was_committed() {
-    let (today, committed) = (of_today("--sweep", "preset"), committed("tuning.json"));
+    let (today, committed) = (of_today("--sweep", "preset"), result("results/tuning.json"));
     let [new, old] = [&today, &committed].map(|document| list(document, "knobs"));
     let numbers = [
         "mean_error_mm",
