@@ -141,6 +141,14 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
+    /// Cost of a position error at every step by the rounding of the tip's position.
+    fn rounding_cost(&self) -> f64 {
+        let lengths_m = self.robot.sections().iter().map(|section| section.length_m);
+        let rounding_m = f64::EPSILON * lengths_m.sum::<f64>();
+        let weights = (0..self.steps()).map(|step| self.weights(step).position);
+        weights.sum::<f64>() * rounding_m * rounding_m
+    }
+
     fn push_regularisation_rows(&self, z: &[f64], model: &mut LinearModel) {
         let NmpcSettings {
             rate_weight,
@@ -355,12 +363,11 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn rounding(&self) -> Option<f64> {
-        self.is_plain().then(|| {
-            let lengths_m = self.robot.sections().iter().map(|section| section.length_m);
-            let rounding_m = f64::EPSILON * lengths_m.sum::<f64>();
-            let weights = (0..self.steps()).map(|step| self.weights(step).position);
-            weights.sum::<f64>() * rounding_m * rounding_m
-        })
+        self.is_plain().then(|| self.rounding_cost())
+    }
+
+    fn least_cost(&self) -> Option<f64> {
+        self.is_staged().then(|| self.rounding_cost())
     }
 
     fn evaluate_residuals(

@@ -117,6 +117,11 @@ pub(crate) trait Problem {
         None
     }
 
+    /// The cost at which a staged problem is solved: what rounding leaves.
+    fn least_cost(&self) -> Option<f64> {
+        None
+    }
+
     /// Evaluates one point of such a cost. Writes the residuals in the order of the rows of
     /// [`Self::linearise`], up to the length of the slice. None as above.
     fn evaluate_residuals(

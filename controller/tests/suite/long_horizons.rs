@@ -213,6 +213,24 @@ fn every_step_of_a_longer_horizon_has_rates_of_its_own() {
     }
 }
 
+/// A plan at the rounding of the tip's position is neither refined nor searched further.
+#[test]
+fn work_grows_no_faster_than_the_horizon() {
+    for solver in SOLVERS {
+        let [short, long] =
+            [5, 50].map(|steps| Course::spiral(solver, 1.0, false).with_steps(steps));
+        let [short, long] = [short, long].map(|course| course.run(quanta(BUDGET_NS)));
+        assert!(long.mean_m < 1e-15, "{solver:?}: {long:?}");
+        // N^1.15 at most.
+        assert!(
+            long.work < 14 * short.work,
+            "{solver:?}: {long:?}, {short:?}"
+        );
+        // 134 quanta per cycle with the search, and 60 with a third step.
+        assert!(long.work < 50 * 199, "{solver:?}: {long:?}");
+    }
+}
+
 #[test]
 fn from_the_first_cycle_on_a_fast_spiral_is_followed_to_ten_nanometres() {
     for solver in SOLVERS {

@@ -142,9 +142,11 @@ impl GaussNewton {
         let mut outcome = GaussNewtonOutcome::default();
         let mut damping = settings.damping;
         let mut model_is_current = false;
-        let rounding = problem.rounding();
+        let (rounding, least) = (problem.rounding(), problem.least_cost());
+        let is_solved =
+            |cost| is_rounding(rounding, cost) || least.is_some_and(|least| cost <= least);
         for _ in 0..settings.steps {
-            if is_rounding(rounding, incumbent.cost()) || !budget.left() {
+            if is_solved(incumbent.cost()) || !budget.left() {
                 break;
             }
             if !model_is_current {
@@ -208,7 +210,7 @@ impl GaussNewton {
                 damping * DAMPING_GROWTH
             };
         }
-        outcome.converged |= is_rounding(rounding, incumbent.cost());
+        outcome.converged |= is_solved(incumbent.cost());
         outcome
     }
 
