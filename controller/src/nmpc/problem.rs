@@ -105,6 +105,11 @@ impl<'a> TrackingProblem<'a> {
         self.motion.width()
     }
 
+    /// Whether each step has separate rates.
+    pub(super) fn has_step_rates(&self) -> bool {
+        self.stages.blocks() == self.steps()
+    }
+
     pub(super) fn steps(&self) -> usize {
         self.motion.horizon().steps()
     }

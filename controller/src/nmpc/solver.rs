@@ -20,6 +20,13 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 /// is used only if it costs less than this share of the refined plan.
 const ANOTHER_WAY: f64 = 0.5;
 
+/// An error is late if this part of the horizon, a quarter of the steps,
+const EARLY_PART: usize = 4;
+/// costs at most this share of the plan.
+const EARLY_SHARE: f64 = 0.1;
+/// Shortest horizon with late errors, as with foresight.
+const LATE_STEPS_MIN: usize = 16;
+
 /// One optimal control problem with its box and settings.
 #[derive(Clone, Copy)]
 pub(super) struct Task<'a> {
@@ -116,7 +123,9 @@ impl Solver {
             // After convergence there is nothing better nearby; without an error there is nothing better
             // elsewhere.
             let is_done = !error_is_left && refinement.is_some_and(|refined| refined.converged);
-            if searches && refinement.is_some() && error_is_left {
+            if searches && refinement.is_some() && self.error_is_late(task, warm_plan, budget) {
+                // A later cycle searches if the error stays until it is near.
+            } else if searches && refinement.is_some() && error_is_left {
                 (iterations, refinement) =
                     self.search_apart(task, (warm_plan, evaluation.as_ref()), refinement, budget);
             } else if searches && !is_done {
@@ -321,6 +330,23 @@ impl Solver {
     pub(super) fn error_is_left(&self, task: &Task) -> bool {
         let error = self.incumbent.cost() - task.problem.regularisation_at(self.incumbent.z());
         error > task.settings.small_cost()
+    }
+
+    /// Whether the error begins late in the horizon, in a plan with separate rates at every step that
+    /// continues from the last cycle. There the reference is too fast for the robot, and a search gains
+    /// nothing.
+    fn error_is_late(&self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) -> bool {
+        let problem = task.problem;
+        let continues = problem.steps() >= LATE_STEPS_MIN
+            && problem.is_staged()
+            && problem.has_step_rates()
+            && warm_plan.iter().any(|rate| *rate != 0.0);
+        if !continues || self.incumbent.is_violated() || !self.error_is_left(task) {
+            return false;
+        }
+        let steps = problem.steps() / EARLY_PART;
+        let early = problem.evaluate_first(steps, self.incumbent.z(), budget);
+        early.is_some_and(|early| early <= EARLY_SHARE * self.incumbent.cost())
     }
 
     /// Tries the escape directions where the gradient vanishes. Returns whether one reduced the cost.

@@ -3,9 +3,9 @@
 use pulp::NullaryFnOnce;
 
 use super::{SECTION_NS, TrackingProblem};
-use crate::nmpc::NmpcSettings;
-use crate::nmpc::motion::Bends;
+use crate::nmpc::motion::{ANGLES, Bends, VECTORS};
 use crate::nmpc::pose_error;
+use crate::nmpc::{Coordinates, NmpcSettings};
 use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, apart};
 use crate::robot::{COORDINATES_MAX, Near};
 use crate::wide::{Wide, all};
@@ -31,6 +31,33 @@ impl TrackingProblem<'_> {
             }
         }
         Some(rollout.evaluation)
+    }
+
+    /// Cost of the first `steps` steps of a plan. None: the budget was spent.
+    pub(in crate::nmpc) fn evaluate_first(
+        &self,
+        steps: usize,
+        z: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        match self.motion.coordinates() {
+            Coordinates::BendVector => self.first_in::<VECTORS>(steps, z, budget),
+            Coordinates::BendAngles => self.first_in::<ANGLES>(steps, z, budget),
+        }
+    }
+
+    fn first_in<const P: usize>(
+        &self,
+        steps: usize,
+        z: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        let rates = |i: usize| Wide([z[i]]);
+        let mut rollout = Rollout::<1, P>::new(self, &rates);
+        for step in 0..steps {
+            rollout.advance(step, &rates, budget, pulp::Scalar)?;
+        }
+        Some(rollout.evaluation.cost.0[0])
     }
 
     /// Eq. 5 for one plan, and whether the plan is unchanged. It is cut at the block that would increase a

@@ -15,11 +15,11 @@ fn of_plans_that_cost_nothing_the_one_that_leads_on_is_taken() {
                 .lasting(99);
             let outcome = course.run(quanta(BUDGET_NS));
             assert!(outcome.mean_m < 5e-5, "{solver:?}, {every}: {outcome:?}");
-            // Without foresight 534 and 1273 quanta per cycle.
+            // Without foresight 534 and 1273 quanta per cycle; 969 with a search wherever an error is left.
             let most = if solver == SolverKind::GaussNewton {
                 534
             } else {
-                1000
+                700
             };
             assert!(outcome.work < 99 * most, "{solver:?}, {every}: {outcome:?}");
             assert!(outcome.spare_m > -1e-9, "{solver:?}, {every}: {outcome:?}");
