@@ -66,6 +66,7 @@ fn measure_crowd(crowd: Crowd, moments: u64) -> Result<Value> {
         let situation = Situation {
             robot: &robot,
             at: &moment.at,
+            lag: None,
             commanded: None,
             slack: None,
             previous: &moment.previous,

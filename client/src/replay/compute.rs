@@ -3,7 +3,9 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolveSt
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::Approach;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
-use cdcr_controller::safety::{SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command};
+use cdcr_controller::safety::{
+    Lag, SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command,
+};
 use cdcr_shared_types::codes::{Interface, Mode, SolverStatus, guard};
 use cdcr_shared_types::{SolverSettings, Telemetry};
 use nalgebra::Vector3;
@@ -205,6 +207,10 @@ impl Computer {
         let situation = Situation {
             robot: &self.robot,
             at: &state.at,
+            lag: Some(Lag {
+                present: &state.present,
+                lead_s: record.reference_lead_ns as f64 * 1e-9,
+            }),
             commanded: if obeys_positions {
                 Some(&state.commanded)
             } else {

@@ -102,6 +102,11 @@ impl DrivenRobot {
         self.estimator.configuration()
     }
 
+    /// Estimated present configuration, behind [`Self::configuration`] by the lag of the motors.
+    pub(super) fn present(&self) -> Configuration {
+        self.estimator.present()
+    }
+
     /// Configuration to which the motors are led, if it differs from that of the robot: commanded positions, or motors
     /// of cables with play.
     pub(super) fn commanded(&self) -> Option<&Configuration> {

@@ -17,7 +17,7 @@ use crate::nmpc::{Nmpc, NmpcSettings, SettingsError, SolveInput, SolveReport};
 use crate::optimizer::{Budget, cycle_seed};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
-use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command};
+use crate::safety::{Lag, LimitsHit, SafeCommand, Situation, safe_command};
 use driven::DrivenRobot;
 pub use driven::{Driven, Part, Sensor};
 pub use figure_eight::{FigureEight, FigureEightError, FigureEightRest, FigureEightRun};
@@ -218,9 +218,18 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             IDEAL_STOPPING
         };
         let (valid_periods, deceleration_rad_s2) = self.stopping.unwrap_or(default);
+        let driven = self
+            .driven
+            .as_ref()
+            .map(|driven| (driven.present(), driven.lead_s()));
+        let lag = driven.as_ref().map(|(present, lead_s)| Lag {
+            present,
+            lead_s: *lead_s,
+        });
         let situation = Situation {
             robot: &self.robot,
             at: &self.configuration,
+            lag,
             commanded: self.driven.as_ref().and_then(|driven| driven.commanded()),
             slack: self.driven.as_ref().and_then(|driven| driven.slack()),
             previous: &self.command.rates,

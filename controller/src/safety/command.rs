@@ -2,15 +2,28 @@ use crate::estimator::Slack;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
 use super::clearance::{ClearanceGuard, Guarded, Stopping, fastest, shortened_to};
+use super::lag::LagLines;
 use super::{Limited, Limits, LimitsHit, play};
+
+/// Motors that lag behind their commands.
+#[derive(Debug, Clone, Copy)]
+pub struct Lag<'a> {
+    /// Present configuration.
+    pub present: &'a Configuration,
+    /// Time after which the commands so far have led the robot from there to [`Situation::at`], nearly
+    /// ([`Actuator::lead_s`](crate::estimator::Actuator::lead_s)) \[s\].
+    pub lead_s: f64,
+}
 
 /// The inputs of the safety checks of one command.
 #[derive(Debug, Clone, Copy)]
 pub struct Situation<'a> {
     /// Model of the robot.
     pub robot: &'a Robot,
-    /// Present configuration.
+    /// Configuration to which the commands so far lead.
     pub at: &'a Configuration,
+    /// Motors that lag behind their commands; `None`: the robot is at `at`.
+    pub lag: Option<Lag<'a>>,
     /// Commanded configuration of the motors, if it differs: for position commands, or for motors whose
     /// cables have play. Limits and clearance must hold there, too.
     pub commanded: Option<&'a Configuration>,
@@ -18,7 +31,7 @@ pub struct Situation<'a> {
     pub slack: Option<&'a Slack>,
     /// Previous command.
     pub previous: &'a BendRates,
-    /// Obstacles at their present positions.
+    /// Obstacles at the time when the robot is at `at`.
     pub obstacles: &'a [Obstacle],
     /// Safe distance D \[m\].
     pub safe_distance_m: f64,
@@ -88,6 +101,27 @@ impl<'a> Situation<'a> {
         SafeCommand::new(limited, guard.scale_down(&limited.rates))
     }
 
+    /// `rates` in place of `safe`, shortened by limits and guard; rest if they then violate `holds`.
+    pub(super) fn repaired(
+        &self,
+        safe: &SafeCommand,
+        rates: &BendRates,
+        holds: impl Fn(&BendRates) -> bool,
+    ) -> SafeCommand {
+        let limited = self.limits(fastest(rates)).shorten(rates);
+        let guarded = self.guard().shorten(&limited.rates).rates;
+        SafeCommand {
+            rates: if holds(&guarded) {
+                guarded
+            } else {
+                BendRates::zero(self.robot.section_count())
+            },
+            limits_hit: safe.limits_hit.or(limited.hit),
+            clearance_hit: true,
+            ..*safe
+        }
+    }
+
     /// The guard for a robot without play.
     pub(super) fn guard(&self) -> ClearanceGuard<'a> {
         ClearanceGuard {
@@ -128,6 +162,11 @@ pub struct SafeCommand {
 /// satisfy it alone continue and the others stand still. All sections stand still if that violates the rule,
 /// too, or if the work budget of the command is spent.
 ///
+/// Motors that lag average the commanded path, and so lead the body past its corners. Of first order, they lead
+/// it between the commanded path and the straight lines in the bends from its present configuration to the ends
+/// of the period and of the stopping path. So each section keeps D - 1 mm on these lines, too, or what it keeps
+/// on the line to rest; otherwise the command is scaled down.
+///
 /// A robot that comes to rest continues along the stopping path of the previous command, through its play,
 /// too: its ramp is only scaled down. Allocates nothing.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
@@ -148,9 +187,18 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
     // The guard returns no faster rates.
     let limits = situation.limits_moving(fastest(&limited.rates));
     let safe = SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates));
-    match situation.play() {
-        None => safe,
-        Some(slack) => play::kept(situation, slack, safe),
+    let lag = LagLines::new(situation);
+    let safe = lag.as_ref().map_or(safe, |lag| lag.kept(safe));
+    let Some(slack) = situation.play() else {
+        return safe;
+    };
+    let kept = play::kept(situation, slack, safe);
+    match lag {
+        Some(lag) if kept.rates != safe.rates && !lag.holds(&kept.rates) => SafeCommand {
+            rates: BendRates::zero(situation.robot.section_count()),
+            ..kept
+        },
+        _ => kept,
     }
 }
 
@@ -214,6 +262,7 @@ mod tests {
             let centre_m = Vector3::from(centre);
             let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
             let commanded = configuration(core::array::from_fn(|i| at[i] + off[i]));
+            let present = configuration(core::array::from_fn(|i| at[i] - 0.3 * off[i]));
             let (at, previous) = (configuration(at), rates(previous));
             let mut slack_m = [0.0; CABLES_MAX];
             slack_m.iter_mut().zip(taken).for_each(|(slack_m, part)| *slack_m = play_m * part);
@@ -221,6 +270,7 @@ mod tests {
             let situation = Situation {
                 robot: &robot,
                 at: &at,
+                lag: Some(Lag { present: &present, lead_s: 0.1 }),
                 commanded: Some(&commanded),
                 slack: Some(&slack),
                 previous: &previous,

@@ -11,6 +11,7 @@ mod clearance;
 mod command;
 mod common_mode;
 mod following;
+mod lag;
 mod limits;
 mod mode;
 mod plausibility;
@@ -19,7 +20,7 @@ mod projection;
 mod ramp;
 
 pub use bucket::LeakyBucket;
-pub use command::{SafeCommand, Situation, safe_command};
+pub use command::{Lag, SafeCommand, Situation, safe_command};
 pub use common_mode::CommonModeWatch;
 pub use following::{FollowingError, FollowingRules, FollowingWatch};
 pub use limits::{Limited, Limits, LimitsHit, limit, shorten};

@@ -38,14 +38,7 @@ fn repaired(
         }
     }
     // A cable that two sections share may go faster when only one of them moves.
-    let limited = situation.limits(fastest(&kept)).shorten(&kept);
-    let guarded = situation.guard().shorten(&limited.rates).rates;
-    SafeCommand {
-        rates: if holds(&guarded) { guarded } else { rest },
-        limits_hit: safe.limits_hit.or(limited.hit),
-        clearance_hit: true,
-        ..*safe
-    }
+    situation.repaired(safe, &kept, holds)
 }
 
 #[cfg(test)]
@@ -90,6 +83,7 @@ mod tests {
         Situation {
             robot,
             at,
+            lag: None,
             commanded: Some(motors),
             slack: Some(slack),
             previous,

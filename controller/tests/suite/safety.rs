@@ -26,6 +26,7 @@ fn situation<'a>(
     Situation {
         robot,
         at,
+        lag: None,
         commanded: None,
         slack: None,
         previous,

@@ -21,7 +21,8 @@ use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
 use cdcr_controller::safety::{
-    Mode, ModeMachine, Reason, SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command,
+    Lag, Mode, ModeMachine, Reason, SafeCommand, Situation, homing_rates, ramp_to_zero,
+    safe_command,
 };
 
 use crate::accounting::Accounting;
@@ -477,6 +478,10 @@ impl Cycle {
         Situation {
             robot: &self.robot,
             at: self.state.configuration(),
+            lag: Some(Lag {
+                present: self.state.present(),
+                lead_s: self.policy.reference_lead_ns as f64 * 1e-9,
+            }),
             commanded: self.state.motors_led(),
             slack: self.state.slack_led(),
             previous: &self.rates,

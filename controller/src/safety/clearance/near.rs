@@ -15,7 +15,7 @@ use super::{ClearanceGuard, StoppingPath, fastest};
 pub(super) const NEAR_MAX: usize = 64;
 /// Largest undershoot that is tolerated between two points of the path \[m\]. Half the distance between the
 /// axes at clearance D, if that is less, so that no thin section passes through a thin obstacle.
-const DIP_M: f64 = 1e-3;
+pub(in crate::safety) const DIP_M: f64 = 1e-3;
 /// Allowance for rounding in bounds of clearances \[m\], for obstacles of any size.
 pub(super) const ROUNDING_M: f64 = 1e-6;
 /// Work budget of one command, in units of one exact clearance from a sphere (about 22 ns). When it is spent,

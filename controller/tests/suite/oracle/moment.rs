@@ -51,6 +51,7 @@ impl Moment {
         let situation = Situation {
             robot: &robot,
             at: &at,
+            lag: None,
             commanded: commanded.as_ref(),
             slack,
             previous: &previous,
