@@ -66,7 +66,7 @@ pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
 }
 
 /// Like [`remedy`], for a request that a daemon in `mode` refused.
-pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
+pub fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
     if kind == RequestKind::Track && outcome == Outcome::NoLease {
         return "Feed one first, for example: cdcrctl ref spiral --track.";
     }

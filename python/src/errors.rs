@@ -2,6 +2,7 @@
 
 use cdcr_client::{
     ConnectError, FeedError, LinkError, Liveness, PlantError, RequestError, StopError, remedy,
+    request_remedy,
 };
 use cdcr_controller::nmpc::SettingsError;
 use cdcr_controller::plant::FlawError;
@@ -152,7 +153,11 @@ impl From<ConnectError> for Failure {
 impl From<RequestError> for Failure {
     fn from(error: RequestError) -> Self {
         let next = match &error {
-            RequestError::Refused { outcome, .. } => remedy(*outcome),
+            RequestError::Refused {
+                kind,
+                outcome,
+                mode,
+            } => request_remedy(*kind, *outcome, *mode),
             RequestError::Restarted { .. } => "Feed again.",
             RequestError::Timeout { liveness, .. } => next_after_silence(*liveness),
             RequestError::Link { .. } => next_after_silence(Liveness::Unknown),

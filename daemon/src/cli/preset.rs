@@ -34,7 +34,7 @@ mod tests {
 
     use super::*;
     use crate::cli::config::Source;
-    use crate::config::Config;
+    use crate::config::{Config, Settings};
 
     #[derive(Debug, Parser)]
     struct Line {
@@ -43,9 +43,21 @@ mod tests {
     }
 
     fn config(arguments: &[&str]) -> Config {
+        settings(arguments).validate().unwrap().config
+    }
+
+    fn settings(arguments: &[&str]) -> Settings {
         let line = Line::parse_from(["cdcrd"].iter().chain(arguments));
-        let settings = line.source.settings().unwrap();
-        settings.validate().unwrap().config
+        line.source.settings().unwrap()
+    }
+
+    #[test]
+    fn a_preset_is_shown_as_the_documents_write_it() {
+        let shown = settings(&["--preset", "smooth"]).changed();
+        let of = |key| &shown.iter().find(|(name, ..)| *name == key).unwrap().1;
+        assert_eq!(of("controller.rate_weight"), "1e-10");
+        assert_eq!(of("controller.rate_change_weight"), "1e-5");
+        assert_eq!(of("estimator.time_constant_ms"), "300.0");
     }
 
     #[test]

@@ -96,12 +96,12 @@ fn value(config: &Config, key: &str) -> Option<String> {
             Some(list) if list.iter().any(toml::Value::is_table) => {
                 format!("{} tables, key by key below", list.len())
             }
-            _ => value.to_string(),
+            _ => keys::text(value),
         });
     }
     let (list, name) = key.rsplit_once('.')?;
     let tables = keys::value(&values, list)?.as_array()?.iter();
-    let each = tables.filter_map(|table| Some(table.get(name)?.to_string()));
+    let each = tables.filter_map(|table| Some(keys::text(table.get(name)?)));
     Some(format!(
         "{} (base first)",
         each.collect::<Vec<_>>().join(", ")

@@ -83,6 +83,14 @@ pub(super) fn value<'a>(values: &'a Table, key: &str) -> Option<&'a Value> {
     values.get(table)?.get(name)
 }
 
+/// A value as TOML, a small number with an exponent: TOML's own text of 1e-20 has all its zeros.
+pub(super) fn text(value: &Value) -> String {
+    match value {
+        Value::Float(number) => format!("{number:?}"),
+        other => other.to_string(),
+    }
+}
+
 /// The keys whose values differ between two configurations.
 pub(crate) fn changed(one: &Config, other: &Config) -> Vec<String> {
     let (one, other) = (values(one), values(other));

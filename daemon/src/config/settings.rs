@@ -60,7 +60,7 @@ impl Settings {
         let changed = keys::settable().filter_map(|(key, default)| {
             let (value, origin) = (keys::value(&values, key)?, self.origins.of(key));
             let is_changed = value != default && origin != Origin::Default;
-            is_changed.then(|| (key, value.to_string(), origin.to_string()))
+            is_changed.then(|| (key, keys::text(value), origin.to_string()))
         });
         changed.collect()
     }

@@ -267,12 +267,13 @@ impl Demands {
         (self.along.bend_rad, self.along.rate_rad_s)
     }
 
-    /// Fails when a point is missed by more than `allowed_m`.
+    /// Fails when a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
     pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_max_m > allowed_m {
             let (time_s, point_m) = self.farthest;
             bail!(
-                "not reachable: at {time_s:.2} s {}; nothing moved",
+                "too fast, or obstructed: at {time_s:.2} s {}, though the robot's bends allow every point: \
+                 use a lower --speed, or remove obstacles; nothing moved",
                 away(self.error_max_m, point_m)
             );
         }

@@ -90,6 +90,6 @@ pub enum TrajectoryFileProblem {
     #[error("the quaternion has length {0:.4}; it must be 1")]
     NotUnit(f64),
     /// The file has this number of rows, fewer than two.
-    #[error("has {0} rows of data; it needs at least 2 below the header t_s,x_m,y_m,z_m")]
+    #[error("has {}; it needs at least 2 below the header t_s,x_m,y_m,z_m", crate::counted(*.0, "row"))]
     TooShort(usize),
 }

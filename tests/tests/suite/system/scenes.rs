@@ -51,6 +51,12 @@ fn figures_are_tried_and_followed() {
         1,
         "not reachable: at",
     );
+    says(
+        &daemon,
+        "ref polygon --radius 0.02 --speed 5 --dry-run",
+        1,
+        "too fast, or obstructed: at",
+    );
     let line =
         "ref polygon --corners 3 --centre 0,0,0.88 --radius 0.01 --repeat 8 --track --lead 1s";
     says(&daemon, line, 0, "tracked to its end");

@@ -96,11 +96,17 @@ pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, St
     if line.trim().is_empty() {
         return Ok(None);
     }
-    let value = serde_json::from_str(line).map_err(|cause| match line.trim_start() {
-        list if list.starts_with('[') => {
-            format!("{cause}; use one obstacle per line, not a list (obstacle file reads lists)")
+    let value = serde_json::from_str(line).map_err(|cause| {
+        // The parser knows this line only, as its line 1.
+        let cause = cause.to_string().replace("at line 1 column", "at column");
+        match line.trim_start() {
+            list if list.starts_with('[') => {
+                format!(
+                    "{cause}; use one obstacle per line, not a list (obstacle file reads lists)"
+                )
+            }
+            _ => cause,
         }
-        _ => cause.to_string(),
     });
     value
         .and_then(|value| change(number, value))
@@ -193,6 +199,19 @@ mod tests {
             let read: Vec<_> = changes.into_iter().map(|change| change.what).collect();
             assert_eq!(read, all.map(What::Upsert));
         }
+    }
+
+    #[test]
+    fn a_wrong_line_has_one_number() {
+        let text = "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 0.1}\n{\"id\": nan}";
+        let Err(error) = parse(text) else {
+            panic!("no JSON")
+        };
+        assert!(error.starts_with("line 2: "), "{error}");
+        assert!(
+            error.contains(" at column ") && !error.contains("line 1"),
+            "{error}"
+        );
     }
 
     #[test]
