@@ -97,6 +97,8 @@ pub(crate) fn go(
     let begin_m = within(start_m, reach_m);
     let way = Straight::new(begin_m, goal_m, arguments.speed, arguments.acceleration);
     check_unit(&way, reach_m)?;
+    // Before the simulation, which lasts as long as the path is far.
+    reach::check_point(&before, goal_m, arguments.max_error)?;
     let options = go_options();
     let demands = dry_run::compute(connection, &way, &options)?;
     if arguments.dry_run {

@@ -51,6 +51,27 @@ pub(crate) fn check(
     Ok(())
 }
 
+/// Fails when the tip misses the point by more than `allowed_m` with any bends, as [`check`] does.
+pub(crate) fn check_point(
+    record: &Telemetry,
+    point_m: [f64; 3],
+    allowed_m: f64,
+) -> anyhow::Result<()> {
+    let (robot, shape) = robot_and_pose(record)?;
+    let modelled_m = Vector3::from(point_m) - Vector3::from(record.tip_offset_m);
+    let (away_m, reach_m) = (modelled_m.norm(), robot.reach_m());
+    if away_m > reach_m + allowed_m {
+        bail!(
+            "not reachable: the point is {away_m:.3} m from the base, and the robot is {reach_m:.3} m long; nothing moved"
+        );
+    }
+    let (_, left_m) = nearest(&robot, &shape, &modelled_m, allowed_m);
+    if left_m > allowed_m {
+        bail!("not reachable: {}; nothing moved", away(left_m, point_m));
+    }
+    Ok(())
+}
+
 /// A configuration with its tip near the point, and the distance \[m\]: the first within `enough_m`,
 /// otherwise the nearest.
 fn nearest(

@@ -230,6 +230,12 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
         &format!("{EXCITE} --rate-max 0.05"),
         "too short for --rate-max",
     );
+    // The named duration is enough.
+    let line = "cdcrctl calibrate excite -o moved.csv --dry-run --duration";
+    let said = place.says(&format!("{line} 5s"), 1, &["use --duration "]);
+    let (_, needed) = said.split_once("use --duration ").unwrap();
+    let (needed, _) = needed.split_once(' ').unwrap();
+    place.says(&format!("{line} {needed}"), 0, &["length"]);
     place.says(
         "cdcrctl obstacle add --id 1 --at 0.12,0,0.25 --radius 0.03",
         0,

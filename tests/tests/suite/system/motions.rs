@@ -40,9 +40,12 @@ fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reached() {
     let daemon = Daemon::start(PATIENT);
     let start_m = tip_m(&daemon);
-    let [near, away] = ["goto 0.05,0.02,0.87 --dry-run", "goto 0,0,0.95"];
+    let [near, away] = ["goto 0.05,0.02,0.87 --dry-run", "goto 0.5,0.5,0.5"];
     assert!(says(&daemon, near, 0).contains("nothing moved; the ideal robot would need"));
-    assert!(says(&daemon, away, 1).contains("not reachable"));
+    assert!(says(&daemon, away, 1).contains("not reachable: the tip stays"));
+    // Without a simulation, which refuses motions of more than 200 000 cycles with another reason.
+    let far = says(&daemon, "goto 5,5,5 --speed 0.001", 1);
+    assert!(far.contains("and the robot is 0.900 m long"), "{far}");
     assert!(says(&daemon, "jog 0,0,0.5 --dry-run", 1).contains("not reachable"));
     assert!(says(&daemon, "goto 50,20,870", 1).contains("are these millimetres?"));
     assert!(distance_m(tip_m(&daemon), start_m) < 0.002, "nothing moved");

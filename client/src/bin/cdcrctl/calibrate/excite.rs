@@ -136,13 +136,12 @@ fn plan(
 ) -> anyhow::Result<(Excitation, Demands)> {
     let mut excitation = Excitation::new(record, options)?;
     let allowed_m = excitation.missed_m();
+    let asked_s = options.record.duration.as_secs_f64();
     let mut missed = None;
     for _ in 0..TRIES {
         ensure!(
             excitation.rounds >= ROUNDS_MIN,
-            "{:.1} s is too short for --rate-max {:.3}; nothing moved: use a longer --duration",
-            excitation.duration_s(),
-            bounds.rate_rad_s
+            too_short(asked_s, bounds, excitation.moving_s / excitation.rounds)
         );
         let demands = dry_run::compute(connection, &excitation, &go_options())?;
         let (bend_rad, rate_rad_s) = demands.bend_and_rate();
@@ -150,6 +149,10 @@ fn plan(
         let rate_share = IDEAL_SHARE * bounds.rate_rad_s / rate_rad_s;
         let is_reached = demands.check(allowed_m);
         if bend_share >= 1.0 && rate_share >= 1.0 && is_reached.is_ok() {
+            ensure!(
+                asked_s >= ROUND_MIN_S,
+                too_short(asked_s, bounds, ROUND_MIN_S)
+            );
             return Ok((excitation, demands));
         }
         if bend_share < 1.0 || is_reached.is_err() {
@@ -169,6 +172,15 @@ fn plan(
          another --seed or other limits, or move the robot by other means during cdcrctl calibrate record",
         bounds.bend_rad,
         bounds.rate_rad_s
+    )
+}
+
+/// At one round, the rates are inverse to the duration; a tenth more is for the next attempts.
+fn too_short(asked_s: f64, bounds: Bounds, round_s: f64) -> String {
+    format!(
+        "{asked_s:.1} s is too short for --rate-max {:.3}; nothing moved: use --duration {:.0}s or longer",
+        bounds.rate_rad_s,
+        (1.1 * round_s).ceil()
     )
 }
 
@@ -204,7 +216,7 @@ struct Excitation {
 impl Excitation {
     fn new(record: &Telemetry, options: &ExciteOptions) -> anyhow::Result<Self> {
         let (robot, start) = robot_and_pose(record)?;
-        let moving_s = options.record.duration.as_secs_f64();
+        let moving_s = options.record.duration.as_secs_f64().max(ROUND_MIN_S);
         // Multiples of an irrational number: different seeds have different phases.
         let golden = 0.618_033_988_749_895 * options.seed as f64;
         Ok(Self {
