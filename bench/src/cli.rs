@@ -15,10 +15,11 @@ use cdcr_bench::paper::Effort;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::QualityOptions;
 use cdcr_bench::rate::RateOptions;
-use cdcr_bench::report::{self, BenchReport, Extent, Files, Plan, Start, make};
+use cdcr_bench::report::{self, BenchReport, Extent, Files, Plan, Start};
 use cdcr_bench::robustness::RobustnessOptions;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::solver::SolverOptions;
+use cdcr_process::output_folder;
 use cdcr_testbed::interrupt;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 
@@ -207,7 +208,7 @@ impl Output {
     /// measurement, and Ctrl-C ends the measurement in order.
     fn measure(&self, asked: impl Benchmark, start: &Start) -> Result<()> {
         interrupt::catch()?;
-        self.out.as_deref().map_or(Ok(()), make)?;
+        self.out.as_deref().map_or(Ok(()), output_folder)?;
         let options = asked.resolved()?;
         let mut progress = Progress::new(options.expected_s());
         let dataset = options.run(&mut progress)?;
@@ -243,7 +244,7 @@ impl AllArguments {
         if let Some(config) = &self.config {
             ensure!(config.is_file(), "there is no file {}", config.display());
         }
-        make(&self.out)?;
+        output_folder(&self.out)?;
         let plans = self.plans();
         let mut progress = Progress::new(plans.iter().map(|plan| plan.expected_s).sum());
         let report = BenchReport {

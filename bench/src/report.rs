@@ -9,6 +9,7 @@ use std::thread;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, anyhow};
+use cdcr_process::output_folder;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -114,26 +115,21 @@ fn add_data(files: &mut Files, started: SystemTime, dataset: &Dataset) -> Result
 /// Writes all files into `folder`, which is created if needed. The files are first written to a temporary
 /// folder and moved when all are complete, so that a full disk leaves older files unchanged.
 pub fn write(files: &Files, folder: &Path) -> Result<()> {
-    make(folder)?;
+    output_folder(folder)?;
     let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
     let fresh = fresh.with_context(|| format!("cannot write into {}", folder.display()))?;
     let cannot = |file: &Path| format!("cannot write {}", file.display());
     for (name, text) in files {
         let file = fresh.path().join(name);
-        make(file.parent().unwrap_or(folder))?;
+        output_folder(file.parent().unwrap_or(folder))?;
         fs::write(&file, text).with_context(|| cannot(&file))?;
     }
     for name in files.keys() {
         let place = folder.join(name);
-        make(place.parent().unwrap_or(folder))?;
+        output_folder(place.parent().unwrap_or(folder))?;
         fs::rename(fresh.path().join(name), &place).with_context(|| cannot(&place))?;
     }
     Ok(())
-}
-
-pub fn make(folder: &Path) -> Result<()> {
-    let made = fs::create_dir_all(folder);
-    made.with_context(|| format!("cannot create the folder {}", folder.display()))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::Args)]

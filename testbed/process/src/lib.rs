@@ -21,6 +21,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_scratch::Scratch;
+use rustix::fs::{Access, access};
 use rustix::process::{
     Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
 };
@@ -200,6 +201,20 @@ const STDERR: &str = "stderr";
 pub fn folder() -> Result<Scratch> {
     Scratch::temporary()
         .context("a folder for temporary files: set TMPDIR to one that can be written")
+}
+
+/// Creates the folder for results, if it does not exist, and checks that files can be created in it: before a
+/// long run, which would otherwise be lost.
+pub fn output_folder(folder: &Path) -> Result<()> {
+    let name = folder.display();
+    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {name}"))?;
+    check_writable(folder)
+}
+
+/// Fails when this user cannot create files in the folder.
+pub fn check_writable(folder: &Path) -> Result<()> {
+    access(folder, Access::WRITE_OK | Access::EXEC_OK)
+        .with_context(|| format!("cannot write into {}", folder.display()))
 }
 
 /// Path of a program of this project: in the folder of the current program or, for a test, in the folder

@@ -7,11 +7,14 @@ use cdcr_client::Connection;
 use cdcr_process::{PREFIX, ROOT};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Place, Program, TIMEOUT, in_public_memory, text, wait_status, wait_until};
+use cdcr_tests::{
+    Place, Program, TIMEOUT, assert_says, in_public_memory, text, wait_status, wait_until,
+};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use super::error_max_m;
+use crate::own_mounts::{has_own_mounts, mount, name_of};
 
 fn demo(place: &Place, arguments: &[&str]) -> (bool, String, String) {
     let output = place
@@ -311,4 +314,33 @@ fn the_daemon_of_a_killed_demo_ends() {
     );
     assert_eq!(demo.temporary(), Vec::<String>::new());
     assert_eq!(in_public_memory(&demo.prefix()), Vec::<PathBuf>::new());
+}
+
+/// As with a folder of another user, or on a medium that is full or read-only.
+#[test]
+fn a_folder_for_results_that_cannot_be_written_is_refused_before_the_run() {
+    let test = &name_of(&a_folder_for_results_that_cannot_be_written_is_refused_before_the_run);
+    if !has_own_mounts(test) {
+        return;
+    }
+    let place = Place::new();
+    let out = place.folder().join("out");
+    fs::create_dir(&out).unwrap();
+    let out = out.display();
+    if !mount(&format!(
+        "mount --bind '{out}' '{out}' && mount -o remount,ro,bind '{out}'"
+    )) {
+        return;
+    }
+    for line in [
+        "demo --format json --out out",
+        "calibrate excite -o out/moved.csv",
+    ] {
+        let mut command = place.command("cdcrctl");
+        command.args(line.split(' ')).current_dir(place.folder());
+        let output = Program::start(&mut command).output();
+        assert_says(&output, 1, &["cannot write into"]);
+        assert!(output.stdout.is_empty(), "it ran: {}", text(&output));
+    }
+    assert!(mount(&format!("umount '{out}'")));
 }

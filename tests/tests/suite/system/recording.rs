@@ -488,12 +488,13 @@ fn what_is_no_recording_is_refused_with_the_reason() {
     ] {
         place.says(&format!("cdcrctl info {file}"), 1, &[file, reason]);
     }
-    let exists = |file| format!("{file} exists: remove it or name another");
-    place.says("cdcrctl record -o run.mcap", 1, &[&exists("run.mcap")]);
+    let exists = |file, or| format!("{file} exists: remove it {or}");
+    let another = exists("run.mcap", "or name another");
+    place.says("cdcrctl record -o run.mcap", 1, &[&another]);
     let table = place.folder().join("tables/telemetry.csv");
     fs::create_dir(table.parent().unwrap()).unwrap();
     fs::write(&table, "mine").unwrap();
-    let refused = exists("tables/telemetry.csv");
+    let refused = exists("tables/telemetry.csv", "or use another --csv folder");
     place.says("cdcrctl convert run.mcap --csv tables", 1, &[&refused]);
     // A table without the others is not a result.
     assert_eq!(fs::read_dir(table.parent().unwrap()).unwrap().count(), 1);

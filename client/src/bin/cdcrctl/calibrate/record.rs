@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, ensure};
 use cdcr_client::counted;
+use cdcr_process::check_writable;
 use cdcr_shared_types::Telemetry;
 
 use super::pairs::Pairs;
@@ -55,14 +56,17 @@ pub(super) fn print_rows(output: &Path, rows: u64, passed_s: f64) -> anyhow::Res
     Ok(())
 }
 
-/// Refuses to overwrite a recording, before anything is computed or moves.
+/// Refuses to overwrite a recording, and a folder that cannot be written, before anything is computed or moves.
 pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
     let name = output.display();
     ensure!(
         !output.exists(),
         "{name} already exists: remove it or use another file"
     );
-    Ok(())
+    let folder = output
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    check_writable(folder.unwrap_or(Path::new(".")))
 }
 
 /// Rows of tips, with the cables at the time of the tip.

@@ -13,15 +13,14 @@ mod sketch;
 mod steal;
 mod table;
 
-use std::fs;
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, Spiral};
-use cdcr_process::Place;
+use cdcr_process::{Place, output_folder};
 
 use crate::Done;
 use crate::args::{DemoOptions, Format};
@@ -39,8 +38,7 @@ use steal::StealReading;
 
 pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
     if let Some(out) = &options.out {
-        fs::create_dir_all(out)
-            .with_context(|| format!("cannot create the folder {}", out.display()))?;
+        output_folder(out)?;
     }
     let sections = options.sections as usize;
     let spiral = Spiral {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use cdcr_client::{counted, events};
+use cdcr_process::output_folder;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
@@ -24,7 +25,7 @@ pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     // A table that reaches its size limit is then an error, too.
     let interrupt = Interrupt::catch()?;
     let mut recording = Recording::open(&options.file)?;
-    fs::create_dir_all(folder).with_context(|| format!("cannot create {name}"))?;
+    output_folder(folder)?;
     let mut tables = Tables::new(folder);
     let written = tables.take_all(&mut recording, &interrupt);
     let rows = tables
@@ -142,7 +143,7 @@ impl<'a> Tables<'a> {
             Entry::Occupied(table) => table.into_mut(),
             Entry::Vacant(free) => {
                 let path = self.folder.join(format!("{name}.csv"));
-                let file = new_file(&path)?;
+                let file = new_file(&path, "or use another --csv folder")?;
                 let out = csv::Writer::from_writer(BufWriter::new(file));
                 let table = free.insert(Table { out, path, rows: 0 });
                 table.out.write_record(row.iter().map(|(name, _)| name))?;

@@ -50,7 +50,7 @@ fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let other = path.with_file_name(format!("{stem}-repaired.mcap"));
     let name = other.display();
-    let file = new_file(&other)?;
+    let file = new_file(&other, "or rename it")?;
     let copied = copy(&mut recording, file, is_interrupted);
     if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
         // If nothing was saved, no file remains.
@@ -321,5 +321,10 @@ mod tests {
         assert!(!repaired.exists());
         repair(&path, || false).unwrap();
         assert!(repaired.exists());
+        let again = repair(&path, || false).unwrap_err().to_string();
+        assert!(
+            again.ends_with("run-repaired.mcap exists: remove it or rename it"),
+            "{again}"
+        );
     }
 }

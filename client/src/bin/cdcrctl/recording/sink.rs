@@ -134,7 +134,7 @@ impl Sink {
     pub(super) fn begin(&mut self, unix_ns: u64) -> anyhow::Result<io::Result<()>> {
         let name = self.path.display();
         let cannot_write = || format!("cannot write {name}");
-        let file = new_file(&self.path)?;
+        let file = new_file(&self.path, "or name another")?;
         self.opened = Some(file.try_clone().with_context(cannot_write)?);
         let mut writer = Writer::new(file, "ros2", &library()).with_context(cannot_write)?;
         let mut begun = || {
