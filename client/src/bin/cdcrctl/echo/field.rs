@@ -1,9 +1,64 @@
 //! Fields of a message by path: names and element indices, separated by points.
 
 use anyhow::{Context, bail};
+use cdcr_client::counted;
+use cdcr_shared_types::message::{Field, Meaning, Struct, Value as Part};
 use serde_json::{Map, Value};
 
-/// The value at `path`; null for an unused element.
+use super::json::shown_name;
+
+/// Fails for an index beyond its array. An index that only other messages use is none: obstacles and events
+/// come and go.
+pub(crate) fn check_indices(message: &dyn Struct, paths: &[String]) -> anyhow::Result<()> {
+    let check = |path: &String| check_part(Part::Struct(message), None, path, Some(path));
+    paths.iter().try_for_each(check)
+}
+
+/// `count`: elements of an array of which this robot uses a part. `rest`: end of the path from here on.
+fn check_part(
+    value: Part<'_>,
+    count: Option<usize>,
+    path: &str,
+    rest: Option<&str>,
+) -> anyhow::Result<()> {
+    let Some(rest) = rest else { return Ok(()) };
+    let (part, after) = match rest.split_once('.') {
+        Some((part, after)) => (part, Some(after)),
+        None => (rest, None),
+    };
+    match value {
+        Part::Struct(message) => {
+            let mut checked = Ok(());
+            message.visit(&mut |field, value| {
+                let is_array = !matches!(field.meaning, Meaning::Text | Meaning::Per(..));
+                if shown_name(field) == part && is_array {
+                    checked = check_part(value, count_of_robot(message, field), path, after);
+                }
+            });
+            checked
+        }
+        Part::Array(array) => {
+            let count = count.unwrap_or(array.count());
+            let name = &path[..path.len() - rest.len() - 1];
+            match part.parse() {
+                Ok(index) if index < count => check_part(array.element(index), None, path, after),
+                _ => bail!(
+                    "invalid index {part:?} in --field {path}: {name} has {}, numbered from 0",
+                    counted(count, "element")
+                ),
+            }
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Elements of an array that depend on the number of sections only.
+fn count_of_robot(message: &dyn Struct, field: &Field) -> Option<usize> {
+    let is_of_robot = field.used?.count.ends_with("sections");
+    message.used(field).filter(|used| is_of_robot && *used > 0)
+}
+
+/// The value at `path`; null for an element that this message does not use.
 fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
     let mut value = message;
     for part in path.split('.') {
@@ -72,6 +127,7 @@ pub(crate) fn without_null(value: Value) -> Option<Value> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cdcr_shared_types::{Status, Telemetry};
     use serde_json::json;
 
     fn paths(paths: &[&str]) -> Vec<String> {
@@ -96,6 +152,33 @@ mod tests {
             let error = of(&message, &paths(&[bad])).expect_err(bad).to_string();
             assert!(error.contains(part), "{error}");
         }
+    }
+
+    #[test]
+    fn an_index_beyond_its_array_is_refused_with_the_length() {
+        let mut status = Status::default();
+        status.robot.sections = 3;
+        let check = |path: &str| check_indices(&status, &paths(&[path]));
+        for good in [
+            "cycle",
+            "robot.sections.2.length_m",
+            "unknown.9",
+            "robot_name.x",
+        ] {
+            check(good).expect(good);
+        }
+        for (bad, part) in [
+            ("robot.sections.3.length_m", "robot.sections has 3 elements"),
+            ("following_error_m.9", "following_error_m has 9 elements"),
+            ("robot.sections.x", "robot.sections has 3 elements"),
+        ] {
+            let error = check(bad).expect_err(bad).to_string();
+            assert!(error.contains(part), "{error}");
+        }
+        let check = |path: &str| check_indices(&Telemetry::default(), &paths(&[path]));
+        check("obstacles.7.radius_m").expect("there may be so many");
+        let error = check("tip_position_m.7").expect_err("of three").to_string();
+        assert!(error.contains("tip_position_m has 3 elements"), "{error}");
     }
 
     #[test]

@@ -30,13 +30,15 @@ fn insert(object: &mut Map<String, Value>, field: &Field, part: Part<'_>, used: 
         }
         (_, part) => plain(part, used),
     };
-    // The field with the length of the array has the plural.
-    let name = if field.name == "section" {
-        "sections"
-    } else {
-        field.name
-    };
-    object.insert(name.to_owned(), value);
+    object.insert(shown_name(field).to_owned(), value);
+}
+
+/// Name of a field; the field with the length of the sections has the plural.
+pub(super) fn shown_name(field: &Field) -> &'static str {
+    match field.name {
+        "section" => "sections",
+        name => name,
+    }
 }
 
 /// Limits and real-time properties by the names of their bits, timing as one flag each.
