@@ -48,7 +48,7 @@ impl<S> Open<S> {
         refused: impl FnOnce(String) -> LinkError,
     ) -> Result<P, LinkError> {
         let ask = || {
-            shm_space::ask(&self.root, bytes + PORT_BYTES, PORT_FILES)
+            shm_space::check(&self.root, bytes + PORT_BYTES, PORT_FILES)
                 .map_err(|shortage| LinkError::memory(service, shortage))
         };
         ask()?;
@@ -285,9 +285,11 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
 
 /// Checks for enough shared memory for a connection.
 fn check_space(place: &Place, files: u64) -> Result<(), ConnectError> {
-    shm_space::ask(&place.root, CONNECTION_BYTES, files).map_err(|shortage| ConnectError::Memory {
-        place: place.clone(),
-        cause: shortage.to_string(),
+    shm_space::check(&place.root, CONNECTION_BYTES, files).map_err(|shortage| {
+        ConnectError::Memory {
+            place: place.clone(),
+            cause: shortage.to_string(),
+        }
     })
 }
 

@@ -104,7 +104,7 @@ fn free_descriptors() -> Option<u64> {
 ///
 /// # Errors
 /// [`InsufficientSpace`], for the first resource of which there is less.
-pub fn ask(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), InsufficientSpace> {
+pub fn check(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), InsufficientSpace> {
     let asked = [
         (Resource::Bytes, needed_bytes, free_bytes(folder)),
         (Resource::Files, needed_files, free_files(folder)),
@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn insufficient_space_is_reported_with_the_numbers() {
         let folder = std::env::temp_dir();
-        assert_eq!(ask(&folder, 0, 0), Ok(()));
+        assert_eq!(check(&folder, 0, 0), Ok(()));
         for (bytes, files, resource, words) in [
             (u64::MAX, 0, Resource::Bytes, "MB are free"),
             (0, u64::MAX, Resource::Files, "nr_inodes="),
@@ -150,7 +150,7 @@ mod tests {
             if resource == Resource::Files && free_files(&folder).is_none() {
                 continue;
             }
-            let lack = ask(&folder, bytes, files).expect_err("nobody has so much");
+            let lack = check(&folder, bytes, files).expect_err("nobody has so much");
             assert!(lack.resource == resource && lack.needed == u64::MAX && lack.free < u64::MAX);
             let (text, mount) = (lack.to_string(), mount_point(&folder).display().to_string());
             assert!(text.contains(&mount) && text.contains(words), "{text}");
@@ -162,12 +162,12 @@ mod tests {
         let folder = Path::new("/proc");
         assert_eq!(free_bytes(folder), None);
         assert_eq!(free_files(folder), None);
-        assert_eq!(ask(folder, u64::MAX, 0), Ok(()));
+        assert_eq!(check(folder, u64::MAX, 0), Ok(()));
     }
 
     #[test]
     fn too_few_descriptors_are_reported_with_the_command() {
-        let lack = ask(Path::new("/proc"), 0, u64::MAX).expect_err("nobody may open so many");
+        let lack = check(Path::new("/proc"), 0, u64::MAX).expect_err("nobody may open so many");
         assert!(
             lack.resource == Resource::Descriptors && lack.free > 0,
             "{lack:?}"

@@ -378,7 +378,9 @@ impl Computer {
         let samples = window.ahead(record.cycle, steps).iter().zip(1..);
         let led = samples.map(|(sample, step)| {
             let time_ns = record.release_ns + step * record.period_ns;
-            approach.led(sample, time_ns).moved(&-state.tip_offset_m)
+            approach
+                .followed_sample(sample, time_ns)
+                .moved(&-state.tip_offset_m)
         });
         let led: Vec<_> = led.collect();
         let input = SolveInput {

@@ -23,17 +23,17 @@ pub enum Why {
     /// By request.
     Asked,
     /// The data cannot distinguish it from these parameters; if empty, the data do not depend on it.
-    Untold(Vec<Parameter>),
+    Undetermined(Vec<Parameter>),
 }
 
 impl fmt::Display for Why {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Asked => write!(f, "asked for"),
-            Self::Untold(others) if others.is_empty() => {
+            Self::Undetermined(others) if others.is_empty() => {
                 write!(f, "the data do not depend on it")
             }
-            Self::Untold(others) => {
+            Self::Undetermined(others) => {
                 let names: Vec<_> = others.iter().map(ToString::to_string).collect();
                 write!(f, "the data do not separate it from: {}", names.join(", "))
             }
@@ -81,7 +81,7 @@ pub(super) fn hold_undetermined(
         combined.retain(|&index| index != first);
         held.push(Held {
             parameter: Parameter::at(first),
-            why: Why::Untold(combined.into_iter().map(Parameter::at).collect()),
+            why: Why::Undetermined(combined.into_iter().map(Parameter::at).collect()),
         });
     }
 }

@@ -119,7 +119,7 @@ impl DrivenRobot {
 
     /// Estimated state of the cables' play at the configuration to which the commands lead.
     pub(super) fn slack(&self) -> Option<&Slack> {
-        self.estimator.slack_led()
+        self.estimator.commanded_slack()
     }
 
     /// Largest difference between a motor and its commanded position (m).

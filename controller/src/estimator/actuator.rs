@@ -188,7 +188,7 @@ impl ActuatorModel {
     }
 
     /// State of the play at the commanded configuration; `None`: no play.
-    pub(super) fn slack_led(&self) -> Option<&Slack> {
+    pub(super) fn commanded_slack(&self) -> Option<&Slack> {
         self.play.as_ref().map(|play| &play.commanded)
     }
 

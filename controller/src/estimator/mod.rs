@@ -161,8 +161,8 @@ impl Estimator {
     }
 
     /// State of the cables' play at [`Self::motors`]; `None`: no play.
-    pub fn slack_led(&self) -> Option<&Slack> {
-        self.motors.slack_led()
+    pub fn commanded_slack(&self) -> Option<&Slack> {
+        self.motors.commanded_slack()
     }
 
     /// Present configuration of the motors: [`Self::motors`] less their remaining motion.
@@ -266,7 +266,7 @@ impl Estimator {
         let motion = self.motors.remaining_motion(age_s);
         let then = motion.cables_at_start(&motion.start_from(self.motors()));
         let placed_m = robot.tip_position(&then);
-        let has_play = self.motors.slack_led().is_some();
+        let has_play = self.motors.commanded_slack().is_some();
         self.tip_offset.correct(position_m, &placed_m, has_play)
     }
 

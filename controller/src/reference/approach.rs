@@ -122,7 +122,7 @@ impl Approach {
 
     /// The sample to follow at `time_ns`, given the reference's `sample` at that time.
     #[must_use]
-    pub fn led(&self, sample: &ReferenceSample, time_ns: u64) -> ReferenceSample {
+    pub fn followed_sample(&self, sample: &ReferenceSample, time_ns: u64) -> ReferenceSample {
         if self.is_over(time_ns) {
             return *sample;
         }
@@ -226,14 +226,14 @@ mod tests {
             let lasts_ns = approach.duration_ns.max(approach.joining_ns);
             let at = |step: u32| {
                 let time_ns = (f64::from(step) * 1e-3 * lasts_ns as f64).ceil() as u64;
-                approach.led(&sample(reference_m_s * (time_ns as f64 * 1e-9), Orientation::Free), time_ns).position_m
+                approach.followed_sample(&sample(reference_m_s * (time_ns as f64 * 1e-9), Orientation::Free), time_ns).position_m
             };
             let end_m = reference_m_s * (lasts_ns as f64 * 1e-9);
             prop_assert!((at(0) - offset_m).norm() < 1e-12 && (at(1000) - end_m).norm() < 1e-12);
             let step_s = lasts_ns as f64 * 1e-12;
             let speed = reference_m_s.norm();
             // At rest, as the tip is.
-            let soon_m = approach.led(&sample(reference_m_s * 1e-6, Orientation::Free), 1000).position_m;
+            let soon_m = approach.followed_sample(&sample(reference_m_s * 1e-6, Orientation::Free), 1000).position_m;
             prop_assert!((soon_m - offset_m).norm() < 1e-6 * (0.001 * speed + 1e-6));
             let is_gentle = JOINING_ACCELERATION_PEAK * speed / (0.5 * acceleration_m_s2) * JOINING_DISTANCE_PEAK * speed <= limits.excursion_m;
             for k in 1..1000 {
@@ -266,7 +266,7 @@ mod tests {
             for orientation in [Orientation::Free, Orientation::Axis(axis), Orientation::Full(wanted)] {
                 let reference = sample(zero, orientation);
                 let approach = Approach::plan(&limits, 7, (&tip, &zero), (&reference, &zero), PERIOD_NS);
-                let begin = approach.led(&reference, 7).orientation;
+                let begin = approach.followed_sample(&reference, 7).orientation;
                 match begin {
                     Orientation::Free => prop_assert_eq!(approach.duration_ns, 0),
                     Orientation::Axis(axis) => {
@@ -278,7 +278,7 @@ mod tests {
                     }
                 }
                 let end_ns = 7 + approach.duration_ns;
-                prop_assert_eq!(approach.led(&reference, end_ns), reference);
+                prop_assert_eq!(approach.followed_sample(&reference, end_ns), reference);
             }
         }
     }

@@ -86,7 +86,10 @@ impl FollowedReference {
         let samples = &mut self.samples[..reference.len()];
         for ((followed, sample), step) in samples.iter_mut().zip(reference).zip(1..) {
             let time_ns = now.release_ns + step * now.period_ns;
-            *followed = self.approach.led(sample, time_ns).moved(&-offset_m);
+            *followed = self
+                .approach
+                .followed_sample(sample, time_ns)
+                .moved(&-offset_m);
         }
         samples
     }
@@ -118,8 +121,11 @@ impl FollowedReference {
         } else if self.approach.is_over(next_ns) {
             self.approach = Approach::default();
         }
-        let [here, there] = [(first, 0), (second, now.period_ns)]
-            .map(|(sample, later_ns)| self.approach.led(sample, next_ns + later_ns).position_m);
+        let [here, there] = [(first, 0), (second, now.period_ns)].map(|(sample, later_ns)| {
+            self.approach
+                .followed_sample(sample, next_ns + later_ns)
+                .position_m
+        });
         self.last = Some(PreviousCycle {
             velocity_m_s: (there - here) / period_s,
             state: first.state,

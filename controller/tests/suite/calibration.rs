@@ -171,7 +171,7 @@ fn lengths_radii_zeros_and_angles_are_found_and_the_bounds_are_honest() {
 
 fn held(found: &Calibration) -> Vec<(Parameter, Vec<Parameter>)> {
     let held = found.held.iter().filter_map(|held| match &held.why {
-        Why::Untold(others) => Some((held.parameter, others.clone())),
+        Why::Undetermined(others) => Some((held.parameter, others.clone())),
         Why::Asked => None,
     });
     held.collect()

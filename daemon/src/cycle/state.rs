@@ -100,8 +100,8 @@ impl RobotState {
     }
 
     /// State of the cables' play there; `None`: no play.
-    pub(super) fn slack_led(&self) -> Option<&Slack> {
-        self.estimator.slack_led()
+    pub(super) fn commanded_slack(&self) -> Option<&Slack> {
+        self.estimator.commanded_slack()
     }
 
     /// Motor positions, if they differ from the configuration: commanded positions, or motors whose cables

@@ -69,7 +69,7 @@ impl ShmSpace {
         needed_bytes: u64,
         needed_files: u64,
     ) -> Result<(), InsufficientSpace> {
-        shm_space::ask(&self.root, needed_bytes, needed_files)
+        shm_space::check(&self.root, needed_bytes, needed_files)
     }
 
     /// Allocates every page of the files without changing their content.
