@@ -43,7 +43,9 @@ impl From<ConnectError> for Failure {
             ConnectError::DaemonNotRunning { .. } => Code::NoDaemon,
             ConnectError::Silent { .. } => Code::Silent,
             ConnectError::VersionMismatch { .. } => Code::Layout,
-            ConnectError::OtherUser { .. } | ConnectError::ReadOnly { .. } => Code::Access,
+            ConnectError::OtherUser { .. }
+            | ConnectError::OtherClock { .. }
+            | ConnectError::ReadOnly { .. } => Code::Access,
             ConnectError::Full { .. } => Code::Full,
             ConnectError::Robot(_) | ConnectError::Location(_) => Code::Argument,
             ConnectError::Memory { .. } => Code::Link,
@@ -81,7 +83,7 @@ impl From<RequestError> for Failure {
         let code = match &error {
             RequestError::Refused { .. } => Code::Refused,
             RequestError::Timeout { .. } => Code::Silent,
-            RequestError::Restarted { .. } => Code::NoDaemon,
+            RequestError::Restarted => Code::NoDaemon,
             RequestError::Link { .. } => Code::Link,
             RequestError::Answer { .. } => Code::Layout,
         };

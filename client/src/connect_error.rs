@@ -119,6 +119,21 @@ pub enum ConnectError {
         /// User id of this process.
         user_id: u32,
     },
+    /// The clock of this process is another one, by which every message would be stamped in the future or long
+    /// ago.
+    #[error(
+        "the daemon for {place} (process {process_id}) runs in another time namespace, where CLOCK_MONOTONIC \
+         differs by {shift_s} s: start this program in the same one (nsenter --time --target {process_id} …)\n\
+         to stop the robot anyway: cdcrctl stop"
+    )]
+    OtherClock {
+        /// Place of the daemon.
+        place: Place,
+        /// Process of the daemon.
+        process_id: u32,
+        /// Time of the daemon's clock less that of this process \[s\].
+        shift_s: i64,
+    },
     /// This process has read-only access to the files.
     #[error(
         "{root} is read-only for this program, but every client writes there: mount it writable (in a unit: ReadWritePaths={root})",

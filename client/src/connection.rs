@@ -11,7 +11,7 @@ use crate::connect_error::{Place, no_status, retry};
 use crate::outlet::Outlet;
 use crate::request::Control;
 use crate::sender::Sender;
-use crate::services::{Services, check_owner};
+use crate::services::{Services, check_clock, check_owner};
 use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
@@ -57,6 +57,7 @@ impl Connection {
         let place = Place::new(location, robot);
         Service::Control.name(robot)?;
         check_owner(location, &place)?;
+        check_clock(location, &place)?;
         let services = Services::open(location, &place)?;
         let memory = |cause: String| ConnectError::Memory {
             place: place.clone(),

@@ -14,7 +14,7 @@ use cdcr_shared_types::{Command, Header, Location, Measurement, RobotDescription
 use crate::connect_error::{Place, no_status, retry};
 use crate::outlet::Outlet;
 use crate::sender::Sender;
-use crate::services::{Channel, DriverServices, check_owner};
+use crate::services::{Channel, DriverServices, check_clock, check_owner};
 use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::stream::Stream;
 use crate::{CommandStream, ConnectError, LinkError, monotonic_ns};
@@ -97,6 +97,7 @@ impl Driver {
         let place = Place::new(location, robot);
         Service::Measurement.name(robot)?;
         check_owner(location, &place)?;
+        check_clock(location, &place)?;
         let services = DriverServices::open(location, &place)?;
         let mut statuses = StatusReader::new(Stream::open_reserved(&services.status)?);
         let status = statuses.fresh_within(STATUS_FRESH)?;

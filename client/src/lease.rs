@@ -82,11 +82,11 @@ impl<'c> Lease<'c> {
     /// ([`RequestError::Restarted`]): the reference fed so far is lost then.
     pub fn renew(&self) -> Result<Response, RequestError> {
         let asked_ns = monotonic_ns();
-        let kind = RequestKind::AcquireLease;
-        let response = self.connection.request(kind)?;
+        let answer = self.connection.request(RequestKind::AcquireLease);
+        let response = answer.map_err(RequestError::of_renewal)?;
         if !self.grant.is_from(&response.header) {
             self.give_back();
-            return Err(RequestError::Restarted { kind });
+            return Err(RequestError::Restarted);
         }
         self.renewed_ns.set(asked_ns);
         self.left.set(Duration::from_nanos(response.lease_left_ns));

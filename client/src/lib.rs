@@ -114,7 +114,7 @@ pub use obstacle_sender::ObstacleSender;
 pub use plant_driver::{PlantDriver, PlantError};
 pub use reference_feed::ReferenceFeed;
 pub use remedy::{remedy, request_remedy};
-pub use request::RequestError;
+pub use request::{Asked, RequestError};
 pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, straight_cable_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};

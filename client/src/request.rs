@@ -1,4 +1,5 @@
 use std::cell::OnceCell;
+use std::fmt;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -17,14 +18,42 @@ use crate::services::ControlChannel;
 /// Interval at which a waiting client checks for the answer.
 pub(crate) const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
+/// What a client asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asked {
+    /// A request.
+    Request(RequestKind),
+    /// The renewal of the lease, which is a request to acquire it.
+    Renewal,
+}
+
+impl fmt::Display for Asked {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Request(kind) => kind.fmt(f),
+            Self::Renewal => f.write_str("renew the lease"),
+        }
+    }
+}
+
+impl Asked {
+    /// The kind of the request.
+    pub fn kind(self) -> RequestKind {
+        match self {
+            Self::Request(kind) => kind,
+            Self::Renewal => RequestKind::AcquireLease,
+        }
+    }
+}
+
 /// Why a request failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
     /// The daemon refused the request.
-    #[error("cannot {kind}: {} (the daemon is {mode}). {}", refusal(*kind, *outcome), request_remedy(*kind, *outcome, *mode))]
+    #[error("cannot {asked}: {} (the daemon is {mode}). {}", refusal(asked.kind(), *outcome), request_remedy(asked.kind(), *outcome, *mode))]
     Refused {
         /// The request.
-        kind: RequestKind,
+        asked: Asked,
         /// Reason of the refusal.
         outcome: Outcome,
         /// Mode of the daemon after the request.
@@ -32,12 +61,12 @@ pub enum RequestError {
     },
     /// No answer arrived.
     #[error(
-        "cannot {kind}: the daemon did not answer within {} ms: {liveness}",
+        "cannot {asked}: the daemon did not answer within {} ms: {liveness}",
         waited.as_millis()
     )]
     Timeout {
         /// The request.
-        kind: RequestKind,
+        asked: Asked,
         /// Time waited.
         waited: Duration,
         /// Whether the daemon still runs.
@@ -45,28 +74,39 @@ pub enum RequestError {
     },
     /// The answer came from another daemon than the one that granted the lease.
     #[error(
-        "cannot {kind} again: the daemon was restarted and the lease is lost. Acquire a new one"
+        "cannot renew the lease: the daemon was restarted and the lease is lost. Acquire a new one"
     )]
-    Restarted {
-        /// The request.
-        kind: RequestKind,
-    },
+    Restarted,
     /// The request or its answer could not be transferred.
-    #[error("cannot {kind}: {cause}")]
+    #[error("cannot {asked}: {cause}")]
     Link {
         /// The request.
-        kind: RequestKind,
+        asked: Asked,
         /// Error text of the port.
         cause: String,
     },
     /// The answer has a code that is unknown in this version.
-    #[error("the outcome of {kind} is unknown: the daemon answered with {code}")]
+    #[error("the outcome of {asked} is unknown: the daemon answered with {code}")]
     Answer {
         /// The request.
-        kind: RequestKind,
+        asked: Asked,
         /// The unknown code.
         code: UnknownCode,
     },
+}
+
+impl RequestError {
+    /// The same error of a renewal.
+    pub(crate) fn of_renewal(mut self) -> Self {
+        match &mut self {
+            Self::Refused { asked, .. }
+            | Self::Timeout { asked, .. }
+            | Self::Link { asked, .. }
+            | Self::Answer { asked, .. } => *asked = Asked::Renewal,
+            Self::Restarted => {}
+        }
+        self
+    }
 }
 
 type Port = Client<ipc::Service, Request, (), Response, ()>;
@@ -154,7 +194,7 @@ impl Control {
             was_unanswered |= answer.is_none();
             if is_over {
                 return Err(RequestError::Timeout {
-                    kind,
+                    asked: Asked::Request(kind),
                     waited: timeout,
                     liveness: self.place.liveness(),
                 });
@@ -171,7 +211,8 @@ impl Control {
         request: Request,
         deadline: Instant,
     ) -> Result<Option<Response>, RequestError> {
-        let link = |cause: String| RequestError::Link { kind, cause };
+        let asked = Asked::Request(kind);
+        let link = |cause: String| RequestError::Link { asked, cause };
         let port = self.port().map_err(|cause| link(cause.to_string()))?;
         let pending = port
             .send_copy(request)
@@ -206,17 +247,18 @@ fn can_be_retried(kind: RequestKind, response: &Response, was_unanswered: bool) 
 }
 
 fn evaluate(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
+    let asked = Asked::Request(kind);
     match Outcome::try_from(response.outcome) {
         Ok(Outcome::Accepted) => Ok(response),
         Ok(outcome) => Err(match Mode::try_from(response.mode) {
             Ok(mode) => RequestError::Refused {
-                kind,
+                asked,
                 outcome,
                 mode,
             },
-            Err(code) => RequestError::Answer { kind, code },
+            Err(code) => RequestError::Answer { asked, code },
         }),
-        Err(code) => Err(RequestError::Answer { kind, code }),
+        Err(code) => Err(RequestError::Answer { asked, code }),
     }
 }
 
@@ -231,10 +273,12 @@ mod tests {
             mode: Mode::Tracking.code(),
             ..Response::default()
         };
-        let text = evaluate(RequestKind::AcquireLease, response)
-            .expect_err("refused")
-            .to_string();
-        assert!(text.contains("acquire the lease"), "{text}");
+        let refused = evaluate(RequestKind::AcquireLease, response).expect_err("refused");
+        let renewal = refused.clone().of_renewal().to_string();
+        let text = refused.to_string();
+        assert!(text.contains("cannot acquire the lease:"), "{text}");
+        let expected = text.replace("acquire", "renew");
+        assert_eq!(renewal, expected);
         assert!(
             text.contains("another client holds the reference lease"),
             "{text}"

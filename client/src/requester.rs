@@ -7,7 +7,7 @@ use cdcr_shared_types::{Location, Response, Service, SolverSettings};
 use crate::connect_error::{Place, not_reached};
 use crate::request::{Control, POLL_INTERVAL};
 use crate::sender::Sender;
-use crate::services::{ControlChannel, DEAD_NODES, check_owner, open_control};
+use crate::services::{ControlChannel, DEAD_NODES, check_clock, check_owner, open_control};
 use crate::{ConnectError, LinkError, RequestError};
 
 /// Timeout for a free connection, and then for the answer.
@@ -56,6 +56,7 @@ impl Requester {
     /// # Errors
     /// As [`Connection::open`](crate::Connection::open), except for the status, which is not needed.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
+        check_clock(location, &Place::new(location, robot))?;
         Self::open_until(location, robot, Instant::now() + TIMEOUT)
     }
 

@@ -283,6 +283,33 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
     })
 }
 
+/// Checks that the daemon and this process are in time namespaces of equal clocks. Where `/proc` does not show
+/// the daemon, they count as equal.
+pub(crate) fn check_clock(location: &Location, place: &Place) -> Result<(), ConnectError> {
+    let presence = location.presence(&place.robot);
+    let Some(process_id) = presence.and_then(|presence| presence.process_id) else {
+        return Ok(());
+    };
+    let offsets_s = [process_id, std::process::id()].map(clock_offset_s);
+    match offsets_s {
+        [Some(daemon_s), Some(own_s)] if daemon_s != own_s => Err(ConnectError::OtherClock {
+            place: place.clone(),
+            process_id,
+            shift_s: daemon_s - own_s,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Offset of the process's `CLOCK_MONOTONIC` by its time namespace \[s\]; whole seconds, because nobody shifts
+/// it by less.
+fn clock_offset_s(process_id: u32) -> Option<i64> {
+    let offsets = std::fs::read_to_string(format!("/proc/{process_id}/timens_offsets")).ok()?;
+    let mut words = offsets.split_whitespace();
+    words.find(|word| *word == "monotonic")?;
+    words.next()?.parse().ok()
+}
+
 /// Checks for enough shared memory for a connection.
 fn check_space(place: &Place, files: u64) -> Result<(), ConnectError> {
     shm_space::check(&place.root, CONNECTION_BYTES, files).map_err(|shortage| {

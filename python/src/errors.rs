@@ -138,6 +138,7 @@ impl From<ConnectError> for Failure {
             ConnectError::OtherUser { .. } => {
                 "Run as the daemon's user, or start a daemon of your own with another root."
             }
+            ConnectError::OtherClock { .. } => "Run in the daemon's time namespace.",
             ConnectError::ReadOnly { .. } => "Mount the root folder writable.",
             ConnectError::Full { .. } => "Close another client.",
             ConnectError::Robot(_) => "Use 1 to 40 letters, digits, '-' and '_'.",
@@ -154,11 +155,11 @@ impl From<RequestError> for Failure {
     fn from(error: RequestError) -> Self {
         let next = match &error {
             RequestError::Refused {
-                kind,
+                asked,
                 outcome,
                 mode,
-            } => request_remedy(*kind, *outcome, *mode),
-            RequestError::Restarted { .. } => "Feed again.",
+            } => request_remedy(asked.kind(), *outcome, *mode),
+            RequestError::Restarted => "Feed again.",
             RequestError::Timeout { liveness, .. } => next_after_silence(*liveness),
             RequestError::Link { .. } => next_after_silence(Liveness::Unknown),
             RequestError::Answer { .. } => "Install daemon and package of one version.",

@@ -90,13 +90,13 @@ impl From<RequestError> for FeedError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cdcr_shared_types::codes::RequestKind;
+    use crate::Asked;
     use std::time::Duration;
 
     #[test]
     fn a_request_that_an_ended_daemon_did_not_answer_reports_its_end_and_no_lease() {
         let timeout = |liveness| RequestError::Timeout {
-            kind: RequestKind::AcquireLease,
+            asked: Asked::Renewal,
             waited: Duration::from_secs(1),
             liveness,
         };

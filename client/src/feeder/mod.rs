@@ -217,7 +217,7 @@ impl<'c> Feeder<'c> {
                 state.renewed_ns = monotonic_ns();
                 Ok(())
             }
-            Err(RequestError::Restarted { .. }) => Err(state.restarted()),
+            Err(RequestError::Restarted) => Err(state.restarted()),
             Err(error) => Err(error.into()),
         }
     }

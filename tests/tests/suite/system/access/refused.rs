@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Outcome};
 use cdcr_shared_types::{Location, Status};
+use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
     Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, binary, text, wait_status,
     wait_until,
@@ -326,4 +327,39 @@ fn a_root_folder_that_is_mounted_read_only_is_said_to_be_so() {
         text(&daemon.place().cdcrctl(&["status"])).contains("stopped")
     });
     assert!(daemon.stop().success(), "{}", daemon.log());
+}
+
+/// Every message would be stamped in the future, and every status be old.
+#[test]
+fn a_client_in_another_time_namespace_is_told_so_and_can_stop_the_robot() {
+    let daemon = Daemon::start(PATIENT);
+    let client = |line: &str| {
+        let mut command = daemon.place().command_of(Path::new("unshare"));
+        if !rustix::process::geteuid().is_root() {
+            command.arg("--map-root-user");
+        }
+        command.args(["--time", "--monotonic", "1000", "--"]);
+        command
+            .arg(binary("cdcrctl"))
+            .args(line.split(' '))
+            .output()
+    };
+    match client("--version") {
+        Ok(output) if output.status.success() => {}
+        no => {
+            return skip(
+                Need::UtilLinux,
+                format!("no time namespace of its own: {no:?}"),
+            );
+        }
+    }
+    let told = [
+        "another time namespace",
+        "differs by -1000 s",
+        "cdcrctl stop",
+    ];
+    for line in ["status", "hold", "ref line --track", "plant"] {
+        assert_says(&client(line).unwrap(), 1, &told);
+    }
+    assert_says(&client("stop").unwrap(), 0, &["the daemon is stopped"]);
 }
