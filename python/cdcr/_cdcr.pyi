@@ -71,7 +71,7 @@ class Connection:
         """
         Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
 
-        A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second.
+        A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second, or only commands for ten.
         """
     def lost_records(self, /) -> int:
         """
@@ -124,7 +124,7 @@ class Connection:
         """
         Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
 
-        Raises LinkError if the daemon has ended, or sends nothing for a second; live() gives what came before that.
+        Raises LinkError if the daemon has ended, or sends nothing for a second, or only commands for ten; live() gives what came before that.
         """
     def track(self, /) -> None:
         """
@@ -283,7 +283,7 @@ class Live:
     def __iter__(self, /) -> Live: ...
     def __next__(self, /) -> Records:
         """
-        The records since the last step. Raises LinkError if the daemon falls silent for a second.
+        The records since the last step. Raises LinkError if the daemon sends nothing for a second, or only commands for ten.
         """
     def __repr__(self, /) -> str: ...
 

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::model::settings_of;
 use cdcr_client::{
-    self, ConnectError, LinkError, Liveness, ObstacleSender, Requester, Stream, TelemetryStream,
+    self, CommandStream, ConnectError, LinkError, Liveness, ObstacleSender, Requester, Stream,
+    TelemetryStream,
 };
 use cdcr_controller::robot::Robot as Model;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
@@ -35,8 +36,13 @@ use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
 const NUMBERS: RangeInclusive<u32> = 0..=u32::MAX;
 /// Time limit for the outcome of a message.
 const OUTCOME: Duration = Duration::from_secs(1);
-/// Time without records after which a daemon counts as silent; it publishes one in each cycle.
+/// Time without records and commands after which a daemon counts as silent.
 const SILENT_AFTER: Duration = Duration::from_secs(1);
+/// Time without records after which it counts as silent although its commands arrive: a stalled machine delays
+/// the thread that sends records, as in a feed.
+const TELEMETRY_SILENT_AFTER: Duration = Duration::from_secs(10);
+/// Time within which a command arrives from a daemon that runs: 20 periods of 5 ms.
+const COMMAND_WITHIN: Duration = Duration::from_millis(100);
 /// Interval between fetches of records, short enough that a queue of 256 does not fill.
 pub(crate) const FETCH_EACH: Duration = Duration::from_millis(20);
 
@@ -83,6 +89,8 @@ pub(crate) struct Desk {
     connection: cdcr_client::Connection,
     obstacles: Option<ObstacleSender>,
     telemetry: Option<TelemetryStream>,
+    /// Read while records are late.
+    commands: Option<CommandStream>,
 }
 
 /// A connection to a running daemon, from cdcr.connect(). Use it in a `with`, or close it. It may be used from any thread; a process that is
@@ -124,6 +132,7 @@ pub(crate) fn connect(
             connection: at.open()?,
             obstacles: None,
             telemetry: None,
+            commands: None,
         })
     })?;
     Ok(Connection { worker, address })
@@ -218,7 +227,7 @@ impl Connection {
 
     /// Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
     ///
-    /// Raises LinkError if the daemon has ended, or sends nothing for a second; live() gives what came before that.
+    /// Raises LinkError if the daemon has ended, or sends nothing for a second, or only commands for ten; live() gives what came before that.
     #[pyo3(signature = (seconds))]
     fn telemetry(&self, py: Python<'_>, seconds: f64) -> PyResult<Records> {
         let until = until("seconds", seconds)?;
@@ -235,7 +244,7 @@ impl Connection {
 
     /// Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
     ///
-    /// A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second.
+    /// A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second, or only commands for ten.
     #[pyo3(signature = (batch_s = 0.1))]
     fn live(slf: Bound<'_, Self>, batch_s: f64) -> PyResult<Live> {
         let batch = seconds("batch_s", batch_s)?;
@@ -427,17 +436,36 @@ impl Connection {
             };
             while let Some(record) = stream.try_next()? {
                 fetched.push(&record);
+                desk.commands = None;
             }
             Ok::<_, Failure>(fetched)
         })??;
         if fetched.count() > 0 {
             *heard = Instant::now();
-        } else if heard.elapsed() > SILENT_AFTER {
+        } else if heard.elapsed() > TELEMETRY_SILENT_AFTER
+            || heard.elapsed() > SILENT_AFTER && !self.sends_commands(py)?
+        {
             let silent = self.address.silent(Service::Telemetry, heard.elapsed());
             return Err(Failure::from(silent).into());
         }
         records.append(fetched);
         Ok(())
+    }
+
+    /// Whether commands arrive. They come from another thread of the daemon than the records.
+    fn sends_commands(&self, py: Python<'_>) -> PyResult<bool> {
+        let newest = self.worker.ask(py, |desk| {
+            let commands = match &mut desk.commands {
+                Some(commands) => commands,
+                none => none.insert(desk.connection.commands()?),
+            };
+            let waiting = commands.newest()?;
+            waiting.map_or_else(
+                || commands.next_within(COMMAND_WITHIN),
+                |command| Ok(Some(command)),
+            )
+        })?;
+        Ok(newest.is_ok_and(|command| command.is_some()))
     }
 
     /// Discards the pending records, and returns the time after which records are new.

@@ -28,14 +28,14 @@ impl Live {
         slf
     }
 
-    /// The records since the last step. Raises LinkError if the daemon falls silent for a second.
+    /// The records since the last step. Raises LinkError if the daemon sends nothing for a second, or only commands for ten.
     fn __next__(&self, py: Python<'_>) -> PyResult<Records> {
         let connection = self.connection.get();
         let mut records = Records::new(Telemetry::LAYOUT);
         let mut heard = Instant::now();
         connection.fetch(py, &mut records, &mut heard)?;
         sleep_until(py, Instant::now() + self.batch)?;
-        // Python may have returned late: a second of silence begins here.
+        // Python may have returned late: the time of silence begins here.
         heard = Instant::now();
         loop {
             connection.fetch(py, &mut records, &mut heard)?;

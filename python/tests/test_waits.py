@@ -1,11 +1,15 @@
 """Waits: their duration, their end, and their errors after the end of a daemon."""
 
+import ctypes
+import os
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -139,6 +143,24 @@ def test_a_killed_daemon_is_reported_by_every_wait_and_the_next_one_is_found(dae
             assert fresh.status()["process_id"] == daemon.process.pid
         eventually(lambda: connection.status(PATIENCE_S)["process_id"] == daemon.process.pid)
         eventually(lambda: len(connection.telemetry(0.05)) > 0)
+
+
+def test_late_records_are_waited_for_while_commands_arrive(daemon: Daemon) -> None:
+    """As on a machine that stalls: the thread that sends the records is stopped for longer than a second."""
+    seize, interrupt, detach, wait_all = 0x4206, 0x4207, 17, 0x40000000
+    ptrace = ctypes.CDLL(None).ptrace
+    ptrace.argtypes = [ctypes.c_long, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
+    threads = Path(f"/proc/{daemon.process.pid}/task").iterdir()
+    reporter = next(int(thread.name) for thread in threads if (thread / "comm").read_text() == "cdcr-reporter\n")
+    with daemon.connect() as connection, ThreadPoolExecutor() as pool:
+        if ptrace(seize, reporter, None, None) != 0:
+            pytest.skip("a single thread cannot be stopped here: kernel.yama.ptrace_scope")
+        ptrace(interrupt, reporter, None, None)
+        os.waitpid(reporter, wait_all)
+        records = pool.submit(connection.telemetry, 4.0)
+        time.sleep(2.5)
+        ptrace(detach, reporter, None, None)
+        assert len(records.result()) > 0
 
 
 @pytest.mark.parametrize("what", ["feed", "stream"])
