@@ -84,6 +84,7 @@ pub struct Cycle {
     clearance_m: f64,
     longest_gap_ns: u64,
     previous_release_ns: Option<u64>,
+    /// The last command; zero if it has run out.
     rates: BendRates,
     /// Obstacles of this cycle, at their places at its release.
     known_obstacles: ObstacleSet,
@@ -227,6 +228,7 @@ impl Cycle {
         let measurement = self.link.measure(release.release_ns, inputs);
         self.state.count_silence(measurement, inputs);
         self.move_on(elapsed_ns);
+        self.rest_if_run_out(elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
         let sensors = inputs.tip_sensors;

@@ -6,6 +6,7 @@ mod core_budget;
 mod lead;
 mod play;
 mod rehearsal;
+mod stall;
 mod tip_margin;
 mod trial;
 mod unsent;

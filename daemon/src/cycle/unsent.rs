@@ -91,6 +91,14 @@ impl Cycle {
         }
     }
 
+    /// After a stall, the last command has run out, and the driver has brought the robot to rest: rates grow
+    /// from zero, and no ramp begins again.
+    pub(super) fn rest_if_run_out(&mut self, elapsed_ns: u64) {
+        if elapsed_ns > self.policy.command_valid_ns {
+            self.rates = BendRates::zero(self.robot.section_count());
+        }
+    }
+
     /// Control has begun again, and no command has been sent since.
     pub(super) fn begin_unsent(&mut self) {
         let rest = BendRates::zero(self.robot.section_count());

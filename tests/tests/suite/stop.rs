@@ -24,7 +24,7 @@ use cdcr_controller::safety::{ramp_to_zero, shorten};
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Response, Telemetry};
 use cdcr_testbed::subject::asker::Asker;
-use cdcr_tests::record::largest;
+use cdcr_tests::record::{has_run_out, largest};
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
 
@@ -202,8 +202,8 @@ fn follow_to_rest(telemetry: &mut TelemetryStream, records: &mut Vec<Telemetry>,
     });
 }
 
-/// Checks a stop against the guarantee. `None` if records are missing, or the robot was hardly moving or no
-/// longer tracking when the request came.
+/// Checks a stop against the guarantee. `None` if records are missing, a stall ended the ramp, or the robot
+/// was hardly moving or no longer tracking when the request came.
 fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let neighbours = |pair: &[Telemetry]| pair[0].header.sequence + 1 == pair[1].header.sequence;
     let is_stopped = |record: &Telemetry| record.mode == Mode::Stopped.code();
@@ -213,7 +213,9 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let speed = largest(&first.previous_rate_rad_s);
     let step = DECELERATION_RAD_S2 * first.period_ns as f64 * 1e-9;
     let is_tracking = before.mode == Mode::Tracking.code();
-    if !records[at - 1..].windows(2).all(neighbours) || !is_tracking || speed < 2.0 * step {
+    let is_whole =
+        records[at - 1..].windows(2).all(neighbours) && !records[at..].iter().any(has_run_out);
+    if !is_whole || !is_tracking || speed < 2.0 * step {
         return None;
     }
     for pair in records[at - 1..].windows(2) {

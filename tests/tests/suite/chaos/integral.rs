@@ -116,7 +116,7 @@ impl Integral {
         let by_driver = record.measurement.measured_ns < record.gather_ns + record.period_ns;
         let has_run_out = stale_ns > valid_ns && by_driver;
         let runs_out = has_run_out && stale_ns - record.period_ns <= valid_ns;
-        let rests = largest(&record.previous_rate_rad_s) == 0.0;
+        let rests = largest(&before.command.bend_rate_rad_s) == 0.0;
         if stale_ns == record.period_ns || runs_out && rests {
             self.sent = Some(Obeyed::new(before));
         }

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Interface;
+use cdcr_tests::record::has_run_out;
 
 use crate::faults::trail::late_ns;
 
@@ -26,6 +27,7 @@ struct Kept {
     elapsed_ns: u64,
     moved_ns: u64,
     previous_rate_rad_s: f64,
+    rate_rad_s: f64,
 }
 
 /// Time for which the robot moved by the command before this record \[ns\]: one period to a target position,
@@ -44,6 +46,10 @@ impl History {
         // A cycle that reuses the inputs of the previous one costs a period, too.
         let newest = self.0.back();
         let has_old_inputs = newest.is_some_and(|before| before.gather == record.gather);
+        let previous = match newest {
+            Some(before) if has_run_out(record) => before.rate_rad_s,
+            _ => record.previous_rate_rad_s[0],
+        };
         self.0.push_back(Kept {
             release_ns: record.release_ns,
             period_ns: record.period_ns,
@@ -53,7 +59,8 @@ impl History {
             measured_ns: record.measurement.measured_ns,
             elapsed_ns: record.elapsed_ns,
             moved_ns: moved_ns(record),
-            previous_rate_rad_s: record.previous_rate_rad_s[0],
+            previous_rate_rad_s: previous,
+            rate_rad_s: record.command.bend_rate_rad_s[0],
         });
     }
 
@@ -163,7 +170,9 @@ mod tests {
     #[test]
     fn a_command_moves_for_three_periods_at_most() {
         let mut history = History::default();
-        for (release_ns, elapsed_ns, rate_rad_s) in [(105, 5, 1e9), (145, 40, 2e9), (150, 5, 4e9)] {
+        for (release_ns, elapsed_ns, rate_rad_s, next_rad_s) in
+            [(105, 5, 1e9, 2e9), (145, 40, 2e9, 4e9), (150, 5, 4e9, 0.0)]
+        {
             let mut record = Telemetry {
                 period_ns: 5,
                 release_ns,
@@ -171,7 +180,10 @@ mod tests {
                 elapsed_ns,
                 ..Telemetry::default()
             };
-            record.previous_rate_rad_s[0] = rate_rad_s;
+            record.command.valid_until_ns = 15;
+            // 40 ns are a stall: the rate of the command before is not in this record.
+            record.previous_rate_rad_s[0] = if elapsed_ns > 15 { 0.0 } else { rate_rad_s };
+            record.command.bend_rate_rad_s[0] = next_rad_s;
             history.note(&record);
         }
         for (begin_ns, way_rad) in [(147, 12.0), (130, 20.0), (110, 40.0), (102, 53.0)] {

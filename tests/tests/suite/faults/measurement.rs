@@ -7,6 +7,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::record::has_run_out;
 use cdcr_tests::{Daemon, TIMEOUT, ask_for, refused, wait_status, wait_until};
 
 use crate::faults::history::moved_ns;
@@ -198,7 +199,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
                 std::thread::sleep(Duration::from_millis(1));
             },
             |record| {
-                if is_held_by_a_stall(record) {
+                if is_held_by_a_stall(record) || has_run_out(record) {
                     return true;
                 }
                 if is_frozen {
@@ -212,7 +213,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
                 is_fault
             },
         );
-        if is_held_by_a_stall(&now) {
+        if is_held_by_a_stall(&now) || has_run_out(&now) {
             return None;
         }
         let way_rad = way_rad.abs();
