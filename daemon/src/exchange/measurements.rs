@@ -16,6 +16,10 @@ pub(super) struct Measurements {
     /// A measurement older than this at its arrival is refused \[ns\].
     timeout_ns: u64,
     driver: BoundSender,
+    /// First measurement of that driver \[ns\]; time without a gather does not count.
+    driver_since_ns: u64,
+    /// That driver has sent bends or cables.
+    has_bends: bool,
     /// The process that measures only the tip, if the configuration has one.
     tip_sensor: Option<BoundSender>,
     /// Of the bends or cables, or of the tip if the driver measures nothing else.
@@ -28,6 +32,8 @@ pub(super) struct Measurements {
 
 /// A tip sensor silent for this long may be replaced by another one \[ns\]: some frames of a slow camera.
 const TIP_SENSOR_LOST_NS: u64 = 1_000_000_000;
+/// A driver that has sent no bends or cables for this long since its first tip measures the tip alone \[ns\].
+const BENDS_LATE_NS: u64 = 100_000_000;
 
 /// Circumstances of a measurement's arrival.
 #[derive(Debug, Clone, Copy)]
@@ -49,6 +55,8 @@ impl Measurements {
             interface: config.link.interface,
             timeout_ns,
             driver: BoundSender::new(timeout_ns),
+            driver_since_ns: 0,
+            has_bends: false,
             tip_sensor: (config.link.tip_sensor == TipSensor::Separate)
                 .then(|| BoundSender::new(TIP_SENSOR_LOST_NS.max(timeout_ns))),
             newest: None,
@@ -60,6 +68,7 @@ impl Measurements {
     /// Excludes the `unheard_ns` without a gather from the silence of driver and tip sensor.
     pub(super) fn extend(&mut self, unheard_ns: u64) {
         self.driver.extend(unheard_ns);
+        self.driver_since_ns += unheard_ns;
         if let Some(tip_sensor) = &mut self.tip_sensor {
             tip_sensor.extend(unheard_ns);
         }
@@ -108,11 +117,19 @@ impl Measurements {
         let timed = self.checked(message, self.driver, arrival.is_faulted, robot, arrival)?;
         // Measurements of another driver do not show what this one measures.
         let is_bound = self.driver.is_bound_to(sender);
-        let has_bends = is_bound && self.newest.as_ref().is_some_and(|newest| !is_a_tip(newest));
-        let newest = if has_bends && is_tip {
-            &mut self.newest_tip
+        let has_bends = is_bound && self.has_bends;
+        let since_ns = if is_bound {
+            self.driver_since_ns
         } else {
-            &mut self.newest
+            arrival.gather_ns
+        };
+        let waits = arrival.gather_ns.saturating_sub(since_ns) < BENDS_LATE_NS;
+        let mut unused = None;
+        let newest = match (is_tip, has_bends) {
+            (false, _) => &mut self.newest,
+            (true, true) => &mut self.newest_tip,
+            (true, false) if waits => &mut unused,
+            (true, false) => &mut self.newest,
         };
         // Bends determine the configuration, a tip does not: they replace it, also with the same time stamp.
         newest.take_if(|newest| is_newer && !is_tip && is_a_tip(newest));
@@ -122,6 +139,8 @@ impl Measurements {
                 self.newest_tip = None;
             }
             self.driver.hear(sender, arrival.gather_ns);
+            self.driver_since_ns = since_ns;
+            self.has_bends = has_bends || !is_tip;
         }
         Ok(outcome)
     }
@@ -229,6 +248,8 @@ mod tests {
     #[test]
     fn the_tip_counts_alone_until_something_tells_the_bends() {
         let mut rig = Rig::new("");
+        rig.accept(1, TIP);
+        rig.now_ns += BENDS_LATE_NS;
         let tip = rig.accept(1, TIP);
         assert_eq!(rig.newest(), (Some(tip), None));
         let bends = rig.accept(1, BENDS);
@@ -237,13 +258,41 @@ mod tests {
         assert_eq!(rig.newest(), (Some(bends), Some(tip)));
         // Bends measured by a lost driver do not count for one without encoders.
         rig.desk.driver = BoundSender::new(0);
+        rig.accept(2, TIP);
+        assert_eq!(rig.newest(), (Some(bends), None));
+        rig.now_ns += BENDS_LATE_NS;
         let tip = rig.accept(2, TIP);
         assert_eq!(rig.newest(), (Some(tip), None));
+    }
+
+    /// Of a tip alone, control would begin at a guess.
+    #[test]
+    fn a_tip_waits_for_the_first_bends() {
+        let mut rig = Rig::new("");
+        rig.accept(1, TIP);
+        rig.accept(1, TIP);
+        assert_eq!(rig.newest(), (None, None));
+        // No time counts in which nothing was gathered.
+        rig.now_ns += BENDS_LATE_NS;
+        rig.desk.extend(BENDS_LATE_NS);
+        rig.accept(1, TIP);
+        assert_eq!(rig.newest(), (None, None));
+        let bends = rig.accept(1, BENDS);
+        let tip = rig.accept(1, TIP);
+        assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+        // Of the next driver, too.
+        rig.desk.driver = BoundSender::new(0);
+        rig.accept(2, TIP);
+        assert_eq!(rig.newest(), (Some(bends), None));
+        let bends = rig.accept(2, BENDS);
+        assert_eq!(rig.newest(), (Some(bends), None));
     }
 
     #[test]
     fn bends_count_though_each_tip_comes_before_them_with_their_time_stamp() {
         let mut rig = Rig::new("");
+        rig.accept(1, TIP);
+        rig.now_ns += BENDS_LATE_NS;
         for _ in 0..2 {
             let stamp = rig.accept(1, TIP);
             rig.now_ns -= 1_000_000;
