@@ -882,7 +882,8 @@ typedef struct CdcrTelemetry {
     /* 1496: used: 2 * command.sections. Estimated bend vector that the commands up to this release lead to [rad]:
      * what the next one is planned from. Of motors without lag and delay it is the one at the release. */
     double bend_rad[12];
-    /* 1592: used: 2 * command.sections. Rates of the previous command [rad/s]; zero if it had run out by this release. */
+    /* 1592: used: 2 * command.sections. Rates of the previous command [rad/s]; zero if the last one sent has run
+     * out. */
     double previous_rate_rad_s[12];
     /* 1688: The solver's settings in this cycle. */
     CdcrSolverSettings settings;

@@ -181,7 +181,7 @@ message! {
         /// Estimated bend vector that the commands up to this release lead to \[rad\]: what the next one is planned from. Of motors
         /// without lag and delay it is the one at the release.
         bend_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
-        /// Rates of the previous command \[rad/s\]; zero if it had run out by this release.
+        /// Rates of the previous command \[rad/s\]; zero if the last one sent has run out.
         previous_rate_rad_s: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// The solver's settings in this cycle.
         settings: SolverSettings,

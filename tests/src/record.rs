@@ -31,13 +31,6 @@ pub fn largest(rates: &[f64]) -> f64 {
     rates.iter().fold(0.0, |most, rate| rate.abs().max(most))
 }
 
-/// Whether the command before this record had run out by its release: a stall, after which rates grow from
-/// rest.
-pub fn has_run_out(record: &Telemetry) -> bool {
-    let command = &record.command;
-    record.elapsed_ns > command.valid_until_ns - command.release_ns
-}
-
 #[cfg(test)]
 mod tests {
     use super::largest;

@@ -78,8 +78,7 @@ impl Cycle {
     /// Advances the state by the commands sent. Until the inputs count as stale, commands may still have been
     /// sent: only the gather was late. A robot that has come to rest keeps its commanded position.
     pub(super) fn move_on(&mut self, elapsed_ns: u64) {
-        let most_ns = self.policy.stale_inputs_max_ns;
-        let runs_out = self.has_stale_inputs() && self.stale_ns - self.period_ns <= most_ns;
+        let runs_out = !self.sent_runs_out(0) && self.sent_runs_out(elapsed_ns);
         if self.stale_ns == self.period_ns || runs_out && self.is_at_rest() {
             self.last_sent.note(&self.state, &self.rates);
         }
@@ -91,10 +90,18 @@ impl Cycle {
         }
     }
 
-    /// After a stall, the last command has run out, and the driver has brought the robot to rest: rates grow
-    /// from zero, and no ramp begins again.
+    /// While the exchange is held up: the last command sent runs out before the next release, `more_ns` from
+    /// now. A command that leaves by then finds the robot at rest.
+    fn sent_runs_out(&self, more_ns: u64) -> bool {
+        let until_ns = self.last_sent.elapsed_ns + more_ns + self.period_ns;
+        self.stale_ns > 0 && until_ns > self.policy.stale_inputs_max_ns
+    }
+
+    /// After a stall, or while the exchange is held up, the last command has run out, and the driver has
+    /// brought the robot to rest: rates grow from zero, and no ramp begins again.
     pub(super) fn rest_if_run_out(&mut self, elapsed_ns: u64) {
-        if elapsed_ns > self.policy.command_valid_ns {
+        let is_held_up = self.has_stale_inputs() || self.sent_runs_out(0);
+        if is_held_up || elapsed_ns > self.policy.command_valid_ns {
             self.rates = BendRates::zero(self.robot.section_count());
         }
     }

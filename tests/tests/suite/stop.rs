@@ -21,10 +21,12 @@ use cdcr_client::{
 };
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use cdcr_controller::safety::{ramp_to_zero, shorten};
-use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard};
+use cdcr_shared_types::codes::{
+    EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard, timing,
+};
 use cdcr_shared_types::{Response, Telemetry};
 use cdcr_testbed::subject::asker::Asker;
-use cdcr_tests::record::{has_run_out, largest};
+use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
 
@@ -213,9 +215,15 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let speed = largest(&first.previous_rate_rad_s);
     let step = DECELERATION_RAD_S2 * first.period_ns as f64 * 1e-9;
     let is_tracking = before.mode == Mode::Tracking.code();
-    let is_whole =
-        records[at - 1..].windows(2).all(neighbours) && !records[at..].iter().any(has_run_out);
-    if !is_whole || !is_tracking || speed < 2.0 * step {
+    // A stall of the machine in which the last command ran out ended the ramp.
+    let is_cut = |pair: &[Telemetry]| {
+        let [before, now] = [&pair[0], &pair[1]];
+        let stalls = now.elapsed_ns > now.period_ns || now.timing_flags & timing::STALE_INPUTS != 0;
+        let moved = largest(&before.command.bend_rate_rad_s) > 0.0;
+        stalls && moved && largest(&now.previous_rate_rad_s) == 0.0
+    };
+    let is_whole = records[at - 1..].windows(2).all(neighbours);
+    if !is_whole || records[at..].windows(2).any(is_cut) || !is_tracking || speed < 2.0 * step {
         return None;
     }
     for pair in records[at - 1..].windows(2) {

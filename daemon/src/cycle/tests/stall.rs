@@ -1,11 +1,12 @@
-//! Cycles after a stall: the last command has run out, and the driver has brought the robot to rest.
+//! Cycles after a stall of the daemon or of its exchange: the last command has run out, and the driver has
+//! brought the robot to rest.
 
 use cdcr_controller::plant::Preset;
 use cdcr_controller::robot::BendRates;
 use cdcr_controller::safety::{Mode, Request};
 
 use super::trial::{PERIOD_S, Trial};
-use super::{DIRECT, MOST_RAD_S2, is_at_rest};
+use super::{DIRECT, MOST_RAD_S2, bits, is_at_rest};
 use crate::config::Interface;
 
 const BOTH: [Interface; 2] = [Interface::Position, Interface::Velocity];
@@ -36,6 +37,46 @@ fn rates_grow_from_rest() {
         assert!(matches!(record.mode, Mode::Tracking { .. }));
         assert_eq!(fastest(&record.previous_rates), 0.0);
         assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
+    }
+}
+
+/// Whichever command leaves when the exchange continues.
+#[test]
+fn rates_grow_from_rest_while_the_exchange_is_held_up() {
+    for interface in BOTH {
+        for (cycles, skipped) in [(3, 0), (4, 0), (5, 0), (8, 0), (2, 1)] {
+            let mut trial = moving(interface);
+            trial.is_held_up = true;
+            for _ in 0..cycles {
+                trial.cycle(skipped);
+            }
+            let fastest = fastest(&trial.last().rates);
+            assert!(
+                fastest <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12),
+                "{cycles}: {fastest}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_ramp_does_not_begin_again_while_the_exchange_is_held_up() {
+    for interface in BOTH {
+        for cycles in 3..6 {
+            let mut trial = moving(interface);
+            assert!(!is_at_rest(&trial.ask(Request::Stop)));
+            let sent = trial.sent.unwrap();
+            trial.is_held_up = true;
+            for _ in 0..cycles {
+                trial.cycle(0);
+            }
+            assert!(is_at_rest(&trial.last()));
+            // The robot stands where the command that left led it.
+            if cycles > 3 && interface == Interface::Position {
+                let led_rad = &sent.bend_target_rad[..trial.target_rad.len()];
+                assert_eq!(bits(&trial.target_rad), bits(led_rad));
+            }
+        }
     }
 }
 

@@ -1,4 +1,5 @@
-//! Invariant: the commanded position is the integral of the commanded rates, to the bit.
+//! Invariant: the commanded position is the integral of the commanded rates, to the bit. The rates before a
+//! record are those of the last command, or zero if a command that left has run out.
 //!
 //! Other changes of it are visible in the records:
 //!
@@ -75,6 +76,7 @@ impl Integral {
         let Some(before) = before else {
             return Ok(());
         };
+        self.check_previous(before, record)?;
         let begins_first = is_first_measurement(before, record);
         if is_same(&led, &record.commanded_rad) && !begins_first {
             return Ok(());
@@ -111,11 +113,15 @@ impl Integral {
             (true, Some(_)) => self.stale_ns.map(|stale_ns| stale_ns + record.period_ns),
         };
         let (stale_ns, before) = (self.stale_ns?, before?);
-        let valid_ns = record.command.valid_until_ns - record.command.release_ns;
-        // The simulated robot is measured in the cycle itself.
-        let by_driver = record.measurement.measured_ns < record.gather_ns + record.period_ns;
-        let has_run_out = stale_ns > valid_ns && by_driver;
-        let runs_out = has_run_out && stale_ns - record.period_ns <= valid_ns;
+        let valid_ns = valid_ns(record);
+        let has_run_out = stale_ns > valid_ns && is_by_driver(record);
+        // Before the next release.
+        let runs_out = self.sent.is_some_and(|sent| {
+            let until_ns = sent.elapsed_ns + record.period_ns;
+            (until_ns..until_ns + record.elapsed_ns).contains(&valid_ns)
+                && is_stale
+                && is_by_driver(record)
+        });
         let rests = largest(&before.command.bend_rate_rad_s) == 0.0;
         if stale_ns == record.period_ns || runs_out && rests {
             self.sent = Some(Obeyed::new(before));
@@ -138,6 +144,33 @@ impl Integral {
             valid_ns
         }))
     }
+
+    /// Checks the rates that a record counts from, after [`Self::led`].
+    fn check_previous(&self, before: &Telemetry, record: &Telemetry) -> CheckResult {
+        let Some(stale_ns) = self.stale_ns else {
+            return Ok(());
+        };
+        let valid_ns = valid_ns(record);
+        let waits = stale_ns > 0 && is_by_driver(record);
+        let must_rest = record.elapsed_ns > valid_ns || waits && stale_ns > valid_ns;
+        let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
+        let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
+        let runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > valid_ns;
+        let may_rest = must_rest || waits && self.sent.is_some_and(runs_out);
+        ensure(rests && may_rest || goes_on && !must_rest, || {
+            "the previous rates are not those of the command before".to_owned()
+        })
+    }
+}
+
+/// Time for which a command is valid \[ns\].
+fn valid_ns(record: &Telemetry) -> u64 {
+    record.command.valid_until_ns - record.command.release_ns
+}
+
+/// The simulated robot is measured in the cycle itself.
+fn is_by_driver(record: &Telemetry) -> bool {
+    record.measurement.measured_ns < record.gather_ns + record.period_ns
 }
 
 /// Checks that control begins at the known position of the motors: the measured one if the robot holds.
@@ -225,6 +258,26 @@ mod tests {
         record.timing_flags = timing::STALE_INPUTS;
     }
 
+    fn rests(record: &mut Telemetry) {
+        stale(record);
+        record.previous_rate_rad_s.fill(0.0);
+    }
+
+    #[test]
+    fn rates_grow_from_those_of_the_last_command_or_from_rest() {
+        let mut line = Line::new(Interface::Velocity);
+        assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
+        let early = |record: &mut Telemetry| record.previous_rate_rad_s.fill(0.0);
+        assert!(line.next(0.005, 1.0, early).is_err());
+        let stall = |record: &mut Telemetry| record.elapsed_ns = 4 * T_NS;
+        assert!(line.next(0.02, 1.0, stall).is_err());
+        let stall = |record: &mut Telemetry| {
+            stall(record);
+            early(record);
+        };
+        assert_eq!(line.next(0.02 + 1.0 * (15e6 * 1e-9), 1.0, stall), Ok(()));
+    }
+
     #[test]
     fn what_no_rate_moved_is_found() {
         // Within two periods, a position is reached after one.
@@ -285,7 +338,11 @@ mod tests {
             assert_eq!(line.next(at_rad, 1.0, |_| {}), Ok(()));
             for _ in 0..3 {
                 at_rad += 0.005;
-                assert_eq!(line.next(at_rad, 1.0, stale), Ok(()));
+                let is_last = at_rad > 0.012;
+                assert_eq!(
+                    line.next(at_rad, 1.0, if is_last { rests } else { stale }),
+                    Ok(())
+                );
             }
             (line, at_rad)
         };
@@ -295,16 +352,20 @@ mod tests {
         ];
         for (interface, end_rad) in obeyed {
             let (mut line, _) = hold_up(interface);
-            assert_eq!(line.next(end_rad, 0.5, stale), Ok(()));
-            assert_eq!(line.next(end_rad, 0.5, stale), Ok(()));
+            assert_eq!(line.next(end_rad, 0.5, rests), Ok(()));
+            assert_eq!(line.next(end_rad, 0.5, rests), Ok(()));
             assert_eq!(line.next(end_rad + 0.5 * 0.005, 0.0, |_| {}), Ok(()));
             let (mut line, at_rad) = hold_up(interface);
-            assert!(line.next(at_rad + 0.005, 0.5, stale).is_err());
+            assert!(line.next(at_rad + 0.005, 0.5, rests).is_err());
         }
         // A robot at rest when the commands expire stays there; a simulated one was measured meanwhile.
-        let (mut line, at_rad) = hold_up(Interface::Position);
-        line.last.command.bend_rate_rad_s[0] = 0.0;
-        assert_eq!(line.next(at_rad, 0.0, stale), Ok(()));
+        let mut line = Line::new(Interface::Position);
+        assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
+        assert_eq!(line.next(0.005, 1.0, stale), Ok(()));
+        assert_eq!(line.next(0.01, 0.0, stale), Ok(()));
+        for _ in 0..2 {
+            assert_eq!(line.next(0.01, 0.0, stale), Ok(()));
+        }
         let (mut line, at_rad) = hold_up(Interface::Position);
         let simulated = |record: &mut Telemetry| {
             stale(record);

@@ -1,7 +1,7 @@
 //! Invariant: a robot that must rest slows down at the deceleration and never accelerates again.
 
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{MeasurementState, Mode, guard};
+use cdcr_shared_types::codes::{MeasurementState, Mode, guard, timing};
 use cdcr_tests::record::largest;
 
 use crate::chaos::{CheckResult, ensure};
@@ -56,12 +56,15 @@ pub(crate) fn control_may_begin(before: &Telemetry, record: &Telemetry) -> bool 
 
 /// Checks that a robot at rest in both records is commanded to stay at its position, to the bit.
 pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> CheckResult {
-    let rests = |record: &Telemetry| {
+    let rests = |record: &Telemetry, last_rad_s: &[f64]| {
         let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
-        !moves_on.contains(&record.mode) && largest(&record.previous_rate_rad_s) == 0.0
+        !moves_on.contains(&record.mode) && largest(last_rad_s) == 0.0
     };
+    // Meanwhile the position may return to where the last command that left led; `Integral` checks it.
+    let is_stale = record.timing_flags & timing::STALE_INPUTS != 0;
+    let (last, now) = (&before.previous_rate_rad_s, &before.command.bend_rate_rad_s);
     let begins = is_first_measurement(before, record) || control_may_begin(before, record);
-    if begins || !rests(before) || !rests(record) {
+    if begins || is_stale || !rests(before, last) || !rests(record, now) {
         return Ok(());
     }
     let bits = |record: &Telemetry| record.commanded_rad.map(f64::to_bits);

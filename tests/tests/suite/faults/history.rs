@@ -5,7 +5,6 @@ use std::ops::RangeInclusive;
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Interface;
-use cdcr_tests::record::has_run_out;
 
 use crate::faults::trail::late_ns;
 
@@ -46,8 +45,11 @@ impl History {
         // A cycle that reuses the inputs of the previous one costs a period, too.
         let newest = self.0.back();
         let has_old_inputs = newest.is_some_and(|before| before.gather == record.gather);
+        // After a stall, the record has zero instead.
         let previous = match newest {
-            Some(before) if has_run_out(record) => before.rate_rad_s,
+            Some(before) if before.release_ns + record.elapsed_ns == record.release_ns => {
+                before.rate_rad_s
+            }
             _ => record.previous_rate_rad_s[0],
         };
         self.0.push_back(Kept {
@@ -180,8 +182,7 @@ mod tests {
                 elapsed_ns,
                 ..Telemetry::default()
             };
-            record.command.valid_until_ns = 15;
-            // 40 ns are a stall: the rate of the command before is not in this record.
+            // After a stall the record does not have the rate of the command before.
             record.previous_rate_rad_s[0] = if elapsed_ns > 15 { 0.0 } else { rate_rad_s };
             record.command.bend_rate_rad_s[0] = next_rad_s;
             history.note(&record);
