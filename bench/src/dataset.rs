@@ -11,6 +11,7 @@ use std::ops::RangeInclusive;
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use column::Show;
@@ -244,15 +245,17 @@ impl Sheet {
     }
 
     pub fn markdown(&self) -> String {
-        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
-        let heads = self.columns.iter().map(|c| c.head.to_owned());
-        let marks = self.columns.iter().map(|column| match column.show {
-            Show::Word => "---".to_owned(),
-            _ => "--:".to_owned(),
-        });
-        let title = format!("{}\n\n", self.title);
-        let body: String = self.cells().into_iter().map(line).collect();
-        title + &line(heads.collect()) + &line(marks.collect()) + &body
+        self.shown().markdown()
+    }
+
+    pub fn shown(&self) -> ShownTable {
+        let is_word = |column: &Column| matches!(column.show, Show::Word);
+        ShownTable {
+            title: self.title.clone(),
+            heads: self.columns.iter().map(|c| c.head.to_owned()).collect(),
+            words: self.columns.iter().map(is_word).collect(),
+            lines: self.cells(),
+        }
     }
 
     /// Every value of the rows, beginning with the columns of the table.
@@ -287,6 +290,27 @@ impl Sheet {
             }))?;
         }
         Ok(String::from_utf8(writer.into_inner()?)?)
+    }
+}
+
+/// A table as people read it. `report.json` has those of all benchmarks, and `docs/results.md` is made from
+/// them.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ShownTable {
+    pub title: String,
+    pub heads: Vec<String>,
+    /// Whether a column has words, which are left-aligned.
+    pub words: Vec<bool>,
+    pub lines: Vec<Vec<String>>,
+}
+
+impl ShownTable {
+    pub fn markdown(&self) -> String {
+        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
+        let mark = |is_word: &bool| if *is_word { "---" } else { "--:" }.to_owned();
+        let marks: Vec<String> = self.words.iter().map(mark).collect();
+        let body: String = self.lines.iter().map(|cells| line(cells)).collect();
+        format!("{}\n\n", self.title) + &line(&self.heads) + &line(&marks) + &body
     }
 }
 

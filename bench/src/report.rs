@@ -25,7 +25,7 @@ use crate::run_options::RunOptions;
 const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
-const NO_RESULTS: [&str; 4] = ["environment", "extent", "options", "took_s"];
+const NO_RESULTS: [&str; 5] = ["environment", "extent", "options", "tables", "took_s"];
 
 /// The benchmarks whose targets need real time and the default configuration.
 const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
@@ -316,6 +316,16 @@ impl BenchReport {
         let targets = self.targets();
         let mut all = self.results();
         all.extend(targets.json());
+        let shown = |dataset: &Dataset| {
+            let tables: Vec<_> = dataset.tables().map(Sheet::shown).collect();
+            (dataset.name, tables)
+        };
+        let datasets = self.parts.iter().map(|part| &part.dataset);
+        let tables = datasets.chain([&targets]).map(shown);
+        all.insert(
+            "tables".to_owned(),
+            json!(tables.collect::<BTreeMap<_, _>>()),
+        );
         all.insert("extent".to_owned(), json!(self.extent));
         all.insert("failed".to_owned(), json!(self.failed()));
         all.insert("took_s".to_owned(), json!(took.collect::<BTreeMap<_, _>>()));

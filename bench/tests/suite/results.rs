@@ -1,11 +1,13 @@
-//! The tables of `docs/robustness.md` and `docs/tuning.md` and the plot of the rates match the committed
-//! results, which do not describe the machine. `CDCR_GENERATE=1` writes them.
+//! The tables of `docs/results.md`, `docs/robustness.md` and `docs/tuning.md` and the plot of the rates match
+//! the committed results, which do not describe the machine. `CDCR_GENERATE=1` writes them.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use cdcr_bench::dataset::Sheet;
+use cdcr_bench::dataset::ShownTable;
 use cdcr_bench::{rate, robustness};
-use serde_json::Value;
+use serde::Deserialize;
+use serde_json::{Value, json};
 
 /// Markers at the begin and the end of a table in the document.
 const MARKS: (&str, &str) = (
@@ -18,26 +20,96 @@ fn rows(document: &Value, key: &str) -> Vec<Value> {
     document[key].as_array().expect("rows").clone()
 }
 
-/// The table of a result, or of one knob of it, in a document.
-fn table(file: &str, knob: Option<&str>, document: &Value) -> Sheet {
-    match (file, knob) {
-        ("results/robustness.json", None) => robustness::comparison(&rows(document, "scenarios")),
-        ("results/robustness.json", Some("parts")) => {
-            robustness::parts(&rows(document, "scenarios"))
+/// A part of a table of `report.json`: rows with one of these words in a column, and some columns.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Choice {
+    benchmark: String,
+    /// Begin of its title.
+    title: String,
+    #[serde(default)]
+    rows: BTreeMap<String, Vec<String>>,
+    /// All if empty. The first of several columns with the same head.
+    #[serde(default)]
+    columns: Vec<String>,
+}
+
+impl Choice {
+    fn of(&self, report: &Value) -> ShownTable {
+        let tables = report["tables"][&self.benchmark].clone();
+        let tables: Vec<ShownTable> = serde_json::from_value(tables).expect("tables");
+        let mut tables = tables.into_iter();
+        let table = tables.find(|table| table.title.starts_with(&self.title));
+        let mut table = table.unwrap_or_else(|| panic!("no table {:?}", self.title));
+        let place = |head: &String| {
+            let place = table.heads.iter().position(|other| other == head);
+            place.unwrap_or_else(|| panic!("no column {head:?} in {:?}", self.title))
+        };
+        let wanted: Vec<_> = self
+            .rows
+            .iter()
+            .map(|(head, of)| (place(head), of))
+            .collect();
+        let columns: Vec<usize> = match &self.columns[..] {
+            [] => (0..table.heads.len()).collect(),
+            heads => heads.iter().map(place).collect(),
+        };
+        table
+            .lines
+            .retain(|line| wanted.iter().all(|(at, of)| of.contains(&line[*at])));
+        assert!(
+            !table.lines.is_empty(),
+            "no row of {:?} is chosen",
+            self.title
+        );
+        let kept = |cells: &[String]| columns.iter().map(|at| cells[*at].clone()).collect();
+        ShownTable {
+            heads: kept(&table.heads),
+            words: columns.iter().map(|at| table.words[*at]).collect(),
+            lines: table.lines.iter().map(|line| kept(line)).collect(),
+            title: table.title,
         }
-        ("results/tuning.json", Some(knob)) => robustness::knob(knob, &rows(document, "knobs")),
+    }
+}
+
+/// The table of a result, or the chosen one of several, in a document.
+fn table(file: &str, chosen: Option<&str>, document: &Value) -> ShownTable {
+    match (file, chosen) {
+        ("results/report.json", Some(chosen)) => {
+            let choice: Choice = serde_json::from_str(chosen).expect("a choice");
+            choice.of(document)
+        }
+        ("results/robustness.json", None) => {
+            robustness::comparison(&rows(document, "scenarios")).shown()
+        }
+        ("results/robustness.json", Some("parts")) => {
+            robustness::parts(&rows(document, "scenarios")).shown()
+        }
+        ("results/tuning.json", Some(knob)) => {
+            robustness::knob(knob, &rows(document, "knobs")).shown()
+        }
         other => panic!("no table is made from {other:?}"),
     }
 }
 
-/// A committed result below `docs`. With `CDCR_GENERATE`, its description of the machine is removed.
+/// A committed result below `docs`. With `CDCR_GENERATE`, what no document needs is removed: the description of
+/// the machine, and of the report of `all` everything but its tables and the rows of the plot.
 pub(crate) fn result(file: &str) -> Value {
     let file = docs().join(file);
     let json = std::fs::read_to_string(&file).expect("the result");
     let mut document: Value = serde_json::from_str(&json).expect("one object");
-    let machine = document.as_object_mut().unwrap().remove("environment");
-    if machine.is_some() {
+    if document.get("environment").is_some() {
         assert!(generates(), "{} describes a machine: {HOW}", file.display());
+        if let Some(tables) = document.get_mut("tables") {
+            let tables = tables.take();
+            document =
+                json!({ "tables": tables, "rate": { "default": document["rate"]["default"] } });
+            document["tables"]
+                .as_object_mut()
+                .unwrap()
+                .remove("robustness");
+        }
+        document.as_object_mut().unwrap().remove("environment");
         std::fs::write(&file, format!("{document}\n")).expect("written");
     }
     document
@@ -54,9 +126,10 @@ fn generates() -> bool {
 /// The files below `docs` that are generated from a committed result are up to date.
 #[test]
 fn documents_hold_what_is_made_from_the_json_beside_them() {
-    let picture = rows(&result("results/rate.json"), "default");
+    let picture = rows(&result("results/report.json")["rate"], "default");
     let picture = rate::picture(&picture).expect("a picture").svg;
     for (name, contained) in [
+        ("results.md", "| gauss-newton |"),
         ("robustness.md", "| 30 µm of noise |"),
         ("tuning.md", "| smooth |"),
         ("images/results-rate.svg", "<svg"),
