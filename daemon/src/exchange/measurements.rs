@@ -126,10 +126,9 @@ impl Measurements {
         let waits = arrival.gather_ns.saturating_sub(since_ns) < BENDS_LATE_NS;
         let mut unused = None;
         let newest = match (is_tip, has_bends) {
-            (false, _) => &mut self.newest,
             (true, true) => &mut self.newest_tip,
             (true, false) if waits => &mut unused,
-            (true, false) => &mut self.newest,
+            _ => &mut self.newest,
         };
         // Bends determine the configuration, a tip does not: they replace it, also with the same time stamp.
         newest.take_if(|newest| is_newer && !is_tip && is_a_tip(newest));
