@@ -209,6 +209,6 @@ fn wait(budget: Duration) -> Duration {
     let begin = Instant::now();
     let mut is_spent = || begin.elapsed() >= budget;
     let mut waiting = Budget::new(&mut is_spent);
-    while waiting.left() {}
+    while waiting.begin_quantum() {}
     begin.elapsed()
 }

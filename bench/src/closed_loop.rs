@@ -138,7 +138,7 @@ pub fn timed_solve(
     let mut budget = match end {
         End::Never => Budget::unlimited(),
         End::After(_) => Budget::new(&mut is_spent),
-        End::AfterQuanta(quanta) => Budget::of_quanta(quanta),
+        End::AfterQuanta(quanta) => Budget::from_quanta(quanta),
     };
     let (rates, report) = nmpc.solve(input, &mut budget);
     (rates, report, begin.elapsed())

@@ -25,7 +25,7 @@ use cdcr_shared_types::{
 
 use crate::code::Code;
 use crate::failure::{Failure, read_code};
-use crate::guard::{call, keep, last_error};
+use crate::guard::{call, last_error, set_last_error};
 use crate::handles;
 use crate::layout::{Place, Position, Rates, Update, check_layout};
 use crate::place::locate;
@@ -77,7 +77,7 @@ impl<T> Out<T> {
     }
 
     /// Writes the result, if there is one.
-    fn give(&self, found: Result<T, Failure>) -> Result<(), Failure> {
+    fn write_result(&self, found: Result<T, Failure>) -> Result<(), Failure> {
         found.map(|value| self.write(value))
     }
 
@@ -209,7 +209,7 @@ unsafe extern "C" fn cdcr_connect(
         // SAFETY: as before.
         let (location, robot) = unsafe { read_place(place)? };
         let opened = Connection::open_within(&location, &robot, ns(timeout_ns))?;
-        handle.give(handles::keep(Session::new(opened)))
+        handle.write_result(handles::store(Session::new(opened)))
     })
 }
 
@@ -227,7 +227,7 @@ unsafe extern "C" fn cdcr_status(
     call(|| {
         // SAFETY: the rule of cdcr.h on pointers.
         let out = unsafe { Out::one(status, "status")? };
-        out.give(handles::with(connection, |session| {
+        out.write_result(handles::with(connection, |session| {
             session.status(ns(timeout_ns))
         }))
     })
@@ -265,7 +265,7 @@ unsafe extern "C" fn cdcr_feed(
         let interpolation: Interpolation = read_code(interpolation, "interpolation")?;
         // SAFETY: as before.
         let points = unsafe { read_array(points, count, CHUNK_POINTS_MAX, "points")? };
-        out.give(handles::with(connection, |session| {
+        out.write_result(handles::with(connection, |session| {
             session.feed(mode, interpolation, points)
         }))
     })
@@ -285,7 +285,7 @@ unsafe extern "C" fn cdcr_obstacles(
         let action: ObstacleAction = read_code(action, "action")?;
         // SAFETY: as before.
         let obstacles = unsafe { read_array(obstacles, count, OBSTACLES_MAX, "obstacles")? };
-        out.give(handles::with(connection, |session| {
+        out.write_result(handles::with(connection, |session| {
             session.send_obstacles(action, obstacles)
         }))
     })
@@ -304,7 +304,7 @@ unsafe extern "C" fn cdcr_send_tip(
         // SAFETY: as before; the header requires three numbers.
         let tip = unsafe { read_array(tip_position_m, 3, 3, "tip_position_m")? };
         let tip_position_m = [tip[0], tip[1], tip[2]];
-        out.give(handles::with(connection, |session| {
+        out.write_result(handles::with(connection, |session| {
             session.send_tip(measured_ns, tip_position_m)
         }))
     })
@@ -362,7 +362,7 @@ unsafe extern "C" fn cdcr_outcome(
         // SAFETY: as before.
         let header = unsafe { read(header, "header")? };
         let kind: EventKind = read_code(kind, "kind")?;
-        out.give(handles::with(connection, |session| {
+        out.write_result(handles::with(connection, |session| {
             session.event_on(kind, &header, ns(timeout_ns))
         }))
     })
@@ -390,7 +390,7 @@ unsafe extern "C" fn cdcr_driver_connect(
         // SAFETY: as before.
         let (location, robot) = unsafe { read_place(place)? };
         let opened = Driver::connect_within(&location, &robot, interface, ns(timeout_ns))?;
-        handle.give(handles::keep(opened))
+        handle.write_result(handles::store(opened))
     })
 }
 
@@ -404,7 +404,7 @@ unsafe extern "C" fn cdcr_driver_robot(driver: *mut Driver, robot: *mut RobotDes
     call(|| {
         // SAFETY: the rule of cdcr.h on pointers.
         let out = unsafe { Out::one(robot, "robot")? };
-        out.give(handles::with(driver, |driver| Ok(*driver.robot())))
+        out.write_result(handles::with(driver, |driver| Ok(*driver.robot())))
     })
 }
 
@@ -446,7 +446,7 @@ unsafe extern "C" fn cdcr_driver_update(driver: *mut Driver, update: *mut Update
             Ok((found, driver.refusals()))
         })?;
         if let Some(refusal) = found.refused {
-            keep(&refusal.to_string());
+            set_last_error(&refusal.to_string());
         }
         out.write(Update::new(&found, refusals));
         Ok(())
@@ -464,7 +464,7 @@ unsafe extern "C" fn cdcr_driver_rates_at(
         let out = unsafe { Out::one(rates, "rates")? };
         // Rest, also in case of an error.
         out.write(CommandedRates::default().into());
-        out.give(handles::with(driver, |driver| {
+        out.write_result(handles::with(driver, |driver| {
             Ok(driver.rates_at(now_ns).into())
         }))
     })

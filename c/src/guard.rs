@@ -26,14 +26,14 @@ pub(crate) fn call<T: Into<Code>>(work: impl FnOnce() -> Result<T, Failure>) -> 
     match done {
         Ok(done) => done.into() as c_int,
         Err(failure) => {
-            keep(&failure.text);
+            set_last_error(&failure.text);
             failure.code as c_int
         }
     }
 }
 
 /// Sets the text of the last error.
-pub(crate) fn keep(text: &str) {
+pub(crate) fn set_last_error(text: &str) {
     // Texts of this library contain no zero; a text from outside would end there.
     let text = text.split('\0').next().unwrap_or_default();
     let text = CString::new(text).unwrap_or_default();

@@ -39,7 +39,7 @@ pub(crate) struct Open {
 
 impl Open {
     /// A forked process has the memory of its parent, but must not close the parent's ports.
-    fn forget_the_parents(&mut self) {
+    fn forget_inherited_ports(&mut self) {
         let process = std::process::id();
         if self.process != process {
             core::mem::forget(core::mem::take(&mut self.sessions));
@@ -51,7 +51,7 @@ impl Open {
 
 impl Drop for Open {
     fn drop(&mut self) {
-        self.forget_the_parents();
+        self.forget_inherited_ports();
     }
 }
 
@@ -74,7 +74,7 @@ fn with_table<T: Handled, R>(
     };
     OPEN.try_with(|open| {
         let mut open = open.try_borrow_mut().map_err(|_| ()).map_err(unusable)?;
-        open.forget_the_parents();
+        open.forget_inherited_ports();
         work(T::table(&mut open))
     })
     .map_err(|_| ())
@@ -93,7 +93,7 @@ fn unknown<T: Handled>() -> Failure {
 }
 
 /// Stores a value and returns its handle.
-pub(crate) fn keep<T: Handled>(opened: T) -> Result<*mut T, Failure> {
+pub(crate) fn store<T: Handled>(opened: T) -> Result<*mut T, Failure> {
     with_table(|table| {
         let number = LAST.fetch_add(1, Ordering::Relaxed) + 1;
         table.insert(number, opened);

@@ -108,7 +108,7 @@ impl PlantDriver {
             return MotorOrder::Speeds(self.driver.rates_at(time_ns).cable_speed_m_s);
         }
         let position = self.driver.position_at(time_ns);
-        position.map_or(MotorOrder::Stand, |position| {
+        position.map_or(MotorOrder::Stop, |position| {
             MotorOrder::Lengths(position.cable_length_m)
         })
     }

@@ -42,7 +42,7 @@ impl Accounting {
 
     /// Evaluates a cycle whose command was handed over at `handed_over_ns`. A cycle with stale inputs is not
     /// a deadline miss, but counts like one in the leaky bucket.
-    pub fn judge(
+    pub fn evaluate(
         &mut self,
         release: &Release,
         handed_over_ns: u64,
@@ -97,12 +97,12 @@ mod tests {
             skipped,
         };
         assert_eq!(
-            accounting.judge(&release(1020, 0), 1100, false),
+            accounting.evaluate(&release(1020, 0), 1100, false),
             Lateness::default()
         );
-        let late = accounting.judge(&release(1021, 0), 1100, false);
+        let late = accounting.evaluate(&release(1021, 0), 1100, false);
         assert!(late.late_start && !late.deadline_miss);
-        let miss = accounting.judge(&release(1001, 2), 1101, false);
+        let miss = accounting.evaluate(&release(1001, 2), 1101, false);
         assert!(!miss.late_start && miss.deadline_miss);
         assert!(accounting.bucket().overflows());
         // Slept through three periods: the release that was due is missed, however punctual the newest one.
@@ -110,11 +110,11 @@ mod tests {
             release_ns: 1300,
             ..release(1310, 0)
         };
-        let lateness = Accounting::new(limits).judge(&stall, 1320, false);
+        let lateness = Accounting::new(limits).evaluate(&stall, 1320, false);
         assert!(lateness.late_start && lateness.deadline_miss);
         let mut starved = Accounting::new(limits);
         for _ in 0..3 {
-            let lateness = starved.judge(&release(1001, 0), 1010, true);
+            let lateness = starved.evaluate(&release(1001, 0), 1010, true);
             assert_eq!(lateness, Lateness::default());
         }
         assert!(starved.bucket().overflows());

@@ -32,12 +32,12 @@ use crate::reload::{ReadConfig, Reload};
 use crate::reporter::Reporter;
 use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
-use crate::rt::privileges::go_before_ordinary_tasks;
+use crate::rt::privileges::raise_above_ordinary_tasks;
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
 use crate::rt::sys::take_signal;
 use crate::services;
-use crate::start::{self, Started, arm, end_signals, give_up};
+use crate::start::{self, Started, abandon_threads, arm, end_signals};
 use crate::status_desk::StatusDesk;
 use crate::supervisor::Supervisor;
 
@@ -106,7 +106,7 @@ fn run_with(
     let mut supervisor = Supervisor::new(validated, ends.supervisor, daemon_id, &clock)?;
 
     let cycle = make_cycle(validated, &clock)?;
-    let cycle = match shared.latch.told() {
+    let cycle = match shared.latch.describe() {
         None => cycle,
         Some(told) => {
             tracing::warn!(
@@ -119,13 +119,13 @@ fn run_with(
     let reporter = spawn_reporter(validated, ends.reporter, shared, daemon_id)?;
     // In sequence: each of them checks the free space for itself.
     if let Err(error) = reporter.wait_ready() {
-        give_up([reporter]);
+        abandon_threads([reporter]);
         return Err(error);
     }
     let exchange = match spawn_exchange(validated, ends.exchange, shared, daemon_id) {
         Ok(exchange) => exchange,
         Err(error) => {
-            give_up([reporter]);
+            abandon_threads([reporter]);
             return Err(error);
         }
     };
@@ -133,7 +133,7 @@ fn run_with(
     let cycle = match spawn_cycle(validated, cycle, ends.cycle, shared, waker, watch) {
         Ok(cycle) => cycle,
         Err(error) => {
-            give_up([exchange, reporter]);
+            abandon_threads([exchange, reporter]);
             return Err(error);
         }
     };
@@ -142,13 +142,13 @@ fn run_with(
     let armed = match arm(&validated.config.realtime, &[&reporter, &exchange, &cycle]) {
         Ok(armed) => armed,
         Err(error) => {
-            give_up([cycle, exchange, reporter]);
+            abandon_threads([cycle, exchange, reporter]);
             return Err(error);
         }
     };
     supervisor.set_realtime(armed.missing, armed.core, &clock);
     if armed.missing & (realtime::FIFO | realtime::OFF) == 0 {
-        go_before_ordinary_tasks();
+        raise_above_ordinary_tasks();
     }
     // At this point, because the thread inherits the core and the priority of the calling thread.
     let beside = StatusDesk::start(validated, ends.status_desk, shared).and_then(|desk| {
@@ -160,15 +160,15 @@ fn run_with(
     let (desk, caretaker) = match beside {
         Ok(beside) => beside,
         Err(error) => {
-            give_up([cycle, exchange, reporter]);
+            abandon_threads([cycle, exchange, reporter]);
             return Err(error);
         }
     };
     let schedule = start::schedule(&validated.config, &clock);
     shared.set_origin_ns(schedule.release_ns(0));
-    reporter.go(&schedule);
-    exchange.go(&schedule);
-    cycle.go(&schedule);
+    reporter.start_loop(&schedule);
+    exchange.start_loop(&schedule);
+    cycle.start_loop(&schedule);
     announce(validated);
     let should_end = || should_end() || caretaker.lost().is_some();
     supervisor.run(&clock, shared, &desk, should_end, || {
@@ -198,13 +198,13 @@ fn run_with(
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;
-    judge_end(validated, shared, caretaker.lost())?;
+    check_end(validated, shared, caretaker.lost())?;
     tracing::info!("ended");
     Ok(())
 }
 
 /// Checks that the daemon ended as requested, with the robot at rest.
-fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Result<()> {
+fn check_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Result<()> {
     if shared.still_moving.is_set() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
@@ -469,8 +469,8 @@ mod tests {
                 reason: Reason::StoppedBefore,
             },
         );
-        assert!(latch.told().is_some());
+        assert!(latch.describe().is_some());
         keep_latched(latch, Mode::Starting, Mode::Holding { reason });
-        assert_eq!(latch.told(), None);
+        assert_eq!(latch.describe(), None);
     }
 }

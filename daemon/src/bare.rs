@@ -20,20 +20,20 @@ use crate::config::{Config, Validated, ns};
 use crate::doctor::with_core;
 use crate::exit::{Ended, ExitCause};
 use crate::handover::Policy;
-use crate::rt::attribution::{Attribution, Blame, EvaluatedCycle, Scheduling, Timing};
+use crate::rt::attribution::{Attribution, CauseAssignment, EvaluatedCycle, Scheduling, Timing};
 use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
 use crate::rt::schedule::Lateness;
 use crate::rt::schedule::{Release, Schedule};
-use crate::rt::scheduler::{SchedulerLooks, this_thread};
-use crate::start::{self, Started, arm, end_signals, give_up};
+use crate::rt::scheduler::{SchedulerDeltas, this_thread};
+use crate::start::{self, Started, abandon_threads, arm, end_signals};
 
 pub use summary::{Percentiles, Summary};
 
 /// Largest number of recorded cycles: 800 MB of memory.
 pub const CYCLES_MAX: u64 = 10_000_000;
 /// Time between two checks of the main thread for the end of the loop.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const CHECK_INTERVAL: Duration = Duration::from_millis(20);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BareCycle {
@@ -41,7 +41,7 @@ pub struct BareCycle {
     /// The clock, read right after the start \[ns\].
     pub handed_over_ns: u64,
     pub lateness: Lateness,
-    pub blame: Blame,
+    pub assignment: CauseAssignment,
     /// Scheduler statistics of the thread since the previous cycle; `None` if not available.
     pub interference: Option<Interference>,
 }
@@ -91,11 +91,11 @@ pub fn run_until(
     let armed = match arm(&config.realtime, &[&thread]) {
         Ok(armed) => armed,
         Err(error) => {
-            give_up([thread]);
+            abandon_threads([thread]);
             return Err(error);
         }
     };
-    thread.go(&start::schedule(config, &MonotonicClock));
+    thread.start_loop(&start::schedule(config, &MonotonicClock));
     tracing::info!(
         period_ms = config.cycle.period_ms,
         "running the loop without work"
@@ -104,7 +104,7 @@ pub fn run_until(
         if should_end() {
             ending.store(true, Ordering::Relaxed);
         }
-        std::thread::sleep(LOOK_EVERY);
+        std::thread::sleep(CHECK_INTERVAL);
     }
     let recorder = thread.join()?;
     Ok(Outcome {
@@ -121,9 +121,9 @@ fn spawn(
     let plan = config.realtime.thread_plan(config.realtime.cycle_priority);
     let ending = Arc::clone(ending);
     Started::spawn("cdcr-cycle", move |stage| {
-        let mut looks = SchedulerLooks::at(Some(this_thread()));
+        let mut deltas = SchedulerDeltas::at(Some(this_thread()));
         if let Some(mut schedule) = stage.prepare(plan, || ()) {
-            recorder.run(&mut schedule, &MonotonicClock, &mut looks, &ending);
+            recorder.run(&mut schedule, &MonotonicClock, &mut deltas, &ending);
         }
         recorder
     })
@@ -177,25 +177,25 @@ impl Recorder {
         &mut self,
         schedule: &mut Schedule,
         clock: &impl Clock,
-        looks: &mut SchedulerLooks,
+        deltas: &mut SchedulerDeltas,
         ending: &AtomicBool,
     ) {
         // Discards the statistics before the first cycle.
-        looks.look();
+        deltas.read();
         let mut newest = 0;
         while newest < self.last_cycle && !ending.load(Ordering::Relaxed) {
             let release = schedule.wait(clock);
             let handed_over_ns = clock.now_ns();
             newest = release.cycle;
-            let lateness = self.accounting.judge(&release, handed_over_ns, false);
-            let scheduling = looks.look();
+            let lateness = self.accounting.evaluate(&release, handed_over_ns, false);
+            let scheduling = deltas.read();
             let evaluated = self.evaluated(&release, handed_over_ns, lateness);
             // Within the capacity: cycle numbers increase, and only the last one exceeds the limit.
             self.cycles.push(BareCycle {
                 release,
                 handed_over_ns,
                 lateness,
-                blame: self.attribution.evaluate(&evaluated, scheduling.as_ref()),
+                assignment: self.attribution.evaluate(&evaluated, scheduling.as_ref()),
                 interference: scheduling.as_ref().map(Interference::from),
             });
         }
@@ -240,7 +240,7 @@ fn memory(count: usize) -> Result<Vec<BareCycle>> {
         },
         handed_over_ns: u64::MAX,
         lateness: Lateness::default(),
-        blame: Blame::InTime,
+        assignment: CauseAssignment::InTime,
         interference: None,
     };
     let mut cycles = Vec::new();
@@ -289,8 +289,8 @@ mod tests {
         };
         let room = recorder.cycles.capacity();
         let mut schedule = Schedule::new(0, 5 * MS);
-        let mut looks = SchedulerLooks::default();
-        recorder.run(&mut schedule, &clock, &mut looks, &AtomicBool::new(ending));
+        let mut deltas = SchedulerDeltas::default();
+        recorder.run(&mut schedule, &clock, &mut deltas, &AtomicBool::new(ending));
         assert_eq!(recorder.cycles.capacity(), room, "nothing is allocated");
         recorder
     }
@@ -303,7 +303,7 @@ mod tests {
         for cycle in &recorder.cycles {
             assert_eq!(cycle.release.due_ns, cycle.release.cycle * 5 * MS);
             assert_eq!(cycle.handed_over_ns, cycle.release.start_ns);
-            assert_eq!(cycle.blame, Blame::InTime);
+            assert_eq!(cycle.assignment, CauseAssignment::InTime);
         }
     }
 
@@ -319,8 +319,8 @@ mod tests {
         assert_eq!(*recorder.totals(), totals);
         let late = recorder.cycles[9];
         assert_eq!((late.release.cycle, late.release.due_ns), (12, 50 * MS));
-        assert_eq!(late.blame, Blame::Own(LateCause::Platform));
-        assert_eq!(recorder.cycles[10].blame, Blame::InTime);
+        assert_eq!(late.assignment, CauseAssignment::Own(LateCause::Platform));
+        assert_eq!(recorder.cycles[10].assignment, CauseAssignment::InTime);
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::handover::Shared;
 use crate::instance::{Found, PlaceWatch};
 use crate::reload::Reload;
 
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Dead processes cleared per check. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;
 /// iceoryx2 lists its nodes with large arrays on the stack.
@@ -48,7 +48,7 @@ impl Caretaker {
         let thread = Builder::new()
             .name("cdcr-caretaker".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || look_after(&place, &mut reload, &shared, &their_lost, &their_ends))
+            .spawn(move || run_checks(&place, &mut reload, &shared, &their_lost, &their_ends))
             .context("the thread cdcr-caretaker")?;
         Ok(Self {
             lost,
@@ -84,7 +84,7 @@ impl Drop for Caretaker {
     }
 }
 
-fn look_after(
+fn run_checks(
     place: &PlaceWatch,
     reload: &mut Reload,
     shared: &Shared,
@@ -92,7 +92,7 @@ fn look_after(
     ends: &AtomicBool,
 ) {
     loop {
-        match place.look() {
+        match place.check() {
             Found::Whole => {}
             Found::Restored => tracing::warn!("recreated the lock file: it had been deleted"),
             // At the end the services are removed with their ports.
@@ -107,20 +107,20 @@ fn look_after(
                 return;
             }
         }
-        reload.look();
-        place.let_go();
+        reload.start_if_wanted();
+        place.disconnect_clients();
         place.location().clear_dead_nodes(DEAD_NODES);
-        if !goes_on(ends, || reload.is_wanted()) {
+        if !wait_for_next_check(ends, || reload.is_wanted()) {
             return;
         }
     }
 }
 
 /// Waits until the next check, which is immediate if requested and this thread is woken. False at the end.
-fn goes_on(ends: &AtomicBool, is_wanted: impl Fn() -> bool) -> bool {
+fn wait_for_next_check(ends: &AtomicBool, is_wanted: impl Fn() -> bool) -> bool {
     let begin = Instant::now();
     while !ends.load(Ordering::Relaxed) {
-        let left = LOOK_EVERY.saturating_sub(begin.elapsed());
+        let left = CHECK_INTERVAL.saturating_sub(begin.elapsed());
         if left.is_zero() || is_wanted() {
             return true;
         }
@@ -145,15 +145,15 @@ mod tests {
                 std::thread::current().unpark();
                 asked.replace(asked.get() + 1) == 2
             };
-            assert!(goes_on(&ends, is_wanted));
+            assert!(wait_for_next_check(&ends, is_wanted));
             asked.get()
         };
         // Fewer calls if the whole wait passed in a stall, as without a wake-up.
         assert!((0..5).any(|_| asks() == 3));
         let begin = Instant::now();
-        assert!(goes_on(&ends, || false));
-        assert!(begin.elapsed() >= LOOK_EVERY);
+        assert!(wait_for_next_check(&ends, || false));
+        assert!(begin.elapsed() >= CHECK_INTERVAL);
         ends.store(true, Ordering::Relaxed);
-        assert!(!goes_on(&ends, || true));
+        assert!(!wait_for_next_check(&ends, || true));
     }
 }

@@ -91,11 +91,11 @@ impl CoreBudget {
     }
 
     /// Time by which a cycle that takes `least_ns` without any search does not fit \[ns\]; `None`: it fits.
-    pub fn lacks_ns(&self, least_ns: u64) -> Option<u64> {
+    pub fn shortfall_ns(&self, least_ns: u64) -> Option<u64> {
         let needs_ns = least_ns + self.spin_ns + exchange_ns(Costs::default());
         needs_ns
             .checked_sub(self.real_time_ns)
-            .filter(|lacks_ns| *lacks_ns > 0)
+            .filter(|shortfall_ns| *shortfall_ns > 0)
     }
 
     /// The parts of the budget as text.
@@ -269,8 +269,8 @@ mod tests {
     #[test]
     fn what_cannot_fit_is_found() {
         let short = budget(|config| config.cycle.period_ms = 0.1);
-        assert_eq!(short.lacks_ns(52 * US), None);
-        assert_eq!(short.lacks_ns(60 * US), Some(7500));
+        assert_eq!(short.shortfall_ns(52 * US), None);
+        assert_eq!(short.shortfall_ns(60 * US), Some(7500));
         assert!(!short.is_cut_short(costs(10, 40)));
         assert!(short.is_cut_short(costs(30, 40)));
         assert!(short.describe(costs(30, 40)).contains("0.030 ms after it"));

@@ -26,7 +26,7 @@ pub use root::is_in_memory;
 const PROCESS_ID_MAX: u64 = 32;
 
 /// Longer than a client holds the lock to check for a daemon.
-const LOOK_MAX: Duration = Duration::from_millis(200);
+const LOCK_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// The right to be the daemon of one robot at one location: a locked file in the root folder, and a name
 /// among the abstract Unix sockets. The kernel releases both however the process ends.
@@ -229,8 +229,8 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
             Ok(()) if is_file_at(&file, path) => return Ok(file),
             Ok(()) => {}
             // A client that checks for a daemon holds the lock for microseconds.
-            Err(TryLockError::WouldBlock) if begin.elapsed() < LOOK_MAX => {
-                std::thread::sleep(LOOK_MAX / 20);
+            Err(TryLockError::WouldBlock) if begin.elapsed() < LOCK_TIMEOUT => {
+                std::thread::sleep(LOCK_TIMEOUT / 20);
             }
             Err(TryLockError::WouldBlock) => {
                 return Err(runs_already(location, robot, owner_of(&mut file)));

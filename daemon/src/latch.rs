@@ -50,11 +50,11 @@ impl Latch {
     }
 
     /// Mode and reason of the latch as text, until a reset.
-    pub fn told(&self) -> Option<String> {
+    pub fn describe(&self) -> Option<String> {
         let word = self.word();
         let (mode, reason) = (word as u32, (word >> 32) as u32);
-        let told = || format!("{} ({})", Mode::text_of(mode), Reason::text_of(reason));
-        (word != FREE).then(told)
+        let description = || format!("{} ({})", Mode::text_of(mode), Reason::text_of(reason));
+        (word != FREE).then(description)
     }
 
     /// Latches a stop or a fault.
@@ -137,18 +137,21 @@ mod tests {
         // Its creator was killed before it wrote anything.
         File::create(&path).unwrap();
         let latch = Latch::open(&path).unwrap();
-        assert_eq!(latch.told(), None);
+        assert_eq!(latch.describe(), None);
         assert!(latch.leave(&path).unwrap());
         latch.set(Mode::Faulted, Reason::MeasurementLost);
         // A later stop does not change the reason.
         latch.stop_asked();
-        let told = "faulted (the measurement is lost)";
-        assert_eq!(Latch::open(&path).unwrap().told().as_deref(), Some(told));
+        let description = "faulted (the measurement is lost)";
+        assert_eq!(
+            Latch::open(&path).unwrap().describe().as_deref(),
+            Some(description)
+        );
         std::fs::remove_dir_all(path.parent().unwrap()).unwrap();
         assert!(!latch.leave(&path).unwrap());
         let found = Latch::open(&path).unwrap();
-        assert_eq!(found.told().as_deref(), Some(told));
+        assert_eq!(found.describe().as_deref(), Some(description));
         found.clear();
-        assert_eq!(Latch::open(&path).unwrap().told(), None);
+        assert_eq!(Latch::open(&path).unwrap().describe(), None);
     }
 }

@@ -175,7 +175,7 @@ impl MisbehavingLink {
             let is_valid = now_ns < self.until_ns;
             self.plant.order(match self.interface {
                 Interface::Velocity if is_valid => MotorOrder::Speeds(speeds_m_s),
-                Interface::Velocity => MotorOrder::Stand,
+                Interface::Velocity => MotorOrder::Stop,
                 Interface::Position => {
                     if is_valid {
                         for (target_m, speed_m_s) in self.target_m.iter_mut().zip(&speeds_m_s) {

@@ -77,7 +77,7 @@ impl Reload {
     }
 
     /// Starts a reload if it [is wanted](Self::is_wanted).
-    pub(crate) fn look(&mut self) {
+    pub(crate) fn start_if_wanted(&mut self) {
         if !self.is_wanted() {
             return;
         }
@@ -89,15 +89,15 @@ impl Reload {
             .spawn(move || {
                 // Only one thread at a time is here; a panic has been reported.
                 let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
-                tell(reader.read_again());
+                log_result(reader.read_again());
             });
         self.reading = thread
-            .map_err(|error| tell(Err(format!("the thread cdcr-reload: {error}"))))
+            .map_err(|error| log_result(Err(format!("the thread cdcr-reload: {error}"))))
             .ok();
     }
 }
 
-fn tell(result: Result<(), String>) {
+fn log_result(result: Result<(), String>) {
     if let Err(reason) = result {
         tracing::error!("SIGHUP: rejected the configuration, nothing changed: {reason}");
     }
@@ -232,18 +232,18 @@ mod tests {
         let asked = Arc::new(AtomicBool::new(true));
         let started = Config::default();
         let mut reload = Reload::new(Arc::clone(&asked), read, &started, settings);
-        reload.look();
+        reload.start_if_wanted();
         begins.recv().unwrap();
         // The reload hangs. A request meanwhile is served afterwards.
         asked.store(true, Ordering::Relaxed);
-        reload.look();
+        reload.start_if_wanted();
         assert!(begins.try_recv().is_err() && asked.load(Ordering::Relaxed));
         for _ in 0..2 {
             go_on.send(()).unwrap();
         }
         while begins.try_recv().is_err() {
             std::thread::sleep(Duration::from_millis(1));
-            reload.look();
+            reload.start_if_wanted();
         }
         reload.reading.unwrap().join().unwrap();
         assert!(changed.pop().is_ok() && changed.pop().is_err());

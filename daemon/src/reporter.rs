@@ -27,17 +27,17 @@ use iceoryx2::port::publisher::Publisher;
 
 use crate::config::{LinkKind, Validated, ns};
 use crate::handover::{CycleRecord, CycleReport, MeasurementUse, ReporterEnds, Shared, Summary};
-use crate::rt::attribution::{Attribution, Blame, EvaluatedCycle, Timing};
+use crate::rt::attribution::{Attribution, CauseAssignment, EvaluatedCycle, Timing};
 use crate::rt::clock::Clock;
 use crate::{convert, services};
 use measured_error::MeasuredError;
 
 /// Reports are read every four periods, at the cost of one wake-up in four cycles, but not more often than
 /// once a millisecond.
-const PERIODS_PER_LOOK: u64 = 4;
-const LOOK_MIN: Duration = Duration::from_millis(1);
+const PERIODS_PER_CHECK: u64 = 4;
+const CHECK_INTERVAL_MIN: Duration = Duration::from_millis(1);
 /// Upper limit, because each check is a heartbeat for the watchdog.
-const LOOK_MAX: Duration = Duration::from_millis(20);
+const CHECK_INTERVAL_MAX: Duration = Duration::from_millis(20);
 
 #[derive(Debug)]
 pub struct Reporter {
@@ -87,8 +87,8 @@ impl Reporter {
 
     /// Runs until the exchange has ended and its last report is published.
     pub fn run(&mut self, clock: &impl Clock, shared: &Shared) {
-        let look_after = Duration::from_nanos(PERIODS_PER_LOOK * self.period_ns);
-        let look_after = look_after.clamp(LOOK_MIN, LOOK_MAX);
+        let check_interval = Duration::from_nanos(PERIODS_PER_CHECK * self.period_ns);
+        let check_interval = check_interval.clamp(CHECK_INTERVAL_MIN, CHECK_INTERVAL_MAX);
         loop {
             shared.reporter_beats.add(1);
             // Checked before the ring is emptied: after the end no further report can come.
@@ -97,7 +97,7 @@ impl Reporter {
             if is_last {
                 break;
             }
-            std::thread::park_timeout(look_after);
+            std::thread::park_timeout(check_interval);
         }
     }
 
@@ -105,17 +105,18 @@ impl Reporter {
         while let Ok(report) = self.ends.reports.pop() {
             shared.reporter_beats.add(1);
             let record = &report.record;
-            let looked = report.scheduling.as_ref();
+            let scheduler_delta = report.scheduling.as_ref();
             let evaluated = evaluated(record, self.spin_ns);
-            let blame = self.attribution.evaluate(&evaluated, looked);
-            let scheduling = convert::scheduling(looked, record.longest_gap_ns, blame.cause());
+            let assignment = self.attribution.evaluate(&evaluated, scheduler_delta);
+            let scheduling =
+                convert::scheduling(scheduler_delta, record.longest_gap_ns, assignment.cause());
             let mode = convert::mode(record.mode);
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
             self.last_mode = mode;
             self.publish_telemetry(&report, scheduling, clock.now_ns());
             // Releases skipped by an overrun belong to its incident.
-            if matches!(blame, Blame::Own(_)) || begins_fault {
-                self.hand_incident_on(shared);
+            if matches!(assignment, CauseAssignment::Own(_)) || begins_fault {
+                self.forward_incident(shared);
             }
             let sensed = [&record.tip_measurement, &record.measurement];
             self.measured_error.take(
@@ -128,19 +129,19 @@ impl Reporter {
                 MeasurementUse::Used => self.tip_rejected = false,
                 MeasurementUse::None | MeasurementUse::Repeated => {}
             }
-            let late_cause = match blame {
-                Blame::Own(_) => scheduling.late_cause,
-                Blame::InTime | Blame::Before(_) => LateCause::None.code(),
+            let late_cause = match assignment {
+                CauseAssignment::Own(_) => scheduling.late_cause,
+                CauseAssignment::InTime | CauseAssignment::Before(_) => LateCause::None.code(),
             };
             if self
                 .ends
                 .summaries
-                .push(self.sum_up(&report, late_cause))
+                .push(self.summarise(&report, late_cause))
                 .is_err()
             {
                 shared.dropped_records.add(1);
             }
-            self.ends.used.give_back(report.record);
+            self.ends.used.recycle(report.record);
         }
     }
 
@@ -162,7 +163,7 @@ impl Reporter {
     }
 
     /// Passes on an incident to the supervisor.
-    fn hand_incident_on(&mut self, shared: &Shared) {
+    fn forward_incident(&mut self, shared: &Shared) {
         self.incidents_sent += 1;
         let incident = wire::Incident {
             header: self.header(self.incidents_sent, self.newest.header.sent_ns),
@@ -174,7 +175,7 @@ impl Reporter {
         }
     }
 
-    fn sum_up(&self, report: &CycleReport, late_cause: u32) -> Summary {
+    fn summarise(&self, report: &CycleReport, late_cause: u32) -> Summary {
         let CycleReport { record, inputs, .. } = report;
         let due_ns = record.release.due_ns;
         Summary {

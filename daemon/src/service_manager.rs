@@ -18,7 +18,7 @@ use cdcr_shared_types::codes::{Mode, Reason};
 use sd_notify::NotifyState;
 
 /// Time between two status lines of the same mode and reason: people read them.
-const TELL_EVERY: Duration = Duration::from_secs(1);
+const STATUS_LINE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The status line in `systemctl status`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,12 +74,12 @@ impl Display for StatusLine {
 pub struct ServiceManager {
     listener: Option<Listener>,
     watchdog: Option<Watchdog>,
-    told: Option<(StatusLine, Instant)>,
+    last_sent: Option<(StatusLine, Instant)>,
     /// The newest status line that could not be sent, and its time.
-    unheard: Option<(StatusLine, Instant)>,
-    said_ready: bool,
-    said_stopping: bool,
-    complained: bool,
+    last_unsent: Option<(StatusLine, Instant)>,
+    is_ready_sent: bool,
+    is_stopping_sent: bool,
+    is_failure_logged: bool,
 }
 
 #[derive(Debug)]
@@ -101,24 +101,24 @@ impl ServiceManager {
     /// invalid socket is logged, and nothing is sent.
     pub fn from_environment() -> Self {
         let Some(name) = std::env::var_os("NOTIFY_SOCKET").filter(|name| !name.is_empty()) else {
-            return Self::nobody();
+            return Self::none();
         };
         Self::at(&name, sd_notify::watchdog_enabled()).unwrap_or_else(|error| {
             tracing::warn!(socket = ?name, %error, "cannot notify the service manager: NOTIFY_SOCKET is invalid");
-            Self::nobody()
+            Self::none()
         })
     }
 
     /// No service manager: nothing is sent.
-    pub fn nobody() -> Self {
+    pub fn none() -> Self {
         Self {
             listener: None,
             watchdog: None,
-            told: None,
-            unheard: None,
-            said_ready: false,
-            said_stopping: false,
-            complained: false,
+            last_sent: None,
+            last_unsent: None,
+            is_ready_sent: false,
+            is_stopping_sent: false,
+            is_failure_logged: false,
         }
     }
 
@@ -135,7 +135,7 @@ impl ServiceManager {
         Ok(Self {
             listener: Some(Listener::at(socket)?),
             watchdog,
-            ..Self::nobody()
+            ..Self::none()
         })
     }
 
@@ -146,15 +146,15 @@ impl ServiceManager {
 
     /// Reports that the loop runs: call it after a good cycle. Sent once; later calls do nothing.
     pub fn ready(&mut self) {
-        if !self.said_ready {
-            self.said_ready = self.say(&NotifyState::Ready);
+        if !self.is_ready_sent {
+            self.is_ready_sent = self.notify(&NotifyState::Ready);
         }
     }
 
     /// Sends a status line: at once after a change of mode or reason, otherwise at most once a second. A line
     /// that could not be sent is sent again after a second at the earliest.
-    pub fn tell(&mut self, line: &StatusLine) {
-        self.tell_at(line, Instant::now());
+    pub fn send_status(&mut self, line: &StatusLine) {
+        self.send_status_at(line, Instant::now());
     }
 
     /// Feeds the watchdog if `cycles`, the number of cycles since the start, has changed since the last call,
@@ -166,25 +166,26 @@ impl ServiceManager {
 
     /// Reports the end. Sent once; later calls do nothing.
     pub fn stopping(&mut self) {
-        if !self.said_stopping {
-            self.said_stopping = self.say(&NotifyState::Stopping);
+        if !self.is_stopping_sent {
+            self.is_stopping_sent = self.notify(&NotifyState::Stopping);
         }
     }
 
-    fn tell_at(&mut self, line: &StatusLine, now: Instant) {
-        let is_news = self.told.is_none_or(|(told, when)| {
-            !told.is_same_state(line) || (told != *line && now.duration_since(when) >= TELL_EVERY)
+    fn send_status_at(&mut self, line: &StatusLine, now: Instant) {
+        let is_new = self.last_sent.is_none_or(|(last_sent, when)| {
+            !last_sent.is_same_state(line)
+                || (last_sent != *line && now.duration_since(when) >= STATUS_LINE_INTERVAL)
         });
-        let may_be_heard = self.unheard.is_none_or(|(unheard, when)| {
-            !unheard.is_same_state(line) || now.duration_since(when) >= TELL_EVERY
+        let may_retry = self.last_unsent.is_none_or(|(last_unsent, when)| {
+            !last_unsent.is_same_state(line) || now.duration_since(when) >= STATUS_LINE_INTERVAL
         });
-        if !is_news || !may_be_heard {
+        if !is_new || !may_retry {
             return;
         }
-        if self.say(&NotifyState::Status(&line.to_string())) {
-            (self.told, self.unheard) = (Some((*line, now)), None);
+        if self.notify(&NotifyState::Status(&line.to_string())) {
+            (self.last_sent, self.last_unsent) = (Some((*line, now)), None);
         } else {
-            self.unheard = Some((*line, now));
+            self.last_unsent = Some((*line, now));
         }
     }
 
@@ -199,7 +200,7 @@ impl ServiceManager {
             .is_none_or(|fed| now.duration_since(fed) >= half);
         if advanced
             && due
-            && self.say(&NotifyState::Watchdog)
+            && self.notify(&NotifyState::Watchdog)
             && let Some(watchdog) = &mut self.watchdog
         {
             watchdog.fed = Some(now);
@@ -207,15 +208,15 @@ impl ServiceManager {
     }
 
     /// True if the message was sent, or there is no service manager.
-    fn say(&mut self, state: &NotifyState<'_>) -> bool {
+    fn notify(&mut self, state: &NotifyState<'_>) -> bool {
         let Some(listener) = &self.listener else {
             return true;
         };
         let Err(error) = listener.send(&format!("{state}\n")) else {
             return true;
         };
-        if !self.complained {
-            self.complained = true;
+        if !self.is_failure_logged {
+            self.is_failure_logged = true;
             let socket = &listener.name;
             tracing::warn!(?socket, %error, "cannot notify the service manager; this is reported once");
         }
@@ -289,13 +290,13 @@ mod tests {
         }
 
         /// The messages received since the last call. Datagrams between local sockets arrive immediately.
-        fn heard(&self) -> Vec<String> {
-            let mut heard = Vec::new();
+        fn received(&self) -> Vec<String> {
+            let mut received = Vec::new();
             let mut buffer = [0; 1024];
             while let Ok(length) = self.socket.recv(&mut buffer) {
-                heard.push(String::from_utf8(buffer[..length].to_vec()).unwrap());
+                received.push(String::from_utf8(buffer[..length].to_vec()).unwrap());
             }
-            heard
+            received
         }
     }
 
@@ -317,11 +318,11 @@ mod tests {
         for _ in 0..3 {
             service.ready();
         }
-        assert_eq!(manager.heard(), ["READY=1\n"]);
+        assert_eq!(manager.received(), ["READY=1\n"]);
         for _ in 0..3 {
             service.stopping();
         }
-        assert_eq!(manager.heard(), ["STOPPING=1\n"]);
+        assert_eq!(manager.received(), ["STOPPING=1\n"]);
     }
 
     #[test]
@@ -329,10 +330,10 @@ mod tests {
         let manager = Manager::start();
         let mut service = manager.told_by(None);
         let line = line(Mode::Tracking, 3);
-        service.tell(&line);
+        service.send_status(&line);
         let reason = line.reason;
         assert_eq!(
-            manager.heard(),
+            manager.received(),
             [format!(
                 "STATUS=tracking ({reason}): 200.0 Hz, 3 misses, 1 skipped period, error 0.012 mm\n"
             )]
@@ -344,15 +345,15 @@ mod tests {
         let manager = Manager::start();
         let mut service = manager.told_by(None);
         let begin = Instant::now();
-        service.tell_at(&line(Mode::Holding, 0), begin);
-        service.tell_at(&line(Mode::Tracking, 0), begin);
-        assert_eq!(manager.heard().len(), 2, "two modes");
-        service.tell_at(&line(Mode::Tracking, 1), begin + TELL_EVERY / 2);
-        assert!(manager.heard().is_empty(), "too early");
-        service.tell_at(&line(Mode::Tracking, 2), begin + TELL_EVERY);
-        assert_eq!(manager.heard().len(), 1);
-        service.tell_at(&line(Mode::Tracking, 2), begin + HOUR);
-        assert!(manager.heard().is_empty(), "no news");
+        service.send_status_at(&line(Mode::Holding, 0), begin);
+        service.send_status_at(&line(Mode::Tracking, 0), begin);
+        assert_eq!(manager.received().len(), 2, "two modes");
+        service.send_status_at(&line(Mode::Tracking, 1), begin + STATUS_LINE_INTERVAL / 2);
+        assert!(manager.received().is_empty(), "too early");
+        service.send_status_at(&line(Mode::Tracking, 2), begin + STATUS_LINE_INTERVAL);
+        assert_eq!(manager.received().len(), 1);
+        service.send_status_at(&line(Mode::Tracking, 2), begin + HOUR);
+        assert!(manager.received().is_empty(), "no news");
     }
 
     #[test]
@@ -364,7 +365,7 @@ mod tests {
         let quarter = HOUR / 4;
         let fed = |service: &mut ServiceManager, cycles, quarters| {
             service.feed_watchdog_at(cycles, begin + quarter * quarters);
-            manager.heard() == ["WATCHDOG=1\n"]
+            manager.received() == ["WATCHDOG=1\n"]
         };
         assert!(!fed(&mut service, 0, 0), "no cycle yet");
         assert!(fed(&mut service, 1, 0));
@@ -382,7 +383,7 @@ mod tests {
             let mut service = manager.told_by(period);
             service.feed_watchdog(1);
             assert_eq!(
-                (service.watchdog_period(), manager.heard().len()),
+                (service.watchdog_period(), manager.received().len()),
                 (None, 0)
             );
         }
@@ -395,11 +396,11 @@ mod tests {
         manager.move_away(true);
         service.ready();
         service.feed_watchdog(1);
-        assert!(service.complained && manager.heard().is_empty());
+        assert!(service.is_failure_logged && manager.received().is_empty());
         manager.move_away(false);
         service.ready();
         service.feed_watchdog(2);
-        assert_eq!(manager.heard(), ["READY=1\n", "WATCHDOG=1\n"]);
+        assert_eq!(manager.received(), ["READY=1\n", "WATCHDOG=1\n"]);
     }
 
     #[test]
@@ -408,12 +409,12 @@ mod tests {
         let mut service = manager.told_by(None);
         manager.move_away(true);
         let begin = Instant::now();
-        service.tell_at(&line(Mode::Tracking, 3), begin);
+        service.send_status_at(&line(Mode::Tracking, 3), begin);
         manager.move_away(false);
-        service.tell_at(&line(Mode::Tracking, 4), begin + TELL_EVERY / 2);
-        assert!(manager.heard().is_empty(), "too early");
-        service.tell_at(&line(Mode::Tracking, 4), begin + TELL_EVERY);
-        assert_eq!(manager.heard().len(), 1);
+        service.send_status_at(&line(Mode::Tracking, 4), begin + STATUS_LINE_INTERVAL / 2);
+        assert!(manager.received().is_empty(), "too early");
+        service.send_status_at(&line(Mode::Tracking, 4), begin + STATUS_LINE_INTERVAL);
+        assert_eq!(manager.received().len(), 1);
     }
 
     #[test]
@@ -422,10 +423,10 @@ mod tests {
         let mut service = manager.told_by(None);
         manager.move_away(true);
         let begin = Instant::now();
-        service.tell_at(&line(Mode::Tracking, 3), begin);
+        service.send_status_at(&line(Mode::Tracking, 3), begin);
         manager.move_away(false);
-        service.tell_at(&line(Mode::Holding, 3), begin);
-        assert_eq!(manager.heard().len(), 1);
+        service.send_status_at(&line(Mode::Holding, 3), begin);
+        assert_eq!(manager.received().len(), 1);
     }
 
     #[test]
@@ -435,13 +436,13 @@ mod tests {
         let begin = Instant::now();
         // Far more than a socket can queue: a blocking send would never return.
         for index in 0..10_000 {
-            service.tell_at(
+            service.send_status_at(
                 &line(Mode::Tracking, u64::from(index)),
                 begin + HOUR * index,
             );
         }
-        assert!(service.complained);
-        let kept = manager.heard().len();
+        assert!(service.is_failure_logged);
+        let kept = manager.received().len();
         assert!((1..10_000).contains(&kept), "{kept}");
     }
 
@@ -470,12 +471,12 @@ mod tests {
 
     #[test]
     fn nobody_is_told_nothing_and_nothing_fails() {
-        let mut nobody = ServiceManager::nobody();
+        let mut nobody = ServiceManager::none();
         nobody.ready();
-        nobody.tell(&line(Mode::Holding, 0));
+        nobody.send_status(&line(Mode::Holding, 0));
         nobody.feed_watchdog(1);
         nobody.stopping();
-        assert!(!nobody.complained);
+        assert!(!nobody.is_failure_logged);
         assert_eq!(nobody.watchdog_period(), None);
     }
 }

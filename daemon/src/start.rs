@@ -20,7 +20,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use crate::config::{Config, RealtimeConfig, RealtimeMode, ns};
 use crate::exit::{Ended, ExitCause};
 use crate::rt::clock::Clock;
-use crate::rt::privileges::{ThreadPlan, keep_awake, lock_memory, stay_off_core};
+use crate::rt::privileges::{ThreadPlan, lock_memory, prevent_deep_sleep, stay_off_core};
 use crate::rt::schedule::Schedule;
 
 /// Time limit for a thread to get ready.
@@ -28,7 +28,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time between the last preparation and the origin of the grid \[ns\].
 const START_DELAY_NS: u64 = 10_000_000;
 /// Time limit for the threads of a failed start to end.
-const GIVE_UP: Duration = Duration::from_secs(2);
+const ABANDON_TIMEOUT: Duration = Duration::from_secs(2);
 const STACK_BYTES: usize = 1024 * 1024;
 
 /// Files that a daemon opens before its first client: 53 were counted.
@@ -101,12 +101,14 @@ pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result
     }
     let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
     let core = config.core().filter(|_| pinned);
-    say_what_is_missing(missing, core);
+    log_missing_privileges(missing, core);
     stay_off_core(core);
     Ok(Armed {
         missing,
         core,
-        _awake: (!is_off && config.no_deep_sleep).then(keep_awake).flatten(),
+        _awake: (!is_off && config.no_deep_sleep)
+            .then(prevent_deep_sleep)
+            .flatten(),
     })
 }
 
@@ -126,7 +128,7 @@ fn not_granted(missing: u32) -> Ended {
     }
 }
 
-fn say_what_is_missing(missing: u32, core: Option<usize>) {
+fn log_missing_privileges(missing: u32, core: Option<usize>) {
     if missing == 0 {
         tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
     }
@@ -143,11 +145,11 @@ pub(crate) fn schedule(config: &Config, clock: &impl Clock) -> Schedule {
 }
 
 /// Ends the threads of a failed start, and abandons those that hang.
-pub(crate) fn give_up<T, const N: usize>(threads: [Started<T>; N]) {
+pub(crate) fn abandon_threads<T, const N: usize>(threads: [Started<T>; N]) {
     // Each thread ends and cleans up when its starter is dropped.
     let handles = threads.map(|thread| thread.handle);
     let begin = Instant::now();
-    while begin.elapsed() < GIVE_UP && !handles.iter().all(JoinHandle::is_finished) {
+    while begin.elapsed() < ABANDON_TIMEOUT && !handles.iter().all(JoinHandle::is_finished) {
         std::thread::sleep(Duration::from_millis(10));
     }
 }
@@ -239,7 +241,7 @@ impl<T> Started<T> {
     }
 
     /// Lets the thread run on the grid.
-    pub(crate) fn go(&self, schedule: &Schedule) {
+    pub(crate) fn start_loop(&self, schedule: &Schedule) {
         // The monitoring thread detects a thread that has ended meanwhile.
         let _ = self.starter.go.send(schedule.clone());
     }

@@ -20,7 +20,7 @@ use crate::handover::{Shared, StatusDeskEnds};
 use crate::services::{ServiceError, incidents, node, publisher};
 
 /// Time between checks for new readers of the incidents, unless woken: they receive earlier incidents.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Time limit for the creation of its ports.
 const START_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for the thread at the end.
@@ -119,7 +119,7 @@ impl Desk {
             if is_last {
                 break;
             }
-            std::thread::park_timeout(LOOK_EVERY);
+            std::thread::park_timeout(CHECK_INTERVAL);
         }
     }
 

@@ -220,7 +220,7 @@ impl Connection {
         change(&mut wire, &settings)?;
         let changed = self
             .worker
-            .ask(py, move |desk| desk.connection.change_settings(wire))?;
+            .call_on_thread(py, move |desk| desk.connection.change_settings(wire))?;
         changed.map_err(Failure::from)?;
         Ok(())
     }
@@ -255,7 +255,7 @@ impl Connection {
     /// Records that this connection's telemetry lost, because they were fetched too late.
     fn lost_records(&self, py: Python<'_>) -> PyResult<u64> {
         self.worker
-            .ask(py, |desk| desk.telemetry.as_ref().map_or(0, Stream::lost))
+            .call_on_thread(py, |desk| desk.telemetry.as_ref().map_or(0, Stream::lost))
     }
 
     /// The last bad cycles, at most 64, oldest first: a structured array with the fields of the message Incident.
@@ -265,7 +265,7 @@ impl Connection {
     fn incidents(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Records> {
         // The thread is blocked for that time.
         let waits = Duration::from_secs_f64(within("timeout_s", timeout_s, 0.0..=2.0)?);
-        let found = self.worker.ask(py, move |desk| {
+        let found = self.worker.call_on_thread(py, move |desk| {
             let until = Instant::now() + waits;
             let mut records = Records::new(Incident::LAYOUT);
             let mut stream = desk.connection.incidents()?;
@@ -392,7 +392,7 @@ impl Connection {
 impl Connection {
     fn snapshot(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Box<Status>> {
         let (begin, until) = (Instant::now(), until("timeout_s", timeout_s)?);
-        let status = self.worker.ask_until(py, until, |desk, slice| {
+        let status = self.worker.poll_on_thread(py, until, |desk, slice| {
             match desk.connection.status(slice) {
                 Err(LinkError::Silent { .. }) => Ok(None),
                 status => Ok(Some(Box::new(status?))),
@@ -411,13 +411,15 @@ impl Connection {
     fn request(&self, py: Python<'_>, kind: RequestKind) -> PyResult<()> {
         let response = self
             .worker
-            .ask(py, move |desk| desk.connection.request(kind))?;
+            .call_on_thread(py, move |desk| desk.connection.request(kind))?;
         response.map_err(Failure::from)?;
         Ok(())
     }
 
     fn wire_settings(&self, py: Python<'_>) -> PyResult<SolverSettings> {
-        let settings = self.worker.ask(py, |desk| desk.connection.settings())?;
+        let settings = self
+            .worker
+            .call_on_thread(py, |desk| desk.connection.settings())?;
         Ok(settings.map_err(Failure::from)?)
     }
 
@@ -428,7 +430,7 @@ impl Connection {
         records: &mut Records,
         heard: &mut Instant,
     ) -> PyResult<()> {
-        let fetched = self.worker.ask(py, |desk| {
+        let fetched = self.worker.call_on_thread(py, |desk| {
             let mut fetched = Records::new(Telemetry::LAYOUT);
             let stream = match &mut desk.telemetry {
                 Some(stream) => stream,
@@ -454,7 +456,7 @@ impl Connection {
 
     /// Whether commands arrive. They come from another thread of the daemon than the records.
     fn sends_commands(&self, py: Python<'_>) -> PyResult<bool> {
-        let newest = self.worker.ask(py, |desk| {
+        let newest = self.worker.call_on_thread(py, |desk| {
             let commands = match &mut desk.commands {
                 Some(commands) => commands,
                 none => none.insert(desk.connection.commands()?),
@@ -480,7 +482,7 @@ impl Connection {
         py: Python<'_>,
         send: impl FnOnce(&ObstacleSender) -> Result<Header, LinkError> + Send + 'static,
     ) -> PyResult<()> {
-        let outcome = self.worker.ask(py, move |desk| {
+        let outcome = self.worker.call_on_thread(py, move |desk| {
             let mut verdicts = desk.connection.telemetry()?;
             let sender = match &mut desk.obstacles {
                 Some(sender) => sender,

@@ -104,7 +104,7 @@ impl DriverPort {
         measurement.kind = kind.code();
         let sent = self
             .worker
-            .ask(py, move |driver| driver.send(measurement))?;
+            .call_on_thread(py, move |driver| driver.send(measurement))?;
         sent.map_err(Failure::from)?;
         Ok(())
     }
@@ -121,7 +121,7 @@ impl DriverPort {
         let (begin, until) = (Instant::now(), until("timeout_s", timeout_s)?);
         let command = self
             .worker
-            .ask_until(py, until, |driver, slice| Ok(driver.next_command(slice)?))?;
+            .poll_on_thread(py, until, |driver, slice| Ok(driver.next_command(slice)?))?;
         if let Some(command) = command {
             return Records::of(&command).into_message(py).map(Some);
         }
@@ -133,7 +133,7 @@ impl DriverPort {
     /// How fast the cables shall run now [m/s]: (3 n,), zero before the first command and after the newest one has run out. Takes all commands that wait.
     fn cable_speeds(&self, py: Python<'_>) -> PyResult<Doubles> {
         let cables = self.robot.inner.cable_count();
-        let speeds = self.worker.ask(py, |driver| {
+        let speeds = self.worker.call_on_thread(py, |driver| {
             driver.update()?;
             Ok::<_, Failure>(driver.rates_at(monotonic_ns()).cable_speed_m_s)
         })??;
@@ -143,7 +143,7 @@ impl DriverPort {
     /// How long the cables shall be now [m]: (3 n,), or None before the first command. Takes all commands that wait.
     fn cable_lengths(&self, py: Python<'_>) -> PyResult<Option<Doubles>> {
         let cables = self.robot.inner.cable_count();
-        let position = self.worker.ask(py, |driver| {
+        let position = self.worker.call_on_thread(py, |driver| {
             driver.update()?;
             Ok::<_, Failure>(driver.position_at(monotonic_ns()))
         })??;
@@ -152,7 +152,7 @@ impl DriverPort {
 
     /// Commands that were refused since the beginning.
     fn refusals(&self, py: Python<'_>) -> PyResult<u64> {
-        self.worker.ask(py, |driver| driver.refusals())
+        self.worker.call_on_thread(py, |driver| driver.refusals())
     }
 
     /// The robot of the daemon.

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use crate::connection::Address;
 use crate::errors::Failure;
 use crate::numbers::{until, within};
-use crate::running::{Running, leave, until_it_holds};
+use crate::running::{Running, exit_result, wait_until_holding};
 use crate::trajectory::{Source, wire_interpolation};
 
 /// Range of the time from the begin of the `with` to the first point [s].
@@ -166,7 +166,7 @@ impl Feed {
         _trace: Option<Py<PyAny>>,
     ) -> PyResult<()> {
         self.shared.stop.store(true, Ordering::Relaxed);
-        leave(kind.as_ref(), self.running.wait(py, None))
+        exit_result(kind.as_ref(), self.running.wait(py, None))
     }
 
     fn __repr__(&self) -> String {
@@ -213,6 +213,6 @@ fn run(
         let _ = begun.send(true);
     }
     // The lease is returned: the robot holds within a few cycles.
-    until_it_holds(address, &mut connection.telemetry()?)?;
+    wait_until_holding(address, &mut connection.telemetry()?)?;
     Ok(report.into())
 }

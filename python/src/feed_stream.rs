@@ -21,7 +21,7 @@ use crate::arrays::{ArrayLike, Numbers, shape_text};
 use crate::connection::Address;
 use crate::errors::{Class, Failure};
 use crate::numbers::SECONDS;
-use crate::running::{Running, TURN, leave, until_it_holds};
+use crate::running::{Running, TURN, exit_result, wait_until_holding};
 use crate::trajectory::{interpolation, orientations, wire_interpolation};
 use crate::worker::forked;
 
@@ -125,7 +125,7 @@ impl FeedStream {
         if !self.running.is_forked() {
             drop(self.close());
         }
-        leave(kind.as_ref(), self.running.wait(py, None))
+        exit_result(kind.as_ref(), self.running.wait(py, None))
     }
 
     fn __repr__(&self) -> String {
@@ -266,7 +266,7 @@ struct Outbox {
     waiting: VecDeque<ReferencePoint>,
     /// Sequence numbers of the newest chunks.
     sent: u64,
-    judged: u64,
+    evaluated: u64,
     sent_at: Instant,
 }
 
@@ -288,11 +288,11 @@ impl Desk {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     drop(lease);
-                    return until_it_holds(&self.address, &mut telemetry);
+                    return wait_until_holding(&self.address, &mut telemetry);
                 }
             }
             let accepted_ns =
-                self.listen(connection, &mut telemetry, &mut followed, &mut outbox)?;
+                self.process_telemetry(connection, &mut telemetry, &mut followed, &mut outbox)?;
             renewed_ns = renewed_ns.max(accepted_ns);
             self.send(&mut outbox)?;
             if self.track && !followed.asked && self.counts.accepted.load(Ordering::Relaxed) > 0 {
@@ -319,7 +319,7 @@ impl Desk {
     }
 
     /// Reads all pending records. Returns the time of the last accepted chunk, or 0.
-    fn listen(
+    fn process_telemetry(
         &self,
         connection: &Connection,
         telemetry: &mut TelemetryStream,
@@ -332,17 +332,17 @@ impl Desk {
                 if event.sender_id == connection.sender_id()
                     && event.kind == EventKind::Reference.code()
                 {
-                    outbox.hear(event.sequence);
-                    self.judge(event)?;
+                    outbox.note_evaluated(event.sequence);
+                    self.check_event(event)?;
                     accepted_ns = accepted_ns.max(event.judged_ns);
                 }
             }
-            followed.judge(&record)?;
+            followed.check_tracking(&record)?;
         }
         Ok(accepted_ns)
     }
 
-    fn judge(&self, event: &InputEvent) -> Result<(), Failure> {
+    fn check_event(&self, event: &InputEvent) -> Result<(), Failure> {
         let outcome = Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode);
         if outcome == Outcome::Accepted {
             self.counts.accepted.fetch_add(1, Ordering::Relaxed);
@@ -362,13 +362,13 @@ impl Outbox {
             port,
             waiting: VecDeque::new(),
             sent: 0,
-            judged: 0,
+            evaluated: 0,
             sent_at: Instant::now(),
         }
     }
 
     fn may_send(&self) -> bool {
-        let (under_way, since) = (self.sent - self.judged, self.sent_at.elapsed());
+        let (under_way, since) = (self.sent - self.evaluated, self.sent_at.elapsed());
         let waits = LONGER_EACH * under_way.saturating_sub(AT_ONCE) as u32;
         let has_room = under_way < UNDER_WAY_MAX && since >= waits;
         (has_room || since > SILENCE) && !self.waiting.is_empty()
@@ -382,20 +382,20 @@ impl Outbox {
     ) -> Result<(), Failure> {
         let header = self.port.send(mode, interpolation, points)?;
         if mode == ChunkMode::Replace {
-            self.judged = header.sequence - 1;
+            self.evaluated = header.sequence - 1;
         }
         self.sent = header.sequence;
         self.sent_at = Instant::now();
         Ok(())
     }
 
-    fn hear(&mut self, sequence: u64) {
-        self.judged = self.judged.max(sequence.min(self.sent));
+    fn note_evaluated(&mut self, sequence: u64) {
+        self.evaluated = self.evaluated.max(sequence.min(self.sent));
     }
 }
 
 impl Followed {
-    fn judge(&mut self, record: &Telemetry) -> Result<(), Failure> {
+    fn check_tracking(&mut self, record: &Telemetry) -> Result<(), Failure> {
         let mode = Mode::try_from(record.mode);
         if mode == Ok(Mode::Tracking) {
             self.tracked |= self.asked;

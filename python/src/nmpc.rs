@@ -116,7 +116,7 @@ impl Nmpc {
             };
             let mut is_late = || until.is_some_and(|until| Instant::now() >= until);
             let mut budget = match (until, quanta) {
-                (_, Some(quanta)) => Budget::of_quanta(quanta),
+                (_, Some(quanta)) => Budget::from_quanta(quanta),
                 (Some(_), None) => Budget::new(&mut is_late),
                 (None, None) => Budget::unlimited(),
             };

@@ -29,7 +29,7 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf, every: i128) -> PyResult<Bound
     let every = count("every", every, 1..=u32::MAX)? as usize;
     let mut recording = Recording::open(&path, every)?;
     // A recording of an hour takes a while; Python checks for signals in between.
-    while py.detach(|| recording.read_on())? {
+    while py.detach(|| recording.read_more())? {
         py.check_signals()?;
     }
     let found = PyDict::new(py);
@@ -118,7 +118,7 @@ impl Recording {
     }
 
     /// Reads for a short time; false at the end.
-    fn read_on(&mut self) -> Result<bool, Failure> {
+    fn read_more(&mut self) -> Result<bool, Failure> {
         let until = Instant::now() + SIGNALS_EACH;
         while Instant::now() < until {
             let item = match self.reader.next_item() {

@@ -141,7 +141,7 @@ impl<T> Drop for Running<T> {
 }
 
 /// Result of leaving a `with`: an exception raised in it takes precedence.
-pub(crate) fn leave<T>(happened: Option<&Py<PyAny>>, ended: PyResult<T>) -> PyResult<()> {
+pub(crate) fn exit_result<T>(happened: Option<&Py<PyAny>>, ended: PyResult<T>) -> PyResult<()> {
     match happened {
         None => ended.map(|_| ()),
         Some(_) => Ok(()),
@@ -149,7 +149,7 @@ pub(crate) fn leave<T>(happened: Option<&Py<PyAny>>, ended: PyResult<T>) -> PyRe
 }
 
 /// Waits for a record in which the robot is not tracking.
-pub(crate) fn until_it_holds(
+pub(crate) fn wait_until_holding(
     address: &Address,
     telemetry: &mut TelemetryStream,
 ) -> Result<(), Failure> {

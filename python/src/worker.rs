@@ -59,7 +59,7 @@ impl<D: 'static> Worker<D> {
     }
 
     /// Runs a computation on the thread and waits for the result.
-    pub(crate) fn ask<T: Send + 'static>(
+    pub(crate) fn call_on_thread<T: Send + 'static>(
         &self,
         py: Python<'_>,
         job: impl FnOnce(&mut D) -> T + Send + 'static,
@@ -73,7 +73,7 @@ impl<D: 'static> Worker<D> {
     }
 
     /// Repeats a request, at most a slice at a time, until it returns a value or the time is over.
-    pub(crate) fn ask_until<T: Send + 'static>(
+    pub(crate) fn poll_on_thread<T: Send + 'static>(
         &self,
         py: Python<'_>,
         until: Instant,
@@ -82,7 +82,7 @@ impl<D: 'static> Worker<D> {
         loop {
             let left = until.saturating_duration_since(Instant::now());
             let (job, slice) = (job.clone(), left.min(SLICE));
-            let answer = self.ask(py, move |desk| job(desk, slice))??;
+            let answer = self.call_on_thread(py, move |desk| job(desk, slice))??;
             if answer.is_some() || left.is_zero() {
                 return Ok(answer);
             }

@@ -234,7 +234,7 @@ fn compete(
                 elapsed_periods: 0,
                 seed: cycle_seed(seed, solves),
             };
-            let (_, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta_left));
+            let (_, report) = nmpc.solve(&input, &mut Budget::from_quanta(quanta_left));
             quanta_left -= report.quanta;
             solves += 1;
             let better = report.cost < cost * (1.0 - PROGRESS_SHARE);

@@ -122,7 +122,7 @@ impl Variant {
         let mut evaluator = PlanEvaluator::new(scene, settings)?;
         let mut closed = scene.begin(settings)?;
         // Touches all memory that a solve may need. The seed does not matter, because the plan is forgotten.
-        nmpc.solve(&closed.input(), &mut Budget::of_quanta(20));
+        nmpc.solve(&closed.input(), &mut Budget::from_quanta(20));
         nmpc.forget_plan();
         let budget = self.budget_us().map(Duration::from_micros);
         let end = budget.map_or(End::Never, End::After);

@@ -107,7 +107,7 @@ impl Scene {
             let points = way.iter().copied().map(point).collect();
             markers.push(line(name, points, PATH_WIDTH_SHARE * self.length_m, color));
         }
-        let robot = self.robot.thicker(&at, record.tip_margin_m);
+        let robot = self.robot.enlarged(&at, record.tip_margin_m);
         let body = robot.body(&at);
         let safe_m = record.settings.safe_distance_m;
         let mut nearest: Option<Nearest> = None;

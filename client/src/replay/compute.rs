@@ -160,7 +160,7 @@ impl Computer {
         let length = record.plan_length as usize;
         let warm_plan = record.warm_plan.get(..length).ok_or(ReplayError::Shape)?;
         let seed = record.report.seed;
-        let budget = &mut Budget::of_quanta(record.report.quanta);
+        let budget = &mut Budget::from_quanta(record.report.quanta);
         let (rates, report) = self.solve_with(
             record,
             state,
@@ -262,8 +262,8 @@ impl Computer {
         let clearance_m = if record.reference_lead_ns == 0 || !safe.clearance_m.is_finite() {
             safe.clearance_m
         } else {
-            let thicker = self.robot.thicker(&state.present, state.tip_margin_m);
-            let body = thicker.body(&state.present);
+            let enlarged = self.robot.enlarged(&state.present, state.tip_margin_m);
+            let body = enlarged.body(&state.present);
             body.least_clearance_m(state.known.iter().copied())
         };
         check.number("clearance_m", record.clearance_m, clearance_m);

@@ -138,7 +138,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     }
 
     /// Keeps an additional safe distance for a body whose tip is `tip_offset_m` (m) beside its model:
-    /// [`Robot::thicker`]. The reference is not shifted; `reference_at` must include the offset.
+    /// [`Robot::enlarged`]. The reference is not shifted; `reference_at` must include the offset.
     #[must_use]
     pub fn with_tip_offset(self, tip_offset_m: f64) -> Self {
         Self {

@@ -1,4 +1,4 @@
-use super::slack::{Slack, Window};
+use super::slack::{PlayWindow, Slack};
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 
 /// Dynamics of the motors: a pure delay and a first-order lag, with play between motors and cables. Valid for
@@ -69,7 +69,7 @@ struct PlayModel {
     /// Motion of the motors by measurements that is withheld from the cables: the cables rest within a band.
     band: Slack,
     /// The part of the play that the motors cross.
-    window: Window,
+    window: PlayWindow,
 }
 
 /// Width of the band as a share of the play. Motors that reverse because of noise cross the whole play. As they do not
@@ -123,7 +123,7 @@ impl ActuatorModel {
             motors: middle,
             commanded: middle,
             band: Slack::middle(BAND_SHARE * self.actuator.play_m),
-            window: Window::WHOLE,
+            window: PlayWindow::WHOLE,
         });
         self
     }
@@ -156,7 +156,7 @@ impl ActuatorModel {
     pub(super) fn reset_band(&mut self) {
         if let Some(play) = &mut self.play {
             play.band = Slack::middle(play.band.play_m());
-            play.window = Window::WHOLE;
+            play.window = PlayWindow::WHOLE;
         }
     }
 
@@ -166,16 +166,16 @@ impl ActuatorModel {
         let Some(play) = &mut self.play else {
             return false;
         };
-        let is_whole = play.window == Window::WHOLE;
+        let is_whole = play.window == PlayWindow::WHOLE;
         if rests {
             if is_whole {
-                play.window = Window::around(&play.motors, PLAY_SHARE_AT_REST);
+                play.window = PlayWindow::around(&play.motors, PLAY_SHARE_AT_REST);
             }
             return false;
         }
         if !is_whole {
             let before = play.motors.bends(&play.robot);
-            let window = core::mem::replace(&mut play.window, Window::WHOLE);
+            let window = core::mem::replace(&mut play.window, PlayWindow::WHOLE);
             play.motors = play.motors.widened(&window);
             play.commanded = play.commanded.widened(&window);
             let after = play.motors.bends(&play.robot);

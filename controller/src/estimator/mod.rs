@@ -182,7 +182,7 @@ impl Estimator {
     }
 
     /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`] plus three standard
-    /// deviations of its uncertainty. The safe distance grows by as much ([`Robot::thicker`]). 0 before the first tip position beside
+    /// deviations of its uncertainty. The safe distance grows by as much ([`Robot::enlarged`]). 0 before the first tip position beside
     /// measured bends.
     pub fn tip_margin_m(&self) -> f64 {
         self.tip_offset.margin_m()
@@ -251,7 +251,7 @@ impl Estimator {
         }
         self.commanded = self.motors.cables_commanded(self.motors());
         if self.tip_offset.is_measured() {
-            self.follow_tip(robot);
+            self.update_tip_offset(robot);
         }
         &self.commanded
     }
@@ -262,20 +262,22 @@ impl Estimator {
     /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends or not finite. The same if it is
     /// bit-identical to the last one: the sensor may have stopped.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
-        self.follow_tip(robot);
+        self.update_tip_offset(robot);
         let motion = self.motors.remaining_motion(age_s);
         let then = motion.cables_at_start(&motion.start_from(self.motors()));
-        let placed_m = robot.tip_position(&then);
+        let model_tip_m = robot.tip_position(&then);
         let has_play = self.motors.commanded_slack().is_some();
-        self.tip_offset.correct(position_m, &placed_m, has_play)
+        self.tip_offset.correct(position_m, &model_tip_m, has_play)
     }
 
     /// Updates the tip offset along the path of the tip. When cables begin to move, their place in the play is revised; the tip stays.
-    fn follow_tip(&mut self, robot: &Robot) {
-        self.tip_offset.follow(&robot.tip_position(&self.commanded));
+    fn update_tip_offset(&mut self, robot: &Robot) {
+        self.tip_offset
+            .update_model_tip(&robot.tip_position(&self.commanded));
         if self.motors.set_rest(!self.tip_offset.is_moving()) {
             self.commanded = self.motors.cables_commanded(self.motors());
-            self.tip_offset.place(&robot.tip_position(&self.commanded));
+            self.tip_offset
+                .revise_model_tip(&robot.tip_position(&self.commanded));
         }
     }
 }

@@ -13,14 +13,14 @@ pub struct Slack {
 
 /// The part of the play that a reversing motor crosses.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Window {
+pub(super) struct PlayWindow {
     /// Share of the play.
     part: f64,
     /// Cable minus motor at the middle of this part (m).
     middle_m: [f64; CABLES_MAX],
 }
 
-impl Window {
+impl PlayWindow {
     /// The whole play.
     pub(super) const WHOLE: Self = Self {
         part: 1.0,
@@ -63,7 +63,7 @@ impl Slack {
     /// State after the motors moved by `moved` (rad) at constant rates.
     #[must_use]
     pub fn moved(&self, robot: &Robot, moved: &Configuration) -> Self {
-        self.moved_within(robot, moved, &Window::WHOLE)
+        self.moved_within(robot, moved, &PlayWindow::WHOLE)
     }
 
     /// As [`Self::moved`], with motors that take their cables along at the ends of `window`.
@@ -71,7 +71,7 @@ impl Slack {
         &self,
         robot: &Robot,
         moved: &Configuration,
-        window: &Window,
+        window: &PlayWindow,
     ) -> Self {
         let mut next = *self;
         let half_m = 0.5 * window.part * self.play_m;
@@ -83,7 +83,7 @@ impl Slack {
     }
 
     /// The same relative position in the whole play as this one in `window`.
-    pub(super) fn widened(&self, window: &Window) -> Self {
+    pub(super) fn widened(&self, window: &PlayWindow) -> Self {
         let mut wide = *self;
         for (slack_m, middle_m) in wide.slack_m.iter_mut().zip(&window.middle_m) {
             *slack_m = (*slack_m - middle_m) / window.part;
@@ -186,8 +186,8 @@ mod tests {
             let rates = BendRates::from_slice(&[rate_rad_s, 0.0]).unwrap();
             let before = *estimator.configuration();
             estimator.predict(&rates, PERIOD_S);
-            let placed_m = robot.tip_position(estimator.configuration());
-            let tip_m = placed_m + estimator.tip_offset_m();
+            let model_tip_m = robot.tip_position(estimator.configuration());
+            let tip_m = model_tip_m + estimator.tip_offset_m();
             estimator.correct_tip(&robot, &tip_m, 0.0);
             let after = estimator.configuration();
             let seen_m = robot.tip_position(after) + estimator.tip_offset_m();

@@ -31,14 +31,14 @@ const MARGIN_DEVIATIONS: f64 = 3.0;
 pub(super) struct TipOffset {
     offset_m: Vector3<f64>,
     /// Filtered offset (m). `offset_m` follows it with a dead zone.
-    learnt_m: Vector3<f64>,
+    filtered_m: Vector3<f64>,
     slope: TipSlope,
     /// Present tip position from the bends (m); `None`: control has restarted.
-    placed_m: Option<Vector3<f64>>,
+    model_tip_m: Option<Vector3<f64>>,
     /// True if that position is changing.
     is_moving: bool,
     /// Time since that position was set (s).
-    since_placed_s: f64,
+    since_model_tip_s: f64,
     /// The last measured position (m).
     measured_m: Vector3<f64>,
     /// Time since the last tip position (s), at most the time constant.
@@ -61,11 +61,11 @@ impl TipOffset {
     fn with_slope(slope: TipSlope) -> Self {
         Self {
             offset_m: Vector3::zeros(),
-            learnt_m: Vector3::zeros(),
+            filtered_m: Vector3::zeros(),
             slope,
-            placed_m: None,
+            model_tip_m: None,
             is_moving: false,
-            since_placed_s: 0.0,
+            since_model_tip_s: 0.0,
             measured_m: Vector3::repeat(f64::NAN),
             since_measured_s: 0.0,
             interval_s: TIME_CONSTANT_S,
@@ -76,7 +76,7 @@ impl TipOffset {
     pub(super) fn begin(&mut self) {
         *self = Self {
             offset_m: self.offset_m,
-            learnt_m: self.learnt_m,
+            filtered_m: self.filtered_m,
             slope: self.slope.clone(),
             ..self.forgotten()
         };
@@ -98,26 +98,26 @@ impl TipOffset {
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
         self.since_measured_s = (self.since_measured_s + elapsed_s).min(TIME_CONSTANT_S);
-        self.since_placed_s += elapsed_s;
+        self.since_model_tip_s += elapsed_s;
     }
 
     /// True if a tip was measured since control restarted.
     pub(super) fn is_measured(&self) -> bool {
-        self.placed_m.is_some()
+        self.model_tip_m.is_some()
     }
 
     /// Sets the present tip position from the bends (m). The offset follows its slope, unless the sensor is silent.
-    pub(super) fn follow(&mut self, placed_m: &Vector3<f64>) {
-        let elapsed_s = core::mem::take(&mut self.since_placed_s);
-        let Some(before_m) = self.placed_m.replace(*placed_m) else {
+    pub(super) fn update_model_tip(&mut self, model_tip_m: &Vector3<f64>) {
+        let elapsed_s = core::mem::take(&mut self.since_model_tip_s);
+        let Some(before_m) = self.model_tip_m.replace(*model_tip_m) else {
             return;
         };
         if elapsed_s > 0.0 {
-            self.is_moving = (placed_m - before_m).norm() > REST_SPEED_M_S * elapsed_s;
+            self.is_moving = (model_tip_m - before_m).norm() > REST_SPEED_M_S * elapsed_s;
         }
         if self.since_measured_s < SILENCE_RATIO * self.interval_s {
-            let change_m = self.slope.change_in_m(&(placed_m - before_m), elapsed_s);
-            self.learnt_m += change_m;
+            let change_m = self.slope.change_in_m(&(model_tip_m - before_m), elapsed_s);
+            self.filtered_m += change_m;
             self.offset_m = (self.offset_m + change_m).cap_magnitude(OFFSET_MAX_M);
         }
     }
@@ -127,18 +127,18 @@ impl TipOffset {
         self.is_moving
     }
 
-    /// Revises the tip position from the bends to `placed_m` (m) while the tip stays: the offset changes by the
+    /// Revises the tip position from the bends to `model_tip_m` (m) while the tip stays: the offset changes by the
     /// difference.
-    pub(super) fn place(&mut self, placed_m: &Vector3<f64>) {
-        if let Some(before_m) = self.placed_m.replace(*placed_m) {
-            let by_m = placed_m - before_m;
-            self.learnt_m -= by_m;
+    pub(super) fn revise_model_tip(&mut self, model_tip_m: &Vector3<f64>) {
+        if let Some(before_m) = self.model_tip_m.replace(*model_tip_m) {
+            let by_m = model_tip_m - before_m;
+            self.filtered_m -= by_m;
             self.offset_m = (self.offset_m - by_m).cap_magnitude(OFFSET_MAX_M);
-            self.slope.place(&by_m);
+            self.slope.revise_model_tip(&by_m);
         }
     }
 
-    /// Takes a tip measured at `measured_m` while the bends placed it at `placed_m`. Returns false if it is rejected:
+    /// Takes a tip measured at `measured_m` while the bends placed it at `model_tip_m`. Returns false if it is rejected:
     /// farther aside than the largest offset, or bit-identical to the last position. Following a sensor that has
     /// stopped would move the robot away from its reference.
     ///
@@ -146,12 +146,12 @@ impl TipOffset {
     pub(super) fn correct(
         &mut self,
         measured_m: &Vector3<f64>,
-        placed_m: &Vector3<f64>,
+        model_tip_m: &Vector3<f64>,
         has_play: bool,
     ) -> bool {
-        let beside_m = measured_m - placed_m;
+        let measured_offset_m = measured_m - model_tip_m;
         let is_news = core::mem::replace(&mut self.measured_m, *measured_m) != *measured_m;
-        let is_near = beside_m.norm() <= OFFSET_MAX_M;
+        let is_near = measured_offset_m.norm() <= OFFSET_MAX_M;
         if !is_news || !is_near {
             return false;
         }
@@ -159,18 +159,19 @@ impl TipOffset {
         // does not jump.
         let since_s = self.since_measured_s.min(self.interval_s);
         self.interval_s = self.since_measured_s;
-        self.slope.learn(&beside_m, placed_m, since_s);
+        self.slope.learn(&measured_offset_m, model_tip_m, since_s);
         // Offset from the present tip position.
-        let since_m = self.placed_m.map(|now_m| now_m - placed_m);
-        let beside_m = beside_m + self.slope.change_m(&since_m.unwrap_or_default());
+        let since_m = self.model_tip_m.map(|now_m| now_m - model_tip_m);
+        let measured_offset_m =
+            measured_offset_m + self.slope.change_m(&since_m.unwrap_or_default());
         let (time_constant_s, dead_zone) = if has_play && !self.is_moving {
             (TIME_CONSTANT_WITH_PLAY_S, DEAD_ZONE_WITH_PLAY)
         } else {
             (TIME_CONSTANT_S, DEAD_ZONE)
         };
         let gain = since_s / (since_s + time_constant_s);
-        self.learnt_m += gain * (beside_m - self.learnt_m);
-        let innovation_m = self.learnt_m - self.offset_m;
+        self.filtered_m += gain * (measured_offset_m - self.filtered_m);
+        let innovation_m = self.filtered_m - self.offset_m;
         let distance_m = innovation_m.norm();
         let dead_zone_m = dead_zone * self.slope.noise_m();
         if distance_m > dead_zone_m {

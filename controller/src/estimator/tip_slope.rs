@@ -28,7 +28,7 @@ pub(super) struct TipSlope {
     /// Of one coordinate of the offset and of its derivatives.
     covariance: Matrix4<f64>,
     /// Tip position from the bends at the last measurement (m).
-    placed_m: Option<Vector3<f64>>,
+    model_tip_m: Option<Vector3<f64>>,
     noise_m: f64,
     /// Prior standard deviation of a derivative; 0: the offset is the same everywhere.
     deviation: f64,
@@ -56,7 +56,7 @@ impl TipSlope {
             offset_m: Vector3::zeros(),
             slope: Matrix3::zeros(),
             covariance: Matrix4::from_diagonal(&deviations.map(|deviation| deviation * deviation)),
-            placed_m: None,
+            model_tip_m: None,
             noise_m,
             deviation,
         }
@@ -68,7 +68,7 @@ impl TipSlope {
 
     /// Standard deviation of a coordinate of the offset at its last measurement (m); 0 before the first.
     pub(super) fn deviation_m(&self) -> f64 {
-        if self.placed_m.is_some() {
+        if self.model_tip_m.is_some() {
             self.covariance[(0, 0)].max(0.0).sqrt()
         } else {
             0.0
@@ -90,15 +90,20 @@ impl TipSlope {
         }
     }
 
-    /// Takes a measurement: the offset `beside_m` of the tip from its position `placed_m` by the bends, `since_s` (s)
+    /// Takes a measurement: the offset `measured_offset_m` of the tip from its position `model_tip_m` by the bends, `since_s` (s)
     /// after the previous one.
-    pub(super) fn learn(&mut self, beside_m: &Vector3<f64>, placed_m: &Vector3<f64>, since_s: f64) {
-        self.predict(placed_m, since_s);
+    pub(super) fn learn(
+        &mut self,
+        measured_offset_m: &Vector3<f64>,
+        model_tip_m: &Vector3<f64>,
+        since_s: f64,
+    ) {
+        self.predict(model_tip_m, since_s);
         let noise_m2 = self.noise_m * self.noise_m;
         let with_offset: Vector4<f64> = self.covariance.column(0).into();
         let expected_m2 = with_offset[0] + noise_m2;
         let mut gain = with_offset / expected_m2;
-        let innovation_m = beside_m - self.offset_m;
+        let innovation_m = measured_offset_m - self.offset_m;
         let is_outlier =
             innovation_m.norm_squared() > OUTLIER_DEVIATIONS * OUTLIER_DEVIATIONS * expected_m2;
         if is_outlier {
@@ -116,15 +121,15 @@ impl TipSlope {
     }
 
     /// Revises the tip position from the bends by `by_m` (m) while the tip stays.
-    pub(super) fn place(&mut self, by_m: &Vector3<f64>) {
+    pub(super) fn revise_model_tip(&mut self, by_m: &Vector3<f64>) {
         self.offset_m -= by_m;
-        self.placed_m = self.placed_m.map(|placed_m| placed_m + by_m);
+        self.model_tip_m = self.model_tip_m.map(|model_tip_m| model_tip_m + by_m);
     }
 
-    /// Predicts the offset for a tip at `placed_m`, `since_s` (s) later.
-    fn predict(&mut self, placed_m: &Vector3<f64>, since_s: f64) {
-        let before_m = self.placed_m.replace(*placed_m);
-        let by_m = before_m.map_or_else(Vector3::zeros, |before_m| placed_m - before_m);
+    /// Predicts the offset for a tip at `model_tip_m`, `since_s` (s) later.
+    fn predict(&mut self, model_tip_m: &Vector3<f64>, since_s: f64) {
+        let before_m = self.model_tip_m.replace(*model_tip_m);
+        let by_m = before_m.map_or_else(Vector3::zeros, |before_m| model_tip_m - before_m);
         self.offset_m += self.change_m(&by_m);
         let mut along = Matrix4::identity();
         along.fixed_view_mut::<1, 3>(0, 1).tr_copy_from(&by_m);

@@ -85,7 +85,8 @@ pub(super) fn directions(
     let mut shape = problem.motion.shape(&bends);
     let mut hessian = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
     let weights = problem.weights(last);
-    if !differentiate(problem, target, &weights, &mut shape, &mut hessian, budget) || !budget.left()
+    if !differentiate(problem, target, &weights, &mut shape, &mut hessian, budget)
+        || !budget.begin_quantum()
     {
         return none;
     }
@@ -97,7 +98,7 @@ pub(super) fn directions(
         10 => spectrum!(10, hessian),
         _ => spectrum!(12, hessian),
     };
-    spectrum.map_or(none, |spectrum| falling(&spectrum, none))
+    spectrum.map_or(none, |spectrum| negative_eigenvectors(&spectrum, none))
 }
 
 /// The full Hessian, by central differences of the gradient Σ rᵢ ∂rᵢ. It includes the second derivatives that
@@ -146,7 +147,7 @@ struct Spectrum {
 }
 
 /// Eigenvectors of negative eigenvalues, most negative first.
-fn falling(spectrum: &Spectrum, mut found: Directions) -> Directions {
+fn negative_eigenvectors(spectrum: &Spectrum, mut found: Directions) -> Directions {
     let values = &spectrum.values[..spectrum.order];
     let largest = values
         .iter()
@@ -154,10 +155,10 @@ fn falling(spectrum: &Spectrum, mut found: Directions) -> Directions {
     let mut order: [usize; COORDINATES_MAX] = core::array::from_fn(|i| i);
     let order = &mut order[..values.len()];
     order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]).then(a.cmp(&b)));
-    let falling = order
+    let negative = order
         .iter()
         .filter(|&&i| values[i] < -NEGATIVE_SHARE * largest);
-    for (target, &i) in found.vectors.iter_mut().zip(falling) {
+    for (target, &i) in found.vectors.iter_mut().zip(negative) {
         *target = spectrum.vectors[i];
         found.count += 1;
     }

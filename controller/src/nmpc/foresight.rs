@@ -4,7 +4,7 @@
 
 use nalgebra::Vector3;
 
-use super::reachable::{Reachable, Start};
+use super::reachable::{Reachable, SolveContext};
 use super::solver::{Solver, Task};
 use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport};
 use crate::optimizer::{Budget, GaussNewtonSettings, Incumbent, Problem};
@@ -24,7 +24,7 @@ const EQUAL_SHARE: f64 = 1e-6;
 /// to about one step.
 const SMOOTH_SHARE: f64 = 0.003;
 /// A rate within this share of the box's width from a bound counts as at the bound.
-const BORDER_SHARE: f64 = 1e-3;
+const BOUND_SHARE: f64 = 1e-3;
 
 /// A longer horizon with its own box, obstacles and limits.
 #[derive(Debug, Clone)]
@@ -66,7 +66,7 @@ impl Foresight {
         &mut self,
         solver: &mut Solver,
         task: &Task,
-        start: &Start,
+        context: &SolveContext,
         budget: &mut Budget<'_>,
         report: &mut SolveReport,
     ) {
@@ -74,31 +74,31 @@ impl Foresight {
             return;
         };
         let (known, longer) = (task.problem.steps(), horizon.steps());
-        if !solver.may_choose(task) {
+        if !solver.has_plans_of_equal_cost(task) {
             return;
         }
-        if !budget.left() {
+        if !budget.begin_quantum() {
             report.budget_spent = true;
             return;
         }
-        if !continue_reference(start.input.reference, known, longer, &mut self.reference) {
+        if !extrapolate_reference(context.input.reference, known, longer, &mut self.reference) {
             return;
         }
-        let motion = start.motion(horizon);
-        let limits = self.reachable.survey(start, &motion, budget);
-        let problem = start.problem(&motion, &limits, &self.reachable, &self.reference);
+        let motion = context.motion(horizon);
+        let limits = self.reachable.update(context, &motion, budget);
+        let problem = context.problem(&motion, &limits, &self.reachable, &self.reference);
         let longer = Task {
             problem: &problem,
             bounds: &self.reachable.bounds,
             ..*task
         };
-        solver.lead_on(task, &longer, budget, report);
+        solver.improve_if_restricted(task, &longer, budget, report);
     }
 }
 
 /// Writes the first `steps` samples and extrapolates them to `longer` samples. False: there are too few
 /// samples, or the last five are not smooth, not inside the reference, or have an orientation.
-fn continue_reference(
+fn extrapolate_reference(
     samples: &[ReferenceSample],
     steps: usize,
     longer: usize,
@@ -111,13 +111,13 @@ fn continue_reference(
         return false;
     };
     let last = [e, d, c, b, a];
-    let tells = |sample: &&ReferenceSample| {
+    let is_usable = |sample: &&ReferenceSample| {
         sample.state == ReferenceState::Inside && sample.orientation == Orientation::Free
     };
     let [e, d, c, b, a] = last.map(|sample| sample.position_m);
     let next = |[d, c, b, a]: [Vector3<f64>; 4]| 4.0 * (a + c) - 6.0 * b - d;
     let beside_m = (next([e, d, c, b]) - a).norm();
-    if !last.iter().all(tells) || beside_m > SMOOTH_SHARE * (a - b).norm() {
+    if !last.iter().all(is_usable) || beside_m > SMOOTH_SHARE * (a - b).norm() {
         return false;
     }
     into.clear();
@@ -133,27 +133,27 @@ fn continue_reference(
 
 impl Solver {
     /// Whether other plans may have the same cost, and a constraint or a rate limit restricts the choice.
-    fn may_choose(&self, task: &Task) -> bool {
+    fn has_plans_of_equal_cost(&self, task: &Task) -> bool {
         task.settings.solver.refines()
             && task.problem.is_staged()
             && !task.problem.is_regularised()
             && !self.incumbent.is_violated()
-            && !self.error_is_left(task)
-            && (!task.problem.is_free() || self.is_at_border(task))
+            && !self.has_tracking_error(task)
+            && (!task.problem.is_free() || self.is_at_bound(task))
     }
 
-    fn is_at_border(&self, task: &Task) -> bool {
-        let borders = task.bounds.lower().iter().zip(task.bounds.upper());
-        let mut rates = self.incumbent.z().iter().zip(borders);
+    fn is_at_bound(&self, task: &Task) -> bool {
+        let intervals = task.bounds.lower().iter().zip(task.bounds.upper());
+        let mut rates = self.incumbent.z().iter().zip(intervals);
         rates.any(|(rate, (lower, upper))| {
-            let near = BORDER_SHARE * (upper - lower);
+            let near = BOUND_SHARE * (upper - lower);
             rate - lower <= near || upper - rate <= near
         })
     }
 
-    /// Calls [`Self::look_ahead`] if the plan extended to the longer horizon violates a constraint, or a rate
+    /// Calls [`Self::refine_over_longer_horizon`] if the plan extended to the longer horizon violates a constraint, or a rate
     /// of the incumbent is at a bound.
-    fn lead_on(
+    fn improve_if_restricted(
         &mut self,
         task: &Task,
         longer: &Task,
@@ -168,22 +168,23 @@ impl Solver {
             plan.push(plan[i - task.problem.motion.width()]);
         }
         longer.bounds.project(plan);
-        restart(&mut self.apart, longer, plan, budget);
+        restart(&mut self.alternative, longer, plan, budget);
         // Rates inside the box and without a violation can be continued unchanged.
-        if self.apart.is_violated() || self.is_at_border(task) {
-            self.look_ahead(task, longer, budget, report);
+        if self.alternative.is_violated() || self.is_at_bound(task) {
+            self.refine_over_longer_horizon(task, longer, budget, report);
         } else {
-            self.incumbent.pass_over(self.apart.evaluations() as usize);
+            self.incumbent
+                .count_evaluations(self.alternative.evaluations() as usize);
         }
-        report.quanta = budget.passed();
-        report.budget_spent = budget.is_over();
+        report.quanta = budget.quanta();
+        report.budget_spent = budget.is_spent();
         report.evaluations = self.incumbent.evaluations();
     }
 
     /// Refines the plan over the longer horizon, then its first part over the horizon of the task. The result
     /// replaces the incumbent if it violates no constraint and costs no more, or next to nothing. It never
     /// costs more than the warm start.
-    fn look_ahead(
+    fn refine_over_longer_horizon(
         &mut self,
         task: &Task,
         longer: &Task,
@@ -191,41 +192,43 @@ impl Solver {
         report: &mut SolveReport,
     ) {
         let settings = task.settings.gauss_newton();
-        let (gauss_newton, apart) = (&mut self.gauss_newton, &mut self.apart);
+        let (gauss_newton, alternative) = (&mut self.gauss_newton, &mut self.alternative);
         let each = GaussNewtonSettings {
             steps: 1,
             ..settings
         };
         for _ in 0..STEPS_MAX.min(settings.steps) {
-            let before = apart.cost();
+            let before = alternative.cost();
             if before <= task.settings.small_cost() {
                 break;
             }
-            gauss_newton.refine(longer.problem, longer.bounds, &each, budget, apart);
-            if apart.cost() >= before {
+            gauss_newton.refine(longer.problem, longer.bounds, &each, budget, alternative);
+            if alternative.cost() >= before {
                 break;
             }
         }
-        self.incumbent.pass_over(apart.evaluations() as usize);
+        self.incumbent
+            .count_evaluations(alternative.evaluations() as usize);
         self.scratch.clear();
         self.scratch
-            .extend_from_slice(&apart.z()[..task.problem.dimension()]);
-        restart(apart, task, &self.scratch, budget);
+            .extend_from_slice(&alternative.z()[..task.problem.dimension()]);
+        restart(alternative, task, &self.scratch, budget);
         for _ in 0..settings.steps {
-            let before = apart.cost();
+            let before = alternative.cost();
             if before > task.settings.cost_tolerance() {
-                gauss_newton.refine(task.problem, task.bounds, &each, budget, apart);
+                gauss_newton.refine(task.problem, task.bounds, &each, budget, alternative);
             }
-            if apart.cost() >= before {
+            if alternative.cost() >= before {
                 break;
             }
         }
-        self.incumbent.pass_over(apart.evaluations() as usize);
+        self.incumbent
+            .count_evaluations(alternative.evaluations() as usize);
         let equal = EQUAL_SHARE * task.settings.small_cost();
         let most = f64::max(self.incumbent.cost(), equal);
-        if apart.cost() <= f64::min(most, report.warm_cost) && !apart.is_violated() {
-            self.incumbent.replace(apart);
-            report.cost = apart.cost();
+        if alternative.cost() <= f64::min(most, report.warm_cost) && !alternative.is_violated() {
+            self.incumbent.replace(alternative);
+            report.cost = alternative.cost();
         }
     }
 }
@@ -251,7 +254,7 @@ mod tests {
     /// Distance of the last extrapolated sample from the curve; `None`: not extrapolated.
     fn beside_m(samples: &[ReferenceSample]) -> Option<f64> {
         let mut into = Vec::new();
-        let is_known = continue_reference(&samples[..20], 20, 28, &mut into);
+        let is_known = extrapolate_reference(&samples[..20], 20, 28, &mut into);
         assert!(!is_known || into[..20] == samples[..20]);
         is_known.then(|| (into[27].position_m - samples[27].position_m).norm())
     }
@@ -272,7 +275,7 @@ mod tests {
         ended[18].state = ReferenceState::Ended;
         assert_eq!(beside_m(&ended), None);
         let short = &curve(circle)[..19];
-        assert!(!continue_reference(short, 20, 28, &mut Vec::new()));
+        assert!(!extrapolate_reference(short, 20, 28, &mut Vec::new()));
     }
 
     #[test]

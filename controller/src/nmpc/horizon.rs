@@ -93,7 +93,7 @@ impl Horizon {
     ///
     /// With blocks of several steps a shift does not move every block. Such a plan keeps its first block for
     /// one period and then has zero rates.
-    pub(super) fn rest_unforeseen(&self, plan: &mut [f64], periods: u64) {
+    pub(super) fn zero_past_horizon(&self, plan: &mut [f64], periods: u64) {
         if periods == 0 {
             return;
         }
@@ -172,7 +172,7 @@ mod tests {
     fn what_no_solve_has_foreseen_rests() {
         let rested = |horizon: Horizon, periods: u64, plan: &[f64]| {
             let mut plan = plan.to_vec();
-            horizon.rest_unforeseen(&mut plan, periods);
+            horizon.zero_past_horizon(&mut plan, periods);
             plan
         };
         let four = [2.0, 3.0, 4.0, 4.0];

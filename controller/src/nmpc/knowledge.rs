@@ -2,7 +2,7 @@
 
 use super::escape;
 use super::problem::TrackingProblem;
-use crate::optimizer::{Bounds, Budget, Candidate, Found, GaussNewton, Incumbent, Problem};
+use crate::optimizer::{Bounds, Budget, Candidate, FoundStep, GaussNewton, Incumbent, Problem};
 use crate::robot::COORDINATES_MAX;
 
 /// Candidate plans. The first is the warm start, which is already the incumbent. The swarm evaluates the
@@ -31,7 +31,12 @@ impl Knowledge {
     }
 
     /// Collects the warm start, the previous command held over the horizon, and zero rates.
-    pub(super) fn gather(&mut self, problem: &TrackingProblem, bounds: &Bounds, warm_plan: &[f64]) {
+    pub(super) fn collect(
+        &mut self,
+        problem: &TrackingProblem,
+        bounds: &Bounds,
+        warm_plan: &[f64],
+    ) {
         let dimension = problem.dimension();
         self.candidates.clear();
         self.origins.clear();
@@ -68,8 +73,8 @@ impl Knowledge {
     ) {
         let candidates = self.candidates.chunks_exact(problem.dimension());
         for (z, origin) in candidates.zip(&self.origins).skip(1) {
-            let enough = incumbent.cost();
-            if let Some(evaluation) = problem.evaluate_below(z, enough, budget) {
+            let cost_cutoff = incumbent.cost();
+            if let Some(evaluation) = problem.evaluate_below(z, cost_cutoff, budget) {
                 incumbent.offer(|i| z[i], &evaluation, 0, *origin);
             }
         }
@@ -88,15 +93,15 @@ impl Knowledge {
         let into = &mut self.scratch;
         let origin = Candidate::LeastSquares;
         match gauss_newton.propose(problem, bounds, damping, budget, incumbent, into) {
-            Found::Nothing => {}
-            Found::Step => self.evaluate_and_add(problem, origin, budget, incumbent),
-            Found::Tried => self.add(origin),
+            FoundStep::Nothing => {}
+            FoundStep::NotEvaluated => self.evaluate_and_add(problem, origin, budget, incumbent),
+            FoundStep::Evaluated => self.add(origin),
         }
     }
 
     /// Adds steps along the Hessian's eigenvectors of negative eigenvalue, constant over the horizon, at
     /// several lengths. For points where the gradient vanishes.
-    pub(super) fn add_ways_out(
+    pub(super) fn add_escape_steps(
         &mut self,
         problem: &TrackingProblem,
         bounds: &Bounds,
@@ -139,8 +144,8 @@ impl Knowledge {
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) {
-        let enough = incumbent.cost();
-        if let Some(evaluation) = problem.evaluate_below(&self.scratch, enough, budget) {
+        let cost_cutoff = incumbent.cost();
+        if let Some(evaluation) = problem.evaluate_below(&self.scratch, cost_cutoff, budget) {
             let scratch = &self.scratch;
             incumbent.offer(|i| scratch[i], &evaluation, 0, origin);
             self.add(origin);

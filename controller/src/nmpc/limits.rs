@@ -17,7 +17,7 @@ const STROKE_WEIGHT: f64 = 1e10;
 const SPEED_WEIGHT: f64 = 1e6;
 /// Margin of the plan inside its limits, in rad, m and m/s. A soft penalty leaves a far smaller excess, so
 /// that the safety check need not change the command.
-const INSIDE: f64 = 1e-6;
+const LIMIT_MARGIN: f64 = 1e-6;
 /// Index of the limits among the violations.
 pub(super) const LIMITS: usize = 1;
 
@@ -37,7 +37,7 @@ pub(super) struct LimitRow {
     pub h: f64,
     pub derivatives: [f64; COORDINATES_MAX],
     /// True: Δb is the change over this step; false: the change since the start of the horizon.
-    pub of_step: bool,
+    pub is_step_change: bool,
 }
 
 impl<'a> Limits<'a> {
@@ -54,14 +54,15 @@ impl<'a> Limits<'a> {
         let bends = start.pairs();
         let sections = robot.sections().iter().zip(bends).zip(fastest_rad_s);
         let bend = sections.clone().any(|((section, [u, v]), rate)| {
-            u.hypot(*v) + rate * horizon_s > section.bend_max_rad - INSIDE
+            u.hypot(*v) + rate * horizon_s > section.bend_max_rad - LIMIT_MARGIN
         });
         // The last section's cables pass all sections, so their speed bounds every cable speed.
         let fastest_m_s: f64 = sections.map(|((s, _), rate)| s.cable_radius_m * rate).sum();
         let strokes_m = robot.cable_strokes(&start);
         let longest_m = strokes_m.iter().fold(0.0_f64, |most, s| most.max(s.abs()));
-        let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m() - INSIDE;
-        let speed = fastest_m_s > robot.cable_speed_max_m_s() - INSIDE;
+        let stroke =
+            longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m() - LIMIT_MARGIN;
+        let speed = fastest_m_s > robot.cable_speed_max_m_s() - LIMIT_MARGIN;
         Self {
             robot,
             period_s,
@@ -72,7 +73,7 @@ impl<'a> Limits<'a> {
         }
     }
 
-    pub(super) fn matter(&self) -> bool {
+    pub(super) fn any_reachable(&self) -> bool {
         self.bend || self.stroke || self.speed
     }
 
@@ -117,12 +118,12 @@ impl<'a> Limits<'a> {
         evaluation: &mut Evaluation<W>,
     ) {
         let zero = Wide::splat(0.0);
-        let near = value + -(most - INSIDE);
+        let excess = value + -(most - LIMIT_MARGIN);
         // A comparison with NaN is false, so a NaN stays and makes the cost NaN, as intended.
-        let near = zero.select(near, near.less(zero));
-        evaluation.cost = evaluation.cost + near * near * (weight * self.weight);
+        let excess = zero.select(excess, excess.less(zero));
+        evaluation.cost = evaluation.cost + excess * excess * (weight * self.weight);
         // Negative where the limit is kept: no violation.
-        let share = (near + -INSIDE) * (1.0 / most);
+        let share = (excess + -LIMIT_MARGIN) * (1.0 / most);
         let worst = evaluation.violations[LIMITS];
         evaluation.violations[LIMITS] = share.select(worst, worst.less(share));
     }
@@ -144,9 +145,9 @@ impl<'a> Limits<'a> {
                     derivatives[2 * j] = -scale * u / bend;
                     derivatives[2 * j + 1] = -scale * v / bend;
                     push(LimitRow {
-                        h: scale * (section.bend_max_rad - INSIDE - bend),
+                        h: scale * (section.bend_max_rad - LIMIT_MARGIN - bend),
                         derivatives,
-                        of_step: false,
+                        is_step_change: false,
                     });
                 }
             }
@@ -174,7 +175,7 @@ impl<'a> Limits<'a> {
         most: f64,
         scale: f64,
         per_bend: f64,
-        of_step: bool,
+        is_step_change: bool,
         push: &mut impl FnMut(LimitRow),
     ) {
         let values = self.robot.cable_shortening_wide(|i| Wide([bends[i]]));
@@ -189,9 +190,9 @@ impl<'a> Limits<'a> {
                 *pair = direction.map(|part| towards * (section.cable_radius_m * part));
             }
             push(LimitRow {
-                h: scale * (most - INSIDE - value.abs()),
+                h: scale * (most - LIMIT_MARGIN - value.abs()),
                 derivatives,
-                of_step,
+                is_step_change,
             });
         }
     }

@@ -52,7 +52,7 @@ use crate::optimizer::{Budget, Simd};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
 use foresight::Foresight;
-use reachable::{Reachable, Start};
+use reachable::{Reachable, SolveContext};
 use solver::Solver;
 
 /// Largest number of control blocks M: one for each step.
@@ -84,7 +84,7 @@ pub struct SolveInput<'a> {
     /// further ones are ignored.
     pub obstacles: &'a [Obstacle],
     /// Largest distance of the tip from the position given by the bends \[m\], 0 or more. The body's
-    /// clearance grows by this distance, in proportion for each section ([`Robot::thicker`],
+    /// clearance grows by this distance, in proportion for each section ([`Robot::enlarged`],
     /// [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
     pub tip_offset_m: f64,
     /// Periods since the plan was made: the shift of the warm start.
@@ -108,7 +108,7 @@ pub struct Nmpc {
     plan: Vec<f64>,
     warm_plan: Vec<f64>,
     /// The saved plan during a rehearsal.
-    kept_plan: Vec<f64>,
+    saved_plan: Vec<f64>,
     /// Periods by which a restored plan was already shifted.
     restored_periods: u64,
     solver: Solver,
@@ -147,7 +147,7 @@ impl Nmpc {
             reachable: Reachable::with_capacity(unknowns),
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
-            kept_plan: Vec::with_capacity(unknowns),
+            saved_plan: Vec::with_capacity(unknowns),
             restored_periods: 0,
             solver: Solver::with_capacity(simd, unknowns, width * TIED_BLOCKS_MAX),
             foresight: Foresight::with_capacity(unknowns),
@@ -189,7 +189,7 @@ impl Nmpc {
         let unknowns = width * self.horizon.blocks();
         self.plan.resize(unknowns, 0.0);
         self.warm_plan.resize(unknowns, 0.0);
-        self.kept_plan.resize(unknowns, 0.0);
+        self.saved_plan.resize(unknowns, 0.0);
     }
 
     /// Resets the plan, so that the next warm start is zero rates. For cycles whose command does not come
@@ -202,11 +202,11 @@ impl Nmpc {
     /// Replaces the plan by the recorded warm start of a replay, which was already shifted by `moved_on`
     /// periods. The next solve uses `elapsed_periods` = 0. Returns false if the length does not fit the
     /// settings.
-    pub fn restore_plan(&mut self, plan: &[f64], moved_on: u64) -> bool {
+    pub fn restore_plan(&mut self, plan: &[f64], shifted_periods: u64) -> bool {
         let fits = plan.len() == self.plan.len();
         if fits {
             self.plan.copy_from_slice(plan);
-            self.restored_periods = moved_on;
+            self.restored_periods = shifted_periods;
         }
         fits
     }
@@ -262,9 +262,9 @@ impl Nmpc {
     /// It plays the part of the preparation phase of the real-time iteration (Diehl et al. 2005,
     /// doi:10.1137/S0363012902400713).
     pub fn rehearse(&mut self, input: &SolveInput, budget: &mut Budget<'_>) {
-        self.kept_plan.copy_from_slice(&self.plan);
+        self.saved_plan.copy_from_slice(&self.plan);
         self.solve(input, budget);
-        core::mem::swap(&mut self.plan, &mut self.kept_plan);
+        core::mem::swap(&mut self.plan, &mut self.saved_plan);
     }
 
     fn solve_within(
@@ -272,28 +272,28 @@ impl Nmpc {
         input: &SolveInput,
         budget: &mut Budget<'_>,
     ) -> (BendRates, SolveReport) {
-        let thicker = self.robot.thicker(input.configuration, input.tip_offset_m);
-        let robot: &Robot = &thicker;
-        let start = Start {
+        let enlarged = self.robot.enlarged(input.configuration, input.tip_offset_m);
+        let robot: &Robot = &enlarged;
+        let context = SolveContext {
             robot,
             period_s: self.period_s,
             acceleration_rad_s2: self.acceleration_rad_s2,
             settings: &self.settings,
             input,
         };
-        let motion = start.motion(&self.horizon);
-        let limits = self.reachable.survey(&start, &motion, budget);
-        let moved_on = input.elapsed_periods.saturating_add(self.restored_periods);
+        let motion = context.motion(&self.horizon);
+        let limits = self.reachable.update(&context, &motion, budget);
+        let shifted_periods = input.elapsed_periods.saturating_add(self.restored_periods);
         self.restored_periods = 0;
         self.horizon
             .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
-        motion.continue_plan(
+        motion.continue_through_straight(
             &mut self.warm_plan,
             input.previous_rates,
             input.elapsed_periods,
         );
         self.reachable.bounds.project(&mut self.warm_plan);
-        let problem = start.problem(&motion, &limits, &self.reachable, input.reference);
+        let problem = context.problem(&motion, &limits, &self.reachable, input.reference);
         let task = solver::Task {
             problem: &problem,
             bounds: &self.reachable.bounds,
@@ -302,14 +302,15 @@ impl Nmpc {
         };
         let mut report = self.solver.solve(&task, &self.warm_plan, budget);
         self.foresight
-            .improve(&mut self.solver, &task, &start, budget, &mut report);
+            .improve(&mut self.solver, &task, &context, budget, &mut report);
         self.plan.copy_from_slice(self.solver.best());
         if !self.solver.is_evaluated() {
-            self.horizon.rest_unforeseen(&mut self.plan, moved_on);
+            self.horizon
+                .zero_past_horizon(&mut self.plan, shifted_periods);
         }
         let rates = match report.status {
             SolveStatus::NonFinite => None,
-            _ if !problem.is_posed() => None,
+            _ if !problem.has_reference() => None,
             _ => motion.first_rates(robot, &self.plan),
         };
         let rates = rates.unwrap_or_else(|| {

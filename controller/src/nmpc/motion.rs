@@ -176,7 +176,7 @@ impl<'a> Motion<'a> {
     /// Returns a function that advances component i of the bend vectors by one period and returns it. Call it
     /// once for each component.
     #[inline(always)]
-    pub(super) fn moving<const W: usize>(
+    pub(super) fn advance_component<const W: usize>(
         &self,
         bend_rad: &mut [Aligned<W>],
         z: &impl Fn(usize) -> Wide<W>,
@@ -201,7 +201,11 @@ impl<'a> Motion<'a> {
 
     /// Converts derivatives with respect to bend vectors, (∂u, ∂v) of each section, to derivatives with
     /// respect to the coordinates of the controls at `bends`.
-    pub(super) fn by_controls(&self, bends: &Bent, derivatives: &mut [f64; COORDINATES_MAX]) {
+    pub(super) fn to_control_derivatives(
+        &self,
+        bends: &Bent,
+        derivatives: &mut [f64; COORDINATES_MAX],
+    ) {
         if self.coordinates == Coordinates::BendVector {
             return;
         }
@@ -276,7 +280,7 @@ impl<'a> Motion<'a> {
     }
 
     /// Upper bound of the change of each section's bend vector by any plan \[rad\].
-    pub(super) fn most_rad(&self, robot: &Robot) -> [f64; SECTIONS_MAX] {
+    pub(super) fn bend_change_max_rad(&self, robot: &Robot) -> [f64; SECTIONS_MAX] {
         let horizon_s = self.period_s * self.horizon.steps() as f64;
         let mut most = [0.0; SECTIONS_MAX];
         for (most, section) in most.iter_mut().zip(robot.sections()) {
@@ -312,7 +316,7 @@ impl<'a> Motion<'a> {
 
     /// Negates θ̇ in a plan for sections that passed through straight since it was made, `elapsed_periods` of
     /// `previous_rates` ago: their angle φ has changed by π.
-    pub(super) fn continue_plan(
+    pub(super) fn continue_through_straight(
         &self,
         plan: &mut [f64],
         previous_rates: &BendRates,
@@ -442,7 +446,7 @@ mod tests {
         let at = Configuration::from_slice(&[-0.001, 0.0, 0.5, 0.0]).expect("two sections");
         let motion = motion(&horizon, &at, &rates);
         let mut plan = [-0.4, 0.0, 0.1, 0.0];
-        motion.continue_plan(&mut plan, &rates, 1);
+        motion.continue_through_straight(&mut plan, &rates, 1);
         assert_eq!(plan, [0.4, 0.0, 0.1, 0.0]);
         let kept = motion.first_rates(&robot(), &plan).expect("two sections");
         assert!((kept.as_slice()[0] + 0.4).abs() < 1e-12);

@@ -40,7 +40,7 @@ const CONSTRAINT_SCALE: f64 = 1e3;
 /// The obstacles within reach of the body over the horizon.
 #[derive(Debug, Clone)]
 pub(super) struct Obstacles {
-    near: Vec<Near>,
+    reachable: Vec<ReachableObstacle>,
     /// The configuration to which the clearances at the start refer.
     start: Configuration,
 }
@@ -48,17 +48,17 @@ pub(super) struct Obstacles {
 /// An obstacle, and for each step the sections (one bit each) that can come within the safe distance by its
 /// end.
 #[derive(Debug, Clone, Copy)]
-struct Near {
+struct ReachableObstacle {
     obstacle: Obstacle,
     sections: [u8; HORIZON_STEPS_MAX],
     /// Clearance of each section at the start less the safe distance; for a capsule a lower bound. Infinite
     /// for sections that no plan brings within the safe distance.
-    spare_m: [f64; SECTIONS_MAX],
+    start_margin_m: [f64; SECTIONS_MAX],
     /// Motion of the obstacle in one period \[m\].
     per_step_m: f64,
 }
 
-impl Near {
+impl ReachableObstacle {
     /// The sections that can be within the safe distance at the end of `step`, if none has moved by more than
     /// `travel_m` since the start.
     #[inline(always)]
@@ -66,7 +66,7 @@ impl Near {
         let mut sections = self.sections[step];
         let own_m = self.per_step_m * (step + 1) as f64 + ROUNDING_M;
         for j in 0..SECTIONS_MAX {
-            if sections & 1 << j != 0 && self.spare_m[j] > own_m + travel_m[j] {
+            if sections & 1 << j != 0 && self.start_margin_m[j] > own_m + travel_m[j] {
                 sections &= !(1 << j);
             }
         }
@@ -109,7 +109,7 @@ fn section_ns(obstacle: &Obstacle) -> u32 {
 impl Obstacles {
     pub(super) fn with_capacity() -> Self {
         Self {
-            near: Vec::with_capacity(OBSTACLES_MAX),
+            reachable: Vec::with_capacity(OBSTACLES_MAX),
             ..Self::none()
         }
     }
@@ -117,7 +117,7 @@ impl Obstacles {
     /// No obstacles, without memory for any.
     pub(super) fn none() -> Self {
         Self {
-            near: Vec::new(),
+            reachable: Vec::new(),
             start: Configuration::straight(1),
         }
     }
@@ -125,7 +125,7 @@ impl Obstacles {
     /// Keeps the obstacles that a plan in the box can bring within the safe distance. `fastest_rad_s` bounds
     /// the norm of each section's bend rate. If the budget ends the culling, no plan is evaluated later
     /// either.
-    pub(super) fn gather(
+    pub(super) fn cull(
         &mut self,
         robot: &Robot,
         motion: &Motion,
@@ -134,7 +134,7 @@ impl Obstacles {
         fastest_rad_s: &[f64; SECTIONS_MAX],
         budget: &mut Budget<'_>,
     ) {
-        self.near.clear();
+        self.reachable.clear();
         if obstacles.is_empty() {
             return;
         }
@@ -164,29 +164,33 @@ impl Obstacles {
                 }
             }
             if sections[steps - 1] != 0 {
-                self.near.push(Near {
+                self.reachable.push(ReachableObstacle {
                     obstacle: *obstacle,
                     sections,
-                    spare_m: clearances_m.map(|clearance_m| clearance_m - safe_distance_m),
+                    start_margin_m: clearances_m.map(|clearance_m| clearance_m - safe_distance_m),
                     per_step_m: own_m,
                 });
             }
         }
     }
 
-    pub(super) fn matter(&self) -> bool {
-        !self.near.is_empty()
+    pub(super) fn any_reachable(&self) -> bool {
+        !self.reachable.is_empty()
     }
 
     /// Whether all obstacles within reach are at rest.
-    pub(super) fn stand(&self) -> bool {
-        self.near.iter().all(|near| near.per_step_m == 0.0)
+    pub(super) fn all_at_rest(&self) -> bool {
+        self.reachable
+            .iter()
+            .all(|candidate| candidate.per_step_m == 0.0)
     }
 
     /// Whether the body can come within the safe distance of any obstacle by the end of `step`.
     #[inline(always)]
-    fn matter_at(&self, step: usize) -> bool {
-        self.near.iter().any(|near| near.sections[step] != 0)
+    fn any_reachable_at(&self, step: usize) -> bool {
+        self.reachable
+            .iter()
+            .any(|candidate| candidate.sections[step] != 0)
     }
 
     /// Largest motion of each section since the start in any of W rollouts \[m\]. Also returns zero, or NaN
@@ -198,7 +202,7 @@ impl Obstacles {
         bend_rad: &[Wide<W>; COORDINATES_MAX],
     ) -> ([f64; SECTIONS_MAX], Wide<W>) {
         let mut sum = Wide::splat(0.0);
-        let mut most_rad = [0.0; SECTIONS_MAX];
+        let mut bend_change_max_rad = [0.0; SECTIONS_MAX];
         let starts = self.start.pairs().iter().take(robot.section_count());
         for (j, [start_u, start_v]) in starts.enumerate() {
             let (u, v) = (bend_rad[2 * j] - *start_u, bend_rad[2 * j + 1] - *start_v);
@@ -209,9 +213,9 @@ impl Obstacles {
             for lane in 0..W {
                 most = f64::max(most, square.0[lane]);
             }
-            most_rad[j] = most.sqrt();
+            bend_change_max_rad[j] = most.sqrt();
         }
-        (robot.travel_m(&most_rad), sum * 0.0)
+        (robot.travel_m(&bend_change_max_rad), sum * 0.0)
     }
 
     /// Adds the penalties at the end of a step. None: the budget was spent.
@@ -225,43 +229,44 @@ impl Obstacles {
         evaluation: &mut Evaluation<W>,
         budget: &mut Budget<'_>,
     ) -> Option<()> {
-        if !self.matter_at(at.step) {
+        if !self.any_reachable_at(at.step) {
             return Some(());
         }
-        if !budget.spend(CULLING_NS * self.near.len() as u32) {
+        if !budget.spend(CULLING_NS * self.reachable.len() as u32) {
             return None;
         }
         let (travel_m, poison) = self.travel_m(robot, bend_rad);
         evaluation.cost = evaluation.cost + poison;
-        let is_met = |near: &Near| near.sections_at(at.step, &travel_m) != 0;
-        if !self.near.iter().any(is_met) {
+        let is_in_reach =
+            |candidate: &ReachableObstacle| candidate.sections_at(at.step, &travel_m) != 0;
+        if !self.reachable.iter().any(is_in_reach) {
             return Some(());
         }
         let body = robot.body_wide(|i| bend_rad[i]);
-        let (zero, enough_m) = (Wide::splat(0.0), settings.safe_distance_m);
-        for near in &self.near {
-            let sections = near.sections_at(at.step, &travel_m);
+        let (zero, cutoff_m) = (Wide::splat(0.0), settings.safe_distance_m);
+        for candidate in &self.reachable {
+            let sections = candidate.sections_at(at.step, &travel_m);
             if sections == 0 {
                 continue;
             }
             if !budget.spend(BEYOND_NS * sections.count_ones()) {
                 return None;
             }
-            let obstacle = near.obstacle.moved(at.time_s);
+            let obstacle = candidate.obstacle.moved(at.time_s);
             // One penalty for each section: a section that is already inside must not let another enter at no
             // cost.
             for j in 0..SECTIONS_MAX {
                 if sections & 1 << j == 0 {
                     continue;
                 }
-                let Some(beyond) = body.section_is_beyond(j, &obstacle, enough_m) else {
+                let Some(beyond) = body.section_is_beyond(j, &obstacle, cutoff_m) else {
                     continue;
                 };
-                if !budget.spend(section_ns(&near.obstacle)) {
+                if !budget.spend(section_ns(&candidate.obstacle)) {
                     return None;
                 }
-                let clearance_m = body.section_clearance_below(j, &obstacle, enough_m, beyond);
-                let depth_m = Wide::splat(enough_m) - clearance_m;
+                let clearance_m = body.section_clearance_below(j, &obstacle, cutoff_m, beyond);
+                let depth_m = Wide::splat(cutoff_m) - clearance_m;
                 let inside = zero.less(depth_m);
                 let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
                 let beyond = depth_m * settings.obstacle_slope_penalty
@@ -285,10 +290,10 @@ impl Obstacles {
         budget: &mut Budget<'_>,
         mut push: impl FnMut(ClearanceRow),
     ) -> bool {
-        if !self.matter_at(at.step) {
+        if !self.any_reachable_at(at.step) {
             return true;
         }
-        if !budget.spend(CULLING_NS * self.near.len() as u32) {
+        if !budget.spend(CULLING_NS * self.reachable.len() as u32) {
             return false;
         }
         let kept_m = settings.safe_distance_m + MARGIN_M;
@@ -296,8 +301,9 @@ impl Obstacles {
         for (moved_m, reach_m) in moved_m.iter_mut().zip(reach_m) {
             *moved_m += reach_m + MARGIN_M;
         }
-        let is_met = |near: &Near| near.sections_at(at.step, &moved_m) != 0;
-        if !self.near.iter().any(is_met) {
+        let is_in_reach =
+            |candidate: &ReachableObstacle| candidate.sections_at(at.step, &moved_m) != 0;
+        if !self.reachable.iter().any(is_in_reach) {
             return true;
         }
         let section_count = robot.section_count() as u32;
@@ -309,9 +315,9 @@ impl Obstacles {
         let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
         let mut motion: Option<BodyMotion> = None;
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
-        for near in &self.near {
-            let sections = near.sections_at(at.step, &moved_m);
-            let obstacle = near.obstacle.moved(at.time_s);
+        for candidate in &self.reachable {
+            let sections = candidate.sections_at(at.step, &moved_m);
+            let obstacle = candidate.obstacle.moved(at.time_s);
             for j in (0..SECTIONS_MAX).filter(|j| sections & 1 << j != 0) {
                 if matches!(obstacle.shape(), Shape::Capsule { .. }) && reach_m[j].is_finite() {
                     if !budget.spend(CHORD_NS) {
@@ -321,7 +327,7 @@ impl Obstacles {
                         continue;
                     }
                 }
-                if !budget.spend(section_ns(&near.obstacle)) {
+                if !budget.spend(section_ns(&candidate.obstacle)) {
                     return false;
                 }
                 let closest = body.closest_of(j, &obstacle);
@@ -337,7 +343,7 @@ impl Obstacles {
                     return false;
                 }
                 let motion = motion.get_or_insert_with(|| robot.body_motion(&shape));
-                let nearest = body.place(&closest, &obstacle);
+                let nearest = body.nearest_from(&closest, &obstacle);
                 motion.point_jacobian(nearest.section, nearest.s, &mut jacobian);
                 let mut derivatives = [0.0; COORDINATES_MAX];
                 for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::reference::{Orientation, ReferenceSample};
-use crate::robot::{COORDINATES_MAX, Jacobian, Near, Pose, Robot};
+use crate::robot::{COORDINATES_MAX, Jacobian, Pose, Robot, TipSeries};
 use crate::wide::Wide;
 
 /// Weights of the error of one step.
@@ -26,7 +26,7 @@ pub(super) struct PoseWeights {
 pub(super) fn squared_error<const W: usize>(
     robot: &Robot,
     bend_rad: impl Fn(usize) -> Wide<W>,
-    near: Option<&Near>,
+    tip_series: Option<&TipSeries>,
     target: &ReferenceSample,
     weights: &PoseWeights,
 ) -> Wide<W> {
@@ -48,8 +48,8 @@ pub(super) fn squared_error<const W: usize>(
                 + beyond_squared(chord * 0.5, weights.tolerance_rad) * weights.orientation
         }
         _ => {
-            let tip = match near {
-                Some(near) => robot.tip_position_near(near, bend_rad),
+            let tip = match tip_series {
+                Some(tip_series) => robot.tip_position_by_series(tip_series, bend_rad),
                 None => robot.tip_position_wide(bend_rad),
             };
             distance_squared(&tip, &target.position_m) * weights.position

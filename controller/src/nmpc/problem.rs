@@ -1,7 +1,7 @@
 mod evaluation;
-mod plain;
+mod position_only;
 
-pub(super) use plain::Plain;
+pub(super) use position_only::PositionOnly;
 
 use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
@@ -9,12 +9,12 @@ use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{Coordinates, NmpcSettings};
 use crate::optimizer::{
-    Bounds, Budget, Cost, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
+    Bounds, Budget, Cost, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages,
     WIDTH_MAX,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{
-    BendRates, COORDINATES_MAX, Configuration, Jacobian, Near, Robot, SECTIONS_MAX,
+    BendRates, COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX, TipSeries,
 };
 use crate::wide::{Aligned, Wide};
 
@@ -30,8 +30,8 @@ pub(super) struct TrackingProblem<'a> {
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
     stages: Stages,
-    /// Whether reference and settings allow [`Self::is_plain`].
-    has_plain_cost: bool,
+    /// Whether reference and settings allow [`Self::is_position_only`].
+    has_position_only_cost: bool,
 }
 
 const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
@@ -73,32 +73,32 @@ impl<'a> TrackingProblem<'a> {
                 motion.period_s(),
                 motion.horizon().lengths(),
             ),
-            has_plain_cost: false,
+            has_position_only_cost: false,
         };
-        problem.has_plain_cost = problem.is_of_position();
+        problem.has_position_only_cost = problem.allows_position_only();
         problem
     }
 
     /// Whether there is a reference to follow.
-    pub(super) fn is_posed(&self) -> bool {
+    pub(super) fn has_reference(&self) -> bool {
         self.reference
             .iter()
             .any(|sample| sample.state != ReferenceState::None)
     }
 
     /// The same problem with other obstacles.
-    pub(super) fn among(&self, obstacles: &'a Obstacles) -> Self {
+    pub(super) fn with_obstacles(&self, obstacles: &'a Obstacles) -> Self {
         Self { obstacles, ..*self }
     }
 
     /// Whether an obstacle is within reach.
-    pub(super) fn meets_obstacles(&self) -> bool {
-        self.obstacles.matter()
+    pub(super) fn has_reachable_obstacles(&self) -> bool {
+        self.obstacles.any_reachable()
     }
 
     /// Whether no obstacle and no limit is within reach.
     pub(super) fn is_free(&self) -> bool {
-        !self.limits.matter() && !self.obstacles.matter()
+        !self.limits.any_reachable() && !self.obstacles.any_reachable()
     }
 
     fn width(&self) -> usize {
@@ -162,14 +162,14 @@ impl<'a> TrackingProblem<'a> {
         } = *self.settings;
         let rate_weight = f64::from(rate_weight);
         if rate_weight > 0.0 {
-            model.weigh(rate_weight, z);
+            model.weight_unknowns(rate_weight, z);
         }
         if rate_change_weight > 0.0 {
             let scale = rate_change_weight.sqrt();
             for i in 0..z.len() {
                 let earlier = i.checked_sub(self.width());
                 let before = earlier.map_or_else(|| self.previous[i], |k| z[k]);
-                let row = model.push_alone(scale * (z[i] - before));
+                let row = model.push_dense(scale * (z[i] - before));
                 row[i] = scale;
                 if let Some(k) = earlier {
                     row[k] = -scale;
@@ -184,8 +184,9 @@ impl<'a> TrackingProblem<'a> {
             let tip = self.robot.tip_jacobian(shape, &mut jacobian);
             let weights = self.weights(at.index);
             pose_error::residuals(&tip, &jacobian, target, &weights, &mut |mut row: Row| {
-                self.motion.by_controls(at.bends, &mut row.derivatives);
-                model.push(row.residual, &row.derivatives[..self.width()], at.place);
+                self.motion
+                    .to_control_derivatives(at.bends, &mut row.derivatives);
+                model.push(row.residual, &row.derivatives[..self.width()], at.stage);
             });
         }
     }
@@ -197,10 +198,11 @@ impl<'a> TrackingProblem<'a> {
         (kind, h): (usize, f64),
         mut derivatives: [f64; COORDINATES_MAX],
         at: &Step,
-        place: Place,
+        stage: RowStage,
         model: &mut LinearModel,
     ) {
-        self.motion.by_controls(at.bends, &mut derivatives);
+        self.motion
+            .to_control_derivatives(at.bends, &mut derivatives);
         // The last block has the widest box.
         let last = self.dimension() - self.width();
         let (lower, upper) = (&self.bounds.lower()[last..], &self.bounds.upper()[last..]);
@@ -210,15 +212,15 @@ impl<'a> TrackingProblem<'a> {
             .zip(widths)
             .map(|(d, width)| d.abs() * width)
             .sum();
-        let periods = if place.since_start {
+        let periods = if stage.since_start {
             (at.index + 1) as f64
         } else {
-            place.periods
+            stage.periods
         };
         let most = per_s * self.motion.period_s() * periods;
         if h <= most {
             let slack = (h / most).clamp(-1.0, 1.0);
-            model.push_constraint(kind, h, slack, &derivatives[..self.width()], place);
+            model.push_constraint(kind, h, slack, &derivatives[..self.width()], stage);
         }
     }
 
@@ -230,7 +232,7 @@ impl<'a> TrackingProblem<'a> {
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
-        if !self.limits.matter() {
+        if !self.limits.any_reachable() {
             return true;
         }
         let row_ns = self.constraint_ns();
@@ -238,18 +240,18 @@ impl<'a> TrackingProblem<'a> {
         self.limits
             .rows(&before.scalar(), &at.bends.scalar(), |row: LimitRow| {
                 is_left = is_left && budget.spend(row_ns);
-                let place = if row.of_step {
-                    Place {
+                let stage = if row.is_step_change {
+                    RowStage {
                         since_start: false,
                         periods: 1.0,
-                        ..at.place
+                        ..at.stage
                     }
                 } else {
-                    at.place
+                    at.stage
                 };
                 if is_left {
                     let kind_and_h = (LIMITS, row.h);
-                    self.push_constraint(kind_and_h, row.derivatives, at, place, model);
+                    self.push_constraint(kind_and_h, row.derivatives, at, stage, model);
                 }
             });
         is_left
@@ -267,7 +269,7 @@ impl<'a> TrackingProblem<'a> {
         let instant = self.step_time(at.index);
         let push = |row: ClearanceRow| {
             let kind_and_h = (CLEARANCE, row.h);
-            self.push_constraint(kind_and_h, row.derivatives, at, at.place, model);
+            self.push_constraint(kind_and_h, row.derivatives, at, at.stage, model);
         };
         let moved = (at.bends, reach_m);
         self.obstacles
@@ -276,9 +278,9 @@ impl<'a> TrackingProblem<'a> {
 
     /// Calls `visit` for the end of each step of a plan, with the bends before the step, until it returns
     /// false. Returns whether all calls returned true.
-    fn walk(&self, z: &[f64], mut visit: impl FnMut(&Bent, &Step) -> bool) -> bool {
+    fn for_each_step(&self, z: &[f64], mut visit: impl FnMut(&Bent, &Step) -> bool) -> bool {
         let mut bends: Bent = self.motion.start();
-        let mut place = Place {
+        let mut stage = RowStage {
             block: 0,
             since_start: true,
             periods: 0.0,
@@ -287,17 +289,17 @@ impl<'a> TrackingProblem<'a> {
             let before = bends;
             self.motion.advance_one(&mut bends, z, index);
             let block = self.motion.horizon().block_of(index);
-            if block > place.block {
-                (place.block, place.periods) = (block, 0.0);
+            if block > stage.block {
+                (stage.block, stage.periods) = (block, 0.0);
             }
-            place.periods += 1.0;
+            stage.periods += 1.0;
             let bends = &bends;
             visit(
                 &before,
                 &Step {
                     index,
                     bends,
-                    place,
+                    stage,
                 },
             )
         })
@@ -306,7 +308,11 @@ impl<'a> TrackingProblem<'a> {
     /// Nominal time of one step of [`Problem::evaluate_below`] without obstacles.
     #[inline(always)]
     fn step_ns(&self) -> u32 {
-        let limits_ns = if self.limits.matter() { LIMITS_NS } else { 0 };
+        let limits_ns = if self.limits.any_reachable() {
+            LIMITS_NS
+        } else {
+            0
+        };
         self.sections_ns(SECTION_NS + limits_ns)
     }
 
@@ -337,7 +343,7 @@ impl<'a> TrackingProblem<'a> {
 struct Step<'a> {
     index: usize,
     bends: &'a Bent,
-    place: Place,
+    stage: RowStage,
 }
 
 impl Problem for TrackingProblem<'_> {
@@ -353,22 +359,22 @@ impl Problem for TrackingProblem<'_> {
     fn evaluate_below(
         &self,
         z: &[f64],
-        enough: f64,
+        cost_cutoff: f64,
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>> {
         let (z, scalar) = (|i: usize| Wide([z[i]]), pulp::Scalar);
         match self.motion.coordinates() {
             Coordinates::BendVector => {
-                self.evaluate_in::<1, VECTORS>(&z, None, enough, budget, scalar)
+                self.evaluate_in::<1, VECTORS>(&z, None, cost_cutoff, budget, scalar)
             }
             Coordinates::BendAngles => {
-                self.evaluate_in::<1, ANGLES>(&z, None, enough, budget, scalar)
+                self.evaluate_in::<1, ANGLES>(&z, None, cost_cutoff, budget, scalar)
             }
         }
     }
 
     fn rounding(&self) -> Option<f64> {
-        self.is_plain().then(|| self.rounding_cost())
+        self.is_position_only().then(|| self.rounding_cost())
     }
 
     fn least_cost(&self) -> Option<f64> {
@@ -381,26 +387,30 @@ impl Problem for TrackingProblem<'_> {
         residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>> {
-        self.plain_residuals(z, residuals, budget)
+        self.position_residuals(z, residuals, budget)
     }
 
-    fn evaluate_to_contact(
+    fn evaluate_until_violation(
         &self,
         z: &mut [f64],
         incumbent: &Incumbent,
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
         match self.motion.coordinates() {
-            Coordinates::BendVector => self.to_contact_in::<VECTORS>(z, incumbent, budget),
-            Coordinates::BendAngles => self.to_contact_in::<ANGLES>(z, incumbent, budget),
+            Coordinates::BendVector => {
+                self.evaluate_until_violation_in::<VECTORS>(z, incumbent, budget)
+            }
+            Coordinates::BendAngles => {
+                self.evaluate_until_violation_in::<ANGLES>(z, incumbent, budget)
+            }
         }
     }
 
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
-        if self.is_plain() && self.motion.coordinates() == Coordinates::BendVector {
-            return self.push_plain_rows(z, model, budget);
+        if self.is_position_only() && self.motion.coordinates() == Coordinates::BendVector {
+            return self.push_position_rows(z, model, budget);
         }
-        let is_left = self.walk(z, |_, at| {
+        let is_left = self.for_each_step(z, |_, at| {
             let is_left = budget.spend(self.linearise_step_ns(at.index));
             if is_left {
                 self.push_pose_rows(at, &self.motion.shape(at.bends), model);
@@ -423,7 +433,7 @@ impl Problem for TrackingProblem<'_> {
         }
         let mut change = [0.0; COORDINATES_MAX];
         let change = &mut change[..self.width()];
-        self.walk(z, |before, at| {
+        self.for_each_step(z, |before, at| {
             if !budget.spend(self.sections_ns(SECTION_NS)) {
                 return false;
             }
@@ -434,7 +444,7 @@ impl Problem for TrackingProblem<'_> {
                 violations,
             }) = reach
             {
-                let of_block = &step[at.place.block * self.width()..];
+                let of_block = &step[at.stage.block * self.width()..];
                 for (change, rate) in change.iter_mut().zip(of_block) {
                     *change += self.motion.period_s() * rate;
                 }
@@ -450,19 +460,22 @@ impl Problem for TrackingProblem<'_> {
 }
 
 /// The problem in the coordinates selected by P.
-pub(super) struct Searched<'a, const P: usize> {
+pub(super) struct SwarmCost<'a, const P: usize> {
     problem: &'a TrackingProblem<'a>,
-    near: Option<Near>,
+    tip_series: Option<TipSeries>,
 }
 
-impl<'a, const P: usize> Searched<'a, P> {
+impl<'a, const P: usize> SwarmCost<'a, P> {
     pub(super) fn new(problem: &'a TrackingProblem<'a>) -> Self {
-        let near = problem.near();
-        Self { problem, near }
+        let tip_series = problem.tip_series();
+        Self {
+            problem,
+            tip_series,
+        }
     }
 }
 
-impl<const P: usize> Cost for Searched<'_, P> {
+impl<const P: usize> Cost for SwarmCost<'_, P> {
     #[inline(always)]
     fn evaluate<const W: usize>(
         &self,
@@ -471,9 +484,9 @@ impl<const P: usize> Cost for Searched<'_, P> {
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        let (near, enough) = (self.near.as_ref(), f64::INFINITY);
+        let (tip_series, cost_cutoff) = (self.tip_series.as_ref(), f64::INFINITY);
         self.problem
-            .evaluate_in::<W, P>(&z, near, enough, budget, instructions)
+            .evaluate_in::<W, P>(&z, tip_series, cost_cutoff, budget, instructions)
     }
 }
 

@@ -12,7 +12,7 @@ use crate::robot::Robot;
 
 /// Inputs of one solve that do not depend on the horizon.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Start<'a> {
+pub(super) struct SolveContext<'a> {
     pub robot: &'a Robot,
     pub period_s: f64,
     pub acceleration_rad_s2: f64,
@@ -20,7 +20,7 @@ pub(super) struct Start<'a> {
     pub input: &'a SolveInput<'a>,
 }
 
-impl<'a> Start<'a> {
+impl<'a> SolveContext<'a> {
     /// The dynamics over this horizon.
     pub(super) fn motion(&self, horizon: &'a Horizon) -> Motion<'a> {
         Motion::new(
@@ -73,28 +73,28 @@ impl Reachable {
     }
 
     /// Recomputes box and obstacles for a motion; returns the limits within reach.
-    pub(super) fn survey<'a>(
+    pub(super) fn update<'a>(
         &mut self,
-        start: &Start<'a>,
+        context: &SolveContext<'a>,
         motion: &Motion,
         budget: &mut Budget<'_>,
     ) -> Limits<'a> {
-        let Start {
+        let SolveContext {
             robot,
             settings,
             input,
             ..
-        } = *start;
+        } = *context;
         motion.set_bounds(robot, &mut self.bounds);
         let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
-        let is_limited = start.acceleration_rad_s2 < f64::INFINITY;
+        let is_limited = context.acceleration_rad_s2 < f64::INFINITY;
         if is_limited && settings.coordinates == Coordinates::BendVector {
-            let change_rad_s = start.acceleration_rad_s2 * start.period_s;
+            let change_rad_s = context.acceleration_rad_s2 * context.period_s;
             let change = |block| change_rad_s * motion.horizon().steps_into(block) as f64;
             self.bounds
-                .keep_near(input.previous_rates.as_slice(), change);
+                .limit_growth(input.previous_rates.as_slice(), change);
         }
-        self.obstacles.gather(
+        self.obstacles.cull(
             robot,
             motion,
             input.obstacles,

@@ -47,7 +47,7 @@ impl SolveStatus {
         incumbent: &Incumbent,
         settings: &NmpcSettings,
         refinement: &GaussNewtonOutcome,
-        budget_is_over: bool,
+        is_budget_spent: bool,
     ) -> Self {
         if !incumbent.is_evaluated() {
             return Self::BudgetSpent;
@@ -74,7 +74,7 @@ impl SolveStatus {
         }
         if incumbent.cost() <= settings.cost_tolerance() || refinement.converged {
             Self::Converged
-        } else if budget_is_over {
+        } else if is_budget_spent {
             Self::BudgetSpent
         } else {
             Self::IterationsSpent
@@ -117,11 +117,11 @@ impl SolveReport {
         incumbent: &Incumbent,
         settings: &NmpcSettings,
         refinement: &GaussNewtonOutcome,
-        budget_is_over: bool,
+        is_budget_spent: bool,
     ) -> Self {
         Self {
-            status: SolveStatus::from_incumbent(incumbent, settings, refinement, budget_is_over),
-            budget_spent: budget_is_over,
+            status: SolveStatus::from_incumbent(incumbent, settings, refinement, is_budget_spent),
+            budget_spent: is_budget_spent,
             cost: incumbent.cost(),
             evaluations: incumbent.evaluations(),
             winner: incumbent.origin(),

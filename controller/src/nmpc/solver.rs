@@ -2,7 +2,7 @@
 
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
-use super::problem::{Plain, Searched, TrackingProblem};
+use super::problem::{PositionOnly, SwarmCost, TrackingProblem};
 use super::ways::WAYS;
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
@@ -18,7 +18,7 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 
 /// A swarm search ended by the budget leaves noise in the rates, which the next cycle has to remove. Its plan
 /// is used only if it costs less than this share of the refined plan.
-const ANOTHER_WAY: f64 = 0.5;
+const INTERRUPTED_COST_SHARE: f64 = 0.5;
 
 /// An error is late if this part of the horizon, a quarter of the steps,
 const EARLY_PART: usize = 4;
@@ -44,9 +44,9 @@ pub(super) struct Solver {
     pub(super) gauss_newton: GaussNewton,
     pub(super) incumbent: Incumbent,
     /// Result of a second search from the same warm start.
-    pub(super) apart: Incumbent,
+    pub(super) alternative: Incumbent,
     /// The warm start with zero rates from the block on that would violate a constraint.
-    resting: Incumbent,
+    rest_plan: Incumbent,
     pub(super) ways: [Incumbent; WAYS],
     /// The refined plan without obstacles.
     pub(super) free_plan: Vec<f64>,
@@ -62,8 +62,8 @@ impl Solver {
             swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
             gauss_newton: GaussNewton::with_capacity(unknowns, tied, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
-            apart: Incumbent::with_capacity(unknowns),
-            resting: Incumbent::with_capacity(unknowns),
+            alternative: Incumbent::with_capacity(unknowns),
+            rest_plan: Incumbent::with_capacity(unknowns),
             ways: core::array::from_fn(|_| Incumbent::with_capacity(unknowns)),
             free_plan: Vec::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
@@ -89,9 +89,9 @@ impl Solver {
     ) -> SolveReport {
         let refines = task.settings.solver.refines();
         let stages = refines && task.problem.is_staged();
-        let (evaluation, rests) = if stages {
-            self.evaluate_to_rest(task, warm_plan, budget)
-        } else if task.problem.is_plain() {
+        let (evaluation, has_rest_plan) = if stages {
+            self.evaluate_with_rest_plan(task, warm_plan, budget)
+        } else if task.problem.is_position_only() {
             let evaluation = task.problem.evaluate_residuals(warm_plan, &mut [], budget);
             (evaluation, false)
         } else {
@@ -102,35 +102,40 @@ impl Solver {
 
         let mut refinement = None;
         let mut iterations = 0;
-        if task.problem.is_posed() && budget.left() {
-            self.knowledge.gather(task.problem, task.bounds, warm_plan);
+        if task.problem.has_reference() && budget.begin_quantum() {
+            self.knowledge.collect(task.problem, task.bounds, warm_plan);
             let searches = task.settings.solver.searches();
-            let mut is_known = false;
+            let mut is_knowledge_evaluated = false;
             // A refinement is cheap, so it precedes everything else.
             if refines {
-                is_known = self.incumbent.is_violated();
+                is_knowledge_evaluated = self.incumbent.is_violated();
                 // A shifted plan stays on its way past the obstacles.
                 let is_new = stages && warm_plan.iter().all(|rate| *rate == 0.0);
-                let is_rough = searches && is_new && task.problem.meets_obstacles();
-                refinement = if is_rough && !is_known {
-                    Some(self.race(task, warm_plan, budget))
+                let is_rough = searches && is_new && task.problem.has_reachable_obstacles();
+                refinement = if is_rough && !is_knowledge_evaluated {
+                    Some(self.multi_start(task, warm_plan, budget))
                 } else {
                     self.refine_warm_start(task, is_new, evaluation.as_ref(), budget)
                 };
             }
             let refined_cost = refinement.map(|_| self.incumbent.cost());
-            let error_is_left = self.error_is_left(task);
+            let has_tracking_error = self.has_tracking_error(task);
             // After convergence there is nothing better nearby; without an error there is nothing better
             // elsewhere.
-            let is_done = !error_is_left && refinement.is_some_and(|refined| refined.converged);
+            let is_done =
+                !has_tracking_error && refinement.is_some_and(|refined| refined.converged);
             if searches && refinement.is_some() && self.error_is_late(task, warm_plan, budget) {
                 // A later cycle searches if the error stays until it is near.
-            } else if searches && refinement.is_some() && error_is_left {
-                (iterations, refinement) =
-                    self.search_apart(task, (warm_plan, evaluation.as_ref()), refinement, budget);
+            } else if searches && refinement.is_some() && has_tracking_error {
+                (iterations, refinement) = self.search_from_warm_start(
+                    task,
+                    (warm_plan, evaluation.as_ref()),
+                    refinement,
+                    budget,
+                );
             } else if searches && !is_done {
                 iterations = self.search(task, refinement, budget);
-            } else if !(searches || is_known || is_done)
+            } else if !(searches || is_knowledge_evaluated || is_done)
                 && self.incumbent.cost() > task.settings.cost_tolerance()
             {
                 self.knowledge
@@ -143,20 +148,20 @@ impl Solver {
             // The search has already tried the escape directions at its start.
             if refines
                 && (is_new || !searches)
-                && refinement.is_some_and(|refinement| refinement.stuck)
-                && self.leave_singular_shape(task, budget)
+                && refinement.is_some_and(|refinement| refinement.is_stationary)
+                && self.escape_stationary_point(task, budget)
             {
                 refinement = Some(self.refine(task, budget));
             }
         }
-        if rests {
-            self.incumbent.take_better(&self.resting);
+        if has_rest_plan {
+            self.incumbent.take_better(&self.rest_plan);
         }
         let refinement = refinement.unwrap_or_default();
         SolveReport {
             warm_cost,
             gradient_norm: refinement.gradient_norm,
-            quanta: budget.passed(),
+            quanta: budget.quanta(),
             iterations,
             refinements: refinement.accepted,
             seed: task.seed,
@@ -164,16 +169,16 @@ impl Solver {
                 &self.incumbent,
                 task.settings,
                 &refinement,
-                budget.is_over(),
+                budget.is_spent(),
             )
         }
     }
 
     /// Evaluates the warm start. It may violate a constraint, for example in the new last step, or the budget
-    /// may end. Then `resting` becomes a plan with zero rates from there on, in case the budget ends before a
+    /// may end. Then `rest_plan` becomes a plan with zero rates from there on, in case the budget ends before a
     /// better plan is found. Returns the evaluation, and whether there is such a plan. No search starts from
     /// it, because it leads to other local minima.
-    fn evaluate_to_rest(
+    fn evaluate_with_rest_plan(
         &mut self,
         task: &Task,
         warm_plan: &[f64],
@@ -181,10 +186,12 @@ impl Solver {
     ) -> (Option<Evaluation<1>>, bool) {
         self.scratch.clear();
         self.scratch.extend_from_slice(warm_plan);
-        let (rests, resting) = (&mut self.scratch, &mut self.resting);
+        let (plan, rest_plan) = (&mut self.scratch, &mut self.rest_plan);
         // No violation is allowed, not even those of the warm start.
-        resting.restart(warm_plan, None);
-        let found = task.problem.evaluate_to_contact(rests, resting, budget);
+        rest_plan.restart(warm_plan, None);
+        let found = task
+            .problem
+            .evaluate_until_violation(plan, rest_plan, budget);
         let Some((until, is_whole)) = found else {
             return (None, false);
         };
@@ -192,10 +199,10 @@ impl Solver {
             return (Some(until), false);
         }
         let evaluation = task.problem.evaluate_at(warm_plan, budget);
-        resting.restart(warm_plan, evaluation.as_ref());
+        rest_plan.restart(warm_plan, evaluation.as_ref());
         let holds = until.violations.iter().all(|kind| kind.0[0] == 0.0);
-        let rests = holds && resting.offer(|i| rests[i], &until, 0, Candidate::WarmStart);
-        (evaluation, rests)
+        let has_rest_plan = holds && rest_plan.offer(|i| plan[i], &until, 0, Candidate::WarmStart);
+        (evaluation, has_rest_plan)
     }
 
     /// Refines the warm start. If it violates a constraint, for example in the new last step, the knowledge
@@ -216,38 +223,39 @@ impl Solver {
         if !self.incumbent.is_violated() {
             return Some(self.refine_with(task.problem, task.bounds, &settings, budget));
         }
-        self.apart.restart(self.incumbent.z(), evaluation);
+        self.alternative.restart(self.incumbent.z(), evaluation);
         self.knowledge
             .evaluate(task.problem, budget, &mut self.incumbent);
-        let apart = &mut self.apart;
+        let alternative = &mut self.alternative;
         let refinement =
             self.gauss_newton
-                .refine(task.problem, task.bounds, &settings, budget, apart);
-        let is_taken = self.incumbent.take_better(apart);
+                .refine(task.problem, task.bounds, &settings, budget, alternative);
+        let is_taken = self.incumbent.take_better(alternative);
         is_taken.then_some(refinement)
     }
 
     /// Searches from the unrefined warm start after a refinement left an error: around the refined plan a
     /// swarm finds no other way past an obstacle. The better of both stays; if the budget ends the search,
-    /// [`ANOTHER_WAY`] applies. Returns the iterations begun, and the outcome for the better plan.
-    fn search_apart(
+    /// [`INTERRUPTED_COST_SHARE`] applies. Returns the iterations begun, and the outcome for the better plan.
+    fn search_from_warm_start(
         &mut self,
         task: &Task,
         (warm_plan, evaluation): (&[f64], Option<&Evaluation<1>>),
         refined: Option<GaussNewtonOutcome>,
         budget: &mut Budget<'_>,
     ) -> (u32, Option<GaussNewtonOutcome>) {
-        std::mem::swap(&mut self.incumbent, &mut self.apart);
+        std::mem::swap(&mut self.incumbent, &mut self.alternative);
         self.incumbent.restart(warm_plan, evaluation);
         let iterations = self.search(task, None, budget);
         let mut refinement = Some(self.refine(task, budget));
-        let is_another_way = self.incumbent.cost() < ANOTHER_WAY * self.apart.cost();
-        if budget.is_over() && !is_another_way && !self.apart.is_violated() {
-            std::mem::swap(&mut self.incumbent, &mut self.apart);
-            let evaluations = self.apart.evaluations().saturating_sub(1);
-            self.incumbent.pass_over(evaluations as usize);
+        let is_clearly_better =
+            self.incumbent.cost() < INTERRUPTED_COST_SHARE * self.alternative.cost();
+        if budget.is_spent() && !is_clearly_better && !self.alternative.is_violated() {
+            std::mem::swap(&mut self.incumbent, &mut self.alternative);
+            let evaluations = self.alternative.evaluations().saturating_sub(1);
+            self.incumbent.count_evaluations(evaluations as usize);
             refinement = refined;
-        } else if self.incumbent.take_better(&self.apart) {
+        } else if self.incumbent.take_better(&self.alternative) {
             refinement = refined;
         }
         (iterations, refinement)
@@ -271,16 +279,16 @@ impl Solver {
                 &mut self.incumbent,
             );
         }
-        if self.error_is_left(task) {
+        if self.has_tracking_error(task) {
             let is_stuck = if let Some(refined) = refined {
-                refined.stuck
+                refined.is_stationary
             } else {
                 let (problem, z) = (task.problem, self.incumbent.z());
                 self.gauss_newton
-                    .vanishes_at(problem, task.bounds, budget, z)
+                    .is_stationary_at(problem, task.bounds, budget, z)
             };
             if is_stuck {
-                self.leave_singular_shape(task, budget);
+                self.escape_stationary_point(task, budget);
             }
         }
         if self.incumbent.cost() <= task.settings.cost_tolerance() {
@@ -288,18 +296,18 @@ impl Solver {
         }
         let problem = task.problem;
         match problem.motion.coordinates() {
-            Coordinates::BendVector => match Plain::new(problem) {
-                Some(plain) => self.search_around(&plain, task, budget),
-                None => self.search_around(&Searched::<VECTORS>::new(problem), task, budget),
+            Coordinates::BendVector => match PositionOnly::new(problem) {
+                Some(position_only) => self.search_around(&position_only, task, budget),
+                None => self.search_around(&SwarmCost::<VECTORS>::new(problem), task, budget),
             },
             Coordinates::BendAngles => {
-                self.search_around(&Searched::<ANGLES>::new(problem), task, budget)
+                self.search_around(&SwarmCost::<ANGLES>::new(problem), task, budget)
             }
         }
     }
 
     fn search_around(&mut self, cost: &impl Cost, task: &Task, budget: &mut Budget<'_>) -> u32 {
-        let swarm_task = optimizer::Task {
+        let swarm_task = optimizer::SwarmTask {
             cost,
             bounds: task.bounds,
             settings: task.settings.kpso(),
@@ -327,7 +335,7 @@ impl Solver {
     }
 
     /// Whether the cost without that of the rates exceeds the cost of a small error.
-    pub(super) fn error_is_left(&self, task: &Task) -> bool {
+    pub(super) fn has_tracking_error(&self, task: &Task) -> bool {
         let error = self.incumbent.cost() - task.problem.regularisation_at(self.incumbent.z());
         error > task.settings.small_cost()
     }
@@ -341,7 +349,7 @@ impl Solver {
             && problem.is_staged()
             && problem.has_step_rates()
             && warm_plan.iter().any(|rate| *rate != 0.0);
-        if !continues || self.incumbent.is_violated() || !self.error_is_left(task) {
+        if !continues || self.incumbent.is_violated() || !self.has_tracking_error(task) {
             return false;
         }
         let steps = problem.steps() / EARLY_PART;
@@ -350,11 +358,11 @@ impl Solver {
     }
 
     /// Tries the escape directions where the gradient vanishes. Returns whether one reduced the cost.
-    fn leave_singular_shape(&mut self, task: &Task, budget: &mut Budget<'_>) -> bool {
+    fn escape_stationary_point(&mut self, task: &Task, budget: &mut Budget<'_>) -> bool {
         let before = self.incumbent.cost();
-        if self.error_is_left(task) {
+        if self.has_tracking_error(task) {
             self.scratch.resize(task.problem.dimension(), 0.0);
-            self.knowledge.add_ways_out(
+            self.knowledge.add_escape_steps(
                 task.problem,
                 task.bounds,
                 budget,

@@ -1,5 +1,5 @@
 //! Several ways for a new plan among obstacles: multi-start with successive elimination. A *way* is a plan
-//! that passes each obstacle on a chosen side. A *heat* starts several ways with rough steps, and continues
+//! that passes each obstacle on a chosen side. A *batch* starts several ways with rough steps, and continues
 //! with the best of them.
 
 use core::f64::consts::PI;
@@ -10,37 +10,41 @@ use super::solver::{Solver, Task};
 use crate::optimizer::{Budget, GaussNewtonOutcome, GaussNewtonSettings, Problem, cycle_seed};
 use crate::robot::COORDINATES_MAX;
 
-/// Ways started in a heat.
+/// Ways started in a batch.
 pub(super) const WAYS: usize = 4;
-/// Largest number of heats.
-const HEATS: u64 = 3;
-/// Rough steps of each way in a round of a heat.
+/// Largest number of batches.
+const BATCHES_MAX: u64 = 3;
+/// Rough steps of each way in a round of a batch.
 const ROUND_STEPS: u32 = 2;
 /// Initial deviation of a way from the free plan, as a share of the largest rates.
-const BESIDE: f64 = 0.5;
+const DEVIATION_SHARE: f64 = 0.5;
 
 impl Solver {
     /// Refines the incumbent with rough steps, and competes with other ways. These are the free plan, which
     /// ignores the obstacles, and plans that first deviate from it to a random side and then return. The best
     /// becomes the incumbent and is refined to the end.
-    pub(super) fn race(
+    pub(super) fn multi_start(
         &mut self,
         task: &Task,
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> GaussNewtonOutcome {
-        let refined =
-            self.refine_with(task.problem, task.bounds, &rough(task, ROUND_STEPS), budget);
-        if refined.converged || !self.error_is_left(task) {
+        let refined = self.refine_with(
+            task.problem,
+            task.bounds,
+            &rough_settings(task, ROUND_STEPS),
+            budget,
+        );
+        if refined.converged || !self.has_tracking_error(task) {
             return refined;
         }
-        let is_open = self.find_free_way(task, warm_plan, budget);
-        for heat in 0..if is_open { 1 } else { HEATS } {
-            if budget.left() && self.error_is_left(task) {
-                self.run_heat(task, heat, is_open, budget);
+        let is_free_plan_clear = self.plan_without_obstacles(task, warm_plan, budget);
+        for batch in 0..if is_free_plan_clear { 1 } else { BATCHES_MAX } {
+            if budget.begin_quantum() && self.has_tracking_error(task) {
+                self.run_batch(task, batch, is_free_plan_clear, budget);
             }
         }
-        if budget.left() {
+        if budget.begin_quantum() {
             self.refine(task, budget)
         } else {
             refined
@@ -48,42 +52,53 @@ impl Solver {
     }
 
     /// Plans without obstacles. Returns whether that plan keeps clear of all obstacles.
-    fn find_free_way(&mut self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) -> bool {
+    fn plan_without_obstacles(
+        &mut self,
+        task: &Task,
+        warm_plan: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> bool {
         let nothing = Obstacles::none();
-        let free = task.problem.among(&nothing);
+        let free = task.problem.with_obstacles(&nothing);
         let way = &mut self.ways[0];
         let evaluation = free.evaluate_at(warm_plan, budget);
         way.restart(warm_plan, evaluation.as_ref());
-        let settings = rough(task, task.settings.refinement_steps);
+        let settings = rough_settings(task, task.settings.refinement_steps);
         self.refine_way(0, &free, task, &settings, budget);
         let way = &mut self.ways[0];
         self.free_plan.clear();
         self.free_plan.extend_from_slice(way.z());
         let evaluation = task.problem.evaluate_at(&self.free_plan, budget);
-        self.incumbent.pass_over(way.evaluations() as usize);
+        self.incumbent.count_evaluations(way.evaluations() as usize);
         way.restart(&self.free_plan, evaluation.as_ref());
         evaluation.is_some() && !way.is_violated()
     }
 
-    /// Starts all ways, continues with the better half, and refines the best one. In the first heat the
+    /// Starts all ways, continues with the better half, and refines the best one. In the first batch the
     /// incumbent and the free plan take part; if the free plan keeps clear of all obstacles, only these two.
     /// The incumbent's memory then holds a plan of an earlier solve, which is not read.
-    fn run_heat(&mut self, task: &Task, heat: u64, is_open: bool, budget: &mut Budget<'_>) {
-        let round = rough(task, ROUND_STEPS);
-        let is_first = heat == 0;
+    fn run_batch(
+        &mut self,
+        task: &Task,
+        batch: u64,
+        is_free_plan_clear: bool,
+        budget: &mut Budget<'_>,
+    ) {
+        let round = rough_settings(task, ROUND_STEPS);
+        let is_first = batch == 0;
         if is_first {
             // The free plan becomes the second way.
             self.ways.swap(0, 1);
             core::mem::swap(&mut self.incumbent, &mut self.ways[0]);
         }
         for way in 0..WAYS {
-            if is_open && way > 1 {
+            if is_free_plan_clear && way > 1 {
                 // A way without a cost is sorted last.
                 self.ways[way].restart(&self.free_plan, None);
                 continue;
             }
             if !is_first || way > 1 {
-                self.set_out(task, 2 * heat + way as u64 / 2, way, budget);
+                self.start_way(task, 2 * batch + way as u64 / 2, way, budget);
             }
             if !is_first || way > 0 {
                 self.refine_way(way, task.problem, task, &round, budget);
@@ -97,7 +112,7 @@ impl Solver {
         if self.ways[1].cost() < self.ways[0].cost() {
             self.ways.swap(0, 1);
         }
-        let settings = rough(task, task.settings.refinement_steps);
+        let settings = rough_settings(task, task.settings.refinement_steps);
         self.refine_way(0, task.problem, task, &settings, budget);
         if is_first {
             core::mem::swap(&mut self.incumbent, &mut self.ways[0]);
@@ -108,7 +123,7 @@ impl Solver {
     }
 
     /// Starts a way beside the free plan: to a random side, and each second one to the opposite side.
-    fn set_out(&mut self, task: &Task, side: u64, way: usize, budget: &mut Budget<'_>) {
+    fn start_way(&mut self, task: &Task, side: u64, way: usize, budget: &mut Budget<'_>) {
         let width = task.problem.motion.width();
         let mut direction = [0.0; COORDINATES_MAX];
         let direction = &mut direction[..width];
@@ -118,14 +133,14 @@ impl Solver {
         }
         let norm = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
         let sign = if way.is_multiple_of(2) { 1.0 } else { -1.0 };
-        let size = sign * BESIDE / f64::max(norm, f64::MIN_POSITIVE);
+        let size = sign * DEVIATION_SHARE / f64::max(norm, f64::MIN_POSITIVE);
         let blocks = (self.free_plan.len() / width) as f64;
         self.scratch.clear();
         for (i, rate) in self.free_plan.iter().enumerate() {
             // Deviates in the first half and returns in the second.
             let phase = PI * ((i / width) as f64 + 0.5) / blocks;
-            let beside = size * direction[i % width] * task.bounds.upper()[i];
-            self.scratch.push(rate + beside * phase.cos());
+            let deviation = size * direction[i % width] * task.bounds.upper()[i];
+            self.scratch.push(rate + deviation * phase.cos());
         }
         task.bounds.project(&mut self.scratch);
         let evaluation = task.problem.evaluate_at(&self.scratch, budget);
@@ -147,7 +162,7 @@ impl Solver {
 }
 
 /// Settings for a number of rough steps.
-fn rough(task: &Task, steps: u32) -> GaussNewtonSettings {
+fn rough_settings(task: &Task, steps: u32) -> GaussNewtonSettings {
     GaussNewtonSettings {
         steps,
         is_rough: true,

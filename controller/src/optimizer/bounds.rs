@@ -30,7 +30,7 @@ impl Bounds {
 
     /// Limits the growth of component i from `previous` to `change(block)` in each repetition of the box, in
     /// both directions from zero. A decrease towards zero is not limited.
-    pub(crate) fn keep_near(&mut self, previous: &[f64], change: impl Fn(usize) -> f64) {
+    pub(crate) fn limit_growth(&mut self, previous: &[f64], change: impl Fn(usize) -> f64) {
         let width = previous.len();
         let blocks = self.lower.chunks_exact_mut(width);
         let blocks = blocks.zip(self.upper.chunks_exact_mut(width)).enumerate();

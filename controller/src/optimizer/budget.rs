@@ -4,13 +4,13 @@ use core::fmt;
 ///
 /// The solvers announce each piece of work ([`Budget::spend`]). Once in each *quantum* of about
 /// [`QUANTUM_NS`] the budget checks its end condition. This is a closure that may read a clock
-/// ([`Budget::new`], the daemon), a count ([`Budget::of_quanta`], a replay) or none ([`Budget::unlimited`]).
+/// ([`Budget::new`], the daemon), a count ([`Budget::from_quanta`], a replay) or none ([`Budget::unlimited`]).
 /// Once the budget is spent, the condition is not checked again.
 #[derive(Debug)]
 pub struct Budget<'a> {
     end: End<'a>,
-    passed: u32,
-    over: bool,
+    quanta: u32,
+    spent: bool,
     /// Work since the last check \[ns\].
     meter_ns: u32,
 }
@@ -48,15 +48,15 @@ impl<'a> Budget<'a> {
     }
 
     /// A budget of exactly `quanta` quanta, with which a replay repeats a recorded solve.
-    pub fn of_quanta(quanta: u32) -> Self {
+    pub fn from_quanta(quanta: u32) -> Self {
         Self::from_end(End::AfterQuanta(quanta))
     }
 
     fn from_end(end: End<'a>) -> Self {
         Self {
             end,
-            passed: 0,
-            over: false,
+            quanta: 0,
+            spent: false,
             meter_ns: 0,
         }
     }
@@ -66,33 +66,33 @@ impl<'a> Budget<'a> {
     pub fn spend(&mut self, work_ns: u32) -> bool {
         self.meter_ns += work_ns;
         if self.meter_ns < QUANTUM_NS {
-            return !self.over;
+            return !self.spent;
         }
-        self.left()
+        self.begin_quantum()
     }
 
     /// Begins a new quantum if the budget is not spent. Returns whether it did.
-    pub fn left(&mut self) -> bool {
+    pub fn begin_quantum(&mut self) -> bool {
         self.meter_ns = 0;
-        if !self.over {
-            self.over = match &mut self.end {
+        if !self.spent {
+            self.spent = match &mut self.end {
                 End::Never => false,
-                End::AfterQuanta(quanta) => self.passed == *quanta,
+                End::AfterQuanta(quanta) => self.quanta == *quanta,
                 End::When(is_spent) => is_spent(),
             };
-            self.passed += u32::from(!self.over);
+            self.quanta += u32::from(!self.spent);
         }
-        !self.over
+        !self.spent
     }
 
     /// Quanta begun so far: a measure of the work that is the same on every machine.
-    pub fn passed(&self) -> u32 {
-        self.passed
+    pub fn quanta(&self) -> u32 {
+        self.quanta
     }
 
     /// Whether the budget ended the work.
-    pub fn is_over(&self) -> bool {
-        self.over
+    pub fn is_spent(&self) -> bool {
+        self.spent
     }
 }
 
@@ -102,22 +102,27 @@ mod tests {
 
     #[test]
     fn pieces_of_work_add_up_to_quanta() {
-        let mut budget = Budget::of_quanta(1);
+        let mut budget = Budget::from_quanta(1);
         assert!(
             (0..14).all(|_| budget.spend(100)),
             "the first quantum is free of questions"
         );
-        assert_eq!(budget.passed(), 0);
+        assert_eq!(budget.quanta(), 0);
         assert!(budget.spend(100));
-        assert_eq!(budget.passed(), 1);
+        assert_eq!(budget.quanta(), 1);
         assert!((0..14).all(|_| budget.spend(100)) && !budget.spend(100) && !budget.spend(0));
     }
 
     #[test]
     fn counts_what_it_let_pass_and_stays_spent() {
-        let mut budget = Budget::of_quanta(2);
-        assert!(budget.left() && budget.left() && !budget.left() && !budget.left());
-        assert_eq!((budget.passed(), budget.is_over()), (2, true));
-        assert!(Budget::unlimited().left());
+        let mut budget = Budget::from_quanta(2);
+        assert!(
+            budget.begin_quantum()
+                && budget.begin_quantum()
+                && !budget.begin_quantum()
+                && !budget.begin_quantum()
+        );
+        assert_eq!((budget.quanta(), budget.is_spent()), (2, true));
+        assert!(Budget::unlimited().begin_quantum());
     }
 }

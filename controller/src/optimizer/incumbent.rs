@@ -109,7 +109,7 @@ impl Incumbent {
 
     /// Counts evaluations of points that are not better.
     #[inline(always)]
-    pub(crate) fn pass_over(&mut self, evaluations: usize) {
+    pub(crate) fn count_evaluations(&mut self, evaluations: usize) {
         self.evaluations += evaluations as u32;
     }
 

@@ -70,7 +70,7 @@ impl Kpso {
     /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
     pub(crate) fn search<C: Cost>(
         &mut self,
-        task: &Task<C>,
+        task: &SwarmTask<C>,
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> u32 {
@@ -95,7 +95,7 @@ impl Kpso {
 
 /// Inputs of one search.
 #[derive(Debug)]
-pub(crate) struct Task<'a, C> {
+pub(crate) struct SwarmTask<'a, C> {
     pub(crate) cost: &'a C,
     /// The box.
     pub(crate) bounds: &'a Bounds,
@@ -112,7 +112,7 @@ pub(crate) struct Task<'a, C> {
 /// One search, compiled for an instruction set; all its functions are inlined.
 struct Search<'a, 'b, C, const W: usize> {
     swarm: &'a mut Swarm<W>,
-    task: &'a Task<'a, C>,
+    task: &'a SwarmTask<'a, C>,
     budget: &'a mut Budget<'b>,
     incumbent: &'a mut Incumbent,
 }
@@ -130,9 +130,9 @@ impl<C: Cost, const W: usize> WithSimd for Search<'_, '_, C, W> {
             incumbent,
         } = self;
         let settings = &task.settings;
-        let mut left = budget.left()
-            && swarm.gather(task, budget)
-            && swarm.scatter(swarm.known, task.bounds, budget, incumbent);
+        let mut left = budget.begin_quantum()
+            && swarm.initialise(task, budget)
+            && swarm.scatter(swarm.candidate_count, task.bounds, budget, incumbent);
         let (mut iterations, mut stagnant) = (0, 0);
         while left && iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance
         {
@@ -165,7 +165,7 @@ struct Swarm<const W: usize> {
     dimension: usize,
     count: usize,
     /// Particles set from knowledge candidates.
-    known: usize,
+    candidate_count: usize,
     positions: Vec<Aligned<W>>,
     velocities: Vec<Aligned<W>>,
     best_positions: Vec<Aligned<W>>,
@@ -194,7 +194,7 @@ impl<const W: usize> Swarm<W> {
         Self {
             dimension: 0,
             count: 0,
-            known: 0,
+            candidate_count: 0,
             positions: vec![zero; blocks * dimension],
             velocities: vec![zero; blocks * dimension],
             best_positions: vec![zero; blocks * dimension],
@@ -212,7 +212,7 @@ impl<const W: usize> Swarm<W> {
 
     /// Sizes the swarm for the task, and places the candidates first. False: the budget was spent.
     #[inline(always)]
-    fn gather<C: Cost>(&mut self, task: &Task<C>, budget: &mut Budget<'_>) -> bool {
+    fn initialise<C: Cost>(&mut self, task: &SwarmTask<C>, budget: &mut Budget<'_>) -> bool {
         let knowledge = task.knowledge;
         self.dimension = task.bounds.dimension();
         self.count = task.settings.size.min(self.best_costs.len() * W);
@@ -220,7 +220,7 @@ impl<const W: usize> Swarm<W> {
         self.limits.clear();
         self.limits
             .extend(widths.map(|(high, low)| VELOCITY_LIMIT * (high - low)));
-        self.known = (knowledge.len() / self.dimension).min(self.count);
+        self.candidate_count = (knowledge.len() / self.dimension).min(self.count);
         for block in 0..self.blocks() {
             if !budget.spend(SEEDING_NS * W as u32) {
                 return false;
@@ -231,7 +231,7 @@ impl<const W: usize> Swarm<W> {
         }
         for (particle, candidate) in knowledge
             .chunks_exact(self.dimension)
-            .take(self.known)
+            .take(self.candidate_count)
             .enumerate()
         {
             for (i, &value) in candidate.iter().enumerate() {
@@ -316,7 +316,7 @@ impl<const W: usize> Swarm<W> {
             let first = block * W;
             let particles = W.min(self.count - first);
             if !any_set(now.less_mask(Wide::splat(incumbent.cost()))) {
-                incumbent.pass_over(particles);
+                incumbent.count_evaluations(particles);
                 continue;
             }
             // The first of the lowest costs, as if the particles were offered one after another.
@@ -324,7 +324,7 @@ impl<const W: usize> Swarm<W> {
             let z = |i: usize| position[i].0.0[lane];
             let origin = origins.get(first + lane).copied();
             incumbent.offer(z, &evaluation, lane, origin.unwrap_or(Candidate::Swarm));
-            incumbent.pass_over(particles - 1);
+            incumbent.count_evaluations(particles - 1);
         }
         true
     }
@@ -354,10 +354,10 @@ impl<const W: usize> Swarm<W> {
                 .zip(&mut self.velocities[range.clone()])
                 .zip(&mut self.best_positions[range])
                 .zip(incumbent.z());
-            let walls = bounds.lower().iter().zip(bounds.upper());
-            let walls = walls.zip(&self.limits);
+            let intervals = bounds.lower().iter().zip(bounds.upper());
+            let intervals = intervals.zip(&self.limits);
             for ((((position, velocity), own_best), &global_best), ((&low, &high), &limit)) in
-                moving.zip(walls)
+                moving.zip(intervals)
             {
                 let x = position.0;
                 own_best.0 = x.masked(own_best.0, better);
@@ -414,15 +414,15 @@ impl KpsoSettings {
 /// repeated without those before it (`SplitMix64`, Steele, Lea & Flood 2014).
 #[inline]
 pub fn cycle_seed(seed: u64, cycle: u64) -> u64 {
-    mixed(seed ^ cycle.wrapping_mul(GOLDEN))
+    splitmix64_output(seed ^ cycle.wrapping_mul(SPLITMIX64_INCREMENT))
 }
 
 /// Increment of `SplitMix64`.
-pub(super) const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
+pub(super) const SPLITMIX64_INCREMENT: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// Output function of `SplitMix64`.
 #[inline(always)]
-pub(super) fn mixed(mut z: u64) -> u64 {
+pub(super) fn splitmix64_output(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)

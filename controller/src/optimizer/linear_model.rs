@@ -6,7 +6,7 @@ use super::{Budget, Stages, VIOLATIONS};
 
 /// The unknowns on which a row depends: those of one block, and perhaps those of all blocks before.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct RowStage {
     pub(crate) block: usize,
     /// Whether it also depends on the sum of the blocks before, each for its full length.
     pub(crate) since_start: bool,
@@ -19,12 +19,12 @@ pub(crate) struct Place {
 struct Rows {
     values: Vec<f64>,
     derivatives: Vec<f64>,
-    places: Vec<Place>,
+    row_stages: Vec<RowStage>,
 }
 
-impl Place {
-    /// For rows that depend on a single block, or have no place.
-    pub(crate) const LAST: Self = Self {
+impl RowStage {
+    /// For rows that depend on a single block, or have no stage.
+    pub(crate) const FIRST_BLOCK: Self = Self {
         block: 0,
         since_start: true,
         periods: 1.0,
@@ -36,21 +36,21 @@ impl Rows {
         Self {
             values: Vec::with_capacity(rows),
             derivatives: Vec::with_capacity(rows * columns),
-            places: Vec::with_capacity(rows),
+            row_stages: Vec::with_capacity(rows),
         }
     }
 
     fn truncate(&mut self, rows: usize, stride: usize) {
         self.values.truncate(rows);
         self.derivatives.truncate(rows * stride);
-        self.places.truncate(rows);
+        self.row_stages.truncate(rows);
     }
 
     /// Adds a row with zero derivatives.
-    fn push(&mut self, value: f64, place: Place, stride: usize) -> &mut [f64] {
+    fn push(&mut self, value: f64, stage: RowStage, stride: usize) -> &mut [f64] {
         let start = self.derivatives.len();
         self.values.push(value);
-        self.places.push(place);
+        self.row_stages.push(stage);
         self.derivatives.resize(start + stride, 0.0);
         &mut self.derivatives[start..]
     }
@@ -61,7 +61,7 @@ impl Rows {
 /// A constraint that a step would violate becomes *active*: a residual of its own, so that the next step ends
 /// on the constraint. The problem scales each constraint to outweigh the residuals.
 ///
-/// A dense row has a derivative for each unknown. A *staged* row has only the derivatives of its [`Place`],
+/// A dense row has a derivative for each unknown. A *staged* row has only the derivatives of its [`RowStage`],
 /// which all blocks it depends on share.
 #[derive(Debug, Clone)]
 pub(crate) struct LinearModel {
@@ -75,12 +75,12 @@ pub(crate) struct LinearModel {
     constraints: Rows,
     /// For each kind, the slack of each constraint as an ordered integer, and its index; the largest slack on
     /// top.
-    slackest: [BinaryHeap<(i64, usize)>; VIOLATIONS],
-    met: Vec<bool>,
+    heaps_by_slack: [BinaryHeap<(i64, usize)>; VIOLATIONS],
+    is_active: Vec<bool>,
     constraints_max: usize,
     /// Weight of the squared unknowns.
     weight: f64,
-    weighed: Vec<f64>,
+    weighted_point: Vec<f64>,
     /// Sum of the blocks before each block.
     sums: Vec<f64>,
 }
@@ -100,11 +100,11 @@ impl LinearModel {
             residuals: Rows::with_capacity(rows + constraints, columns),
             cost_rows: 0,
             constraints: Rows::with_capacity(constraints, columns),
-            slackest: core::array::from_fn(|_| BinaryHeap::with_capacity(constraints)),
-            met: Vec::with_capacity(constraints),
+            heaps_by_slack: core::array::from_fn(|_| BinaryHeap::with_capacity(constraints)),
+            is_active: Vec::with_capacity(constraints),
             constraints_max: constraints,
             weight: 0.0,
-            weighed: Vec::with_capacity(unknowns),
+            weighted_point: Vec::with_capacity(unknowns),
             sums: Vec::with_capacity(unknowns),
         }
     }
@@ -121,29 +121,30 @@ impl LinearModel {
         self.cost_rows = 0;
         self.clear_constraints();
         self.weight = 0.0;
-        self.weighed.clear();
+        self.weighted_point.clear();
     }
 
     /// Adds a residual with its derivatives with respect to the state, to which the unknowns are rates.
     /// Adding rows in the order of their blocks is fastest.
-    pub(crate) fn push(&mut self, residual: f64, derivatives: &[f64], place: Place) {
+    pub(crate) fn push(&mut self, residual: f64, derivatives: &[f64], stage: RowStage) {
         self.cost_rows += 1;
-        let row = self.residuals.push(residual, place, self.stride);
-        fill(row, derivatives, place, &self.stages, self.is_staged);
+        let row = self.residuals.push(residual, stage, self.stride);
+        fill(row, derivatives, stage, &self.stages, self.is_staged);
     }
 
     /// Sets the weight on the square of each unknown, at the point z. It needs no rows.
-    pub(crate) fn weigh(&mut self, weight: f64, z: &[f64]) {
+    pub(crate) fn weight_unknowns(&mut self, weight: f64, z: &[f64]) {
         self.weight = weight;
-        self.weighed.clear();
-        self.weighed.extend_from_slice(z);
+        self.weighted_point.clear();
+        self.weighted_point.extend_from_slice(z);
     }
 
     /// Adds a dense residual with zero derivatives, and returns them for the caller to fill in.
-    pub(crate) fn push_alone(&mut self, residual: f64) -> &mut [f64] {
+    pub(crate) fn push_dense(&mut self, residual: f64) -> &mut [f64] {
         debug_assert!(!self.is_staged, "a row of no place");
         self.cost_rows += 1;
-        self.residuals.push(residual, Place::LAST, self.stride)
+        self.residuals
+            .push(residual, RowStage::FIRST_BLOCK, self.stride)
     }
 
     /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]), with derivatives as in [`Self::push`].
@@ -155,19 +156,19 @@ impl LinearModel {
         h: f64,
         slack: f64,
         derivatives: &[f64],
-        place: Place,
+        stage: RowStage,
     ) {
         let order = in_order(slack);
         let rows = &mut self.constraints;
         let mut index = rows.values.len();
         if index < self.constraints_max {
-            rows.push(h, place, self.stride);
-            self.met.push(false);
+            rows.push(h, stage, self.stride);
+            self.is_active.push(false);
         } else {
-            let crowded = if self.slackest[kind].len() < self.constraints_max / VIOLATIONS {
-                self.slackest.iter_mut().max_by_key(|heap| heap.len())
+            let crowded = if self.heaps_by_slack[kind].len() < self.constraints_max / VIOLATIONS {
+                self.heaps_by_slack.iter_mut().max_by_key(|heap| heap.len())
             } else {
-                let own = &mut self.slackest[kind];
+                let own = &mut self.heaps_by_slack[kind];
                 own.peek().is_some_and(|most| order < most.0).then_some(own)
             };
             let Some((_, freed)) = crowded.and_then(BinaryHeap::pop) else {
@@ -175,12 +176,12 @@ impl LinearModel {
             };
             index = freed;
             rows.values[index] = h;
-            rows.places[index] = place;
+            rows.row_stages[index] = stage;
             rows.derivatives[index * self.stride..][..self.stride].fill(0.0);
         }
-        self.slackest[kind].push((order, index));
+        self.heaps_by_slack[kind].push((order, index));
         let row = &mut rows.derivatives[index * self.stride..][..self.stride];
-        fill(row, derivatives, place, &self.stages, self.is_staged);
+        fill(row, derivatives, stage, &self.stages, self.is_staged);
     }
 
     pub(super) fn stages(&self) -> &Stages {
@@ -191,9 +192,9 @@ impl LinearModel {
         self.is_staged
     }
 
-    /// The weight of the squared unknowns, and the point, as set by [`Self::weigh`].
-    pub(super) fn weighed(&self) -> Option<(f64, &[f64])> {
-        (self.weight > 0.0).then_some((self.weight, &self.weighed))
+    /// The weight of the squared unknowns, and the point, as set by [`Self::weight_unknowns`].
+    pub(super) fn regulariser(&self) -> Option<(f64, &[f64])> {
+        (self.weight > 0.0).then_some((self.weight, &self.weighted_point))
     }
 
     /// Number of residuals of the cost, which precede all others.
@@ -220,12 +221,12 @@ impl LinearModel {
         &self.residuals.derivatives[index * self.stride..][..self.stride]
     }
 
-    pub(super) fn place(&self, index: usize) -> Place {
-        self.residuals.places[index]
+    pub(super) fn stage(&self, index: usize) -> RowStage {
+        self.residuals.row_stages[index]
     }
 
     /// Whether a constraint is active.
-    pub(super) fn is_constrained(&self) -> bool {
+    pub(super) fn has_active_constraints(&self) -> bool {
         self.rows() > self.cost_rows
     }
 
@@ -233,26 +234,30 @@ impl LinearModel {
     pub(super) fn clear_constraints(&mut self) {
         self.residuals.truncate(self.cost_rows, self.stride);
         self.constraints.truncate(0, 0);
-        self.slackest.iter_mut().for_each(BinaryHeap::clear);
-        self.met.clear();
+        self.heaps_by_slack.iter_mut().for_each(BinaryHeap::clear);
+        self.is_active.clear();
     }
 
     /// Makes all constraints inactive.
-    pub(super) fn release_constraints(&mut self) {
+    pub(super) fn deactivate_constraints(&mut self) {
         self.residuals.truncate(self.cost_rows, self.stride);
-        self.met.fill(false);
+        self.is_active.fill(false);
     }
 
     /// Activates the constraints that `step` violates. None when it violates no inactive constraint, or the
     /// budget was spent.
-    pub(crate) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
+    pub(crate) fn activate_violated(
+        &mut self,
+        step: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<()> {
         let before = self.rows();
-        self.sum_up(step);
+        self.compute_prefix_sums(step);
         for index in 0..self.constraints() {
             let change = self.change_of_constraint(index, step, budget)?;
-            if !self.met[index] && self.constraint(index) + change < 0.0 {
-                self.met[index] = true;
-                self.push_met(index, self.constraint(index), 1.0);
+            if !self.is_active[index] && self.constraint(index) + change < 0.0 {
+                self.is_active[index] = true;
+                self.push_active(index, self.constraint(index), 1.0);
             }
         }
         (self.rows() > before).then_some(())
@@ -263,10 +268,10 @@ impl LinearModel {
         self.constraints.values.len()
     }
 
-    /// Place and derivatives of a constraint.
-    pub(super) fn constraint_row(&self, index: usize) -> (Place, &[f64]) {
+    /// Stage and derivatives of a constraint.
+    pub(super) fn constraint_row(&self, index: usize) -> (RowStage, &[f64]) {
         let row = &self.constraints.derivatives[index * self.stride..][..self.stride];
-        (self.constraints.places[index], row)
+        (self.constraints.row_stages[index], row)
     }
 
     /// The value h of a constraint h + A Δ ≥ 0.
@@ -281,7 +286,7 @@ impl LinearModel {
         into: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<()> {
-        self.sum_up(step);
+        self.compute_prefix_sums(step);
         for (index, change) in into.iter_mut().enumerate().take(self.constraints()) {
             *change = self.change_of_constraint(index, step, budget)?;
         }
@@ -290,8 +295,12 @@ impl LinearModel {
 
     /// The largest part of `step`, at most 1, that violates no constraint. 0 if the step leaves a constraint
     /// violated that was violated before. None: the budget was spent.
-    pub(super) fn part_kept(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<f64> {
-        self.sum_up(step);
+    pub(super) fn feasible_step_length(
+        &mut self,
+        step: &[f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<f64> {
+        self.compute_prefix_sums(step);
         let mut part = 1.0;
         for index in 0..self.constraints() {
             let change = self.change_of_constraint(index, step, budget)?;
@@ -307,11 +316,11 @@ impl LinearModel {
         Some(part)
     }
 
-    /// Replaces the active constraints by those for which `weighed`, called with index and h, returns (value,
+    /// Replaces the active constraints by those for which `constraint_weight`, called with index and h, returns (value,
     /// weight). Each adds weight · (value + A Δ)² to the cost. None: the budget was spent.
-    pub(super) fn weigh_constraints(
+    pub(super) fn weight_constraints(
         &mut self,
-        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        constraint_weight: impl Fn(usize, f64) -> Option<(f64, f64)>,
         budget: &mut Budget<'_>,
     ) -> Option<()> {
         self.residuals.truncate(self.cost_rows, self.stride);
@@ -319,31 +328,31 @@ impl LinearModel {
             if !budget.spend(self.stride as u32) {
                 return None;
             }
-            if let Some((value, weight)) = weighed(index, self.constraint(index)) {
-                self.push_met(index, value, weight.sqrt());
+            if let Some((value, weight)) = constraint_weight(index, self.constraint(index)) {
+                self.push_active(index, value, weight.sqrt());
             }
         }
         Some(())
     }
 
     /// Adds a constraint to the residuals, multiplied by `scale`.
-    fn push_met(&mut self, index: usize, value: f64, scale: f64) {
+    fn push_active(&mut self, index: usize, value: f64, scale: f64) {
         let (stride, constraints) = (self.stride, &self.constraints);
         let row = &constraints.derivatives[index * stride..][..stride];
-        let place = constraints.places[index];
-        let into = self.residuals.push(scale * value, place, stride);
+        let stage = constraints.row_stages[index];
+        let into = self.residuals.push(scale * value, stage, stride);
         for (target, derivative) in into.iter_mut().zip(row) {
             *target = scale * derivative;
         }
     }
 
-    fn sum_up(&mut self, step: &[f64]) {
+    fn compute_prefix_sums(&mut self, step: &[f64]) {
         if self.is_staged {
-            self.stages.sum_up(step, &mut self.sums);
+            self.stages.compute_prefix_sums(step, &mut self.sums);
         }
     }
 
-    /// Change of a constraint by `step`, after [`Self::sum_up`]. None: the budget was spent.
+    /// Change of a constraint by `step`, after [`Self::compute_prefix_sums`]. None: the budget was spent.
     fn change_of_constraint(
         &self,
         index: usize,
@@ -354,8 +363,8 @@ impl LinearModel {
         let is_left = budget.spend(self.stride as u32);
         is_left.then(|| {
             if self.is_staged {
-                let place = self.constraints.places[index];
-                self.stages.change(row, place, step, &self.sums)
+                let stage = self.constraints.row_stages[index];
+                self.stages.change(row, stage, step, &self.sums)
             } else {
                 dot(row, step)
             }
@@ -377,7 +386,7 @@ impl LinearModel {
             if !budget.spend(self.stride as u32) {
                 return None;
             }
-            let (residual, place) = (self.residual(index), self.place(index));
+            let (residual, stage) = (self.residual(index), self.stage(index));
             let row = &self.residuals.derivatives[index * self.stride..][..self.stride];
             let square = dot(row, row);
             residuals += residual * residual;
@@ -386,30 +395,30 @@ impl LinearModel {
                 jacobian += square;
                 continue;
             }
-            let first = place.block * self.stride;
-            add_times(place.periods * residual, row, &mut into[first..]);
-            if place.since_start {
+            let first = stage.block * self.stride;
+            add_times(stage.periods * residual, row, &mut into[first..]);
+            if stage.since_start {
                 add_times(residual, row, &mut self.sums[first..]);
             }
-            if place.block < blocks {
+            if stage.block < blocks {
                 (blocks, squared_periods) = (0, 0.0);
             }
             let lengths = self.stages.lengths().iter();
-            for length in lengths.take(place.block).skip(blocks) {
+            for length in lengths.take(stage.block).skip(blocks) {
                 squared_periods += length * length;
             }
-            blocks = place.block;
-            let before = if place.since_start {
+            blocks = stage.block;
+            let before = if stage.since_start {
                 squared_periods
             } else {
                 0.0
             };
-            jacobian += square * (before + place.periods * place.periods);
+            jacobian += square * (before + stage.periods * stage.periods);
         }
         if self.is_staged {
             self.stages.add_later(&self.sums, into);
         }
-        if let Some((weight, z)) = self.weighed() {
+        if let Some((weight, z)) = self.regulariser() {
             add_times(weight, z, into);
             residuals += weight * dot(z, z);
             jacobian += weight * z.len() as f64;
@@ -427,7 +436,7 @@ fn add_times(factor: f64, row: &[f64], into: &mut [f64]) {
 
 /// Fills a row. Dense: derivatives times the time for which each block was in force. Staged: derivatives
 /// times the period.
-fn fill(row: &mut [f64], derivatives: &[f64], place: Place, stages: &Stages, is_staged: bool) {
+fn fill(row: &mut [f64], derivatives: &[f64], stage: RowStage, stages: &Stages, is_staged: bool) {
     let width = stages.width();
     if is_staged {
         for (target, derivative) in row.iter_mut().zip(derivatives) {
@@ -438,11 +447,11 @@ fn fill(row: &mut [f64], derivatives: &[f64], place: Place, stages: &Stages, is_
     for (index, block) in row
         .chunks_exact_mut(width)
         .enumerate()
-        .take(place.block + 1)
+        .take(stage.block + 1)
     {
-        let periods = match index == place.block {
-            true => place.periods,
-            false if place.since_start => stages.lengths()[index],
+        let periods = match index == stage.block {
+            true => stage.periods,
+            false if stage.since_start => stages.lengths()[index],
             false => 0.0,
         };
         let factor = stages.period() * periods;

@@ -21,14 +21,14 @@ mod stages;
 
 pub(crate) use bounds::Bounds;
 pub use budget::{Budget, QUANTUM_NS};
-pub(crate) use gauss_newton::{Found, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
+pub(crate) use gauss_newton::{FoundStep, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
 pub use incumbent::Candidate;
 pub(crate) use incumbent::Incumbent;
-pub(crate) use kpso::{Kpso, KpsoSettings, Task};
+pub(crate) use kpso::{Kpso, KpsoSettings, SwarmTask};
 pub use kpso::{VelocityRule, cycle_seed};
-pub(crate) use linear_model::{LinearModel, Place};
+pub(crate) use linear_model::{LinearModel, RowStage};
 pub use simd::Simd;
-pub(crate) use simd::apart;
+pub(crate) use simd::run_outlined;
 pub(crate) use stages::{BLOCKS_MAX, Stages, WIDTH_MAX};
 
 use crate::wide::{Aligned, Wide};
@@ -62,7 +62,7 @@ pub(crate) trait Cost {
     /// Evaluates W points at once; `z(i)` is the i-th unknown of each, and `scratch` has one element for each
     /// unknown. None when `budget` ended the evaluation.
     ///
-    /// Implementations are `#[inline(always)]` down to the last operation, or to the functions run [`apart`]
+    /// Implementations are `#[inline(always)]` down to the last operation, or to the functions run [outlined](run_outlined)
     /// with the caller's `instructions`. Each lane must give the bits of W = 1.
     fn evaluate<const W: usize>(
         &self,
@@ -94,15 +94,15 @@ pub(crate) trait Problem {
     /// The blocks of the unknowns.
     fn stages(&self) -> &Stages;
 
-    /// Whether the rows are staged: each has a [`Place`].
+    /// Whether the rows are staged: each has a [`RowStage`].
     fn is_staged(&self) -> bool;
 
-    /// Evaluates one point of length d. May stop early once the cost is known to exceed `enough`. None when
+    /// Evaluates one point of length d. May stop early once the cost is known to exceed `cost_cutoff`. None when
     /// `budget` ended the evaluation.
     fn evaluate_below(
         &self,
         z: &[f64],
-        enough: f64,
+        cost_cutoff: f64,
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>>;
 
@@ -136,7 +136,7 @@ pub(crate) trait Problem {
     /// Evaluates one point up to the place where it violates a constraint more than the incumbent does, or
     /// where `budget` ends; from there on it changes `z`. Returns whether `z` is unchanged. None as above, if
     /// no evaluation is left. A problem without constraints changes nothing.
-    fn evaluate_to_contact(
+    fn evaluate_until_violation(
         &self,
         z: &mut [f64],
         incumbent: &Incumbent,

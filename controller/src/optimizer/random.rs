@@ -1,4 +1,4 @@
-use super::kpso::{GOLDEN, cycle_seed, mixed};
+use super::kpso::{SPLITMIX64_INCREMENT, cycle_seed, splitmix64_output};
 use crate::wide::Wide;
 
 /// W independent xoshiro256+ generators (Blackman & Vigna 2021), one for each lane, so that a particle's
@@ -22,8 +22,8 @@ impl<const W: usize> RandomLanes<W> {
         for lane in 0..W {
             let mut own = cycle_seed(seed, (first_particle + lane) as u64);
             for word in &mut seeder.state {
-                own = own.wrapping_add(GOLDEN);
-                word[lane] = mixed(own);
+                own = own.wrapping_add(SPLITMIX64_INCREMENT);
+                word[lane] = splitmix64_output(own);
             }
         }
         let mut state = [[0; W]; 4];

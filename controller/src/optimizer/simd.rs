@@ -82,7 +82,7 @@ impl Simd {
 /// compiled once for each instruction set, and the callers stay small. The result does not depend on the
 /// caller.
 #[inline(never)]
-pub(crate) fn apart<W: NullaryFnOnce>(instructions: impl pulp::Simd, work: W) -> W::Output {
+pub(crate) fn run_outlined<W: NullaryFnOnce>(instructions: impl pulp::Simd, work: W) -> W::Output {
     instructions.vectorize(work)
 }
 

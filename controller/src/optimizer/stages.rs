@@ -1,6 +1,6 @@
 //! Unknowns in stages along a horizon: a row depends on the blocks before its own only by their sum.
 
-use super::linear_model::Place;
+use super::linear_model::RowStage;
 
 /// Largest number of blocks.
 pub(crate) const BLOCKS_MAX: usize = 50;
@@ -62,7 +62,7 @@ impl Stages {
     }
 
     /// For each block, the sum of the blocks before it, each times its length.
-    pub(super) fn sum_up(&self, step: &[f64], sums: &mut Vec<f64>) {
+    pub(super) fn compute_prefix_sums(&self, step: &[f64], sums: &mut Vec<f64>) {
         sums.clear();
         let mut sum = [0.0; WIDTH_MAX];
         let sum = &mut sum[..self.width];
@@ -74,14 +74,14 @@ impl Stages {
         }
     }
 
-    /// Change of a staged row by a step; `sums` are those of [`Self::sum_up`].
-    pub(super) fn change(&self, row: &[f64], place: Place, step: &[f64], sums: &[f64]) -> f64 {
-        let first = place.block * self.width;
+    /// Change of a staged row by a step; `sums` are those of [`Self::compute_prefix_sums`].
+    pub(super) fn change(&self, row: &[f64], stage: RowStage, step: &[f64], sums: &[f64]) -> f64 {
+        let first = stage.block * self.width;
         let (own, before) = (&step[first..], &sums[first..]);
-        let since = f64::from(u8::from(place.since_start));
+        let since = f64::from(u8::from(stage.since_start));
         let terms = row.iter().zip(own).zip(before);
         terms
-            .map(|((derivative, own), before)| derivative * (place.periods * own + since * before))
+            .map(|((derivative, own), before)| derivative * (stage.periods * own + since * before))
             .sum()
     }
 

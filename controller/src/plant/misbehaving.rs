@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::loose::bent_by_slack_cables;
+use super::slack_cables::bent_by_slack_cables;
 use super::{Flaws, Sampling};
 use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
@@ -34,7 +34,7 @@ pub fn true_robot(model: &Robot, geometry: &[[f64; 3]]) -> Result<Robot, RobotEr
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MotorOrder {
     /// Stop.
-    Stand,
+    Stop,
     /// Run at these speeds, one for each cable (m/s).
     Speeds([f64; CABLES_MAX]),
     /// Go to these lengths, one for each cable (m), in the model's count.
@@ -44,7 +44,7 @@ pub enum MotorOrder {
 /// The motors, cables and sensors of a robot. The same seed and the same orders give the same bits.
 ///
 /// Orders take effect after the delay of the motors, and the last one remains in effect. The simulation of a driver
-/// must therefore order [`MotorOrder::Stand`] when commands run out. No method except [`Self::new`] allocates.
+/// must therefore order [`MotorOrder::Stop`] when commands run out. No method except [`Self::new`] allocates.
 #[derive(Debug, Clone)]
 pub struct MisbehavingRobot {
     /// The robot that the controller assumes.
@@ -116,7 +116,7 @@ impl MisbehavingRobot {
             speed_m_s: [0.0; CABLES_MAX],
             cable_m,
             now_s: 0.0,
-            order: MotorOrder::Stand,
+            order: MotorOrder::Stop,
             pending: VecDeque::with_capacity(PENDING_MAX),
             history: VecDeque::with_capacity(HISTORY_MAX),
             due_s: [0.0; 2],
@@ -232,7 +232,7 @@ impl MisbehavingRobot {
                 MotorOrder::Speeds(goals_m_s) => {
                     self.speed_change(cable, goals_m_s[cable], dt_s, left)
                 }
-                MotorOrder::Stand => self.speed_change(cable, 0.0, dt_s, left),
+                MotorOrder::Stop => self.speed_change(cable, 0.0, dt_s, left),
             };
             self.motor_m[cable] = here_m + moved_m.clamp(-most_m, most_m);
         }

@@ -5,8 +5,8 @@
 
 mod flaws;
 mod kinematic;
-mod loose;
 mod misbehaving;
+mod slack_cables;
 
 pub use flaws::{FLAWS, FlawError, Flaws, Preset, Sampling};
 pub use kinematic::KinematicPlant;

@@ -83,7 +83,7 @@ impl Approach {
             joining_ns: in_ns(approach.joining_s(limits)),
             ..approach
         };
-        if planned.runs() {
+        if planned.is_active() {
             planned
         } else {
             Self::default()
@@ -110,7 +110,7 @@ impl Approach {
     }
 
     /// True if the followed point differs from the reference at any time.
-    pub fn runs(&self) -> bool {
+    pub fn is_active(&self) -> bool {
         self.duration_ns.max(self.joining_ns) > 0
     }
 

@@ -80,7 +80,7 @@ impl FollowedReference {
             self.plan(&limits, window, now, tip);
         }
         let reference = window.ahead(now.cycle, steps);
-        if !self.approach.runs() && *offset_m == Vector3::zeros() {
+        if !self.approach.is_active() && *offset_m == Vector3::zeros() {
             return reference;
         }
         let samples = &mut self.samples[..reference.len()];

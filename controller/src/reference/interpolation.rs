@@ -26,8 +26,9 @@ const APART_SHARE: f64 = 0.3;
 /// [`apart`], by the barycentric formula (Berrut & Trefethen 2004, eq. 9.4). Fourth order for five knots.
 pub(super) fn tangent(knots: &[Knot], at: usize) -> Vector3<f64> {
     let here = knots[at];
-    let apart = apart(knots, at);
-    let others = |but: usize| (0..knots.len()).filter(move |&k| apart[k] && k != at && k != but);
+    let are_separated = are_separated(knots, at);
+    let others =
+        |but: usize| (0..knots.len()).filter(move |&k| are_separated[k] && k != at && k != but);
     let mut sum = Vector3::zeros();
     for j in others(at) {
         let knot = knots[j];
@@ -43,23 +44,23 @@ pub(super) fn tangent(knots: &[Knot], at: usize) -> Vector3<f64> {
 
 /// Selects the knots that are far enough apart for a tangent at `knots[at]`. The longer of the two adjacent segments
 /// always counts. Noise of the points is therefore amplified at most eightfold, however close some of them are.
-fn apart(knots: &[Knot], at: usize) -> [bool; STENCIL] {
+fn are_separated(knots: &[Knot], at: usize) -> [bool; STENCIL] {
     let far_s = |k: usize| (knots[k].time_s - knots[at].time_s).abs();
     let last = knots.len() - 1;
     let longest_s = far_s(at.saturating_sub(1)).max(far_s(last.min(at + 1)));
-    let mut apart = [false; STENCIL];
+    let mut are_separated = [false; STENCIL];
     let mut thin = |outwards: &mut dyn Iterator<Item = usize>| {
         let mut kept_s = 0.0;
         for k in outwards {
-            apart[k] = far_s(k) - kept_s >= APART_SHARE * longest_s.max(kept_s);
-            if apart[k] {
+            are_separated[k] = far_s(k) - kept_s >= APART_SHARE * longest_s.max(kept_s);
+            if are_separated[k] {
                 kept_s = far_s(k);
             }
         }
     };
     thin(&mut (0..at).rev());
     thin(&mut (at + 1..knots.len()));
-    apart
+    are_separated
 }
 
 /// Cubic Hermite curve (de Boor, *A Practical Guide to Splines*, ch. IV), `part` ∈ \[0, 1\].

@@ -15,7 +15,7 @@ mod window;
 
 pub use approach::{Approach, ApproachLimits, QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
 pub use followed::{FollowedReference, GridPoint};
-pub use trajectory::{APART_MIN_NS, Trajectory, TrajectoryError};
+pub use trajectory::{POINT_SPACING_MIN_NS, Trajectory, TrajectoryError};
 pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use super::interpolation::{Knot, STENCIL, hermite, orientation, tangent};
 use super::{Interpolation, ReferencePoint, ReferenceSample, ReferenceState};
 
-/// A bounded buffer of reference points, each at least [`APART_MIN_NS`] after the previous one.
+/// A bounded buffer of reference points, each at least [`POINT_SPACING_MIN_NS`] after the previous one.
 ///
 /// Clients fill it ahead of time, so their jitter does not reach the control loop. The value at a time depends only on
 /// the nearest points, so removing points long past changes nothing.
@@ -27,14 +27,14 @@ fn next_revision() -> u64 {
 }
 
 /// Least time between two points \[ns\].
-pub const APART_MIN_NS: u64 = 1_000;
+pub const POINT_SPACING_MIN_NS: u64 = 1_000;
 
 /// Reason why points were rejected. The trajectory is then unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TrajectoryError {
-    /// A time is less than [`APART_MIN_NS`] after the previous one.
+    /// A time is less than [`POINT_SPACING_MIN_NS`] after the previous one.
     #[error(
-        "point {index}: its time is less than {APART_MIN_NS} ns after that of the point before it"
+        "point {index}: its time is less than {POINT_SPACING_MIN_NS} ns after that of the point before it"
     )]
     TimeNotIncreasing {
         /// Index of the point among those offered.
@@ -119,7 +119,8 @@ impl Trajectory {
         let mut last_ns = after_ns;
         let mut offered = 0;
         for (index, point) in points.enumerate() {
-            if last_ns.is_some_and(|last| point.time_ns.saturating_sub(last) < APART_MIN_NS) {
+            if last_ns.is_some_and(|last| point.time_ns.saturating_sub(last) < POINT_SPACING_MIN_NS)
+            {
                 return Err(TrajectoryError::TimeNotIncreasing { index });
             }
             last_ns = Some(point.time_ns);

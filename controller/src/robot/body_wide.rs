@@ -93,21 +93,21 @@ impl<const W: usize> SectionWide<W> {
 }
 
 impl<const W: usize> BodyWide<W> {
-    /// Lanes in which section `j`, from 0, is farther than `enough_m` (m, finite) from an obstacle. A cheap test by
+    /// Lanes in which section `j`, from 0, is farther than `cutoff_m` (m, finite) from an obstacle. A cheap test by
     /// bounding balls and the chord. `None` if all lanes are, or if there is no such section.
     #[inline(always)]
     pub(crate) fn section_is_beyond(
         &self,
         j: usize,
         obstacle: &Obstacle,
-        enough_m: f64,
+        cutoff_m: f64,
     ) -> Option<[bool; W]> {
         /// Relative rounding error of a squared distance.
         const ROUNDING: f64 = 1.0 + 1e-14;
         let section = self.sections[j].as_ref()?;
         let (axis, zero) = (obstacle.axis(), Wide::splat(0.0));
         let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
-        let kept_m = radii_m + enough_m + ROUNDING_M + axis.rounding_m();
+        let kept_m = radii_m + cutoff_m + ROUNDING_M + axis.rounding_m();
         let reach_m = (section.radius_m + kept_m).max(zero);
         let far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
         if all(far) {
@@ -126,8 +126,8 @@ impl<const W: usize> BodyWide<W> {
         (!all(far)).then_some(far)
     }
 
-    /// Clearance (m) of section `j`, from 0, of each body from an obstacle, limited to `enough_m`. `beyond` is the
-    /// result of [`Self::section_is_beyond`]; those lanes return exactly `enough_m`.
+    /// Clearance (m) of section `j`, from 0, of each body from an obstacle, limited to `cutoff_m`. `beyond` is the
+    /// result of [`Self::section_is_beyond`]; those lanes return exactly `cutoff_m`.
     ///
     /// As exact as [`Body::clearance_of`]. A lane with a NaN or an infinity in its bends may give any number.
     ///
@@ -137,16 +137,16 @@ impl<const W: usize> BodyWide<W> {
         &self,
         j: usize,
         obstacle: &Obstacle,
-        enough_m: f64,
+        cutoff_m: f64,
         beyond: [bool; W],
     ) -> Wide<W> {
-        let enough = Wide::splat(enough_m);
+        let enough = Wide::splat(cutoff_m);
         let Some(section) = &self.sections[j] else {
             return enough;
         };
         let (_, distance_m) = section.tube().nearest(obstacle.axis());
         let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
-        // Lanes beyond return `enough_m` whatever their rounding, as they would alone.
+        // Lanes beyond return `cutoff_m` whatever their rounding, as they would alone.
         enough.select(enough.min_or_nan(clearance_m), beyond)
     }
 }

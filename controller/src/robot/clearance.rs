@@ -70,16 +70,16 @@ impl Body {
     /// section, and at most 80 Newton steps more for a capsule. Sections whose bound exceeds the least clearance found
     /// are skipped.
     pub fn nearest(&self, obstacle: &Obstacle) -> Nearest {
-        self.place(&self.closest(obstacle), obstacle)
+        self.nearest_from(&self.closest(obstacle), obstacle)
     }
 
     /// As [`Self::nearest`], for one section, from 0.
     pub fn nearest_of(&self, section: usize, obstacle: &Obstacle) -> Nearest {
-        self.place(&self.closest_of(section, obstacle), obstacle)
+        self.nearest_from(&self.closest_of(section, obstacle), obstacle)
     }
 
     /// All fields of the place that [`Self::closest_of`] found.
-    pub(crate) fn place(&self, closest: &Closest, obstacle: &Obstacle) -> Nearest {
+    pub(crate) fn nearest_from(&self, closest: &Closest, obstacle: &Obstacle) -> Nearest {
         let tube = &self.tubes[closest.section];
         let foot = tube.foot(&closest.axis_m);
         let apart = foot.point_m - closest.axis_m;
@@ -148,13 +148,13 @@ impl Body {
         self.clearances_below(obstacle, travel_m, f64::INFINITY)
     }
 
-    /// As [`Self::clearances_in_reach`], exact where the clearance is below `enough_m` (m). Elsewhere it may be a lower
-    /// bound of at least `enough_m`, which is cheaper for a capsule.
+    /// As [`Self::clearances_in_reach`], exact where the clearance is below `cutoff_m` (m). Elsewhere it may be a lower
+    /// bound of at least `cutoff_m`, which is cheaper for a capsule.
     pub fn clearances_below(
         &self,
         obstacle: &Obstacle,
         travel_m: &[f64; SECTIONS_MAX],
-        enough_m: f64,
+        cutoff_m: f64,
     ) -> [f64; SECTIONS_MAX] {
         let axis = obstacle.axis();
         let mut clearances_m = [f64::INFINITY; SECTIONS_MAX];
@@ -168,7 +168,7 @@ impl Body {
                 if least_m > travel_m[j] {
                     continue;
                 }
-                if least_m >= enough_m {
+                if least_m >= cutoff_m {
                     clearances_m[j] = least_m;
                     continue;
                 }
@@ -306,18 +306,18 @@ impl Robot {
     /// p the tip from the base in the shape `at`. Derivation: §3 of docs/model.md. The fingerprint stays; a body radius
     /// may leave its range. An offset of 0 or less changes nothing; a NaN makes every radius NaN.
     #[must_use]
-    pub fn thicker(&self, at: &Configuration, tip_offset_m: f64) -> Cow<'_, Self> {
+    pub fn enlarged(&self, at: &Configuration, tip_offset_m: f64) -> Cow<'_, Self> {
         if tip_offset_m <= 0.0 {
             return Cow::Borrowed(self);
         }
         let away_m = self.tip_position(at).norm();
-        let mut thicker = self.clone();
+        let mut enlarged = self.clone();
         let mut length_m = 0.0;
-        for section in thicker.sections_mut() {
+        for section in enlarged.sections_mut() {
             length_m += section.length_m;
             section.body_radius_m += tip_offset_m * (length_m / away_m).min(1.0);
         }
-        Cow::Owned(thicker)
+        Cow::Owned(enlarged)
     }
 
     /// The body, for a caller that already has the [`Self::section_frames`] of this shape.

@@ -132,7 +132,7 @@ pub(crate) struct ShortSeries {
 
 impl ShortSeries {
     /// Series for bends within `change_rad` of (u, v); `None` if that range is too large.
-    pub(super) fn near([u, v]: [f64; 2], change_rad: f64) -> Option<Self> {
+    pub(super) fn around([u, v]: [f64; 2], change_rad: f64) -> Option<Self> {
         let centre = u * u + v * v;
         let reach = change_rad * (2.0 * centre.sqrt() + change_rad);
         (reach <= SHORT_REACH && centre <= SERIES_W_MAX).then(|| Self {
@@ -369,7 +369,7 @@ mod tests {
     #[test]
     fn short_series_are_exact_within_their_range() {
         for (bend_rad, change_rad) in [(0.0, 0.4), (0.3, 0.2), (1.57, 0.06), (3.1, 0.03)] {
-            let short = ShortSeries::near([0.6 * bend_rad, -0.8 * bend_rad], change_rad).unwrap();
+            let short = ShortSeries::around([0.6 * bend_rad, -0.8 * bend_rad], change_rad).unwrap();
             for share in [-1.0, -0.5, 0.0, 0.3, 1.0] {
                 let w = (bend_rad + share * change_rad).powi(2);
                 let ((f, g), exact) = (short.at(w), Coefficients::from_square(w));
@@ -377,8 +377,8 @@ mod tests {
                 assert!((g - exact.g).abs() < 3e-16, "g at {w}: {g} {}", exact.g);
             }
         }
-        assert!(ShortSeries::near([1.57, 0.0], 0.07).is_none());
-        assert!(ShortSeries::near([f64::NAN, 0.0], 0.01).is_none());
+        assert!(ShortSeries::around([1.57, 0.0], 0.07).is_none());
+        assert!(ShortSeries::around([f64::NAN, 0.0], 0.01).is_none());
     }
 
     #[test]

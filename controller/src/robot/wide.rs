@@ -5,7 +5,7 @@ use super::{COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
 /// The coefficients of all sections near one configuration.
-pub(crate) type Near = [ShortSeries; SECTIONS_MAX];
+pub(crate) type TipSeries = [ShortSeries; SECTIONS_MAX];
 
 impl Robot {
     /// Position of the tip in the base frame \[m\] for W configurations, `bend_rad(i)` being the i-th
@@ -61,31 +61,31 @@ impl Robot {
         (tip, slopes)
     }
 
-    /// Tip position by short series, faster, for configurations close to that of `near`. Calls `bend_rad` once
+    /// Tip position by short series, faster, for configurations close to that of `tip_series`. Calls `bend_rad` once
     /// for each component.
     #[inline(always)]
-    pub(crate) fn tip_position_near<const W: usize>(
+    pub(crate) fn tip_position_by_series<const W: usize>(
         &self,
-        near: &Near,
+        tip_series: &TipSeries,
         bend_rad: impl FnMut(usize) -> Wide<W>,
     ) -> [Wide<W>; 3] {
-        let (tip, []) = self.tip_wide::<W, 0, true>(bend_rad, |j, w| near[j].at(w));
+        let (tip, []) = self.tip_wide::<W, 0, true>(bend_rad, |j, w| tip_series[j].at(w));
         tip
     }
 
-    /// Coefficients for [`Self::tip_position_near`] if no section's bend vector changes by more than `change_rad`;
+    /// Coefficients for [`Self::tip_position_by_series`] if no section's bend vector changes by more than `change_rad`;
     /// `None` if that range is too large.
-    pub(crate) fn near(
+    pub(crate) fn tip_series(
         &self,
         at: &Configuration,
         change_rad: &[f64; SECTIONS_MAX],
-    ) -> Option<Near> {
-        let of_section = |j: usize| ShortSeries::near(at.section(j), change_rad[j]);
-        let mut near = [of_section(0)?; SECTIONS_MAX];
+    ) -> Option<TipSeries> {
+        let of_section = |j: usize| ShortSeries::around(at.section(j), change_rad[j]);
+        let mut tip_series = [of_section(0)?; SECTIONS_MAX];
         for j in 1..self.section_count() {
-            near[j] = of_section(j)?;
+            tip_series[j] = of_section(j)?;
         }
-        Some(near)
+        Some(tip_series)
     }
 
     /// Position of the tip, and the first `AXES` (up to 2) of its z and x axis, in the base frame.
@@ -166,9 +166,11 @@ mod tests {
                 let at = Configuration::from_slice(&bends).unwrap();
                 let scalar = robot.tip_position(&at);
                 // Some of these bends exceed the range of the short series.
-                let near = robot.near(&at, &[1e-3; SECTIONS_MAX]);
-                assert!(near.is_some() || sections > 3);
-                let beside = near.map(|near| robot.tip_position_near(&near, |i| Wide([bends[i]])));
+                let tip_series = robot.tip_series(&at, &[1e-3; SECTIONS_MAX]);
+                assert!(tip_series.is_some() || sections > 3);
+                let beside = tip_series.map(|tip_series| {
+                    robot.tip_position_by_series(&tip_series, |i| Wide([bends[i]]))
+                });
                 for axis in 0..3 {
                     assert_eq!(wide[axis].0[lane].to_bits(), narrow[axis].0[0].to_bits());
                     assert!((wide[axis].0[lane] - scalar[axis]).abs() < 1e-12);

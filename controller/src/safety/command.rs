@@ -36,7 +36,7 @@ pub struct Situation<'a> {
     /// Safe distance D \[m\].
     pub safe_distance_m: f64,
     /// Uncertainty of the tip position against the bends \[m\], 0 or more. The body counts as thicker by a
-    /// part of it in each section ([`Robot::thicker`],
+    /// part of it in each section ([`Robot::enlarged`],
     /// [`Estimator::tip_margin_m`](crate::estimator::Estimator::tip_margin_m)).
     pub tip_offset_m: f64,
     /// Largest increase of a rate \[rad/s²\]; infinite: no limit.
@@ -177,7 +177,7 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
         ..
     } = *situation;
     let situation = &Situation {
-        robot: &robot.thicker(at, tip_offset_m),
+        robot: &robot.enlarged(at, tip_offset_m),
         ..*situation
     };
     if situation.comes_to_rest {
@@ -305,8 +305,8 @@ mod tests {
                 prop_assert!(next.bend_rad(section) <= most + 1e-12);
             }
             // The rule of the guard, as its own documentation has it.
-            let thicker = robot.thicker(&at, tip_offset_m);
-            let after = |rates: &BendRates| thicker.body(&at.advanced(rates, PERIOD_S));
+            let enlarged = robot.enlarged(&at, tip_offset_m);
+            let after = |rates: &BendRates| enlarged.body(&at.advanced(rates, PERIOD_S));
             let most_m = if comes_to_rest { 0.01 - 1.001e-3 } else { 0.01 };
             let floor_m = after(&BendRates::zero(2)).clearance_m(&obstacle).min(most_m);
             // Ramps with play are tested in `play`.

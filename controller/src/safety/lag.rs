@@ -20,7 +20,7 @@ pub(super) struct LagLines<'a> {
     /// The body on the line that it follows if the robot is commanded to rest.
     resting: [Body; POINTS],
     /// Clearance that is always sufficient \[m\].
-    enough_m: f64,
+    cutoff_m: f64,
 }
 
 impl<'a> LagLines<'a> {
@@ -34,7 +34,7 @@ impl<'a> LagLines<'a> {
             situation,
             lag,
             resting: bodies_between(situation.robot, lag.present, situation.at),
-            enough_m: situation.safe_distance_m - DIP_M,
+            cutoff_m: situation.safe_distance_m - DIP_M,
         })
     }
 
@@ -68,14 +68,14 @@ impl<'a> LagLines<'a> {
 
     fn is_clear(&self, end: &Configuration) -> bool {
         let bodies = bodies_between(self.situation.robot, self.lag.present, end);
-        let reach_m = [self.enough_m; SECTIONS_MAX];
+        let reach_m = [self.cutoff_m; SECTIONS_MAX];
         self.situation.obstacles.iter().all(|obstacle| {
             bodies.iter().enumerate().all(|(point, body)| {
                 let obstacle = self.obstacle_at(point, obstacle);
-                let clearances_m = body.clearances_below(&obstacle, &reach_m, self.enough_m);
+                let clearances_m = body.clearances_below(&obstacle, &reach_m, self.cutoff_m);
                 let mut sections = clearances_m.iter().enumerate();
                 sections.all(|(section, clearance_m)| {
-                    *clearance_m >= self.enough_m
+                    *clearance_m >= self.cutoff_m
                         || *clearance_m >= self.resting_m(section, &obstacle)
                 })
             })

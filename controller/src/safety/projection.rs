@@ -231,7 +231,7 @@ impl Region {
             }
         }
         self.found.is_known = self.found.hold().is_some();
-        self.look_at_all();
+        self.mark_all_rows();
     }
 
     /// Sensitivity of the last solution. It gives a lower bound of half the squared distance for every other
@@ -269,21 +269,21 @@ impl Region {
             self.found.at = *to;
             self.found.active.count = 0;
             self.found.active.multipliers = [0.0; COORDINATES_MAX];
-            self.look_at_all();
+            self.mark_all_rows();
         }
-        self.found.is_known = self.go_on().is_some();
+        self.found.is_known = self.continue_search().is_some();
         self.found.is_known.then_some(self.found.at)
     }
 
     /// Marks all rows for evaluation, after the point or the bounds changed.
-    fn look_at_all(&mut self) {
+    fn mark_all_rows(&mut self) {
         self.found.travelled = 0.0;
         self.clear_until[..self.row_count].fill(f64::NEG_INFINITY);
     }
 
     /// Continues from a solution with fewer half-spaces. `None`: the region is empty, or the number of steps
     /// is exceeded.
-    fn go_on(&mut self) -> Option<()> {
+    fn continue_search(&mut self) -> Option<()> {
         let mut steps = 0;
         while let Some(row) = self.most_violated() {
             let Found {

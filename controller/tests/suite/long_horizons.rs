@@ -146,7 +146,7 @@ impl Course {
                 seed: cycle.into(),
                 ..input(&at, &previous_rates, &window)
             };
-            let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
+            let (rates, report) = nmpc.solve(&input, &mut Budget::from_quanta(quanta));
             assert!(report.cost <= report.warm_cost, "{report:?}");
             first_cost.get_or_insert(report.cost);
             work += report.quanta;
@@ -354,7 +354,7 @@ fn a_new_plan_is_no_worse_than_rest_and_the_same_again_wherever_the_budget_ends(
             seed: 7,
             ..input(&course.at, &rest, &window)
         };
-        let (_, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
+        let (_, report) = nmpc.solve(&input, &mut Budget::from_quanta(quanta));
         (nmpc.plan().to_vec(), report)
     };
     for turn in 0..crate::repetitions(50, 400) {
@@ -511,7 +511,7 @@ fn a_solve_that_its_budget_ends_anywhere_repeats_to_the_bit() {
             asks > asks_max
         };
         let (plan, report) = solved(&mut Budget::new(&mut is_spent));
-        let again = solved(&mut Budget::of_quanta(report.quanta));
+        let again = solved(&mut Budget::from_quanta(report.quanta));
         assert_eq!(again, (plan, report), "after {asks_max} looks at the clock");
     }
 }

@@ -275,7 +275,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
         assert!(whole.quanta > least, "{solver:?}: {} quanta", whole.quanta);
         for quanta in [0, 1, 10, whole.quanta / 2] {
             nmpc.forget_plan();
-            let (_, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
+            let (_, report) = nmpc.solve(&input, &mut Budget::from_quanta(quanta));
             assert_eq!(report.quanta, quanta);
             assert!(report.cost <= report.warm_cost);
         }
@@ -301,11 +301,11 @@ fn a_plan_without_a_budget_is_followed_to_its_end_and_restored_likewise() {
         };
         nmpc.solve(&input(1), &mut Budget::unlimited());
         for starved in 0..42 {
-            let (rates, _) = nmpc.solve(&input(1), &mut Budget::of_quanta(0));
+            let (rates, _) = nmpc.solve(&input(1), &mut Budget::from_quanta(0));
             assert_eq!(rates != rest, starved < moves, "{blocks}, {starved}");
             let mut replayed = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
             assert!(replayed.restore_plan(nmpc.warm_plan(), 1));
-            let (again, _) = replayed.solve(&input(0), &mut Budget::of_quanta(0));
+            let (again, _) = replayed.solve(&input(0), &mut Budget::from_quanta(0));
             assert_eq!((again, replayed.plan()), (rates, nmpc.plan()));
         }
     }
@@ -464,7 +464,7 @@ fn solve_case(
         seed: case.seed,
         ..input(&at, &rates, &goal)
     };
-    let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
+    let (rates, report) = nmpc.solve(&input, &mut Budget::from_quanta(quanta));
     let bits = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();
     (rates, report, bits)
 }

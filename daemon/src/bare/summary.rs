@@ -5,7 +5,7 @@ use cdcr_shared_types::LatencySummary;
 use cdcr_shared_types::codes::realtime;
 use serde::Serialize;
 
-use super::{BareCycle, Blame, Recorder};
+use super::{BareCycle, CauseAssignment, Recorder};
 use crate::config::{Config, ns};
 use crate::handover::Policy;
 use crate::rt::latency;
@@ -109,7 +109,7 @@ impl BareCycle {
 fn causes(cycles: &[BareCycle]) -> BTreeMap<&'static str, u64> {
     let mut causes = BTreeMap::new();
     for cycle in cycles {
-        if let Blame::Own(cause) = cycle.blame {
+        if let CauseAssignment::Own(cause) = cycle.assignment {
             *causes.entry(cause.text()).or_default() += 1;
         }
     }
@@ -152,7 +152,12 @@ mod tests {
     use crate::rt::schedule::Release;
     use cdcr_shared_types::codes::LateCause;
 
-    fn cycle(number: u64, wake_ns: u64, blame: Blame, run_delay_ns: Option<u64>) -> BareCycle {
+    fn cycle(
+        number: u64,
+        wake_ns: u64,
+        assignment: CauseAssignment,
+        run_delay_ns: Option<u64>,
+    ) -> BareCycle {
         let due_ns = number * 5_000_000;
         BareCycle {
             release: Release {
@@ -164,7 +169,7 @@ mod tests {
             },
             handed_over_ns: due_ns + wake_ns + 50,
             lateness: Lateness::default(),
-            blame,
+            assignment,
             interference: run_delay_ns.map(|run_delay_ns| Interference {
                 run_delay_ns,
                 page_faults: 1,
@@ -183,10 +188,10 @@ mod tests {
     fn causes_are_counted_once_for_an_event() {
         let load = LateCause::Load;
         let cycles = vec![
-            cycle(1, 10, Blame::InTime, Some(0)),
-            cycle(2, 9_000_000, Blame::Own(load), Some(8_000_000)),
-            cycle(4, 10, Blame::Before(load), Some(0)),
-            cycle(5, 10, Blame::Own(LateCause::Platform), Some(0)),
+            cycle(1, 10, CauseAssignment::InTime, Some(0)),
+            cycle(2, 9_000_000, CauseAssignment::Own(load), Some(8_000_000)),
+            cycle(4, 10, CauseAssignment::Before(load), Some(0)),
+            cycle(5, 10, CauseAssignment::Own(LateCause::Platform), Some(0)),
         ];
         let summary = summary(cycles, 0);
         let causes = [("another task had the core", 1), ("platform", 1)];
@@ -203,7 +208,7 @@ mod tests {
     #[test]
     fn what_is_not_told_is_not_zero() {
         let summary = summary(
-            vec![cycle(1, 10, Blame::InTime, None)],
+            vec![cycle(1, 10, CauseAssignment::InTime, None)],
             realtime::FIFO | realtime::LOCKED,
         );
         assert_eq!((summary.run_delay, summary.page_faults), (None, None));

@@ -98,7 +98,7 @@ fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
             release.skipped,
             u8::from(cycle.lateness.late_start),
             u8::from(cycle.lateness.deadline_miss),
-            cycle.blame.cause().unwrap_or_default().code()
+            cycle.assignment.cause().unwrap_or_default().code()
         )?;
     }
     Ok(())
@@ -179,7 +179,7 @@ mod tests {
 
     use super::*;
     use crate::bare::Interference;
-    use crate::rt::attribution::Blame;
+    use crate::rt::attribution::CauseAssignment;
     use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
     use cdcr_shared_types::codes::LateCause;
@@ -198,14 +198,14 @@ mod tests {
                 late_start: true,
                 deadline_miss: false,
             },
-            blame: Blame::Own(LateCause::Load),
+            assignment: CauseAssignment::Own(LateCause::Load),
             interference: Some(Interference {
                 run_delay_ns: 70,
                 page_faults: 2,
             }),
         };
         let untold = BareCycle {
-            blame: Blame::Before(LateCause::Stall),
+            assignment: CauseAssignment::Before(LateCause::Stall),
             interference: None,
             ..cycle
         };

@@ -271,7 +271,7 @@ impl Cycle {
         let handed_over_ns = clock.now_ns();
         let lateness = self
             .accounting
-            .judge(&release, handed_over_ns, stale_inputs);
+            .evaluate(&release, handed_over_ns, stale_inputs);
 
         CycleFacts {
             release,
@@ -434,9 +434,13 @@ impl Cycle {
             period_ns: self.period_ns,
         };
         let (state, offset_m) = (&self.state, self.state.tip_offset_m());
-        let reference =
-            self.followed
-                .ahead(&inputs.window, now, steps, || state.tip_led(), &offset_m);
+        let reference = self.followed.ahead(
+            &inputs.window,
+            now,
+            steps,
+            || state.commanded_tip(),
+            &offset_m,
+        );
         let input = SolveInput {
             configuration: self.state.configuration(),
             previous_rates: &self.rates,
@@ -446,18 +450,18 @@ impl Cycle {
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
         };
-        let mut looked_ns = clock.now_ns();
+        let mut checked_ns = clock.now_ns();
         let left_ns = self.core_budget.solve_end_ns(release, costs);
         let end_ns = match self.budget_ns {
             0 => left_ns,
-            budget_ns => left_ns.min(looked_ns + budget_ns),
+            budget_ns => left_ns.min(checked_ns + budget_ns),
         };
         self.solve_until_ns = end_ns;
         let longest_gap_ns = &mut self.longest_gap_ns;
         let mut is_spent = || {
             let now_ns = clock.now_ns();
-            *longest_gap_ns = (*longest_gap_ns).max(now_ns - looked_ns);
-            looked_ns = now_ns;
+            *longest_gap_ns = (*longest_gap_ns).max(now_ns - checked_ns);
+            checked_ns = now_ns;
             now_ns >= end_ns
         };
         let (rates, report) = self.nmpc.solve(&input, &mut Budget::new(&mut is_spent));
@@ -484,7 +488,7 @@ impl Cycle {
                 present: self.state.present(),
                 lead_s: self.policy.reference_lead_ns as f64 * 1e-9,
             }),
-            commanded: self.state.motors_led(),
+            commanded: self.state.commanded_motors(),
             slack: self.state.commanded_slack(),
             previous: &self.rates,
             obstacles: &self.obstacles,

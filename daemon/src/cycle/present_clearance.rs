@@ -8,7 +8,7 @@ impl Cycle {
             return led_m;
         }
         let (present, margin_m) = (self.state.present(), self.state.tip_margin_m());
-        let body = self.robot.thicker(present, margin_m).body(present);
+        let body = self.robot.enlarged(present, margin_m).body(present);
         let obstacles = self.known_obstacles.iter();
         body.least_clearance_m(obstacles.map(|known| known.obstacle))
     }

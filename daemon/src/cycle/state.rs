@@ -106,7 +106,7 @@ impl RobotState {
 
     /// Motor positions, if they differ from the configuration: commanded positions, or motors whose cables
     /// have play.
-    pub(super) fn motors_led(&self) -> Option<&Configuration> {
+    pub(super) fn commanded_motors(&self) -> Option<&Configuration> {
         match self.policy.interface {
             Interface::Position => Some(&self.commanded),
             Interface::Velocity => {
@@ -273,7 +273,7 @@ impl RobotState {
     }
 
     /// Pose of the tip to which the commands so far lead.
-    pub(super) fn tip_led(&self) -> Pose {
+    pub(super) fn commanded_tip(&self) -> Pose {
         self.tip_at(self.configuration())
     }
 

@@ -30,7 +30,7 @@ impl Cycle {
         });
         let least_ns = measured_ns.min().unwrap_or_default();
         self.nmpc.forget_plan();
-        let Some(lacks_ns) = self.core_budget.lacks_ns(least_ns) else {
+        let Some(shortfall_ns) = self.core_budget.shortfall_ns(least_ns) else {
             return Ok(());
         };
         let ms = |ns: u64| ns as f64 / 1e6;
@@ -41,7 +41,7 @@ impl Cycle {
             ms(least_ns),
             self.robot.section_count(),
             self.nmpc.settings().horizon_steps,
-            ms(lacks_ns),
+            ms(shortfall_ns),
             self.core_budget.describe(Costs::default()),
         ))
     }

@@ -5,13 +5,13 @@
 pub(super) struct BoundSender {
     /// A process without an accepted measurement for longer than this is lost \[ns\].
     lost_after_ns: u64,
-    heard: Option<Heard>,
+    last: Option<LastMessage>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Heard {
+struct LastMessage {
     sender: u64,
-    heard_ns: u64,
+    received_ns: u64,
 }
 
 impl BoundSender {
@@ -19,35 +19,38 @@ impl BoundSender {
     pub(super) fn new(lost_after_ns: u64) -> Self {
         Self {
             lost_after_ns,
-            heard: None,
+            last: None,
         }
     }
 
     /// True if measurements of `sender` are accepted at `now_ns`; `may_change` lets another process replace a
     /// silent one.
     pub(super) fn is(&self, sender: u64, now_ns: u64, may_change: bool) -> bool {
-        self.heard.is_none_or(|heard| {
-            let is_silent = now_ns.saturating_sub(heard.heard_ns) > self.lost_after_ns;
+        self.last.is_none_or(|last| {
+            let is_silent = now_ns.saturating_sub(last.received_ns) > self.lost_after_ns;
             let is_lost = may_change && is_silent;
-            heard.sender == sender || is_lost
+            last.sender == sender || is_lost
         })
     }
 
     /// `sender` is the process bound last.
     pub(super) fn is_bound_to(&self, sender: u64) -> bool {
-        self.heard.is_some_and(|heard| heard.sender == sender)
+        self.last.is_some_and(|last| last.sender == sender)
     }
 
     /// Binds `sender`, whose measurement was accepted at `now_ns`.
-    pub(super) fn hear(&mut self, sender: u64, now_ns: u64) {
-        let heard_ns = now_ns;
-        self.heard = Some(Heard { sender, heard_ns });
+    pub(super) fn bind(&mut self, sender: u64, now_ns: u64) {
+        let received_ns = now_ns;
+        self.last = Some(LastMessage {
+            sender,
+            received_ns,
+        });
     }
 
-    /// Excludes the `unheard_ns` without a gather from the silence of the process.
-    pub(super) fn extend(&mut self, unheard_ns: u64) {
-        if let Some(heard) = &mut self.heard {
-            heard.heard_ns += unheard_ns;
+    /// Excludes the `paused_ns` without a gather from the silence of the process.
+    pub(super) fn extend(&mut self, paused_ns: u64) {
+        if let Some(last) = &mut self.last {
+            last.received_ns += paused_ns;
         }
     }
 }
@@ -60,7 +63,7 @@ mod tests {
     fn the_first_driver_stays_until_it_is_lost() {
         let mut driver = BoundSender::new(100);
         assert!(driver.is(1, 0, false) && driver.is(2, 0, false));
-        driver.hear(1, 50);
+        driver.bind(1, 50);
         assert!(driver.is(1, 60, false) && !driver.is(2, 60, true));
         assert!(!driver.is(2, 150, true));
         // A cycle that has not yet detected the loss would mix up the two robots.
@@ -68,7 +71,7 @@ mod tests {
         assert!(driver.is(2, 151, true) && driver.is(1, 151, true));
         driver.extend(30);
         assert!(!driver.is(2, 180, true) && driver.is(2, 181, true));
-        driver.hear(2, 200);
+        driver.bind(2, 200);
         assert!(!driver.is(1, 300, true));
     }
 }

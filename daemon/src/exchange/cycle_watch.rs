@@ -4,14 +4,14 @@
 use crate::handover::CycleRecord;
 use crate::rt::attribution::Scheduling;
 use crate::rt::schedule::Lateness;
-use crate::rt::scheduler::SchedulerLooks;
+use crate::rt::scheduler::SchedulerDeltas;
 
 /// Page faults are read in one of this many punctual cycles.
 const PAGE_FAULT_LOOKS: u64 = 16;
 
 #[derive(Debug, Default)]
 pub(super) struct CycleWatch {
-    scheduler: SchedulerLooks,
+    scheduler: SchedulerDeltas,
     /// The last reading showed page faults.
     page_faults: bool,
     /// Number of times that the thread lost its core while it ran.
@@ -22,7 +22,7 @@ impl CycleWatch {
     /// Watches the thread with id `thread`; with `None`, `look` always returns `None`.
     pub(super) fn at(thread: Option<u32>) -> Self {
         Self {
-            scheduler: SchedulerLooks::at(thread),
+            scheduler: SchedulerDeltas::at(thread),
             ..Self::default()
         }
     }
@@ -30,7 +30,7 @@ impl CycleWatch {
     /// Statistics since the previous call; `number` counts the records. Page faults are expensive to read.
     /// They are read for a cycle that was late or shares a reading, in each cycle while there are some, and
     /// in one of `PAGE_FAULT_LOOKS` others. So few are assigned to a wrong cycle.
-    pub(super) fn look(
+    pub(super) fn read(
         &mut self,
         record: &CycleRecord,
         is_newest: bool,
@@ -38,15 +38,15 @@ impl CycleWatch {
     ) -> Option<Scheduling> {
         let was_late = record.lateness != Lateness::default() || record.release.skipped > 0;
         let by_turn = number.is_multiple_of(PAGE_FAULT_LOOKS);
-        let told = if was_late || !is_newest || by_turn || self.page_faults {
-            let told = self.scheduler.look();
-            self.page_faults = told.is_some_and(|told| told.page_faults > 0);
-            told
+        let delta = if was_late || !is_newest || by_turn || self.page_faults {
+            let delta = self.scheduler.read();
+            self.page_faults = delta.is_some_and(|delta| delta.page_faults > 0);
+            delta
         } else {
-            self.scheduler.look_quickly()
+            self.scheduler.read_without_page_faults()
         };
-        self.interruptions += u64::from(told.map_or(0, |told| told.switches));
-        told
+        self.interruptions += u64::from(delta.map_or(0, |delta| delta.switches));
+        delta
     }
 
     pub(super) fn interruptions(&self) -> u64 {

@@ -38,11 +38,11 @@ impl Exchange {
         clock: &impl Clock,
         shared: &Shared,
     ) {
-        let unheard_ns = now_ns.saturating_sub(self.gather.began_ns + 2 * self.timing.period_ns);
+        let paused_ns = now_ns.saturating_sub(self.gather.began_ns + 2 * self.timing.period_ns);
         self.references
-            .extend_lease(self.gather.began_ns, unheard_ns);
-        self.measurements.extend(unheard_ns);
-        self.obstacles.extend(self.gather.began_ns, unheard_ns);
+            .extend_lease(self.gather.began_ns, paused_ns);
+        self.measurements.extend(paused_ns);
+        self.obstacles.extend(self.gather.began_ns, paused_ns);
         self.gather.number += 1;
         self.gather.began_ns = now_ns;
         self.events.begin_gather();
@@ -75,9 +75,9 @@ impl Exchange {
         inputs.tip = self.measurements.newest_tip();
         inputs.tip_sensors = self.measurements.tip_sensors();
         self.obstacles.hand_over(&mut inputs.obstacles, now_ns);
-        inputs.obstacle_source_silent = self.obstacles.want_hold(now_ns);
+        inputs.obstacle_source_silent = self.obstacles.requires_hold(now_ns);
         inputs.stops = self.requests.stops();
-        inputs.suspends = self.suspend_watch.look(&clock.slept_ns());
+        inputs.suspends = self.suspend_watch.update(&clock.slept_ns());
         inputs.settings = self.settings.settings;
         inputs.settings_revision = self.settings.revision;
         self.ends.inputs.publish();
@@ -101,7 +101,7 @@ impl Exchange {
     }
 
     fn take_obstacles(&mut self, now_ns: u64, clock: &impl Clock) {
-        self.obstacles.let_expire(now_ns);
+        self.obstacles.remove_expired(now_ns);
         for _ in 0..updates_per_gather(self.timing.gather_lead_ns) {
             let Some(Received { message, is_newer }) = self.ports.obstacles.receive() else {
                 break;

@@ -59,13 +59,13 @@ impl Lease {
         self.holder(now_ns) == Some(client) && self.acquire(client, now_ns)
     }
 
-    /// Extends a lease still valid at `heard_ns` by `unheard_ns`, a time without gathers: the holder could
+    /// Extends a lease still valid at `paused_since_ns` by `paused_ns`, a time without gathers: the holder could
     /// not renew it.
-    pub(super) fn extend(&mut self, heard_ns: u64, unheard_ns: u64) {
+    pub(super) fn extend(&mut self, paused_since_ns: u64, paused_ns: u64) {
         if let Some(holder) = &mut self.holder
-            && holder.expires_ns > heard_ns
+            && holder.expires_ns > paused_since_ns
         {
-            holder.expires_ns += unheard_ns;
+            holder.expires_ns += paused_ns;
         }
     }
 

@@ -65,12 +65,12 @@ impl Measurements {
         }
     }
 
-    /// Excludes the `unheard_ns` without a gather from the silence of driver and tip sensor.
-    pub(super) fn extend(&mut self, unheard_ns: u64) {
-        self.driver.extend(unheard_ns);
-        self.driver_since_ns += unheard_ns;
+    /// Excludes the `paused_ns` without a gather from the silence of driver and tip sensor.
+    pub(super) fn extend(&mut self, paused_ns: u64) {
+        self.driver.extend(paused_ns);
+        self.driver_since_ns += paused_ns;
         if let Some(tip_sensor) = &mut self.tip_sensor {
-            tip_sensor.extend(unheard_ns);
+            tip_sensor.extend(paused_ns);
         }
     }
 
@@ -106,10 +106,10 @@ impl Measurements {
         if is_tip && let Some(mut tip_sensor) = self.tip_sensor {
             // The robot continues without a tip sensor: its successor needs no preceding fault.
             let timed = self.checked(message, tip_sensor, true, robot, arrival)?;
-            let outcome = keep(&mut self.newest_tip, timed, is_newer);
+            let outcome = replace_newest(&mut self.newest_tip, timed, is_newer);
             if outcome == Outcome::Accepted {
                 self.tip_sensors += u64::from(!tip_sensor.is_bound_to(sender));
-                tip_sensor.hear(sender, arrival.gather_ns);
+                tip_sensor.bind(sender, arrival.gather_ns);
                 self.tip_sensor = Some(tip_sensor);
             }
             return Ok(outcome);
@@ -132,12 +132,12 @@ impl Measurements {
         };
         // Bends determine the configuration, a tip does not: they replace it, also with the same time stamp.
         newest.take_if(|newest| is_newer && !is_tip && is_a_tip(newest));
-        let outcome = keep(newest, timed, is_newer);
+        let outcome = replace_newest(newest, timed, is_newer);
         if outcome == Outcome::Accepted {
             if !is_bound && self.tip_sensor.is_none() {
                 self.newest_tip = None;
             }
-            self.driver.hear(sender, arrival.gather_ns);
+            self.driver.bind(sender, arrival.gather_ns);
             self.driver_since_ns = since_ns;
             self.has_bends = has_bends || !is_tip;
         }
@@ -166,7 +166,11 @@ impl Measurements {
     }
 }
 
-fn keep(newest: &mut Option<TimedMeasurement>, timed: TimedMeasurement, is_newer: bool) -> Outcome {
+fn replace_newest(
+    newest: &mut Option<TimedMeasurement>,
+    timed: TimedMeasurement,
+    is_newer: bool,
+) -> Outcome {
     if !is_newer || newest.is_some_and(|newest| timed.measured_ns <= newest.measured_ns) {
         return Outcome::Stale;
     }

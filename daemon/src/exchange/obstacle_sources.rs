@@ -44,7 +44,7 @@ impl ObstacleSources {
     }
 
     /// True if the sender of `update` is already watched, need not be watched, or can be added.
-    pub(super) fn have_room_for(&self, update: &ObstacleUpdate) -> bool {
+    pub(super) fn has_space_for(&self, update: &ObstacleUpdate) -> bool {
         let is_known = self.watched(update.header.sender_id).is_some();
         is_known || !self.begins_source(update) || self.sources.len() < SOURCES_MAX
     }
@@ -52,7 +52,7 @@ impl ObstacleSources {
     /// Registers an update received at `now_ns`. It may have waited since it was sent, and its sender may
     /// have died meanwhile. Clearing the list ends the watch over all sources. Each is watched again from its
     /// next obstacle with a lifetime.
-    pub(super) fn hear(&mut self, update: &ObstacleUpdate, now_ns: u64) {
+    pub(super) fn note_update(&mut self, update: &ObstacleUpdate, now_ns: u64) {
         let heard = Source {
             sender: update.header.sender_id,
             sent_ns: update.header.sent_ns.min(now_ns),
@@ -73,26 +73,26 @@ impl ObstacleSources {
 
     /// Ends the watch over `sender`, which has removed obstacles, if none of those left in `known` is its
     /// own. Expired obstacles do not count: their source was alive after their end.
-    pub(super) fn let_leave(&mut self, sender: u64, known: &ObstacleSet, now_ns: u64) {
+    pub(super) fn unwatch_if_empty(&mut self, sender: u64, known: &ObstacleSet, now_ns: u64) {
         let is_left =
-            |known: &KnownObstacle| known.source == sender && !self.let_expire(known, now_ns);
+            |known: &KnownObstacle| known.source == sender && !self.is_expired(known, now_ns);
         if !known.iter().any(is_left) {
             self.sources.retain(|source| source.sender != sender);
         }
     }
 
-    /// Excludes the `unheard_ns` after `before_ns`, a time without gathers, from the silence of sources that
+    /// Excludes the `paused_ns` after `before_ns`, a time without gathers, from the silence of sources that
     /// were not silent before.
-    pub(super) fn extend(&mut self, before_ns: u64, unheard_ns: u64) {
+    pub(super) fn extend(&mut self, before_ns: u64, paused_ns: u64) {
         for source in &mut self.sources {
             if before_ns.saturating_sub(source.silent_since_ns) <= self.timeout_ns {
-                source.silent_since_ns += unheard_ns;
+                source.silent_since_ns += paused_ns;
             }
         }
     }
 
     /// True if a source is silent at `now_ns` and the robot has to hold.
-    pub(super) fn want_hold(&self, now_ns: u64) -> bool {
+    pub(super) fn requires_hold(&self, now_ns: u64) -> bool {
         let is_silent =
             |source: &Source| now_ns.saturating_sub(source.silent_since_ns) > self.timeout_ns;
         self.holds && self.sources.iter().any(is_silent)
@@ -100,7 +100,7 @@ impl ObstacleSources {
 
     /// True if `known` is expired at `now_ns`: its lifetime is over, and its source, if watched, has sent a
     /// message since without renewing it.
-    pub(super) fn let_expire(&self, known: &KnownObstacle, now_ns: u64) -> bool {
+    pub(super) fn is_expired(&self, known: &KnownObstacle, now_ns: u64) -> bool {
         let sent_since = |source: &Source| !known.is_known_at(source.sent_ns);
         !known.is_known_at(now_ns) && self.watched(known.source).is_none_or(sent_since)
     }
@@ -108,7 +108,7 @@ impl ObstacleSources {
     /// The obstacle for the cycles until the next gather: an obstacle of a watched source does not expire by
     /// itself.
     pub(super) fn hand_over(&self, known: &KnownObstacle, now_ns: u64) -> KnownObstacle {
-        if self.watched(known.source).is_some() && !self.let_expire(known, now_ns) {
+        if self.watched(known.source).is_some() && !self.is_expired(known, now_ns) {
             known.kept(now_ns)
         } else {
             *known
@@ -159,7 +159,7 @@ mod tests {
         update
     }
 
-    fn hear(
+    fn note_update(
         sources: &mut ObstacleSources,
         sender: u64,
         action: ObstacleAction,
@@ -168,7 +168,7 @@ mod tests {
     ) {
         let mut update = update(sender, action, lifetimes_ms);
         update.header.sent_ns = at_ns;
-        sources.hear(&update, at_ns);
+        sources.note_update(&update, at_ns);
     }
 
     fn known(source: u64, lifetime_ms: u64) -> KnownObstacle {
@@ -183,28 +183,28 @@ mod tests {
     #[test]
     fn only_who_sends_obstacles_with_a_lifetime_is_watched() {
         let mut sources = sources(SourceSilent::Hold);
-        hear(&mut sources, 1, ObstacleAction::Upsert, &[0, 0], 0);
-        hear(&mut sources, 2, ObstacleAction::Remove, &[5], 0);
-        assert!(!sources.want_hold(10_000 * MS));
-        hear(&mut sources, 3, ObstacleAction::Upsert, &[0, 50], 0);
-        assert!(!sources.want_hold(100 * MS) && sources.want_hold(100 * MS + 1));
+        note_update(&mut sources, 1, ObstacleAction::Upsert, &[0, 0], 0);
+        note_update(&mut sources, 2, ObstacleAction::Remove, &[5], 0);
+        assert!(!sources.requires_hold(10_000 * MS));
+        note_update(&mut sources, 3, ObstacleAction::Upsert, &[0, 50], 0);
+        assert!(!sources.requires_hold(100 * MS) && sources.requires_hold(100 * MS + 1));
         // Any message counts as a sign of life.
-        hear(&mut sources, 3, ObstacleAction::Upsert, &[], 500 * MS);
-        assert!(!sources.want_hold(600 * MS) && sources.want_hold(601 * MS));
+        note_update(&mut sources, 3, ObstacleAction::Upsert, &[], 500 * MS);
+        assert!(!sources.requires_hold(600 * MS) && sources.requires_hold(601 * MS));
         // Messages of another source do not count.
-        hear(&mut sources, 4, ObstacleAction::Upsert, &[50], 600 * MS);
-        assert!(sources.want_hold(601 * MS));
+        note_update(&mut sources, 4, ObstacleAction::Upsert, &[50], 600 * MS);
+        assert!(sources.requires_hold(601 * MS));
         // An operator's clear ends the watch.
-        hear(&mut sources, 9, ObstacleAction::Clear, &[], 700 * MS);
-        assert!(!sources.want_hold(10_000 * MS));
+        note_update(&mut sources, 9, ObstacleAction::Clear, &[], 700 * MS);
+        assert!(!sources.requires_hold(10_000 * MS));
     }
 
     #[test]
     fn without_a_timeout_nobody_is_watched() {
         let mut sources = ObstacleSources::new(&ObstaclesConfig::default());
-        hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
-        assert!(!sources.want_hold(u64::MAX));
-        assert!(sources.let_expire(&known(1, 50), 50 * MS));
+        note_update(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
+        assert!(!sources.requires_hold(u64::MAX));
+        assert!(sources.is_expired(&known(1, 50), 50 * MS));
         assert_eq!(sources.hand_over(&known(1, 50), 0), known(1, 50));
     }
 
@@ -212,18 +212,21 @@ mod tests {
     fn an_obstacle_expires_when_its_source_lives_and_does_not_renew_it() {
         for rule in [SourceSilent::Hold, SourceSilent::Keep] {
             let mut sources = sources(rule);
-            hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
+            note_update(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
             let known = known(1, 50);
             // Until the source sends again, it may be dead.
             for now_ns in [49 * MS, 50 * MS, 90 * MS, 10_000 * MS] {
-                assert!(!sources.let_expire(&known, now_ns), "{now_ns}");
+                assert!(!sources.is_expired(&known, now_ns), "{now_ns}");
                 assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
             }
-            assert_eq!(sources.want_hold(10_000 * MS), rule == SourceSilent::Hold);
-            hear(&mut sources, 1, ObstacleAction::Upsert, &[], 49 * MS);
-            assert!(!sources.let_expire(&known, 90 * MS));
-            hear(&mut sources, 1, ObstacleAction::Upsert, &[], 60 * MS);
-            assert!(sources.let_expire(&known, 60 * MS));
+            assert_eq!(
+                sources.requires_hold(10_000 * MS),
+                rule == SourceSilent::Hold
+            );
+            note_update(&mut sources, 1, ObstacleAction::Upsert, &[], 49 * MS);
+            assert!(!sources.is_expired(&known, 90 * MS));
+            note_update(&mut sources, 1, ObstacleAction::Upsert, &[], 60 * MS);
+            assert!(sources.is_expired(&known, 60 * MS));
             assert_eq!(sources.hand_over(&known, 60 * MS), known);
         }
     }
@@ -234,12 +237,12 @@ mod tests {
         let (short, long) = (known(1, 50), known(1, 5000));
         let removes = |left: &[KnownObstacle], at_ms: u64| {
             let mut sources = sources(SourceSilent::Hold);
-            hear(&mut sources, 1, ObstacleAction::Upsert, &[50, 5000], 0);
-            hear(&mut sources, 2, ObstacleAction::Upsert, &[50], 0);
-            hear(&mut sources, 1, ObstacleAction::Remove, &[0], at_ms * MS);
-            sources.let_leave(1, &set(left), at_ms * MS);
+            note_update(&mut sources, 1, ObstacleAction::Upsert, &[50, 5000], 0);
+            note_update(&mut sources, 2, ObstacleAction::Upsert, &[50], 0);
+            note_update(&mut sources, 1, ObstacleAction::Remove, &[0], at_ms * MS);
+            sources.unwatch_if_empty(1, &set(left), at_ms * MS);
             let is_watched = sources.watched(1).is_some();
-            assert!(sources.watched(2).is_some() && sources.want_hold(10_000 * MS));
+            assert!(sources.watched(2).is_some() && sources.requires_hold(10_000 * MS));
             is_watched
         };
         assert!(!removes(&[], 10));
@@ -256,37 +259,37 @@ mod tests {
     #[test]
     fn time_in_which_nobody_listened_does_not_count() {
         let mut sources = sources(SourceSilent::Hold);
-        hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
+        note_update(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
         sources.extend(90 * MS, 400 * MS);
-        assert!(!sources.want_hold(500 * MS) && sources.want_hold(501 * MS));
+        assert!(!sources.requires_hold(500 * MS) && sources.requires_hold(501 * MS));
         // A source that was silent before remains silent.
         sources.extend(600 * MS, 900 * MS);
-        assert!(sources.want_hold(601 * MS));
+        assert!(sources.requires_hold(601 * MS));
     }
 
     #[test]
     fn what_a_source_did_not_live_to_see_does_not_expire() {
         let mut sources = sources(SourceSilent::Hold);
         let known = known(1, 50);
-        hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
+        note_update(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
         // The daemon stalls for longer than the obstacle's lifetime: its source may be alive or dead.
         sources.extend(10 * MS, 400 * MS);
         for now_ns in [51 * MS, 401 * MS, 10_000 * MS] {
-            assert!(!sources.let_expire(&known, now_ns), "{now_ns}");
+            assert!(!sources.is_expired(&known, now_ns), "{now_ns}");
             assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
         }
         // The same for a message that waited meanwhile.
         let mut waited = update(1, ObstacleAction::Upsert, &[]);
         waited.header.sent_ns = 49 * MS;
-        sources.hear(&waited, 410 * MS);
-        assert!(!sources.let_expire(&known, 410 * MS));
-        assert!(!sources.want_hold(510 * MS) && sources.want_hold(511 * MS));
+        sources.note_update(&waited, 410 * MS);
+        assert!(!sources.is_expired(&known, 410 * MS));
+        assert!(!sources.requires_hold(510 * MS) && sources.requires_hold(511 * MS));
         // A time stamp in the future counts as the present.
         waited.header.sent_ns = u64::MAX;
-        sources.hear(&waited, 45 * MS);
-        assert!(!sources.let_expire(&known, 10_000 * MS));
-        hear(&mut sources, 1, ObstacleAction::Upsert, &[], 50 * MS);
-        assert!(sources.let_expire(&known, 50 * MS));
+        sources.note_update(&waited, 45 * MS);
+        assert!(!sources.is_expired(&known, 10_000 * MS));
+        note_update(&mut sources, 1, ObstacleAction::Upsert, &[], 50 * MS);
+        assert!(sources.is_expired(&known, 50 * MS));
     }
 
     #[test]
@@ -294,11 +297,11 @@ mod tests {
         let mut sources = sources(SourceSilent::Keep);
         for sender in 0..SOURCES_MAX as u64 {
             let update = update(sender, ObstacleAction::Upsert, &[50]);
-            assert!(sources.have_room_for(&update));
-            sources.hear(&update, 0);
+            assert!(sources.has_space_for(&update));
+            sources.note_update(&update, 0);
         }
-        assert!(sources.have_room_for(&update(0, ObstacleAction::Upsert, &[50])));
-        assert!(!sources.have_room_for(&update(99, ObstacleAction::Upsert, &[50])));
-        assert!(sources.have_room_for(&update(99, ObstacleAction::Upsert, &[0])));
+        assert!(sources.has_space_for(&update(0, ObstacleAction::Upsert, &[50])));
+        assert!(!sources.has_space_for(&update(99, ObstacleAction::Upsert, &[50])));
+        assert!(sources.has_space_for(&update(99, ObstacleAction::Upsert, &[0])));
     }
 }

@@ -26,16 +26,16 @@ impl Obstacles {
         }
     }
 
-    /// Excludes the `unheard_ns` after `heard_ns`, a time without gathers, from the silence of the sources.
-    pub(super) fn extend(&mut self, heard_ns: u64, unheard_ns: u64) {
-        self.sources.extend(heard_ns, unheard_ns);
+    /// Excludes the `paused_ns` after `paused_since_ns`, a time without gathers, from the silence of the sources.
+    pub(super) fn extend(&mut self, paused_since_ns: u64, paused_ns: u64) {
+        self.sources.extend(paused_since_ns, paused_ns);
     }
 
     /// Removes expired obstacles.
-    pub(super) fn let_expire(&mut self, now_ns: u64) {
+    pub(super) fn remove_expired(&mut self, now_ns: u64) {
         let sources = &self.sources;
         self.known
-            .retain(|known| !sources.let_expire(known, now_ns));
+            .retain(|known| !sources.is_expired(known, now_ns));
     }
 
     /// Accepts or refuses an update as a whole. Returns the number of obstacles after it. `gather_ns` is the
@@ -69,7 +69,7 @@ impl Obstacles {
         now_ns: u64,
     ) -> Result<u32, Refused> {
         let full = Refused::whole(Outcome::BufferFull);
-        let updated = if self.sources.have_room_for(update) {
+        let updated = if self.sources.has_space_for(update) {
             convert::updated_obstacles(update, &self.known, now_ns)
         } else {
             Err(full)
@@ -78,7 +78,7 @@ impl Obstacles {
         // source is heard.
         let is_full = |refused: &Refused| refused.outcome == full.outcome;
         if updated.as_ref().err().is_none_or(is_full) {
-            self.sources.hear(update, gather_ns);
+            self.sources.note_update(update, gather_ns);
         }
         self.known = updated?;
         if update.action == ObstacleAction::Clear.code() {
@@ -86,7 +86,7 @@ impl Obstacles {
         }
         if update.action == ObstacleAction::Remove.code() {
             let sender = update.header.sender_id;
-            self.sources.let_leave(sender, &self.known, now_ns);
+            self.sources.unwatch_if_empty(sender, &self.known, now_ns);
         }
         Ok(self.known.count() as u32)
     }
@@ -98,8 +98,8 @@ impl Obstacles {
     }
 
     /// A source is silent, and the robot has to hold.
-    pub(super) fn want_hold(&self, now_ns: u64) -> bool {
-        self.sources.want_hold(now_ns)
+    pub(super) fn requires_hold(&self, now_ns: u64) -> bool {
+        self.sources.requires_hold(now_ns)
     }
 
     pub(super) fn refused(&self) -> u64 {

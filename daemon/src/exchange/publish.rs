@@ -25,13 +25,13 @@ impl Exchange {
             // Records that wait together share one reading.
             let number = self.reports;
             let scheduling = *scheduling
-                .get_or_insert_with(|| self.cycle_watch.look(&record, is_newest, number));
+                .get_or_insert_with(|| self.cycle_watch.read(&record, is_newest, number));
             self.reports += 1;
             // A stalled reporter loses records, which monitoring clients detect by the gap. The events follow
             // with a later record.
             if self.ends.reports.is_full() {
                 shared.dropped_records.add(1);
-                self.ends.records.give_back(record);
+                self.ends.records.recycle(record);
                 continue;
             }
             let report = CycleReport {

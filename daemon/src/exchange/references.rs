@@ -40,9 +40,9 @@ impl References {
         }
     }
 
-    /// Extends the lease by `unheard_ns`, a time without gathers after `heard_ns`.
-    pub(super) fn extend_lease(&mut self, heard_ns: u64, unheard_ns: u64) {
-        self.lease.extend(heard_ns, unheard_ns);
+    /// Extends the lease by `paused_ns`, a time without gathers after `paused_since_ns`.
+    pub(super) fn extend_lease(&mut self, paused_since_ns: u64, paused_ns: u64) {
+        self.lease.extend(paused_since_ns, paused_ns);
     }
 
     /// Drops the reference of a lease that has expired.

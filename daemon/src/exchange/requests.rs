@@ -55,12 +55,12 @@ impl RequestDesk {
         self.stops
     }
 
-    fn has_room(&self) -> bool {
+    fn has_space(&self) -> bool {
         self.waiting.len() < WAITING_MAX
     }
 
     /// Removes the request with `ticket`.
-    fn take_out(&mut self, ticket: u64) -> Option<Asked> {
+    fn remove(&mut self, ticket: u64) -> Option<Asked> {
         let mut waiting = self.waiting.iter();
         let at = waiting.position(|(waiting, _)| *waiting == ticket)?;
         Some(self.waiting.swap_remove(at).1)
@@ -75,7 +75,7 @@ impl Exchange {
             };
             let is_stop = asked.payload().kind == RequestKind::Stop.code();
             if is_stop {
-                self.pass_stop_on(asked, now_ns, shared);
+                self.forward_stop(asked, now_ns, shared);
             } else if self.requests.taken < REQUESTS_PER_GATHER {
                 self.requests.taken += 1;
                 if asked.payload().header.sent_ns > clock.now_ns() {
@@ -92,12 +92,12 @@ impl Exchange {
 
     /// A stop is never refused and never waits: the inputs of the next cycle count it. If the ring has no
     /// space for the cycle's answer, it is answered now.
-    fn pass_stop_on(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
+    fn forward_stop(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
         shared.latch.stop_asked();
         self.requests.stops += 1;
-        let ring_has_room = self.ends.requests.slots() > 0 && self.requests.has_room();
+        let ring_has_room = self.ends.requests.slots() > 0 && self.requests.has_space();
         if ring_has_room {
-            self.pass_on(asked, ModeRequest::Stop, now_ns);
+            self.forward_to_cycle(asked, ModeRequest::Stop, now_ns);
             // A reset before the stop may have been carried out meanwhile.
             shared.latch.stop_asked();
         } else {
@@ -117,15 +117,15 @@ impl Exchange {
             return self.answer_now(&asked, Outcome::Stale, now_ns);
         }
         if let Some(request) = mode_request(kind, self.references.lease_number()) {
-            self.pass_on(asked, request, now_ns);
+            self.forward_to_cycle(asked, request, now_ns);
         } else {
-            let outcome = self.carry_out(kind, asked.payload(), now_ns, shared);
+            let outcome = self.execute(kind, asked.payload(), now_ns, shared);
             self.answer_now(&asked, outcome, now_ns);
         }
     }
 
     /// Requests about the mode are decided by the cycle.
-    fn pass_on(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
+    fn forward_to_cycle(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
         let ticket = self.requests.next_ticket;
         let ring = &mut self.ends.requests;
         let passed_on = CycleRequest {
@@ -134,7 +134,7 @@ impl Exchange {
             asked_ns: asked.payload().header.sent_ns,
             stops: self.requests.stops,
         };
-        if self.requests.has_room() && ring.push(passed_on).is_ok() {
+        if self.requests.has_space() && ring.push(passed_on).is_ok() {
             self.requests.next_ticket += 1;
             self.requests.waiting.push((ticket, asked));
         } else {
@@ -143,7 +143,7 @@ impl Exchange {
     }
 
     /// Requests about lease, settings and statistics are decided here.
-    fn carry_out(
+    fn execute(
         &mut self,
         kind: RequestKind,
         request: &Request,
@@ -174,7 +174,7 @@ impl Exchange {
     /// Answers the requests decided by a cycle.
     pub(super) fn answer_decided(&mut self, record: &CycleRecord, now_ns: u64) {
         for CycleAnswer { ticket, outcome } in record.answers.iter().flatten() {
-            let Some(asked) = self.requests.take_out(*ticket) else {
+            let Some(asked) = self.requests.remove(*ticket) else {
                 continue;
             };
             let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);

@@ -172,7 +172,7 @@ impl Rig {
         let reports = std::iter::from_fn(|| ends.reports.pop().ok());
         let cycle = |report: CycleReport| {
             let cycle = report.record.release.cycle;
-            ends.used.give_back(report.record);
+            ends.used.recycle(report.record);
             cycle
         };
         reports.map(cycle).collect()
@@ -238,7 +238,7 @@ impl Rig {
     }
 
     /// Sends obstacles far from the robot that move away, measured at the next gather, or a clear.
-    fn tell(&self, sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) {
+    fn send_update(&self, sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) {
         let update = self.update(sender_id, action, lifetimes_ms);
         self.obstacles.send_copy(update).unwrap();
     }

@@ -39,7 +39,7 @@ pub(crate) enum Found {
 }
 
 /// Clients disconnected per check from the socket of the name: any user may connect, any number of times.
-const LET_GO_MAX: usize = 256;
+const DISCONNECTS_MAX: usize = 256;
 
 impl PlaceWatch {
     pub(super) fn new(instance: &Instance, robot: &str) -> Self {
@@ -61,12 +61,12 @@ impl PlaceWatch {
     }
 
     /// Checks that the files are those of the start, and creates a missing lock file again.
-    pub(crate) fn look(&self) -> Found {
+    pub(crate) fn check(&self) -> Found {
         if !is_file_at(&self.root, self.location.root()) {
             let path = self.location.root().to_owned();
             return Found::Lost { path };
         }
-        self.look_at_access();
+        self.restore_access();
         let missing = self
             .services
             .iter()
@@ -75,11 +75,11 @@ impl PlaceWatch {
             let path = path.clone();
             return Found::Lost { path };
         }
-        self.look_at_lock()
+        self.check_lock()
     }
 
     /// Restores the access of the folder if somebody changed it: only the folder protects its files.
-    fn look_at_access(&self) {
+    fn restore_access(&self) {
         if !acl::is_for(&self.root, self.group_id) {
             let restored = acl::set_for(&self.root, self.group_id);
             tracing::warn!(
@@ -89,7 +89,7 @@ impl PlaceWatch {
         }
     }
 
-    fn look_at_lock(&self) -> Found {
+    fn check_lock(&self) -> Found {
         let path = self.location.lock_file(&self.robot);
         let mut held = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         if is_file_at(&held, &path) {
@@ -113,9 +113,9 @@ impl PlaceWatch {
     }
 
     /// Disconnects the clients that asked for the holder of the name: the kernel has answered them.
-    pub(crate) fn let_go(&self) {
+    pub(crate) fn disconnect_clients(&self) {
         let Some(name) = &self.name else { return };
-        for _ in 0..LET_GO_MAX {
+        for _ in 0..DISCONNECTS_MAX {
             if name.accept().is_err() {
                 break;
             }
@@ -165,7 +165,7 @@ mod tests {
         for group_id in [None, Some(GROUP)] {
             watch.group_id = group_id;
             let assert_set_back = || {
-                assert_eq!(watch.look(), Found::Whole);
+                assert_eq!(watch.check(), Found::Whole);
                 assert!(acl::is_for(&watch.root, group_id), "{group_id:?}");
             };
             let open = Permissions::from_mode(0o777);

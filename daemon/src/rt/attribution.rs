@@ -154,7 +154,7 @@ pub struct EvaluatedCycle {
 
 /// Assignment of a late cause to a cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Blame {
+pub enum CauseAssignment {
     /// None: the cycle was in time and skipped no release.
     InTime,
     /// The cycle was late, or skipped releases not taken by a late cycle before it.
@@ -163,7 +163,7 @@ pub enum Blame {
     Before(LateCause),
 }
 
-impl Blame {
+impl CauseAssignment {
     /// The cause in the cycle's record.
     #[must_use]
     pub fn cause(self) -> Option<LateCause> {
@@ -183,7 +183,11 @@ pub struct Attribution {
 
 impl Attribution {
     /// Evaluates the next cycle.
-    pub fn evaluate(&mut self, cycle: &EvaluatedCycle, scheduling: Option<&Scheduling>) -> Blame {
+    pub fn evaluate(
+        &mut self,
+        cycle: &EvaluatedCycle,
+        scheduling: Option<&Scheduling>,
+    ) -> CauseAssignment {
         let Lateness {
             late_start,
             deadline_miss,
@@ -191,15 +195,15 @@ impl Attribution {
         let before = self.missed.take();
         if !late_start && !deadline_miss {
             return match before {
-                _ if cycle.skipped == 0 => Blame::InTime,
+                _ if cycle.skipped == 0 => CauseAssignment::InTime,
                 // A deadline is at most a period: only a deadline miss can overrun the next release.
-                Some((count, cause)) if count + 1 == cycle.count => Blame::Before(cause),
-                _ => Blame::Own(attribute(&cycle.timing, scheduling)),
+                Some((count, cause)) if count + 1 == cycle.count => CauseAssignment::Before(cause),
+                _ => CauseAssignment::Own(attribute(&cycle.timing, scheduling)),
             };
         }
         let cause = attribute(&cycle.timing, scheduling);
         self.missed = deadline_miss.then_some((cycle.count, cause));
-        Blame::Own(cause)
+        CauseAssignment::Own(cause)
     }
 }
 
@@ -350,14 +354,17 @@ mod tests {
         let mut attribution = Attribution::default();
         let mut evaluate =
             |cycle: EvaluatedCycle| attribution.evaluate(&cycle, Some(&Scheduling::default()));
-        let overrun = Blame::Own(LateCause::Compute);
-        assert_eq!(evaluate(evaluated(1, false, 0, 30)), Blame::InTime);
+        let overrun = CauseAssignment::Own(LateCause::Compute);
+        assert_eq!(
+            evaluate(evaluated(1, false, 0, 30)),
+            CauseAssignment::InTime
+        );
         assert_eq!(evaluate(evaluated(2, true, 0, 6000)), overrun);
         let after = evaluate(evaluated(3, false, 1, 30));
-        assert_eq!(after, Blame::Before(LateCause::Compute));
+        assert_eq!(after, CauseAssignment::Before(LateCause::Compute));
         assert_eq!(after.cause(), overrun.cause());
         // The overrun is accounted for: the next skip is another event, with its own cause.
-        let own = Blame::Own(LateCause::Platform);
+        let own = CauseAssignment::Own(LateCause::Platform);
         assert_eq!(evaluate(evaluated(4, false, 1, 30)), own);
         // Late itself, whatever came before.
         assert_eq!(evaluate(evaluated(5, true, 0, 6000)), overrun);
@@ -373,9 +380,9 @@ mod tests {
         late.lateness.late_start = true;
         late.timing.wake_ns = 900 * US;
         let cause = attribution.evaluate(&late, None);
-        assert_eq!(cause, Blame::Own(LateCause::Platform));
+        assert_eq!(cause, CauseAssignment::Own(LateCause::Platform));
         let next = attribution.evaluate(&evaluated(2, false, 1, 60), None);
-        assert_eq!(next, Blame::Own(LateCause::Compute));
+        assert_eq!(next, CauseAssignment::Own(LateCause::Compute));
     }
 
     #[test]

@@ -118,7 +118,7 @@ pub fn stay_off_core(core: Option<usize>) {
 /// The reason is a lock, not urgency. Threads of one process share the lock of their address space, which has
 /// no priority inheritance; mapping the memory of a client takes it. A supervisor that holds the lock without
 /// getting a crowded core delays the exchange (measured: 45 ms in one mmap of 358 bytes).
-pub fn go_before_ordinary_tasks() {
+pub fn raise_above_ordinary_tasks() {
     if let Err(error) = sys::set_fifo(BESIDE_PRIORITY) {
         tracing::warn!(%error, "the supervisor runs at ordinary priority");
     }
@@ -149,7 +149,7 @@ fn keep_pages_small() {
 /// Prevents deep sleep states of the processor while the file is open: `/dev/cpu_dma_latency` with the value
 /// zero (<https://docs.kernel.org/power/pm_qos_interface.html>). `None` if the system refuses it; then
 /// wake-ups only take longer.
-pub fn keep_awake() -> Option<File> {
+pub fn prevent_deep_sleep() -> Option<File> {
     let opened = OpenOptions::new().write(true).open("/dev/cpu_dma_latency");
     let held = opened.and_then(|mut file| file.write_all(&0_i32.to_ne_bytes()).map(|()| file));
     match held {

@@ -134,8 +134,8 @@ impl<T: Send> RecordReceiver<T> {
     }
 
     /// Returns an element that is not passed on.
-    pub fn give_back(&mut self, read: Sent<T>) {
-        self.used.give_back(read);
+    pub fn recycle(&mut self, read: Sent<T>) {
+        self.used.recycle(read);
     }
 
     pub fn is_empty(&mut self) -> bool {
@@ -157,7 +157,7 @@ impl<T: Send> RecordReceiver<T> {
 }
 
 impl<T: Send> Used<T> {
-    pub fn give_back(&mut self, read: Sent<T>) {
+    pub fn recycle(&mut self, read: Sent<T>) {
         // The ring has the capacity for all elements.
         let _ = self.0.push(read);
     }
@@ -174,7 +174,7 @@ mod tests {
     fn receive(receiver: &mut RecordReceiver<u64>) -> Option<u64> {
         let sent = receiver.receive()?;
         let element = *sent;
-        receiver.give_back(sent);
+        receiver.recycle(sent);
         Some(element)
     }
 
@@ -225,7 +225,7 @@ mod tests {
                 assert!(*sent > newest, "{} after {newest}", *sent);
                 newest = *sent;
                 received += 1;
-                last.give_back(sent);
+                last.recycle(sent);
             }
         }
         sending.join().unwrap();
@@ -248,15 +248,15 @@ mod tests {
                 beyond.push_back(sent);
                 match beyond.len() {
                     1..=2 => {}
-                    _ if number % 2 == 0 => beyond.drain(..).for_each(|sent| last.give_back(sent)),
+                    _ if number % 2 == 0 => beyond.drain(..).for_each(|sent| last.recycle(sent)),
                     _ => beyond
                         .pop_back()
                         .into_iter()
-                        .for_each(|sent| receiver.give_back(sent)),
+                        .for_each(|sent| receiver.recycle(sent)),
                 }
             }
         }
-        beyond.drain(..).for_each(|sent| last.give_back(sent));
+        beyond.drain(..).for_each(|sent| last.recycle(sent));
         assert!(addresses.len() <= 9, "{addresses:?}");
         all(&mut receiver);
         send(&mut sender, 1001);
@@ -266,7 +266,7 @@ mod tests {
             send(&mut sender, number);
             let sent = receiver.receive().unwrap();
             let address = &raw const *sent as usize;
-            last.give_back(sent);
+            last.recycle(sent);
             address
         });
         assert_eq!(

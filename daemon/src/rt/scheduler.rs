@@ -52,12 +52,12 @@ impl SchedulerReader {
 
 /// Differences of one thread's scheduler statistics between readings.
 #[derive(Debug, Default)]
-pub struct SchedulerLooks {
+pub struct SchedulerDeltas {
     reader: Option<SchedulerReader>,
     before: Option<SchedulerCounts>,
 }
 
-impl SchedulerLooks {
+impl SchedulerDeltas {
     /// Reads the thread `id` of this process; with `None`, every reading is `None`.
     pub fn at(id: Option<u32>) -> Self {
         Self {
@@ -68,15 +68,15 @@ impl SchedulerLooks {
 
     /// Statistics since the previous reading. `None` at the first one, and if the kernel does not provide
     /// them.
-    pub fn look(&mut self) -> Option<Scheduling> {
+    pub fn read(&mut self) -> Option<Scheduling> {
         let counts = self.reader.as_ref()?.read()?;
         self.since_before(counts)
     }
 
     /// Same as [`look`](Self::look) without page faults, which the next complete reading includes.
-    pub fn look_quickly(&mut self) -> Option<Scheduling> {
+    pub fn read_without_page_faults(&mut self) -> Option<Scheduling> {
         let Some(before) = self.before else {
-            return self.look();
+            return self.read();
         };
         let counts = self.reader.as_ref()?.read_with(before.page_faults)?;
         self.since_before(counts)
@@ -133,18 +133,23 @@ mod tests {
 
     #[test]
     fn the_first_look_has_none_before_it() {
-        let mut looks = SchedulerLooks::at(Some(this_thread()));
-        if looks.reader.is_none() {
+        let mut deltas = SchedulerDeltas::at(Some(this_thread()));
+        if deltas.reader.is_none() {
             skip(Need::Kernel, "it counts no time of threads (schedstat)");
             return;
         }
-        assert_eq!(looks.look(), None);
-        assert!(looks.look().is_some());
+        assert_eq!(deltas.read(), None);
+        assert!(deltas.read().is_some());
         let touched = std::hint::black_box(vec![1_u8; 1 << 26]);
-        assert_eq!(looks.look_quickly().map(|told| told.page_faults), Some(0));
-        let told = looks.look().expect("it has looked before");
-        assert!(told.page_faults > 0, "those of {} bytes", touched.len());
-        assert_eq!(SchedulerLooks::at(None).look(), None);
+        assert_eq!(
+            deltas
+                .read_without_page_faults()
+                .map(|delta| delta.page_faults),
+            Some(0)
+        );
+        let delta = deltas.read().expect("it has looked before");
+        assert!(delta.page_faults > 0, "those of {} bytes", touched.len());
+        assert_eq!(SchedulerDeltas::at(None).read(), None);
     }
 
     #[test]

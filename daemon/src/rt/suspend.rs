@@ -23,7 +23,7 @@ impl SuspendWatch {
     ///
     /// The bounds differ by the time between the readings of the clocks, which may be long. Only a certain
     /// suspend counts: the new lower bound exceeds the earlier upper bound.
-    pub fn look(&mut self, slept_ns: &RangeInclusive<u64>) -> u64 {
+    pub fn update(&mut self, slept_ns: &RangeInclusive<u64>) -> u64 {
         let most_ns = self.most_ns.unwrap_or(*slept_ns.end());
         if *slept_ns.start() > most_ns + SLEEP_MIN_NS {
             self.suspends += 1;
@@ -45,11 +45,15 @@ mod tests {
     fn each_sleep_counts_once() {
         let mut watch = SuspendWatch::default();
         // A suspend before the start of the daemon does not count.
-        assert_eq!(watch.look(&(7000 * MS..=7000 * MS)), 0);
-        assert_eq!(watch.look(&(7009 * MS..=7009 * MS)), 0, "shorter than any");
-        assert_eq!(watch.look(&(7500 * MS..=7500 * MS)), 1);
-        assert_eq!(watch.look(&(7500 * MS..=7500 * MS)), 1);
-        assert_eq!(watch.look(&(9500 * MS..=9500 * MS)), 2);
+        assert_eq!(watch.update(&(7000 * MS..=7000 * MS)), 0);
+        assert_eq!(
+            watch.update(&(7009 * MS..=7009 * MS)),
+            0,
+            "shorter than any"
+        );
+        assert_eq!(watch.update(&(7500 * MS..=7500 * MS)), 1);
+        assert_eq!(watch.update(&(7500 * MS..=7500 * MS)), 1);
+        assert_eq!(watch.update(&(9500 * MS..=9500 * MS)), 2);
     }
 
     #[test]
@@ -62,10 +66,10 @@ mod tests {
             100 * MS..=800 * MS,
             100 * MS..=100 * MS,
         ] {
-            assert_eq!(watch.look(&slept_ns), 0, "{slept_ns:?}");
+            assert_eq!(watch.update(&slept_ns), 0, "{slept_ns:?}");
         }
         // A suspend is found nevertheless, at the latest by the next reading.
-        assert_eq!(watch.look(&(105 * MS..=500 * MS)), 0);
-        assert_eq!(watch.look(&(300 * MS..=300 * MS)), 1);
+        assert_eq!(watch.update(&(105 * MS..=500 * MS)), 0);
+        assert_eq!(watch.update(&(300 * MS..=300 * MS)), 1);
     }
 }

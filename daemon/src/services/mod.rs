@@ -150,7 +150,7 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
 }
 
 /// Creates a port that needs `bytes` of free shared memory, and allocates them permanently.
-fn with_room<P>(
+fn with_space<P>(
     node: &Node<ipc::Service>,
     service: Service,
     robot: &str,
@@ -178,7 +178,7 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
     let failed = failed(service, robot);
     let queues = service.queues();
     let name = service.name(robot).map_err(|cause| failed(&cause))?;
-    stale::make_anew(node, &name, MessagingPattern::PublishSubscribe, || {
+    stale::create_or_replace(node, &name, MessagingPattern::PublishSubscribe, || {
         node.service_builder(&name)
             .publish_subscribe::<T>()
             .max_publishers(queues.publishers)
@@ -200,7 +200,7 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     robot: &str,
 ) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
     let bytes = shm_space::writer_bytes(service, size_of::<T>());
-    with_room(node, service, robot, bytes, || {
+    with_space(node, service, robot, bytes, || {
         let topic = topic::<T>(node, service, robot)?;
         let create = || {
             topic
@@ -215,7 +215,7 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
                 CallbackProgression::Continue
             });
         };
-        stale::in_a_free_place(node, topic.service_hash(), ports, is_full, create).map_err(
+        stale::create_in_free_slot(node, topic.service_hash(), ports, is_full, create).map_err(
             |cause| match cause {
                 PublisherCreateError::ExceedsMaxSupportedPublishers => ServiceError::Taken {
                     service: full_name(service, robot),
@@ -259,7 +259,7 @@ fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
     robot: &str,
     header_of: fn(&T) -> &Header,
 ) -> Result<Inlet<T>, ServiceError> {
-    let subscriber = with_room(node, service, robot, 0, || {
+    let subscriber = with_space(node, service, robot, 0, || {
         let topic = topic::<T>(node, service, robot)?;
         let is_full = |cause: &_| *cause == SubscriberCreateError::ExceedsMaxSupportedSubscribers;
         let ports = |ports: &mut Vec<_>| {
@@ -269,7 +269,7 @@ fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
             });
         };
         let create = || topic.subscriber_builder().create();
-        stale::in_a_free_place(node, topic.service_hash(), ports, is_full, create)
+        stale::create_in_free_slot(node, topic.service_hash(), ports, is_full, create)
             .map_err(|cause| failed(service, robot)(&cause))
     })?;
     let queues = service.queues();
@@ -286,19 +286,20 @@ fn control(
         .name(robot)
         .map_err(|cause| failed(&cause))?;
     let bytes = shm_space::control_bytes();
-    with_room(node, Service::Control, robot, bytes, || {
-        let service = stale::make_anew(node, &name, MessagingPattern::RequestResponse, || {
-            node.service_builder(&name)
-                .request_response::<Request, Response>()
-                .max_servers(1)
-                .max_clients(Service::CONTROL_CLIENTS)
-                .max_active_requests_per_client(Service::CONTROL_REQUESTS)
-                .enable_safe_overflow_for_requests(true)
-                .enable_safe_overflow_for_responses(true)
-                .max_nodes(Service::Control.nodes())
-                .open_or_create()
-        })
-        .map_err(|cause| failed(&cause))?;
+    with_space(node, Service::Control, robot, bytes, || {
+        let service =
+            stale::create_or_replace(node, &name, MessagingPattern::RequestResponse, || {
+                node.service_builder(&name)
+                    .request_response::<Request, Response>()
+                    .max_servers(1)
+                    .max_clients(Service::CONTROL_CLIENTS)
+                    .max_active_requests_per_client(Service::CONTROL_REQUESTS)
+                    .enable_safe_overflow_for_requests(true)
+                    .enable_safe_overflow_for_responses(true)
+                    .max_nodes(Service::Control.nodes())
+                    .open_or_create()
+            })
+            .map_err(|cause| failed(&cause))?;
         let create = || {
             service
                 .server_builder()
@@ -312,7 +313,7 @@ fn control(
                 CallbackProgression::Continue
             });
         };
-        stale::in_a_free_place(node, service.service_hash(), ports, is_full, create)
+        stale::create_in_free_slot(node, service.service_hash(), ports, is_full, create)
             .map_err(|cause| failed(&cause))
     })
 }

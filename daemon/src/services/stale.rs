@@ -25,7 +25,7 @@ type Hasher = <ipc::Service as Service>::ServiceNameHasher;
 
 /// Creates a service with `make`. First removes a service that cannot be opened because its creator was
 /// killed half-way. Its memory, if any, belongs to a dead node and is removed with that.
-pub(super) fn make_anew<T, E: Debug>(
+pub(super) fn create_or_replace<T, E: Debug>(
     node: &Node<ipc::Service>,
     name: &ServiceName,
     pattern: MessagingPattern,
@@ -72,7 +72,7 @@ const LOST_AFTER: Duration = Duration::from_secs(1);
 /// Creates a port with `create`. If `is_full` reports that all places of `service` are taken, the places of
 /// dead processes are freed first; `ports` lists the owners. If all owners are alive, the error is returned
 /// at once.
-pub(super) fn in_a_free_place<P, E>(
+pub(super) fn create_in_free_slot<P, E>(
     node: &Node<ipc::Service>,
     service: &ServiceHash,
     ports: impl Fn(&mut Vec<PortOfNode>),
@@ -89,7 +89,7 @@ pub(super) fn in_a_free_place<P, E>(
         // List the ports before the nodes: a process that starts in between has no place here.
         let mut lost = Vec::new();
         ports(&mut lost);
-        let Some(nodes) = Nodes::look(node.config()) else {
+        let Some(nodes) = Nodes::list(node.config()) else {
             return result;
         };
         lost.retain(|(owner, _)| !nodes.living.contains(owner));
@@ -115,7 +115,7 @@ struct Nodes {
 
 impl Nodes {
     /// Lists the nodes, and tries to remove the resources of dead ones. `None` if they cannot be listed.
-    fn look(config: &Config) -> Option<Self> {
+    fn list(config: &Config) -> Option<Self> {
         let mut nodes = Self::default();
         let listed = Node::<ipc::Service>::list(config, |state| {
             let id = *state.node_id();

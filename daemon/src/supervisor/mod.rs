@@ -26,9 +26,9 @@ use steal::{Steal, Stolen};
 use watchdog::Watchdog;
 
 /// Ten periods between two checks, within this range: a check costs a wake-up with cold caches.
-const PERIODS_PER_LOOK: u64 = 10;
-const LOOK_MIN: Duration = Duration::from_millis(20);
-const LOOK_MAX: Duration = Duration::from_millis(50);
+const PERIODS_PER_CHECK: u64 = 10;
+const CHECK_INTERVAL_MIN: Duration = Duration::from_millis(20);
+const CHECK_INTERVAL_MAX: Duration = Duration::from_millis(50);
 const STATUS_EVERY: Duration = Duration::from_millis(100);
 /// If there is no summary for this time, the status is not published: it would be out of date.
 const SUMMARY_MAX: Duration = Duration::from_secs(1);
@@ -43,7 +43,7 @@ const RATE_EVERY: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Supervisor {
     ends: SupervisorEnds,
-    look_every: Duration,
+    check_interval: Duration,
     status: wire::Status,
     statistics: Statistics,
     resets: u64,
@@ -55,9 +55,9 @@ pub struct Supervisor {
     newest: Summary,
     summed: Instant,
     /// Time of the last log line about the following error.
-    said_off: Instant,
+    late_logged_at: Instant,
     /// Time of the last log line about a shortened solve.
-    said_cut: Instant,
+    cut_logged_at: Instant,
     /// The newest late cycle that is not yet in the log.
     late: Option<Summary>,
     logged: Instant,
@@ -86,7 +86,7 @@ impl Supervisor {
         let now = Instant::now();
         Ok(Self {
             ends,
-            look_every: look_every(ns(validated.config.cycle.period_ms)),
+            check_interval: check_interval(ns(validated.config.cycle.period_ms)),
             status: first_status(validated, daemon_id),
             statistics: Statistics::new(clock.now_ns())?,
             resets: 0,
@@ -104,8 +104,8 @@ impl Supervisor {
             },
             newest: Summary::default(),
             summed: now,
-            said_off: now,
-            said_cut: now,
+            late_logged_at: now,
+            cut_logged_at: now,
             late: None,
             logged: now,
         })
@@ -136,10 +136,10 @@ impl Supervisor {
         let mut cycle_ended = None;
         loop {
             let over = is_over();
-            self.steal.look(clock);
+            self.steal.begin_check(clock);
             self.take_summaries(clock);
             self.take_incidents(clock, desk);
-            self.tell_manager(shared);
+            self.notify_service_manager(shared);
             if over || Instant::now() >= next_status {
                 next_status = Instant::now() + STATUS_EVERY;
                 self.publish(clock, shared);
@@ -158,11 +158,15 @@ impl Supervisor {
                 let hangs = since.elapsed() > END_MAX;
                 hangs.then(ports_do_not_close).map_or(Ok(()), Err)?;
             } else {
-                self.watchdog.look(shared.beats(), Instant::now())?;
+                self.watchdog.check(shared.beats(), Instant::now())?;
             }
             // The service manager waits for the first cycle.
             let has_begun = self.newest.totals.cycles > 0;
-            let rest = if has_begun { self.look_every } else { LOOK_MIN };
+            let rest = if has_begun {
+                self.check_interval
+            } else {
+                CHECK_INTERVAL_MIN
+            };
             sleep_unless_signalled(rest.min(next_status.saturating_duration_since(Instant::now())));
         }
     }
@@ -206,7 +210,7 @@ impl Supervisor {
         }
     }
 
-    fn tell_manager(&mut self, shared: &Shared) {
+    fn notify_service_manager(&mut self, shared: &Shared) {
         let since = self.rate.since.elapsed();
         if since >= RATE_EVERY {
             let cycles = self.newest.totals.cycles;
@@ -218,7 +222,7 @@ impl Supervisor {
         }
         self.manager.feed_watchdog(shared.beats()[0]);
         if self.newest.totals.cycles > 0 && !shared.is_ending() {
-            self.manager.tell(&StatusLine {
+            self.manager.send_status(&StatusLine {
                 mode: self.newest.mode,
                 reason: self.newest.reason,
                 rate_hz: self.rate.hertz,
@@ -231,7 +235,7 @@ impl Supervisor {
 
     /// Logs each change of mode or reason, and late cycles at most once a second.
     fn log(&mut self, summary: &Summary) {
-        if is_news(summary, &self.newest) {
+        if has_changed_mode(summary, &self.newest) {
             let (mode, reason) = (summary.mode.text(), summary.reason.text());
             if summary.mode == Mode::Faulted {
                 tracing::error!(cycle = summary.cycle, reason, "{mode}: {reason}");
@@ -241,9 +245,9 @@ impl Supervisor {
         }
         if summary.following_warning
             && !self.newest.following_warning
-            && self.said_off.elapsed() >= LATE_LINE_EVERY
+            && self.late_logged_at.elapsed() >= LATE_LINE_EVERY
         {
-            self.said_off = Instant::now();
+            self.late_logged_at = Instant::now();
             tracing::warn!(
                 cycle = summary.cycle,
                 following_error_rad = summary.following.largest_rad(),
@@ -258,9 +262,9 @@ impl Supervisor {
         }
         if is_cut_short(summary)
             && !is_cut_short(&self.newest)
-            && self.said_cut.elapsed() >= LATE_LINE_EVERY
+            && self.cut_logged_at.elapsed() >= LATE_LINE_EVERY
         {
-            self.said_cut = Instant::now();
+            self.cut_logged_at = Instant::now();
             tracing::warn!(
                 cycle = summary.cycle,
                 "solver budget cut to less than half to fit the other parts of the cycle: {}",
@@ -333,7 +337,7 @@ impl Supervisor {
         self.status.dropped_records = dropped;
         self.status.budget_hits = self.budget_hits;
         if self.newest.totals.cycles > 0 {
-            take_over(&mut self.status, &self.newest);
+            copy_newest_cycle(&mut self.status, &self.newest);
         }
         self.statistics.report(&mut self.status);
         if self.newest.totals.cycles > 0 && self.summed.elapsed() > SUMMARY_MAX {
@@ -344,8 +348,9 @@ impl Supervisor {
     }
 }
 
-fn look_every(period_ns: u64) -> Duration {
-    Duration::from_nanos(PERIODS_PER_LOOK * period_ns).clamp(LOOK_MIN, LOOK_MAX)
+fn check_interval(period_ns: u64) -> Duration {
+    Duration::from_nanos(PERIODS_PER_CHECK * period_ns)
+        .clamp(CHECK_INTERVAL_MIN, CHECK_INTERVAL_MAX)
 }
 
 /// This thread receives the signals that end the daemon or reload the configuration; they end the sleep.
@@ -357,7 +362,7 @@ fn sleep_unless_signalled(length: Duration) {
 }
 
 /// The mode or its reason has changed.
-fn is_news(summary: &Summary, before: &Summary) -> bool {
+fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
 }
 
@@ -386,7 +391,7 @@ fn explain(incident: &mut wire::Incident, stolen: Stolen) {
 }
 
 /// Copies the data of the newest cycle into a status.
-fn take_over(status: &mut wire::Status, summary: &Summary) {
+fn copy_newest_cycle(status: &mut wire::Status, summary: &Summary) {
     status.mode = summary.mode.code();
     status.reason = summary.reason.code();
     status.cycles = summary.totals.cycles;
@@ -456,15 +461,15 @@ mod tests {
             ..Summary::default()
         };
         let stopped = summary(1, Mode::Stopped, Reason::DeadlineMisses);
-        assert!(is_news(
+        assert!(has_changed_mode(
             &stopped,
             &summary(0, Mode::Holding, Reason::DeadlineMisses)
         ));
-        assert!(is_news(
+        assert!(has_changed_mode(
             &summary(2, Mode::Stopped, Reason::Request),
             &stopped
         ));
-        assert!(!is_news(
+        assert!(!has_changed_mode(
             &summary(2, Mode::Stopped, Reason::DeadlineMisses),
             &stopped
         ));

@@ -66,7 +66,7 @@ impl Steal {
     }
 
     /// Begins a new check.
-    pub(super) fn look(&mut self, clock: &impl Clock) {
+    pub(super) fn begin_check(&mut self, clock: &impl Clock) {
         self.is_fresh = false;
         let now_ns = clock.now_ns();
         if now_ns.saturating_sub(self.readings[2].time_ns) > READ_EVERY_NS {
@@ -189,18 +189,18 @@ mod tests {
         let mut steal = Steal::of(None, &clock);
         let window_ms = |stolen: Stolen| stolen.window_ns / MS;
         clock.sleep_until(20 * MS);
-        steal.look(&clock);
+        steal.begin_check(&clock);
         assert_eq!(window_ms(steal.since(5 * MS, &clock)), 20);
         clock.sleep_until(21 * MS);
         assert_eq!(window_ms(steal.since(5 * MS, &clock)), 20, "no new reading");
         clock.sleep_until(40 * MS);
-        steal.look(&clock);
+        steal.begin_check(&clock);
         assert_eq!(window_ms(steal.since(25 * MS, &clock)), 20, "a new one");
         // The steal is also read while no cycle is late.
         clock.sleep_until(400 * MS);
-        steal.look(&clock);
+        steal.begin_check(&clock);
         clock.sleep_until(420 * MS);
-        steal.look(&clock);
+        steal.begin_check(&clock);
         assert_eq!(window_ms(steal.since(410 * MS, &clock)), 20);
     }
 
@@ -209,7 +209,7 @@ mod tests {
         let clock = ManualClock::default();
         let mut steal = Steal::default();
         clock.sleep_until(400 * MS);
-        steal.look(&clock);
+        steal.begin_check(&clock);
         assert_eq!(steal.since(300 * MS, &clock), Stolen::default());
     }
 

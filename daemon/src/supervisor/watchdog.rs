@@ -9,7 +9,7 @@ use crate::exit::{Ended, ExitCause};
 #[derive(Debug)]
 pub(super) struct Watchdog {
     timeout: Duration,
-    looked: Instant,
+    checked_at: Instant,
     threads: [Watched; 4],
 }
 
@@ -26,14 +26,14 @@ const REPORTER_TIMES: u32 = 5;
 const STATUS_TIMES: u32 = 20;
 
 /// Of the time between two checks, at most this much is counted.
-const LOOK_MAX: Duration = Duration::from_millis(100);
+const COUNTED_MAX: Duration = Duration::from_millis(100);
 
 impl Watchdog {
     /// A watchdog that expires after `timeout`.
     pub(super) fn new(timeout: Duration, now: Instant) -> Self {
         Self {
             timeout,
-            looked: now,
+            checked_at: now,
             threads: [Watched::default(); 4],
         }
     }
@@ -43,9 +43,9 @@ impl Watchdog {
     /// # Errors
     ///
     /// A thread has had no heartbeat for the timeout.
-    pub(super) fn look(&mut self, beats: [u64; 4], now: Instant) -> Result<(), Ended> {
-        let passed = now.duration_since(self.looked).min(LOOK_MAX);
-        self.looked = now;
+    pub(super) fn check(&mut self, beats: [u64; 4], now: Instant) -> Result<(), Ended> {
+        let passed = now.duration_since(self.checked_at).min(COUNTED_MAX);
+        self.checked_at = now;
         for (thread, beats) in self.threads.iter_mut().zip(beats) {
             thread.still = if thread.beats == beats {
                 thread.still + passed
@@ -95,7 +95,7 @@ mod tests {
         let mut watchdog = Watchdog::new(200 * MS, now);
         for look in 0..looks {
             now += every;
-            if let Err(ended) = watchdog.look(beats(u64::from(look)), now) {
+            if let Err(ended) = watchdog.check(beats(u64::from(look)), now) {
                 return Some(ended.cause);
             }
         }

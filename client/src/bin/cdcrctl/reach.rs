@@ -72,17 +72,17 @@ pub(crate) fn check_point(
     Ok(())
 }
 
-/// A configuration with its tip near the point, and the distance \[m\]: the first within `enough_m`,
+/// A configuration with its tip near the point, and the distance \[m\]: the first within `cutoff_m`,
 /// otherwise the nearest.
 fn nearest(
     robot: &Robot,
     from: &Configuration,
     point_m: &Vector3<f64>,
-    enough_m: f64,
+    cutoff_m: f64,
 ) -> (Configuration, f64) {
     let mut best = approached(robot, from, point_m);
     for number in 1..=SHAPES {
-        if best.1 <= enough_m {
+        if best.1 <= cutoff_m {
             break;
         }
         let found = approached(robot, &some_shape(robot, number), point_m);

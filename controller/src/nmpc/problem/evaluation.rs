@@ -6,27 +6,27 @@ use super::{SECTION_NS, TrackingProblem};
 use crate::nmpc::motion::{ANGLES, Bends, VECTORS};
 use crate::nmpc::pose_error;
 use crate::nmpc::{Coordinates, NmpcSettings};
-use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, apart};
-use crate::robot::{COORDINATES_MAX, Near};
+use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, run_outlined};
+use crate::robot::{COORDINATES_MAX, TipSeries};
 use crate::wide::{Wide, all};
 
 impl TrackingProblem<'_> {
     /// Eq. 5 for W plans at once, in the coordinates selected by P. Stops early when all of them are known to
-    /// cost more than `enough`.
+    /// cost more than `cost_cutoff`.
     #[inline(always)]
     pub(super) fn evaluate_in<'a, const W: usize, const P: usize>(
         &'a self,
         z: &impl Fn(usize) -> Wide<W>,
-        near: Option<&'a Near>,
-        enough: f64,
+        tip_series: Option<&'a TipSeries>,
+        cost_cutoff: f64,
         budget: &mut Budget<'_>,
         instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
         let mut rollout = Rollout::<W, P>::new(self, z);
-        rollout.near = near;
+        rollout.tip_series = tip_series;
         for step in 0..self.steps() {
             rollout.advance(step, z, budget, instructions)?;
-            if rollout.is_enough(enough) {
+            if rollout.exceeds_cutoff(cost_cutoff) {
                 break;
             }
         }
@@ -63,17 +63,17 @@ impl TrackingProblem<'_> {
     /// Eq. 5 for one plan, and whether the plan is unchanged. It is cut at the block that would increase a
     /// constraint violation above the incumbent's, or in which the budget ends. The rates from that block on
     /// become zero, or the nearest values in the box.
-    pub(super) fn to_contact_in<const P: usize>(
+    pub(super) fn evaluate_until_violation_in<const P: usize>(
         &self,
         z: &mut [f64],
         incumbent: &Incumbent,
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
-        let (enough, allowed) = (incumbent.cost(), incumbent.violations());
+        let (cost_cutoff, allowed) = (incumbent.cost(), incumbent.violations());
         let mut rollout = Rollout::<1, P>::new(self, &|i: usize| Wide([z[i]]));
         let mut block_begin = (0, rollout);
         let (mut step, mut is_whole) = (0, true);
-        while step < self.steps() && !rollout.is_enough(enough) {
+        while step < self.steps() && !rollout.exceeds_cutoff(cost_cutoff) {
             let block = self.motion.horizon().block_of(step);
             if block != self.motion.horizon().block_of(block_begin.0) {
                 block_begin = (step, rollout);
@@ -90,13 +90,13 @@ impl TrackingProblem<'_> {
                 z[first..].fill(0.0);
                 self.bounds.project(z);
                 if is_left.is_none() {
-                    let evaluation = self.rested::<P>(z, first, &rollout.evaluation)?;
+                    let evaluation = self.evaluate_at_rest::<P>(z, first, &rollout.evaluation)?;
                     return Some((evaluation, false));
                 }
             }
         }
         if !is_whole && self.is_regularised() {
-            rollout.evaluation = self.evaluate_below(z, enough, budget)?;
+            rollout.evaluation = self.evaluate_below(z, cost_cutoff, budget)?;
         }
         Some((rollout.evaluation, is_whole))
     }
@@ -104,7 +104,7 @@ impl TrackingProblem<'_> {
     /// Cost of a plan with zero rates from unknown `first` on, after the budget ended its evaluation. If no
     /// constraint was violated `until` then and all obstacles rest, none is violated later. None otherwise,
     /// or if the evaluation takes more than a quantum.
-    fn rested<const P: usize>(
+    fn evaluate_at_rest<const P: usize>(
         &self,
         z: &[f64],
         first: usize,
@@ -113,7 +113,7 @@ impl TrackingProblem<'_> {
         let holds = until.violations.iter().all(|kind| kind.0[0] == 0.0);
         let rests = first > 0 && z[first..].iter().all(|rate| *rate == 0.0);
         let is_short = self.sections_ns(SECTION_NS) * self.steps() as u32 <= QUANTUM_NS;
-        if !(holds && rests && is_short && self.obstacles.stand()) {
+        if !(holds && rests && is_short && self.obstacles.all_at_rest()) {
             return None;
         }
         let rates = |i: usize| Wide([z[i]]);
@@ -169,7 +169,7 @@ struct Rollout<'a, const W: usize, const P: usize> {
     bends: Bends<W, P>,
     evaluation: Evaluation<W>,
     /// Set if all plans stay near the start.
-    near: Option<&'a Near>,
+    tip_series: Option<&'a TipSeries>,
     // Constant over the horizon.
     step_ns: u32,
     is_free: bool,
@@ -182,7 +182,7 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
             problem,
             bends: problem.motion.start(),
             evaluation: Evaluation::from_cost(problem.regularisation(z)),
-            near: None,
+            tip_series: None,
             step_ns: problem.step_ns(),
             is_free: problem.is_free(),
         }
@@ -211,8 +211,13 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
         if let Some(target) = problem.target(step) {
             let bend_rad = |i: usize| self.bends.bend_rad[i];
             let weights = problem.weights(step);
-            let error =
-                pose_error::squared_error(problem.robot, bend_rad, self.near, target, &weights);
+            let error = pose_error::squared_error(
+                problem.robot,
+                bend_rad,
+                self.tip_series,
+                target,
+                &weights,
+            );
             self.evaluation.cost = self.evaluation.cost + error;
         }
         if let Some(before) = before {
@@ -224,16 +229,16 @@ impl<'a, const W: usize, const P: usize> Rollout<'a, W, P> {
                 evaluation: &mut self.evaluation,
                 budget,
             };
-            apart(instructions, penalties)?;
+            run_outlined(instructions, penalties)?;
         }
         Some(())
     }
 
-    /// Whether all plans are known to cost more than `enough`: no term is negative, so the cost only grows.
+    /// Whether all plans are known to cost more than `cost_cutoff`: no term is negative, so the cost only grows.
     #[inline(always)]
-    fn is_enough(&self, enough: f64) -> bool {
+    fn exceeds_cutoff(&self, cost_cutoff: f64) -> bool {
         let cost = self.evaluation.cost;
-        !self.is_free && enough < f64::INFINITY && all(Wide::splat(enough).less(cost))
+        !self.is_free && cost_cutoff < f64::INFINITY && all(Wide::splat(cost_cutoff).less(cost))
     }
 }
 
@@ -256,12 +261,12 @@ impl<const W: usize> NullaryFnOnce for Penalties<'_, '_, W> {
     #[inline(always)]
     fn call(self) -> Option<()> {
         let problem = self.problem;
-        if problem.limits.matter() {
+        if problem.limits.any_reachable() {
             problem
                 .limits
                 .add_penalties(self.before, self.after, self.evaluation);
         }
-        if problem.obstacles.matter() {
+        if problem.obstacles.any_reachable() {
             problem.obstacles.add_penalties(
                 problem.robot,
                 problem.settings,

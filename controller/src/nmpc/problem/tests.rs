@@ -111,7 +111,7 @@ fn with_problem_among<T>(
     let mut obstacles = Obstacles::with_capacity();
     let safe_m = case.settings.safe_distance_m;
     let budget = &mut Budget::unlimited();
-    obstacles.gather(&robot, &motion, around, safe_m, &fastest_rad_s, budget);
+    obstacles.cull(&robot, &motion, around, safe_m, &fastest_rad_s, budget);
     run(&TrackingProblem::new(
         &robot,
         &case.settings,
@@ -204,12 +204,12 @@ fn evaluated<const W: usize>(
     let budget = &mut Budget::unlimited();
     let bends = &mut [Aligned(Wide::splat(0.0)); COORDINATES_MAX];
     let found = match problem.motion.coordinates() {
-        Coordinates::BendVector => match Plain::new(problem) {
-            Some(plain) => plain.evaluate(plans, bends, budget, pulp::Scalar),
-            None => Searched::<VECTORS>::new(problem).evaluate(plans, bends, budget, pulp::Scalar),
+        Coordinates::BendVector => match PositionOnly::new(problem) {
+            Some(position_only) => position_only.evaluate(plans, bends, budget, pulp::Scalar),
+            None => SwarmCost::<VECTORS>::new(problem).evaluate(plans, bends, budget, pulp::Scalar),
         },
         Coordinates::BendAngles => {
-            Searched::<ANGLES>::new(problem).evaluate(plans, bends, budget, pulp::Scalar)
+            SwarmCost::<ANGLES>::new(problem).evaluate(plans, bends, budget, pulp::Scalar)
         }
     };
     found.expect("an unlimited budget")
@@ -297,7 +297,7 @@ fn met(around: &[Obstacle], parameters: &RobotParameters, case: &Case, step: &[f
     with_problem_among(around, parameters, case, |problem| {
         let mut model = linearised(problem, &case.plan);
         let cost_rows = model.rows();
-        model.meet_constraints(step, &mut Budget::unlimited());
+        model.activate_violated(step, &mut Budget::unlimited());
         (cost_rows..model.rows())
             .map(|row| model.residual(row))
             .collect()
@@ -371,7 +371,7 @@ fn steps_without_rows_are_announced() {
     let centre_m = tip_m + Vector3::new(0.2, 0.0, 0.0);
     let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).unwrap();
     with_problem_among(&[ball], &parameters, &case, |problem| {
-        assert!(problem.is_staged() && problem.obstacles.matter());
+        assert!(problem.is_staged() && problem.obstacles.any_reachable());
         let constrained = |quanta: u32| {
             let mut model =
                 LinearModel::with_capacity(0, CONSTRAINTS_MAX, case.plan.len(), case.plan.len());
@@ -381,9 +381,9 @@ fn steps_without_rows_are_announced() {
                 times: 1.0,
                 violations: [0.0; VIOLATIONS],
             };
-            let budget = &mut Budget::of_quanta(quanta);
+            let budget = &mut Budget::from_quanta(quanta);
             let is_left = problem.constrain(&case.plan, Some(reach), &mut model, budget);
-            let met = model.meet_constraints(&case.plan, &mut Budget::unlimited());
+            let met = model.activate_violated(&case.plan, &mut Budget::unlimited());
             (is_left, met)
         };
         assert_eq!(constrained(0), (false, None));
@@ -426,7 +426,7 @@ proptest! {
             // Both violate the same constraints, also if only constraints within reach of a step of this size
             // are requested.
             let met = models.each_mut().map(|(model, ..)| {
-                let _ = model.meet_constraints(&step, &mut Budget::unlimited());
+                let _ = model.activate_violated(&step, &mut Budget::unlimited());
                 let cost_rows = model.cost_rows();
                 (cost_rows..model.rows()).map(|row| model.residual(row)).collect::<Vec<_>>()
             });

@@ -9,15 +9,15 @@
 //! Constraints are soft: the square of a shortfall counts like that of a residual. So there is always a
 //! solution, and a constraint weighs no more than an active row.
 
-use super::{Found, Pull, Riccati, Smoother, Trial};
+use super::{FoundStep, QuadraticTerm, Riccati, Smoother, Trial};
 use crate::optimizer::{Bounds, Budget, LinearModel, Problem};
 
 /// Largest number of iterations.
 const ITERATIONS: u32 = 40;
 /// Share of the distance to the boundary that an iteration may use.
-const WAY: f64 = 0.995;
+const FRACTION_TO_BOUNDARY: f64 = 0.995;
 /// Initial distance of an unknown from a bound where it stands, as a share of the box.
-const INSIDE: f64 = 0.05;
+const INITIAL_DISTANCE_SHARE: f64 = 0.05;
 /// Initial µ, relative to the mean of |gradient| times the width of the box. The mean square of the
 /// violations applies if larger. So large that no bound is reached early.
 const MU_BEGIN: f64 = 10.0;
@@ -36,7 +36,7 @@ const BORDER_NS: u32 = 10;
 const NEGLIGIBLE: f64 = 1e-4;
 
 /// The quadratic program: |r + J Δ|² + λ |Δ|² subject to bounds and constraints.
-pub(super) struct Quadratic<'a> {
+pub(super) struct QuadraticProgram<'a> {
     pub model: &'a mut LinearModel,
     pub smoother: &'a mut Smoother,
     /// Some: use a Riccati sweep instead of the smoother, if the weights are large enough.
@@ -47,28 +47,35 @@ pub(super) struct Quadratic<'a> {
     pub is_rough: bool,
 }
 
-impl Quadratic<'_> {
-    /// Minimises the cost with the squares of value + A Δ for the constraints to which `weighed` assigns
-    /// (value, weight), and with the `pull` of each unknown. Unknowns without a pull stay. None: the budget
+impl QuadraticProgram<'_> {
+    /// Minimises the cost with the squares of value + A Δ for the constraints to which `constraint_weight` assigns
+    /// (value, weight), and with the `term` of each unknown. Unknowns without a term stay. None: the budget
     /// was spent, or a number is not finite.
     fn minimise(
         &mut self,
-        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
-        pull: impl Fn(usize) -> Option<Pull>,
+        constraint_weight: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        term: impl Fn(usize) -> Option<QuadraticTerm>,
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<()> {
-        let whole = |i: usize| pull(i).map(|pull| pull.with_own(self.model, i, self.damping));
+        let whole = |i: usize| term(i).map(|term| term.with_own(self.model, i, self.damping));
         if let Some(riccati) = self.riccati.as_deref_mut()
-            && riccati.solve(self.model, &weighed, whole, self.is_rough, step, budget)?
+            && riccati.solve(
+                self.model,
+                &constraint_weight,
+                whole,
+                self.is_rough,
+                step,
+                budget,
+            )?
         {
             return Some(());
         }
-        self.model.weigh_constraints(weighed, budget)?;
+        self.model.weight_constraints(constraint_weight, budget)?;
         let (model, damping) = (&*self.model, self.damping);
         let solved = self
             .smoother
-            .solve_pulled(model, pull, damping, step, budget);
+            .solve_with_terms(model, term, damping, step, budget);
         solved.then_some(())
     }
 }
@@ -76,35 +83,35 @@ impl Quadratic<'_> {
 /// Workspace.
 #[derive(Debug, Clone)]
 pub(super) struct InteriorPoint {
-    lower: Vec<Pair>,
-    upper: Vec<Pair>,
-    constraints: Vec<Pair>,
+    lower: Vec<ComplementaryPair>,
+    upper: Vec<ComplementaryPair>,
+    constraints: Vec<ComplementaryPair>,
     /// The step towards which an iteration goes.
     target: Vec<f64>,
     /// Change of each constraint by the iteration.
     changes: Vec<f64>,
 }
 
-/// Slack and multiplier (`force`) of a bound or constraint, with their changes in an iteration.
+/// Slack and multiplier (`multiplier`) of a bound or constraint, with their changes in an iteration.
 #[derive(Debug, Clone, Copy, Default)]
-struct Pair {
+struct ComplementaryPair {
     slack: f64,
-    force: f64,
+    multiplier: f64,
     slack_step: f64,
-    force_step: f64,
+    multiplier_step: f64,
 }
 
-impl Pair {
-    fn new(slack: f64, force: f64) -> Self {
+impl ComplementaryPair {
+    fn new(slack: f64, multiplier: f64) -> Self {
         Self {
             slack,
-            force,
+            multiplier,
             ..Self::default()
         }
     }
 
     /// A soft constraint of this value: s - y equals the value.
-    fn giving_way(value: f64, mu: f64) -> Self {
+    fn from_soft_constraint(value: f64, mu: f64) -> Self {
         let root = (value * value + 4.0 * mu).sqrt();
         // The larger of both is computed without cancellation.
         let larger = 0.5 * (value.abs() + root);
@@ -116,37 +123,39 @@ impl Pair {
         }
     }
 
-    fn product(&self) -> f64 {
-        self.slack * self.force
+    fn complementarity(&self) -> f64 {
+        self.slack * self.multiplier
     }
 
     /// Newton step for a bound of the box whose slack changes by `change`.
-    fn follow(&mut self, change: f64, mu: f64) {
+    fn set_bound_step(&mut self, change: f64, mu: f64) {
         self.slack_step = change;
-        self.force_step = (mu - self.force * change) / self.slack - self.force;
+        self.multiplier_step = (mu - self.multiplier * change) / self.slack - self.multiplier;
     }
 
     /// Newton step for a soft constraint whose value changes by `change`.
-    fn give_way(&mut self, change: f64, mu: f64) {
-        self.force_step = (mu - self.product() - self.force * change) / (self.slack + self.force);
-        self.slack_step = change + self.force_step;
+    fn set_soft_constraint_step(&mut self, change: f64, mu: f64) {
+        self.multiplier_step = (mu - self.complementarity() - self.multiplier * change)
+            / (self.slack + self.multiplier);
+        self.slack_step = change + self.multiplier_step;
     }
 
     /// The part of the step after which slack or multiplier is zero.
-    fn part_max(&self) -> f64 {
-        let part = |at: f64, step: f64| {
+    fn step_length_max(&self) -> f64 {
+        let step_length = |at: f64, step: f64| {
             if step < 0.0 {
                 -at / step
             } else {
                 f64::INFINITY
             }
         };
-        part(self.slack, self.slack_step).min(part(self.force, self.force_step))
+        step_length(self.slack, self.slack_step)
+            .min(step_length(self.multiplier, self.multiplier_step))
     }
 
-    fn advance(&mut self, part: f64) {
-        self.slack += part * self.slack_step;
-        self.force += part * self.force_step;
+    fn advance(&mut self, step_length: f64) {
+        self.slack += step_length * self.slack_step;
+        self.multiplier += step_length * self.multiplier_step;
     }
 }
 
@@ -166,42 +175,46 @@ impl InteriorPoint {
     /// spent, or a number is not finite.
     pub(super) fn solve<P: Problem>(
         &mut self,
-        mut problem: Quadratic,
+        mut problem: QuadraticProgram,
         trial: &mut Trial<P>,
         step: &mut [f64],
         budget: &mut Budget<'_>,
-    ) -> Option<Found> {
+    ) -> Option<FoundStep> {
         let (bounds, z) = (trial.bounds, trial.base);
         let mu_share = [MU_SHARE, MU_SHARE_ROUGH][usize::from(trial.is_rough)];
-        let mu_end = self.begin(&mut problem, (bounds, z), mu_share, step, budget)?;
+        let mu_end = self.initialise(&mut problem, (bounds, z), mu_share, step, budget)?;
         let mut centring = 0.1;
         for iteration in 1..=ITERATIONS {
-            let mu = centring * self.mean_product();
-            let part = self.iterate(&mut problem, mu, step, budget)?;
+            let mu = centring * self.mean_complementarity();
+            let step_length = self.iterate(&mut problem, mu, step, budget)?;
             // Only a full step balances multipliers and gradient.
-            if part > 0.99 && self.mean_product() <= mu_end {
+            if step_length > 0.99 && self.mean_complementarity() <= mu_end {
                 break;
             }
             if iteration > 1 && iteration.is_power_of_two() {
-                let taken = trial.offer_to_contact(step, budget)?;
+                let taken = trial.offer_until_violation(step, budget)?;
                 if trial.is_rough && iteration >= ROUGH_ITERATIONS && taken == (true, true) {
-                    return Some(Found::Tried);
+                    return Some(FoundStep::Evaluated);
                 }
             }
-            centring = if part > 0.9 { 0.05 } else { 1.0 - 0.9 * part };
+            centring = if step_length > 0.9 {
+                0.05
+            } else {
+                1.0 - 0.9 * step_length
+            };
         }
-        let borders = bounds.lower().iter().zip(bounds.upper());
-        for ((step, z), (lower, upper)) in step.iter_mut().zip(z).zip(borders) {
+        let intervals = bounds.lower().iter().zip(bounds.upper());
+        for ((step, z), (lower, upper)) in step.iter_mut().zip(z).zip(intervals) {
             *step = (z + *step).clamp(*lower, *upper) - z;
         }
         let is_finite = step.iter().all(|step| step.is_finite());
-        is_finite.then_some(Found::Step)
+        is_finite.then_some(FoundStep::NotEvaluated)
     }
 
     /// Sets the start inside the box. Returns the final µ. None: the budget was spent.
-    fn begin(
+    fn initialise(
         &mut self,
-        problem: &mut Quadratic,
+        problem: &mut QuadraticProgram,
         (bounds, z): (&Bounds, &[f64]),
         mu_share: f64,
         step: &mut [f64],
@@ -213,22 +226,23 @@ impl InteriorPoint {
         let pull: f64 = pulls.map(|(gradient, width)| gradient.abs() * width).sum();
         let square: f64 = widths.map(|width| width * width).sum();
         let count = step.len() as f64;
-        let pulled = MU_BEGIN * pull / count;
-        let broken = (0..problem.model.constraints()).map(|i| problem.model.constraint(i).min(0.0));
-        let broken: f64 = broken.map(|h| h * h).sum();
-        let mu_end = (MU_END * problem.damping * square / count).max(mu_share * pulled);
-        let mu = pulled.max(broken / count).max(mu_end);
+        let mu_from_gradient = MU_BEGIN * pull / count;
+        let violation_squares =
+            (0..problem.model.constraints()).map(|i| problem.model.constraint(i).min(0.0));
+        let violation_squares: f64 = violation_squares.map(|h| h * h).sum();
+        let mu_end = (MU_END * problem.damping * square / count).max(mu_share * mu_from_gradient);
+        let mu = mu_from_gradient.max(violation_squares / count).max(mu_end);
         self.lower.clear();
         self.upper.clear();
         for ((step, z), (lower, upper)) in step.iter_mut().zip(z).zip(bounds) {
             let (lower, upper) = (lower - z, upper - z);
-            let inside = INSIDE * (upper - lower);
+            let inside = INITIAL_DISTANCE_SHARE * (upper - lower);
             *step = if inside > 0.0 {
                 0.0_f64.clamp(lower + inside, upper - inside)
             } else {
                 lower
             };
-            let border = |slack: f64| Pair::new(slack, mu / slack);
+            let border = |slack: f64| ComplementaryPair::new(slack, mu / slack);
             self.lower.push(border(*step - lower));
             self.upper.push(border(upper - *step));
         }
@@ -241,7 +255,7 @@ impl InteriorPoint {
         let values = changes.iter().enumerate();
         let values = values.map(|(index, change)| problem.model.constraint(index) + change);
         self.constraints
-            .extend(values.map(|value| Pair::giving_way(value, mu)));
+            .extend(values.map(|value| ComplementaryPair::from_soft_constraint(value, mu)));
         Some(mu_end)
     }
 
@@ -250,15 +264,15 @@ impl InteriorPoint {
         self.lower[i].slack > 0.0 && self.upper[i].slack > 0.0
     }
 
-    fn mean_product(&self) -> f64 {
+    fn mean_complementarity(&self) -> f64 {
         let free = (0..self.lower.len()).filter(|&i| self.is_free(i));
         let (mut sum, mut count) = (0.0, 0.0);
         for i in free {
-            sum += self.lower[i].product() + self.upper[i].product();
+            sum += self.lower[i].complementarity() + self.upper[i].complementarity();
             count += 2.0;
         }
         for constraint in &self.constraints {
-            sum += constraint.product();
+            sum += constraint.complementarity();
             count += 1.0;
         }
         sum / f64::max(count, 1.0)
@@ -268,7 +282,7 @@ impl InteriorPoint {
     /// not finite.
     fn iterate(
         &mut self,
-        problem: &mut Quadratic,
+        problem: &mut QuadraticProgram,
         mu: f64,
         step: &mut [f64],
         budget: &mut Budget<'_>,
@@ -277,21 +291,23 @@ impl InteriorPoint {
         if !budget.spend(BORDER_NS / 2 * self.lower.len() as u32) {
             return None;
         }
-        let weighed = |index: usize, h: f64| {
-            let Pair { slack, force, .. } = self.constraints[index];
-            let weight = force / (slack + force);
-            (weight > least).then(|| (h - slack - mu / force, weight))
+        let constraint_weight = |index: usize, h: f64| {
+            let ComplementaryPair {
+                slack, multiplier, ..
+            } = self.constraints[index];
+            let weight = multiplier / (slack + multiplier);
+            (weight > least).then(|| (h - slack - mu / multiplier, weight))
         };
         let mut target = core::mem::take(&mut self.target);
         target.clear();
         target.extend_from_slice(step);
-        let pull = |i: usize| {
+        let term = |i: usize| {
             let (lower, upper) = (&self.lower[i], &self.upper[i]);
-            let weight = lower.force / lower.slack + upper.force / upper.slack;
-            let force = weight * step[i] + mu / lower.slack - mu / upper.slack;
-            self.is_free(i).then_some(Pull { weight, force })
+            let weight = lower.multiplier / lower.slack + upper.multiplier / upper.slack;
+            let linear = weight * step[i] + mu / lower.slack - mu / upper.slack;
+            self.is_free(i).then_some(QuadraticTerm { weight, linear })
         };
-        let solved = problem.minimise(weighed, pull, &mut target, budget);
+        let solved = problem.minimise(constraint_weight, term, &mut target, budget);
         self.target = target;
         solved?;
         for (target, step) in self.target.iter_mut().zip(&*step) {
@@ -307,37 +323,37 @@ impl InteriorPoint {
     /// Moves along the changes while slacks and multipliers stay positive. Returns the part taken. None: the
     /// budget was spent.
     fn advance(&mut self, mu: f64, step: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
-        let mut part = 1.0 / WAY;
+        let mut step_length = 1.0 / FRACTION_TO_BOUNDARY;
         for i in 0..step.len() {
             if !budget.spend(2 * BORDER_NS) {
                 return None;
             }
             if self.is_free(i) {
-                self.lower[i].follow(self.target[i], mu);
-                self.upper[i].follow(-self.target[i], mu);
-                part = part
-                    .min(self.lower[i].part_max())
-                    .min(self.upper[i].part_max());
+                self.lower[i].set_bound_step(self.target[i], mu);
+                self.upper[i].set_bound_step(-self.target[i], mu);
+                step_length = step_length
+                    .min(self.lower[i].step_length_max())
+                    .min(self.upper[i].step_length_max());
             }
         }
         for (constraint, change) in self.constraints.iter_mut().zip(&self.changes) {
             if !budget.spend(BORDER_NS) {
                 return None;
             }
-            constraint.give_way(*change, mu);
-            part = part.min(constraint.part_max());
+            constraint.set_soft_constraint_step(*change, mu);
+            step_length = step_length.min(constraint.step_length_max());
         }
-        let part = WAY * part;
+        let step_length = FRACTION_TO_BOUNDARY * step_length;
         for i in 0..step.len() {
             if self.is_free(i) {
-                step[i] += part * self.target[i];
-                self.lower[i].advance(part);
-                self.upper[i].advance(part);
+                step[i] += step_length * self.target[i];
+                self.lower[i].advance(step_length);
+                self.upper[i].advance(step_length);
             }
         }
         for constraint in &mut self.constraints {
-            constraint.advance(part);
+            constraint.advance(step_length);
         }
-        Some(part)
+        Some(step_length)
     }
 }

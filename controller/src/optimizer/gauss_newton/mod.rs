@@ -1,17 +1,17 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
-mod following;
+mod derivative_reuse;
 mod interior_point;
 mod riccati;
 mod smoother;
 mod step;
 mod trial;
 
-use following::{LinearisedStep, is_rounding};
+use derivative_reuse::{LinearisedStep, is_rounding};
 use interior_point::InteriorPoint;
 use riccati::Riccati;
-use smoother::{Pull, Smoother};
-pub(crate) use trial::Found;
+use smoother::{QuadraticTerm, Smoother};
+pub(crate) use trial::FoundStep;
 use trial::Trial;
 
 use super::linear_model::dot;
@@ -44,7 +44,7 @@ pub(crate) struct GaussNewtonOutcome {
     /// Norm of the projected gradient at the last linearisation.
     pub(crate) gradient_norm: f64,
     /// Whether that gradient nearly vanishes in relation to the residuals, so that no first-order step helps.
-    pub(crate) stuck: bool,
+    pub(crate) is_stationary: bool,
 }
 
 /// Minimum-norm damped steps Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r, or the equal Δ = -(JᵀJ + λI)⁻¹ Jᵀ r when there are more
@@ -60,15 +60,15 @@ pub(crate) struct GaussNewton {
     /// Upper bound of half the norm of the gradient, from the norms of J and r.
     gradient_scale: f64,
     /// Unknowns at a bound with the gradient pointing out of the box; they stay there.
-    pressed: Vec<bool>,
+    at_active_bound: Vec<bool>,
     /// Unknowns of the linear system.
     free: Vec<usize>,
     step: Vec<f64>,
     /// The point of linearisation.
     base: Vec<f64>,
-    trial: Vec<f64>,
+    trial_point: Vec<f64>,
     /// The residuals of the last evaluated point.
-    tried: Vec<f64>,
+    trial_residuals: Vec<f64>,
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
@@ -90,7 +90,7 @@ pub(crate) struct GaussNewton {
 /// Largest number of halvings in the line search.
 const HALVINGS: u32 = 4;
 /// A gradient below this share of its upper bound counts as vanished.
-const VANISHED_SHARE: f64 = 0.05;
+const STATIONARY_SHARE: f64 = 0.05;
 /// A rough refinement continues while steps reduce the cost by this share.
 const ROUGH_GAIN: f64 = 1e-3;
 /// Factor on the damping after a step without improvement.
@@ -111,12 +111,12 @@ impl GaussNewton {
             model: LinearModel::with_capacity(rows, constraints, dense, dimension),
             gradient: vec![0.0; dimension],
             gradient_scale: 0.0,
-            pressed: vec![false; dimension],
+            at_active_bound: vec![false; dimension],
             free: Vec::with_capacity(dimension),
             step: vec![0.0; dimension],
             base: Vec::with_capacity(dimension),
-            trial: Vec::with_capacity(dimension),
-            tried: vec![0.0; rows],
+            trial_point: Vec::with_capacity(dimension),
+            trial_residuals: vec![0.0; rows],
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
@@ -146,7 +146,7 @@ impl GaussNewton {
         let is_solved =
             |cost| is_rounding(rounding, cost) || least.is_some_and(|least| cost <= least);
         for _ in 0..settings.steps {
-            if is_solved(incumbent.cost()) || !budget.left() {
+            if is_solved(incumbent.cost()) || !budget.begin_quantum() {
                 break;
             }
             if !model_is_current {
@@ -154,28 +154,29 @@ impl GaussNewton {
                     break;
                 }
                 outcome.gradient_norm = self.gradient_norm(problem.dimension());
-                outcome.stuck = self.is_stuck(outcome.gradient_norm);
+                outcome.is_stationary = self.is_gradient_vanished(outcome.gradient_norm);
             }
             let origin = incumbent.origin();
             let before = incumbent.cost();
-            let around = (problem, bounds, rounding);
+            let context = (problem, bounds, rounding);
             let mut gain = 0.0;
-            let is_last = self.on_trial(around, incumbent, origin, |own, trial| {
+            let is_last = self.with_trial(context, incumbent, origin, |own, trial| {
                 trial.step_tolerance = settings.step_tolerance;
                 trial.is_rough = settings.is_rough;
                 let found = own.find_step(trial, damping, budget);
                 let step = &own.step[..trial.base.len()];
                 gain = own.gain(step.len());
-                let is_hidden = found == Found::Step && trial.hides(step, gain);
-                let is_small = is_hidden || trial.is_small(step);
+                let is_gain_rounding =
+                    found == FoundStep::NotEvaluated && trial.is_gain_rounding(step, gain);
+                let is_small = is_gain_rounding || trial.is_small(step);
                 // The point found on the way to a small step has not been linearised.
                 let is_last =
-                    found != Found::Nothing && is_small && trial.incumbent.cost() >= before;
-                if found == Found::Step && !is_small {
-                    let _ = trial.descend(step, 1.0, HALVINGS, budget);
-                } else if is_last && !is_hidden && !own.model.is_staged() {
+                    found != FoundStep::Nothing && is_small && trial.incumbent.cost() >= before;
+                if found == FoundStep::NotEvaluated && !is_small {
+                    let _ = trial.backtrack(step, 1.0, HALVINGS, budget);
+                } else if is_last && !is_gain_rounding && !own.model.is_staged() {
                     // The tip error may still be 10⁻¹⁵ m.
-                    let _ = trial.descend(step, 1.0, 0, budget);
+                    let _ = trial.backtrack(step, 1.0, 0, budget);
                 }
                 is_last
             });
@@ -192,7 +193,8 @@ impl GaussNewton {
                     damping,
                     residuals_max: settings.residuals_max,
                 };
-                let (accepted, converged) = self.follow(around, linearised, budget, incumbent);
+                let (accepted, converged) =
+                    self.reuse_derivatives(context, linearised, budget, incumbent);
                 outcome.accepted += accepted;
                 if converged {
                     outcome.converged = true;
@@ -224,16 +226,16 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
         into: &mut [f64],
-    ) -> Found {
+    ) -> FoundStep {
         if !self.linearise(problem, bounds, incumbent.z(), budget) {
-            return Found::Nothing;
+            return FoundStep::Nothing;
         }
         let origin = Candidate::LeastSquares;
-        self.on_trial((problem, bounds, None), incumbent, origin, |own, trial| {
+        self.with_trial((problem, bounds, None), incumbent, origin, |own, trial| {
             let found = own.find_step(trial, damping, budget);
-            if found != Found::Nothing {
-                trial.lead(&own.step[..into.len()], 1.0);
-                into.copy_from_slice(trial.at);
+            if found != FoundStep::Nothing {
+                trial.compute_point(&own.step[..into.len()], 1.0);
+                into.copy_from_slice(trial.point);
             }
             found
         })
@@ -241,15 +243,19 @@ impl GaussNewton {
 
     /// Calls `tried` with a trial from the incumbent. The trial has residuals if the problem has a
     /// `rounding`.
-    fn on_trial<P: Problem, R>(
+    fn with_trial<P: Problem, R>(
         &mut self,
         (problem, bounds, rounding): (&P, &Bounds, Option<f64>),
         incumbent: &mut Incumbent,
         origin: Candidate,
         tried: impl FnOnce(&mut Self, &mut Trial<P>) -> R,
     ) -> R {
-        let vectors = [&mut self.base, &mut self.trial, &mut self.tried];
-        let [mut base, mut at, mut tried_residuals] = vectors.map(core::mem::take);
+        let vectors = [
+            &mut self.base,
+            &mut self.trial_point,
+            &mut self.trial_residuals,
+        ];
+        let [mut base, mut point, mut trial_residuals] = vectors.map(core::mem::take);
         let rows = self.model.cost_rows();
         base.clear();
         base.extend_from_slice(incumbent.z());
@@ -257,15 +263,15 @@ impl GaussNewton {
             problem,
             bounds,
             base: &base,
-            at: &mut at,
+            point: &mut point,
             incumbent,
             origin,
             step_tolerance: 0.0,
             is_rough: false,
-            residuals: rounding.map(|_| &mut tried_residuals[..rows]),
+            residuals: rounding.map(|_| &mut trial_residuals[..rows]),
         };
         let result = tried(self, &mut trial);
-        (self.base, self.trial, self.tried) = (base, at, tried_residuals);
+        (self.base, self.trial_point, self.trial_residuals) = (base, point, trial_residuals);
         result
     }
 
@@ -294,14 +300,14 @@ impl GaussNewton {
         for i in 0..dimension {
             let at_lower = z[i] <= bounds.lower()[i] && self.gradient[i] > 0.0;
             let at_upper = z[i] >= bounds.upper()[i] && self.gradient[i] < 0.0;
-            self.pressed[i] = at_lower || at_upper;
+            self.at_active_bound[i] = at_lower || at_upper;
         }
         true
     }
 
     /// Whether the gradient at `z` nearly vanishes in relation to the residuals. False also when the budget
     /// was spent.
-    pub(crate) fn vanishes_at<P: Problem>(
+    pub(crate) fn is_stationary_at<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
@@ -310,7 +316,7 @@ impl GaussNewton {
     ) -> bool {
         self.linearise(problem, bounds, z, budget) && {
             let norm = self.gradient_norm(z.len());
-            self.is_stuck(norm)
+            self.is_gradient_vanished(norm)
         }
     }
 
@@ -319,15 +325,15 @@ impl GaussNewton {
         -dot(&self.gradient[..dimension], &self.step[..dimension])
     }
 
-    fn is_stuck(&self, gradient_norm: f64) -> bool {
-        gradient_norm <= VANISHED_SHARE * 2.0 * self.gradient_scale
+    fn is_gradient_vanished(&self, gradient_norm: f64) -> bool {
+        gradient_norm <= STATIONARY_SHARE * 2.0 * self.gradient_scale
     }
 
     /// Norm of the gradient 2 Jᵀr without the unknowns pressed on a bound.
     fn gradient_norm(&self, dimension: usize) -> f64 {
-        let entries = self.gradient[..dimension].iter().zip(&self.pressed);
+        let entries = self.gradient[..dimension].iter().zip(&self.at_active_bound);
         let squares = entries
-            .filter(|(_, pressed)| !**pressed)
+            .filter(|(_, at_active_bound)| !**at_active_bound)
             .map(|(g, _)| g * g);
         2.0 * squares.sum::<f64>().sqrt()
     }

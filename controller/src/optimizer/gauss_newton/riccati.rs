@@ -7,15 +7,15 @@
 //! Rounding loses an unknown whose weight is 10⁻¹⁶ of the information in the rows. A damping of 10⁻¹⁴ alone
 //! is too small; the bounds of an interior point give enough weight.
 
-use super::Pull;
-use crate::optimizer::linear_model::Place;
+use super::QuadraticTerm;
+use crate::optimizer::linear_model::RowStage;
 use crate::optimizer::{Budget, LinearModel, WIDTH_MAX};
 
 /// Smallest weight of an unknown, as a share of the information about it in the rows.
 const WEIGHT_SHARE: f64 = 1e-11;
 
-/// Weight to which a smaller one is raised if `is_lifted`, as the same share.
-const LIFTED_SHARE: f64 = 1e-9;
+/// Weight to which a smaller one is raised if `raises_weights`, as the same share.
+const RAISED_SHARE: f64 = 1e-9;
 /// Weight of a fixed unknown, as the same share.
 const FIXED_SHARE: f64 = 1e12;
 
@@ -29,11 +29,11 @@ pub(super) struct Riccati {
     of_all: Vec<f64>,
 }
 
-/// Sum of the rows of one place.
+/// Sum of the rows of one stage.
 struct Group<const W: usize> {
-    place: Place,
-    squares: [[f64; W]; W],
-    pulls: [f64; W],
+    stage: RowStage,
+    quadratic: [[f64; W]; W],
+    linear_terms: [f64; W],
 }
 
 /// Numbers stored for one block.
@@ -51,7 +51,7 @@ impl Riccati {
     }
 
     /// Whether a sweep takes less time than a pass of the smoother, by the work that both announce.
-    pub(super) fn pays(model: &LinearModel) -> bool {
+    pub(super) fn is_faster(model: &LinearModel) -> bool {
         let (stages, constraints) = (model.stages(), model.constraints());
         let has_unit_blocks = stages.lengths().iter().all(|length| *length == 1.0);
         let per_row = if has_unit_blocks { 1 } else { 4 };
@@ -60,7 +60,7 @@ impl Riccati {
     }
 
     /// Accumulates the rows of the cost. False: the budget was spent.
-    pub(super) fn begin(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
+    pub(super) fn accumulate_cost(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
         let stages = model.stages();
         self.of_cost.clear();
         let numbers = stages.blocks() * stride(stages.width());
@@ -70,24 +70,24 @@ impl Riccati {
         }
         self.of_cost.resize(numbers, 0.0);
         match stages.width() {
-            2 => self.see_cost::<2>(model, budget),
-            4 => self.see_cost::<4>(model, budget),
-            6 => self.see_cost::<6>(model, budget),
-            8 => self.see_cost::<8>(model, budget),
-            10 => self.see_cost::<10>(model, budget),
-            _ => self.see_cost::<12>(model, budget),
+            2 => self.add_cost_rows::<2>(model, budget),
+            4 => self.add_cost_rows::<4>(model, budget),
+            6 => self.add_cost_rows::<6>(model, budget),
+            8 => self.add_cost_rows::<8>(model, budget),
+            10 => self.add_cost_rows::<10>(model, budget),
+            _ => self.add_cost_rows::<12>(model, budget),
         }
     }
 
-    /// Minimises |r + J Δ|² plus weight · (value + A Δ)² for each constraint to which `weighed` assigns them,
-    /// plus the `pull` of each unknown. Unknowns without a pull stay. Some(false): a weight is too small and
-    /// `is_lifted` is false, or a number is not finite. None: the budget was spent.
+    /// Minimises |r + J Δ|² plus weight · (value + A Δ)² for each constraint to which `constraint_weight` assigns them,
+    /// plus the `term` of each unknown. Unknowns without a term stay. Some(false): a weight is too small and
+    /// `raises_weights` is false, or a number is not finite. None: the budget was spent.
     pub(super) fn solve(
         &mut self,
         model: &LinearModel,
-        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
-        pull: impl Fn(usize) -> Option<Pull>,
-        is_lifted: bool,
+        constraint_weight: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        term: impl Fn(usize) -> Option<QuadraticTerm>,
+        raises_weights: bool,
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
@@ -100,54 +100,58 @@ impl Riccati {
             self.of_all.extend_from_slice(of_block);
         }
         match model.stages().width() {
-            2 => self.sweep::<2>(model, weighed, pull, is_lifted, step, budget),
-            4 => self.sweep::<4>(model, weighed, pull, is_lifted, step, budget),
-            6 => self.sweep::<6>(model, weighed, pull, is_lifted, step, budget),
-            8 => self.sweep::<8>(model, weighed, pull, is_lifted, step, budget),
-            10 => self.sweep::<10>(model, weighed, pull, is_lifted, step, budget),
-            _ => self.sweep::<12>(model, weighed, pull, is_lifted, step, budget),
+            2 => self.sweep::<2>(model, constraint_weight, term, raises_weights, step, budget),
+            4 => self.sweep::<4>(model, constraint_weight, term, raises_weights, step, budget),
+            6 => self.sweep::<6>(model, constraint_weight, term, raises_weights, step, budget),
+            8 => self.sweep::<8>(model, constraint_weight, term, raises_weights, step, budget),
+            10 => self.sweep::<10>(model, constraint_weight, term, raises_weights, step, budget),
+            _ => self.sweep::<12>(model, constraint_weight, term, raises_weights, step, budget),
         }
     }
 
-    fn see_cost<const W: usize>(&mut self, model: &LinearModel, budget: &mut Budget<'_>) -> bool {
-        let mut group = Group::<W>::at(Place::LAST);
+    fn add_cost_rows<const W: usize>(
+        &mut self,
+        model: &LinearModel,
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        let mut group = Group::<W>::at(RowStage::FIRST_BLOCK);
         for row in 0..model.cost_rows() {
             if !budget.spend((W * W / 2) as u32) {
                 return false;
             }
-            group.move_to(model.place(row), &mut self.of_cost);
-            group.see(model.row(row), model.residual(row), 1.0);
+            group.move_to(model.stage(row), &mut self.of_cost);
+            group.add_row(model.row(row), model.residual(row), 1.0);
         }
-        group.leave(&mut self.of_cost);
+        group.store(&mut self.of_cost);
         true
     }
 
     fn sweep<const W: usize>(
         &mut self,
         model: &LinearModel,
-        weighed: impl Fn(usize, f64) -> Option<(f64, f64)>,
-        pull: impl Fn(usize) -> Option<Pull>,
-        is_lifted: bool,
+        constraint_weight: impl Fn(usize, f64) -> Option<(f64, f64)>,
+        term: impl Fn(usize) -> Option<QuadraticTerm>,
+        raises_weights: bool,
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
-        let mut group = Group::<W>::at(Place::LAST);
+        let mut group = Group::<W>::at(RowStage::FIRST_BLOCK);
         for index in 0..model.constraints() {
             if !budget.spend((W * W / 2) as u32) {
                 return None;
             }
-            if let Some((value, weight)) = weighed(index, model.constraint(index)) {
-                let (place, row) = model.constraint_row(index);
-                group.move_to(place, &mut self.of_all);
-                group.see(row, value, weight);
+            if let Some((value, weight)) = constraint_weight(index, model.constraint(index)) {
+                let (stage, row) = model.constraint_row(index);
+                group.move_to(stage, &mut self.of_all);
+                group.add_row(row, value, weight);
             }
         }
-        group.leave(&mut self.of_all);
+        group.store(&mut self.of_all);
         let lengths = model.stages().lengths();
-        let mut after = After::<W> {
-            is_lifted,
-            squares: [[0.0; W]; W],
-            pulls: [0.0; W],
+        let mut after = CostToGo::<W> {
+            raises_weights,
+            quadratic: [[0.0; W]; W],
+            linear_terms: [0.0; W],
         };
         let blocks = self.of_all.chunks_exact_mut(stride(W));
         for (block, of_block) in blocks.enumerate().rev() {
@@ -157,9 +161,9 @@ impl Riccati {
                     return None;
                 }
             }
-            let pull_at = |i: usize| pull(block * W + i);
+            let term_of = |i: usize| term(block * W + i);
             let at = &step[block * W..][..W];
-            if !after.eliminate(of_block, lengths[block], at, pull_at) {
+            if !after.eliminate(of_block, lengths[block], at, term_of) {
                 return Some(false);
             }
         }
@@ -179,63 +183,66 @@ impl Riccati {
 }
 
 impl<const W: usize> Group<W> {
-    fn at(place: Place) -> Self {
+    fn at(stage: RowStage) -> Self {
         Self {
-            place,
-            squares: [[0.0; W]; W],
-            pulls: [0.0; W],
+            stage,
+            quadratic: [[0.0; W]; W],
+            linear_terms: [0.0; W],
         }
     }
 
-    /// Stores the sum of the previous place in its block, if the place changes.
-    fn move_to(&mut self, place: Place, blocks: &mut [f64]) {
-        if place != self.place {
-            self.leave(blocks);
-            *self = Self::at(place);
+    /// Stores the sum of the previous stage in its block, if the stage changes.
+    fn move_to(&mut self, stage: RowStage, blocks: &mut [f64]) {
+        if stage != self.stage {
+            self.store(blocks);
+            *self = Self::at(stage);
         }
     }
 
-    fn see(&mut self, row: &[f64], value: f64, weight: f64) {
+    fn add_row(&mut self, row: &[f64], value: f64, weight: f64) {
         let row = &row[..W];
         for i in 0..W {
             let by = weight * row[i];
-            self.pulls[i] += by * value;
+            self.linear_terms[i] += by * value;
             for k in 0..W {
-                self.squares[i][k] += by * row[k];
+                self.quadratic[i][k] += by * row[k];
             }
         }
     }
 
-    fn leave(&self, blocks: &mut [f64]) {
-        let of_block = &mut blocks[self.place.block * stride(W)..][..stride(W)];
-        let since = f64::from(u8::from(self.place.since_start));
-        let own = self.place.periods;
-        let (squares, pulls) = of_block.split_at_mut(3 * W * W);
+    fn store(&self, blocks: &mut [f64]) {
+        let of_block = &mut blocks[self.stage.block * stride(W)..][..stride(W)];
+        let since = f64::from(u8::from(self.stage.since_start));
+        let own = self.stage.periods;
+        let (quadratic, linear_terms) = of_block.split_at_mut(3 * W * W);
         for (part, share) in [since, since * own, own * own].into_iter().enumerate() {
-            let targets = squares[part * W * W..][..W * W].chunks_exact_mut(W);
-            for (target, square) in targets.zip(&self.squares) {
+            let targets = quadratic[part * W * W..][..W * W].chunks_exact_mut(W);
+            for (target, square) in targets.zip(&self.quadratic) {
                 for (target, square) in target.iter_mut().zip(square) {
                     *target += share * square;
                 }
             }
         }
         for (part, share) in [since, own].into_iter().enumerate() {
-            for (target, pull) in pulls[part * W..][..W].iter_mut().zip(&self.pulls) {
-                *target += share * pull;
+            for (target, term) in linear_terms[part * W..][..W]
+                .iter_mut()
+                .zip(&self.linear_terms)
+            {
+                *target += share * term;
             }
         }
     }
 }
 
-/// Cost of all later blocks as a function of the state x before them: ½ xᵀ squares x + pulls·x.
-struct After<const W: usize> {
+/// Cost of all later blocks as a function of the state x before them: ½ xᵀ Q x + q·x, Q: `quadratic`, q: `linear_terms`.
+struct CostToGo<const W: usize> {
     /// Whether weights that are too small are raised.
-    is_lifted: bool,
-    squares: [[f64; W]; W],
-    pulls: [f64; W],
+    raises_weights: bool,
+    quadratic: [[f64; W]; W],
+    linear_terms: [f64; W],
 }
 
-impl<const W: usize> After<W> {
+impl<const W: usize> CostToGo<W> {
     /// Eliminates the unknowns of the block before. Stores the factor, and its inverse applied to the state
     /// and linear terms, in the block's numbers. False: the weight of an unknown is too small, or a pivot is
     /// not positive.
@@ -244,40 +251,40 @@ impl<const W: usize> After<W> {
         of_block: &mut [f64],
         length: f64,
         at: &[f64],
-        pull: impl Fn(usize) -> Option<Pull>,
+        term: impl Fn(usize) -> Option<QuadraticTerm>,
     ) -> bool {
-        let share_min = if self.is_lifted {
-            LIFTED_SHARE
+        let share_min = if self.raises_weights {
+            RAISED_SHARE
         } else {
             WEIGHT_SHARE
         };
-        let (squares, pulls) = of_block.split_at_mut(3 * W * W);
-        let (by_state, own) = squares.split_at_mut(W * W);
+        let (quadratic, linear_terms) = of_block.split_at_mut(3 * W * W);
+        let (by_state, own) = quadratic.split_at_mut(W * W);
         let (by_both, own) = own.split_at_mut(W * W);
-        let (at_state, at_own) = pulls.split_at_mut(W);
+        let (at_state, at_own) = linear_terms.split_at_mut(W);
         for i in 0..W {
             for k in 0..W {
-                let later = self.squares[i][k];
+                let later = self.quadratic[i][k];
                 own[i * W + k] += length * length * later;
                 by_both[i * W + k] += length * later;
                 by_state[i * W + k] += later;
             }
-            at_own[i] += length * self.pulls[i];
-            at_state[i] += self.pulls[i];
+            at_own[i] += length * self.linear_terms[i];
+            at_state[i] += self.linear_terms[i];
             let known = own[i * W + i];
             let least = share_min * known;
-            let Pull { weight, force } = pull(i).unwrap_or_else(|| {
+            let QuadraticTerm { weight, linear } = term(i).unwrap_or_else(|| {
                 let weight = FIXED_SHARE * (known + f64::MIN_POSITIVE);
-                Pull {
+                QuadraticTerm {
                     weight,
-                    force: weight * at[i],
+                    linear: weight * at[i],
                 }
             });
-            if weight < least && !self.is_lifted {
+            if weight < least && !self.raises_weights {
                 return false;
             }
             own[i * W + i] += weight.max(least);
-            at_own[i] -= force;
+            at_own[i] -= linear;
         }
         if !factorise::<W>(own) {
             return false;
@@ -297,17 +304,17 @@ impl<const W: usize> After<W> {
             }
             at_own[i] *= scale;
         }
-        self.pulls.copy_from_slice(at_state);
-        for (squares, by_state) in self.squares.iter_mut().zip(by_state.chunks_exact(W)) {
-            squares.copy_from_slice(by_state);
+        self.linear_terms.copy_from_slice(at_state);
+        for (quadratic, by_state) in self.quadratic.iter_mut().zip(by_state.chunks_exact(W)) {
+            quadratic.copy_from_slice(by_state);
         }
         for j in 0..W {
             for i in 0..W {
                 let share = by_both[j * W + i];
                 for k in 0..W {
-                    self.squares[i][k] -= share * by_both[j * W + k];
+                    self.quadratic[i][k] -= share * by_both[j * W + k];
                 }
-                self.pulls[i] -= share * at_own[j];
+                self.linear_terms[i] -= share * at_own[j];
             }
         }
         true
@@ -367,48 +374,55 @@ mod tests {
         (cycle_seed(i as u64, k as u64) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 
-    /// Rows of every kind of place, and constraints.
+    /// Rows of every kind of stage, and constraints.
     fn model(width: usize) -> LinearModel {
         let unknowns = BLOCKS * width;
         let mut model = LinearModel::with_capacity(60, 60, unknowns, unknowns);
         model.clear(&Stages::new(width, 0.5, [1.0, 2.0, 1.0].into_iter()), true);
-        model.weigh(1e-3, &vec![0.2; unknowns]);
+        model.weight_unknowns(1e-3, &vec![0.2; unknowns]);
         for i in 0..12 {
-            let place = Place {
+            let stage = RowStage {
                 block: i / 4,
                 since_start: i % 3 != 0,
                 periods: 1.0 + f64::from(u8::from(i / 4 == 1 && i % 2 == 1)),
             };
             let derivatives: Vec<f64> = (0..width).map(|k| number(i, k)).collect();
-            model.push(number(i, 20), &derivatives, place);
+            model.push(number(i, 20), &derivatives, stage);
             let h = 0.1 * number(i, 21);
             let steeper: Vec<f64> = derivatives.iter().map(|d| 30.0 * d).collect();
-            model.push_constraint(0, h, h, &steeper, place);
+            model.push_constraint(0, h, h, &steeper, stage);
         }
         model
     }
 
-    fn pull(i: usize) -> Option<Pull> {
+    fn term(i: usize) -> Option<QuadraticTerm> {
         let weight = 10_f64.powf(-3.0 + 4.0 * number(i, 22));
-        let force = number(i, 23);
-        (i != 5).then_some(Pull { weight, force })
+        let linear = number(i, 23);
+        (i != 5).then_some(QuadraticTerm { weight, linear })
     }
 
-    fn weighed(index: usize, h: f64) -> Option<(f64, f64)> {
+    fn constraint_weight(index: usize, h: f64) -> Option<(f64, f64)> {
         (index % 4 != 2).then_some((h - 0.01, 1.0 / (1.0 + index as f64)))
     }
 
     fn by_riccati(
         model: &LinearModel,
-        pull: impl Fn(usize) -> Option<Pull>,
-        is_lifted: bool,
+        term: impl Fn(usize) -> Option<QuadraticTerm>,
+        raises_weights: bool,
     ) -> (Option<bool>, Vec<f64>) {
         let (unknowns, mut budget) = (model.stages().unknowns(), Budget::unlimited());
         let mut riccati = Riccati::with_capacity(unknowns);
-        assert!(riccati.begin(model, &mut budget));
-        let pull = |i| pull(i).map(|pull| pull.with_own(model, i, DAMPING));
+        assert!(riccati.accumulate_cost(model, &mut budget));
+        let term = |i| term(i).map(|term| term.with_own(model, i, DAMPING));
         let mut step = vec![0.3; unknowns];
-        let solved = riccati.solve(model, weighed, pull, is_lifted, &mut step, &mut budget);
+        let solved = riccati.solve(
+            model,
+            constraint_weight,
+            term,
+            raises_weights,
+            &mut step,
+            &mut budget,
+        );
         (solved, step)
     }
 
@@ -416,11 +430,14 @@ mod tests {
     fn it_is_the_step_of_the_smoother() {
         for width in WIDTHS {
             let (mut model, mut budget) = (model(width), Budget::unlimited());
-            let steps = [false, true].map(|is_lifted| by_riccati(&model, pull, is_lifted));
-            model.weigh_constraints(weighed, &mut budget).unwrap();
+            let steps =
+                [false, true].map(|raises_weights| by_riccati(&model, term, raises_weights));
+            model
+                .weight_constraints(constraint_weight, &mut budget)
+                .unwrap();
             let mut smoother = Smoother::with_capacity(60);
             let mut smoothed = vec![0.3; BLOCKS * width];
-            assert!(smoother.solve_pulled(&model, pull, DAMPING, &mut smoothed, &mut budget));
+            assert!(smoother.solve_with_terms(&model, term, DAMPING, &mut smoothed, &mut budget));
             for (solved, step) in steps {
                 assert_eq!(solved, Some(true));
                 for (step, smoothed) in step.iter().zip(&smoothed) {
@@ -436,17 +453,27 @@ mod tests {
     fn an_unknown_that_weighs_too_little_is_found_and_can_be_lifted() {
         let light = |i: usize| {
             let weight = if i == 0 { 0.0 } else { 1.0 };
-            Some(Pull { weight, force: 0.0 })
+            Some(QuadraticTerm {
+                weight,
+                linear: 0.0,
+            })
         };
         for width in WIDTHS {
             let model = model(width);
-            let of = |is_lifted| {
+            let of = |raises_weights| {
                 let mut riccati = Riccati::with_capacity(BLOCKS * width);
                 let mut budget = Budget::unlimited();
-                assert!(riccati.begin(&model, &mut budget));
+                assert!(riccati.accumulate_cost(&model, &mut budget));
                 let mut step = vec![0.0; BLOCKS * width];
                 let step = &mut step;
-                riccati.solve(&model, |_, _| None, light, is_lifted, step, &mut budget)
+                riccati.solve(
+                    &model,
+                    |_, _| None,
+                    light,
+                    raises_weights,
+                    step,
+                    &mut budget,
+                )
             };
             assert_eq!([false, true].map(of), [Some(false), Some(true)]);
         }

@@ -7,7 +7,7 @@
 //! Every unknown has variance 1, and every row the noise λ. A fixed unknown has variance 0, and one with a
 //! weight ρ has λ/(λ + ρ). An active constraint is one more row.
 
-use crate::optimizer::linear_model::Place;
+use crate::optimizer::linear_model::RowStage;
 use crate::optimizer::stages::{BLOCKS_MAX, WIDTH_MAX};
 use crate::optimizer::{Budget, LinearModel};
 
@@ -23,32 +23,32 @@ pub(super) struct Smoother {
     variances: [f64; WIDTH_MAX * BLOCKS_MAX],
     /// In that order: gain of each row, and its innovation divided by the variance of the innovation.
     gains: Vec<f64>,
-    shares: Vec<f64>,
+    scaled_innovations: Vec<f64>,
 }
 
 /// The term ½ weight Δ² - force Δ of an unknown Δ.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Pull {
+pub(super) struct QuadraticTerm {
     pub(super) weight: f64,
-    pub(super) force: f64,
+    pub(super) linear: f64,
 }
 
-impl Pull {
+impl QuadraticTerm {
     /// Adds the damping and the weight of the model.
     pub(super) fn with_own(self, model: &LinearModel, i: usize, damping: f64) -> Self {
-        let (own, force) = match model.weighed() {
-            Some((own, z)) => (own, self.force - own * z[i]),
-            None => (0.0, self.force),
+        let (own, linear) = match model.regulariser() {
+            Some((own, z)) => (own, self.linear - own * z[i]),
+            None => (0.0, self.linear),
         };
         Self {
             weight: damping + (own + self.weight),
-            force,
+            linear,
         }
     }
 
     /// Prior mean and variance of the unknown, with the rows' noise λ.
     fn prior(self, damping: f64) -> (f64, f64) {
-        (self.force / self.weight, damping / self.weight)
+        (self.linear / self.weight, damping / self.weight)
     }
 }
 
@@ -72,7 +72,7 @@ impl Smoother {
             means: [0.0; WIDTH_MAX * BLOCKS_MAX],
             variances: [0.0; WIDTH_MAX * BLOCKS_MAX],
             gains: vec![0.0; rows * 2 * WIDTH_MAX],
-            shares: vec![0.0; rows],
+            scaled_innovations: vec![0.0; rows],
         }
     }
 
@@ -90,25 +90,25 @@ impl Smoother {
         self.means[..unknowns].copy_from_slice(step);
         self.variances[..unknowns].fill(0.0);
         for &i in free {
-            let pull = Pull::default().with_own(model, i, damping);
-            (self.means[i], self.variances[i]) = pull.prior(damping);
+            let term = QuadraticTerm::default().with_own(model, i, damping);
+            (self.means[i], self.variances[i]) = term.prior(damping);
         }
         self.solve_from_priors(model, damping, step, budget)
     }
 
-    /// Solves for all unknowns whose `pull` is some, in addition to the damping. The others stay. False as
+    /// Solves for all unknowns whose `term` is some, in addition to the damping. The others stay. False as
     /// above.
-    pub(super) fn solve_pulled(
+    pub(super) fn solve_with_terms(
         &mut self,
         model: &LinearModel,
-        pull: impl Fn(usize) -> Option<Pull>,
+        term: impl Fn(usize) -> Option<QuadraticTerm>,
         damping: f64,
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> bool {
         for (i, step) in step.iter().enumerate() {
-            (self.means[i], self.variances[i]) = match pull(i) {
-                Some(pull) => pull.with_own(model, i, damping).prior(damping),
+            (self.means[i], self.variances[i]) = match term(i) {
+                Some(term) => term.with_own(model, i, damping).prior(damping),
                 None => (*step, 0.0),
             };
         }
@@ -137,14 +137,14 @@ impl Smoother {
     fn sort(&mut self, model: &LinearModel) {
         self.begins.fill(0);
         for row in 0..model.rows() {
-            self.begins[model.place(row).block + 1] += 1;
+            self.begins[model.stage(row).block + 1] += 1;
         }
         for block in 0..BLOCKS_MAX {
             self.begins[block + 1] += self.begins[block];
         }
         let mut next = self.begins;
         for row in 0..model.rows() {
-            let at = &mut next[model.place(row).block];
+            let at = &mut next[model.stage(row).block];
             self.order[usize::from(*at)] = row as u16;
             *at += 1;
         }
@@ -158,10 +158,10 @@ impl Smoother {
     /// Whether a block of one period has rows at its end only. Such rows depend on its unknowns only by the
     /// sum.
     fn has_end_rows_only(&self, model: &LinearModel, block: usize) -> bool {
-        let at_end = |place: Place| place.since_start && place.periods == 1.0;
+        let at_end = |stage: RowStage| stage.since_start && stage.periods == 1.0;
         let mut rows = self.order[self.rows_of(block)].iter();
         model.stages().lengths()[block] == 1.0
-            && rows.all(|&row| at_end(model.place(usize::from(row))))
+            && rows.all(|&row| at_end(model.stage(usize::from(row))))
     }
 
     fn prior<const W: usize>(&self, block: usize) -> Prior<W> {
@@ -189,28 +189,28 @@ impl Smoother {
                 state.add(&prior);
                 self.filter(model, block, damping, &mut state, budget)
             } else {
-                let mut joint = state.beside::<D>(&prior);
+                let mut joint = state.joint_with::<D>(&prior);
                 let filtered = self.filter(model, block, damping, &mut joint, budget);
-                state = joint.moved_on(model.stages().lengths()[block]);
+                state = joint.after_block(model.stages().lengths()[block]);
                 filtered
             };
             if !filtered {
                 return false;
             }
         }
-        let mut pull = [0.0; W];
+        let mut adjoint = [0.0; W];
         for block in (0..model.stages().blocks()).rev() {
             let of_unknowns = if self.has_end_rows_only(model, block) {
-                self.pull_back(model, block, &mut pull);
-                pull
+                self.backward_update(model, block, &mut adjoint);
+                adjoint
             } else {
                 let length = model.stages().lengths()[block];
                 let mut joint = [0.0; D];
                 for i in 0..W {
-                    (joint[i], joint[W + i]) = (pull[i], length * pull[i]);
+                    (joint[i], joint[W + i]) = (adjoint[i], length * adjoint[i]);
                 }
-                self.pull_back(model, block, &mut joint);
-                pull = core::array::from_fn(|i| joint[i]);
+                self.backward_update(model, block, &mut joint);
+                adjoint = core::array::from_fn(|i| joint[i]);
                 core::array::from_fn(|i| joint[W + i])
             };
             let prior = self.prior::<W>(block);
@@ -237,24 +237,30 @@ impl Smoother {
             let row = usize::from(self.order[position]);
             let by: [f64; N] = derivatives(model, row);
             let gain = &mut self.gains[position * 2 * WIDTH_MAX..][..N];
-            self.shares[position] = state.see(&by, model.residual(row), damping, gain);
+            self.scaled_innovations[position] =
+                state.update(&by, model.residual(row), damping, gain);
         }
         true
     }
 
     /// Backward pass: adds the effect of a block's rows on the state before it.
-    fn pull_back<const N: usize>(&self, model: &LinearModel, block: usize, pull: &mut [f64; N]) {
+    fn backward_update<const N: usize>(
+        &self,
+        model: &LinearModel,
+        block: usize,
+        adjoint: &mut [f64; N],
+    ) {
         for position in self.rows_of(block).rev() {
             let by: [f64; N] = derivatives(model, usize::from(self.order[position]));
             let gain = &self.gains[position * 2 * WIDTH_MAX..][..N];
             let met: f64 = gain
                 .iter()
-                .zip(pull.iter())
-                .map(|(gain, pull)| gain * pull)
+                .zip(adjoint.iter())
+                .map(|(gain, adjoint)| gain * adjoint)
                 .sum();
-            let force = self.shares[position] - met;
-            for (pull, derivative) in pull.iter_mut().zip(by) {
-                *pull += derivative * force;
+            let force = self.scaled_innovations[position] - met;
+            for (adjoint, derivative) in adjoint.iter_mut().zip(by) {
+                *adjoint += derivative * force;
             }
         }
     }
@@ -263,14 +269,14 @@ impl Smoother {
 /// The derivatives of a row with respect to the sum of the blocks before. If N allows both, those with
 /// respect to its own block follow.
 fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
-    let (of_row, place) = (model.row(row), model.place(row));
+    let (of_row, stage) = (model.row(row), model.stage(row));
     let mut by = [0.0; N];
     by[..of_row.len()].copy_from_slice(of_row);
     if N > of_row.len() {
         let (before, own) = by.split_at_mut(of_row.len());
         for ((own, before), derivative) in own.iter_mut().zip(before).zip(of_row) {
-            *own = place.periods * derivative;
-            *before = if place.since_start { *derivative } else { 0.0 };
+            *own = stage.periods * derivative;
+            *before = if stage.since_start { *derivative } else { 0.0 };
         }
     }
     by
@@ -280,17 +286,17 @@ impl<const N: usize> State<N> {
     /// Processes one row: residual + `by` · state is noise of variance `noise`. Returns the innovation
     /// divided by its variance.
     #[inline]
-    fn see(&mut self, by: &[f64; N], residual: f64, noise: f64, gain: &mut [f64]) -> f64 {
+    fn update(&mut self, by: &[f64; N], residual: f64, noise: f64, gain: &mut [f64]) -> f64 {
         let mut spread = [0.0; N];
         for (line, derivative) in self.covariance.iter().zip(by) {
             for (spread, covariance) in spread.iter_mut().zip(line) {
                 *spread += covariance * derivative;
             }
         }
-        let (mut variance, mut missing) = (0.0, residual);
+        let (mut variance, mut innovation) = (0.0, residual);
         for i in 0..N {
             variance += by[i] * spread[i];
-            missing += by[i] * self.mean[i];
+            innovation += by[i] * self.mean[i];
         }
         let share = 1.0 / (variance.max(0.0) + noise);
         // A product of two equal factors keeps the matrix symmetric to the bit.
@@ -303,9 +309,9 @@ impl<const N: usize> State<N> {
         }
         for i in 0..N {
             gain[i] = spread[i] * share;
-            self.mean[i] -= gain[i] * missing;
+            self.mean[i] -= gain[i] * innovation;
         }
-        missing * share
+        innovation * share
     }
 
     /// Adds unknowns that are in force for one period.
@@ -317,7 +323,7 @@ impl<const N: usize> State<N> {
     }
 
     /// The joint distribution of this state and the unknowns of a block.
-    fn beside<const D: usize>(&self, prior: &Prior<N>) -> State<D> {
+    fn joint_with<const D: usize>(&self, prior: &Prior<N>) -> State<D> {
         let mut joint = State {
             mean: [0.0; D],
             covariance: [[0.0; D]; D],
@@ -333,7 +339,7 @@ impl<const N: usize> State<N> {
 
     /// The state after unknowns that were in force for `length` periods: the first half plus `length` times
     /// the second.
-    fn moved_on<const W: usize>(&self, length: f64) -> State<W> {
+    fn after_block<const W: usize>(&self, length: f64) -> State<W> {
         let p = &self.covariance;
         State {
             mean: core::array::from_fn(|i| self.mean[i] + length * self.mean[W + i]),

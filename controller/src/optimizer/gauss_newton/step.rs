@@ -1,8 +1,8 @@
 //! The damped step inside the box that satisfies the constraints: an active set around a linear system.
 
-use super::interior_point::Quadratic;
-use super::trial::{Found, Trial};
-use super::{GaussNewton, HALVINGS, Pull, Riccati};
+use super::interior_point::QuadraticProgram;
+use super::trial::{FoundStep, Trial};
+use super::{GaussNewton, HALVINGS, QuadraticTerm, Riccati};
 use crate::optimizer::linear_model::dot;
 use crate::optimizer::{Bounds, Budget, Problem, Reach, cholesky};
 
@@ -14,7 +14,7 @@ const FIRST_SHARE: f64 = 0.9;
 /// Halvings of a staged step before constraints are linearised.
 const HALVINGS_FIRST: u32 = 2;
 /// The part of the step after these halvings.
-const PART_NEXT: f64 = 0.125;
+const LENGTH_NEXT: f64 = 0.125;
 /// Constraints are linearised for steps up to this many times as long as the step in the box, because a step
 /// around constraints is longer. Rough steps use 1.
 const REACH: f64 = 2.0;
@@ -28,22 +28,22 @@ impl GaussNewton {
         trial: &mut Trial<P>,
         damping: f64,
         budget: &mut Budget<'_>,
-    ) -> Found {
+    ) -> FoundStep {
         if self.model.is_staged() {
             let found = self.find_staged_step(trial, damping, budget);
-            return found.unwrap_or(Found::Nothing);
+            return found.unwrap_or(FoundStep::Nothing);
         }
-        self.model.release_constraints();
+        self.model.deactivate_constraints();
         for _ in 0..CONSTRAINT_ROUNDS {
             if self.find_step_in_box(trial, damping, budget).is_none() {
-                return Found::Nothing;
+                return FoundStep::Nothing;
             }
             let step = &self.step[..trial.base.len()];
-            if self.model.meet_constraints(step, budget).is_none() {
+            if self.model.activate_violated(step, budget).is_none() {
                 break;
             }
         }
-        Found::Step
+        FoundStep::NotEvaluated
     }
 
     /// The same for staged rows, with an interior point method if the step in the box violates a constraint.
@@ -54,10 +54,10 @@ impl GaussNewton {
         trial: &mut Trial<P>,
         damping: f64,
         budget: &mut Budget<'_>,
-    ) -> Option<Found> {
+    ) -> Option<FoundStep> {
         self.model.clear_constraints();
         let violations = trial.incumbent.violations();
-        if trial.is_rough && !self.riccati.begin(&self.model, budget) {
+        if trial.is_rough && !self.riccati.accumulate_cost(&self.model, budget) {
             return None;
         }
         self.find_step_in_box(trial, damping, budget)?;
@@ -67,12 +67,12 @@ impl GaussNewton {
         // small step.
         let is_kept = trial.incumbent.is_evaluated() && !trial.incumbent.is_violated();
         if trial.is_small(step) && is_kept {
-            return Some(Found::Step);
+            return Some(FoundStep::NotEvaluated);
         }
         // A better step without violations needs no constraints.
-        let part = trial.descend_to_contact(step, HALVINGS_FIRST, budget)?;
-        if part == 1.0 && !trial.incumbent.is_violated() {
-            return Some(Found::Tried);
+        let step_length = trial.backtrack_until_violation(step, HALVINGS_FIRST, budget)?;
+        if step_length == 1.0 && !trial.incumbent.is_violated() {
+            return Some(FoundStep::Evaluated);
         }
         let reach = Reach {
             step,
@@ -82,21 +82,21 @@ impl GaussNewton {
         if !problem.constrain(z, Some(reach), &mut self.model, budget) {
             return None;
         }
-        let kept = self.model.part_kept(step, budget)?;
-        if kept >= 1.0 {
-            if part == 0.0 {
-                trial.descend(step, PART_NEXT, HALVINGS - HALVINGS_FIRST - 1, budget)?;
+        let feasible_length = self.model.feasible_step_length(step, budget)?;
+        if feasible_length >= 1.0 {
+            if step_length == 0.0 {
+                trial.backtrack(step, LENGTH_NEXT, HALVINGS - HALVINGS_FIRST - 1, budget)?;
             }
-            return Some(Found::Tried);
+            return Some(FoundStep::Evaluated);
         }
-        if kept > part {
-            trial.offer(step, kept, budget)?;
+        if feasible_length > step_length {
+            trial.offer(step, feasible_length, budget)?;
         }
-        let is_informed = trial.is_rough || Riccati::pays(&self.model);
-        if is_informed && !trial.is_rough && !self.riccati.begin(&self.model, budget) {
+        let is_informed = trial.is_rough || Riccati::is_faster(&self.model);
+        if is_informed && !trial.is_rough && !self.riccati.accumulate_cost(&self.model, budget) {
             return None;
         }
-        let quadratic = Quadratic {
+        let quadratic = QuadraticProgram {
             is_rough: trial.is_rough,
             model: &mut self.model,
             smoother: &mut self.smoother,
@@ -121,8 +121,8 @@ impl GaussNewton {
         self.free.clear();
         // An active constraint may pull an unknown away from the bound on which the gradient presses it.
         self.free.extend(0..dimension);
-        if !self.model.is_constrained() {
-            self.free.retain(|&i| !self.pressed[i]);
+        if !self.model.has_active_constraints() {
+            self.free.retain(|&i| !self.at_active_bound[i]);
         }
         for round in 0..ACTIVE_SET_ROUNDS {
             if !self.solve_free(dimension, damping, trial.is_rough, budget) {
@@ -134,12 +134,12 @@ impl GaussNewton {
             }
             if round == 0 && self.model.is_staged() {
                 let step = &self.step[..dimension];
-                trial.descend_to_contact(step, HALVINGS_FIRST, budget)?;
+                trial.backtrack_until_violation(step, HALVINGS_FIRST, budget)?;
             }
-            self.fix_leavers(bounds, z, excess);
+            self.fix_at_bounds(bounds, z, excess);
         }
-        let walls = bounds.lower().iter().zip(bounds.upper());
-        for ((step, z), (&low, &high)) in self.step.iter_mut().zip(z).zip(walls) {
+        let intervals = bounds.lower().iter().zip(bounds.upper());
+        for ((step, z), (&low, &high)) in self.step.iter_mut().zip(z).zip(intervals) {
             *step = (z + *step).clamp(low, high) - z;
         }
         Some(())
@@ -147,8 +147,8 @@ impl GaussNewton {
 
     /// Largest excess of the free unknowns over the box, see [`excess`]; 0: the step stays inside.
     fn excess_max(&self, bounds: &Bounds, z: &[f64]) -> f64 {
-        let walls = bounds.lower().iter().zip(bounds.upper());
-        let mut all = self.step.iter().zip(z).zip(walls);
+        let intervals = bounds.lower().iter().zip(bounds.upper());
+        let mut all = self.step.iter().zip(z).zip(intervals);
         if all.all(|((step, z), (low, high))| (low..=high).contains(&&(z + step))) {
             return 0.0;
         }
@@ -162,13 +162,13 @@ impl GaussNewton {
     ///
     /// The others stay free, because they need no longer compensate for the part outside the box. Fixing all
     /// at once would deflect the step to a corner of the box.
-    fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64], excess_max: f64) {
+    fn fix_at_bounds(&mut self, bounds: &Bounds, z: &[f64], excess_max: f64) {
         let step = &mut self.step;
         self.free.retain(|&i| {
-            let (excess, border) = excess(bounds, i, z[i], step[i]);
+            let (excess, to_bound) = excess(bounds, i, z[i], step[i]);
             let first = excess >= FIRST_SHARE * excess_max;
             if first {
-                step[i] = border;
+                step[i] = to_bound;
             }
             !first
         });
@@ -193,13 +193,13 @@ impl GaussNewton {
             if is_rough {
                 let (model, free) = (&self.model, &self.free);
                 // The free unknowns are sorted.
-                let pull = |i: usize| {
+                let term = |i: usize| {
                     let is_free = free.binary_search(&i).is_ok();
-                    is_free.then(|| Pull::default().with_own(model, i, damping))
+                    is_free.then(|| QuadraticTerm::default().with_own(model, i, damping))
                 };
                 let solved = self
                     .riccati
-                    .solve(model, |_, _| None, pull, true, step, budget);
+                    .solve(model, |_, _| None, term, true, step, budget);
                 return solved == Some(true);
             }
             return self
@@ -208,8 +208,8 @@ impl GaussNewton {
         }
         self.factored = self.free.len();
         let rows = self.model.rows();
-        let weight = damping + self.model.weighed().map_or(0.0, |(weight, _)| weight);
-        match self.set_out(dimension, damping, budget) {
+        let weight = damping + self.model.regulariser().map_or(0.0, |(weight, _)| weight);
+        match self.prepare(dimension, damping, budget) {
             None => false,
             Some(true) => self.solve_in_residual_space(rows, weight, budget),
             Some(false) => self.solve_in_unknown_space(dimension, rows, weight, budget),
@@ -219,12 +219,12 @@ impl GaussNewton {
     /// Initialises the step of the free unknowns and computes the residuals there. In residual space the step
     /// starts at the minimum of weight and damping alone, otherwise at zero. Returns whether the system is
     /// solved in residual space. None: the budget was spent.
-    fn set_out(&mut self, dimension: usize, damping: f64, budget: &mut Budget<'_>) -> Option<bool> {
+    fn prepare(&mut self, dimension: usize, damping: f64, budget: &mut Budget<'_>) -> Option<bool> {
         let rows = self.model.rows();
         let by_residuals = rows <= self.free.len();
-        let weighed = self.model.weighed().filter(|_| by_residuals);
+        let regulariser = self.model.regulariser().filter(|_| by_residuals);
         for &i in &self.free {
-            let own = weighed.map(|(weight, z)| -weight * z[i] / (damping + weight));
+            let own = regulariser.map(|(weight, z)| -weight * z[i] / (damping + weight));
             self.step[i] = own.unwrap_or(0.0);
         }
         // Contribution of the fixed unknowns.
@@ -315,7 +315,7 @@ impl GaussNewton {
 
     /// Solves again for other residuals with the factorised matrix of the last solution. Only the unknowns
     /// that were free in it move. False also when the number of free unknowns has changed.
-    pub(super) fn solve_again(
+    pub(super) fn solve_with_last_factors(
         &mut self,
         dimension: usize,
         damping: f64,
@@ -326,7 +326,7 @@ impl GaussNewton {
         }
         self.step[..dimension].fill(0.0);
         let rows = self.model.rows();
-        match self.set_out(dimension, damping, budget) {
+        match self.prepare(dimension, damping, budget) {
             None => false,
             Some(true) => self.step_in_residual_space(rows, budget),
             Some(false) => self.step_in_unknown_space(rows, budget),
@@ -411,10 +411,10 @@ impl GaussNewton {
     /// The same with the factorised matrix.
     fn step_in_unknown_space(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
         let order = self.free.len();
-        let weighed = self.model.weighed();
+        let regulariser = self.model.regulariser();
         for (side, &i) in self.right_side.iter_mut().zip(&self.free) {
             // The residuals include the steps of the fixed unknowns; those of the free ones are zero.
-            *side = weighed.map_or(0.0, |(weight, z)| -weight * z[i]);
+            *side = regulariser.map_or(0.0, |(weight, z)| -weight * z[i]);
         }
         for row in 0..rows {
             if !budget.spend(order as u32) {
@@ -439,14 +439,14 @@ impl GaussNewton {
 /// Ratio of the step of unknown `i` to its distance from the bound, 0 if it stays inside, and that distance.
 fn excess(bounds: &Bounds, i: usize, z: f64, step: f64) -> (f64, f64) {
     let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
-    let border = if step > 0.0 { upper - z } else { lower - z };
+    let to_bound = if step > 0.0 { upper - z } else { lower - z };
     let is_inside = (lower..=upper).contains(&(z + step));
     let excess = if is_inside {
         0.0
     } else {
-        (step / border).abs()
+        (step / to_bound).abs()
     };
-    (excess, border)
+    (excess, to_bound)
 }
 
 #[cfg(test)]
@@ -467,12 +467,12 @@ mod tests {
         }
         let excess = gauss_newton.excess_max(&bounds, &z);
         assert_eq!(excess, f64::INFINITY);
-        gauss_newton.fix_leavers(&bounds, &z, excess);
+        gauss_newton.fix_at_bounds(&bounds, &z, excess);
         assert_eq!(gauss_newton.free, [16, 17, 18, 19]);
         assert_eq!(gauss_newton.step[..16], [0.0; 16]);
         let excess = gauss_newton.excess_max(&bounds, &z);
         assert_eq!(excess, 5.0);
-        gauss_newton.fix_leavers(&bounds, &z, excess);
+        gauss_newton.fix_at_bounds(&bounds, &z, excess);
         assert!(gauss_newton.free.is_empty());
         assert_eq!(gauss_newton.step[16..20], [1.0; 4]);
         assert_eq!(gauss_newton.excess_max(&bounds, &z), 0.0);
@@ -488,7 +488,7 @@ mod tests {
         gauss_newton.free.extend(0..4);
         gauss_newton.step[..4].copy_from_slice(&[2.0, -1.999, 1.85, 1.6]);
         let excess = gauss_newton.excess_max(&bounds, &[0.0; 4]);
-        gauss_newton.fix_leavers(&bounds, &[0.0; 4], excess);
+        gauss_newton.fix_at_bounds(&bounds, &[0.0; 4], excess);
         assert_eq!(gauss_newton.free, [3]);
         assert_eq!(gauss_newton.step[..4], [1.0, -1.0, 1.0, 1.6]);
     }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::optimizer::{Evaluation, Place, Stages};
+use crate::optimizer::{Evaluation, RowStage, Stages};
 use crate::wide::Wide;
 
 /// Settings of all tests.
@@ -37,8 +37,8 @@ impl Problem for Bowl {
     }
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
         let bend = z[0] * z[0] + z[1] - 1.0;
-        model.push(bend, &[2.0 * z[0], 1.0], Place::LAST);
-        model.push(10.0 * (z[1] - z[0]), &[-10.0, 10.0], Place::LAST);
+        model.push(bend, &[2.0 * z[0], 1.0], RowStage::FIRST_BLOCK);
+        model.push(10.0 * (z[1] - z[0]), &[-10.0, 10.0], RowStage::FIRST_BLOCK);
         budget.spend(10)
     }
 }
@@ -110,11 +110,11 @@ impl Problem for Ridge {
     }
     fn linearise(&self, z: &[f64], model: &mut LinearModel, _: &mut Budget<'_>) -> bool {
         let [sum, second, ridge] = Self::residuals(z);
-        let since_start = Place {
+        let since_start = RowStage {
             block: 1,
-            ..Place::LAST
+            ..RowStage::FIRST_BLOCK
         };
-        let alone = Place {
+        let alone = RowStage {
             since_start: false,
             ..since_start
         };
@@ -201,7 +201,7 @@ fn a_spent_budget_leaves_the_warm_start() {
         &problem,
         &bounds,
         &SETTINGS,
-        &mut Budget::of_quanta(0),
+        &mut Budget::from_quanta(0),
         &mut incumbent,
     );
     assert_eq!(incumbent.z(), [0.1, 0.2]);

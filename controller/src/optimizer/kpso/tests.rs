@@ -72,8 +72,8 @@ fn search_with(simd: Simd, settings: &KpsoSettings, seed: u64, quanta: u32) -> I
         )
         .as_ref(),
     );
-    let mut budget = Budget::of_quanta(quanta);
-    let task = Task {
+    let mut budget = Budget::from_quanta(quanta);
+    let task = SwarmTask {
         cost: &cost,
         bounds: &bounds,
         settings: *settings,
@@ -105,7 +105,7 @@ fn on_a_simulated_clock_every_search_ends_within_5_us_of_its_budget() {
         incumbent.restart(&[-4.0, 4.0], None);
         let mut is_spent = || cost.clock.get() >= budget_ns;
         let mut budget = Budget::new(&mut is_spent);
-        let task = Task {
+        let task = SwarmTask {
             cost: &cost,
             bounds: &bounds,
             settings,

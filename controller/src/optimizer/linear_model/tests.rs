@@ -5,9 +5,9 @@ fn seen(room: usize, constraints: &[(usize, f64)]) -> Vec<f64> {
     let mut model = LinearModel::with_capacity(0, room, 1, 1);
     model.clear(&Stages::one(1), false);
     for &(kind, slack) in constraints {
-        model.push_constraint(kind, slack, slack, &[-1.0], Place::LAST);
+        model.push_constraint(kind, slack, slack, &[-1.0], RowStage::FIRST_BLOCK);
     }
-    let met = model.meet_constraints(&[100.0], &mut Budget::unlimited());
+    let met = model.activate_violated(&[100.0], &mut Budget::unlimited());
     assert_eq!(met, Some(()));
     let mut seen: Vec<f64> = (0..model.rows()).map(|row| model.residual(row)).collect();
     seen.sort_by(f64::total_cmp);

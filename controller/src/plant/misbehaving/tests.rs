@@ -64,7 +64,7 @@ fn the_ideal_robot_follows_orders_at_once_and_measures_exactly() {
     run(&mut robot, speeds([1.0, 0.0, -2.0, 0.0]), 1, 0.1);
     near(&robot, [0.2, 0.2, 0.1, 0.4], 1e-12);
     let before = robot.measure_cables().unwrap();
-    run(&mut robot, MotorOrder::Stand, 1, 1.0);
+    run(&mut robot, MotorOrder::Stop, 1, 1.0);
     assert_eq!(robot.measure_cables().unwrap(), before);
     let measured = model().bend_from_cable_lengths(&before);
     near(
@@ -86,7 +86,7 @@ fn motors_lag_by_their_time_constant_whatever_the_step() {
         let behind = lag_s * (1.0 - (-0.1 / lag_s).exp());
         near(&robot, [0.6 - behind, -0.2, 0.1, 0.0], 1e-12);
         // After the order to stand, the motor runs on for a while.
-        run(&mut robot, MotorOrder::Stand, 1, 10.0);
+        run(&mut robot, MotorOrder::Stop, 1, 10.0);
         near(&robot, [0.6, -0.2, 0.1, 0.0], 1e-12);
         run(&mut robot, lengths([0.0; 4]), 1, lag_s);
         let left = (-1.0_f64).exp();
@@ -106,7 +106,7 @@ fn orders_take_effect_after_the_delay_whatever_the_step() {
         let steps = (0.1 / step_s).round() as u32;
         run(&mut robot, speeds([1.0, 0.0, 0.0, 0.0]), steps, step_s);
         near(&robot, [0.5 + 0.1 - delay_s, -0.2, 0.1, 0.0], 1e-12);
-        run(&mut robot, MotorOrder::Stand, steps, step_s);
+        run(&mut robot, MotorOrder::Stop, steps, step_s);
         near(&robot, [0.5 + 0.1, -0.2, 0.1, 0.0], 1e-12);
     }
 }

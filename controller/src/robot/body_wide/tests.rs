@@ -28,19 +28,19 @@ fn lane_bends(shape: &Configuration, i: usize) -> Wide<LANES> {
     Wide::from_fn(|lane| shape.as_slice()[i] * SHARES[lane])
 }
 
-/// The clearance of each section of W bodies up to `enough_m`.
+/// The clearance of each section of W bodies up to `cutoff_m`.
 #[inline(always)]
 fn clearances_below<const W: usize>(
     robot: &Robot,
     bends: impl Fn(usize) -> Wide<W>,
     obstacle: &Obstacle,
-    enough_m: f64,
+    cutoff_m: f64,
 ) -> [Wide<W>; SECTIONS_MAX] {
     let body = robot.body_wide(bends);
-    let mut clearances_m = [Wide::splat(enough_m); SECTIONS_MAX];
+    let mut clearances_m = [Wide::splat(cutoff_m); SECTIONS_MAX];
     for j in 0..SECTIONS_MAX {
-        if let Some(beyond) = body.section_is_beyond(j, obstacle, enough_m) {
-            clearances_m[j] = body.section_clearance_below(j, obstacle, enough_m, beyond);
+        if let Some(beyond) = body.section_is_beyond(j, obstacle, cutoff_m) {
+            clearances_m[j] = body.section_clearance_below(j, obstacle, cutoff_m, beyond);
         }
     }
     clearances_m
@@ -51,11 +51,11 @@ struct ClearanceKernel<'a> {
     robot: &'a Robot,
     bends: [Wide<LANES>; COORDINATES_MAX],
     obstacle: &'a Obstacle,
-    enough_m: f64,
+    cutoff_m: f64,
 }
 
 impl<'a> ClearanceKernel<'a> {
-    fn new(robot: &'a Robot, shape: &Configuration, obstacle: &'a Obstacle, enough_m: f64) -> Self {
+    fn new(robot: &'a Robot, shape: &Configuration, obstacle: &'a Obstacle, cutoff_m: f64) -> Self {
         let mut bends = [Wide::splat(0.0); COORDINATES_MAX];
         for (i, bends) in bends[..robot.coordinate_count()].iter_mut().enumerate() {
             *bends = lane_bends(shape, i);
@@ -64,7 +64,7 @@ impl<'a> ClearanceKernel<'a> {
             robot,
             bends,
             obstacle,
-            enough_m,
+            cutoff_m,
         }
     }
 
@@ -80,7 +80,7 @@ impl pulp::NullaryFnOnce for ClearanceKernel<'_> {
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        clearances_below(self.robot, |i| self.bends[i], self.obstacle, self.enough_m)
+        clearances_below(self.robot, |i| self.bends[i], self.obstacle, self.cutoff_m)
     }
 }
 
@@ -90,9 +90,9 @@ fn alone_below(
     robot: &Robot,
     shape: &Configuration,
     obstacle: &Obstacle,
-    enough_m: f64,
+    cutoff_m: f64,
 ) -> [Wide<1>; SECTIONS_MAX] {
-    clearances_below(robot, |i| Wide([shape.as_slice()[i]]), obstacle, enough_m)
+    clearances_below(robot, |i| Wide([shape.as_slice()[i]]), obstacle, cutoff_m)
 }
 
 fn bits(clearances_m: &[Wide<LANES>; SECTIONS_MAX]) -> [[u64; LANES]; SECTIONS_MAX] {
@@ -104,7 +104,7 @@ proptest! {
 
     #[test]
     fn wide_bodies_equal_single_lanes_bit_for_bit_and_the_scalar_body(
-        (robot, shape) in robots_and_shapes(), place in places(), enough_m in -0.05..0.3_f64,
+        (robot, shape) in robots_and_shapes(), place in places(), cutoff_m in -0.05..0.3_f64,
     ) {
         prop_assume!(bend_max_rad(&shape) <= TAU);
         // Error of the series (rad) times the robot's reach, plus rounding of a metre. Beyond π, outside the range of a
@@ -113,18 +113,18 @@ proptest! {
         let tolerance_m = 1e-14 + series_rad * robot.reach_m();
         let [start_m, end_m] = segment(&robot, &shape, place);
         for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.01), capsule(start_m, start_m, 0.0)] {
-            let [all, below] = [1e3, enough_m].map(|enough_m| ClearanceKernel::new(&robot, &shape, &obstacle, enough_m).evaluate());
+            let [all, below] = [1e3, cutoff_m].map(|cutoff_m| ClearanceKernel::new(&robot, &shape, &obstacle, cutoff_m).evaluate());
             for lane in 0..LANES {
                 let shape = lane_shape(&shape, lane);
                 let body = robot.body(&shape);
-                let [all_alone, below_alone] = [1e3, enough_m].map(|enough_m| alone_below(&robot, &shape, &obstacle, enough_m));
+                let [all_alone, below_alone] = [1e3, cutoff_m].map(|cutoff_m| alone_below(&robot, &shape, &obstacle, cutoff_m));
                 for j in 0..robot.section_count() {
                     let [all, below] = [all, below].map(|wide| wide[j].0[lane]);
                     prop_assert_eq!(all.to_bits(), all_alone[j].0[0].to_bits());
                     prop_assert_eq!(below.to_bits(), below_alone[j].0[0].to_bits());
                     let off_m = all - body.clearance_of(j, &obstacle);
                     prop_assert!(off_m.abs() < tolerance_m, "lane {lane}, section {j}: off by {off_m:e} m");
-                    prop_assert_eq!(below, all.min(enough_m));
+                    prop_assert_eq!(below, all.min(cutoff_m));
                 }
             }
         }

@@ -120,8 +120,8 @@ impl<'a> NearObstacles<'a> {
             let safe_m = guard.safe_distance_m;
             let speed_m_s = obstacle.velocity_m_s().norm();
             let reach_m = travel_m.map(|travel_m| safe_m + travel_m + 2.0 * time_s * speed_m_s);
-            let enough_m = least_m.max(safe_m);
-            let start_m = standing.body.clearances_below(obstacle, &reach_m, enough_m);
+            let cutoff_m = least_m.max(safe_m);
+            let start_m = standing.body.clearances_below(obstacle, &reach_m, cutoff_m);
             if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
@@ -141,7 +141,7 @@ impl<'a> NearObstacles<'a> {
                 },
                 dip_m,
             };
-            let exact_count = start_m.iter().filter(|m| **m < enough_m).count() as u32;
+            let exact_count = start_m.iter().filter(|m| **m < cutoff_m).count() as u32;
             budget = budget.saturating_sub(watched.cost() * exact_count);
             least_m = watched.nearest_m().min(least_m);
             *slots.next()? = Some(watched);
@@ -272,32 +272,32 @@ impl<'a> NearObstacles<'a> {
         clearance_m - self.floor_m(predicted, j)
     }
 
-    /// Point of section j that is closest to an obstacle, if its clearance is less than `enough_m`.
+    /// Point of section j that is closest to an obstacle, if its clearance is less than `cutoff_m`.
     pub(super) fn nearest_below(
         &self,
         point: &PathPoint,
         predicted: &PredictedObstacle<'_>,
         j: usize,
-        enough_m: f64,
+        cutoff_m: f64,
     ) -> Option<Nearest> {
-        if point.clearance_min_m(predicted.watched, j) >= enough_m {
+        if point.clearance_min_m(predicted.watched, j) >= cutoff_m {
             return None;
         }
         let body = &point.pose.body;
-        let closest = self.closest_below(body, predicted, j, enough_m).ok()?;
-        let is_short = closest.clearance_m < enough_m;
-        is_short.then(|| body.place(&closest, predicted.obstacle()))
+        let closest = self.closest_below(body, predicted, j, cutoff_m).ok()?;
+        let is_short = closest.clearance_m < cutoff_m;
+        is_short.then(|| body.nearest_from(&closest, predicted.obstacle()))
     }
 
-    /// Clearance of section j \[m\]: exact, or a lower bound that is at least `enough_m`.
+    /// Clearance of section j \[m\]: exact, or a lower bound that is at least `cutoff_m`.
     fn clearance_below(
         &self,
         body: &Body,
         predicted: &PredictedObstacle<'_>,
         j: usize,
-        enough_m: f64,
+        cutoff_m: f64,
     ) -> f64 {
-        let closest = self.closest_below(body, predicted, j, enough_m);
+        let closest = self.closest_below(body, predicted, j, cutoff_m);
         closest.map_or_else(|least_m| least_m, |closest| closest.clearance_m)
     }
 
@@ -320,13 +320,13 @@ impl<'a> NearObstacles<'a> {
     /// Closest point of section j to an obstacle.
     ///
     /// # Errors
-    /// A lower bound of the clearance \[m\] that is at least `enough_m`, if there is one.
+    /// A lower bound of the clearance \[m\] that is at least `cutoff_m`, if there is one.
     fn closest_below(
         &self,
         body: &Body,
         predicted: &PredictedObstacle<'_>,
         j: usize,
-        enough_m: f64,
+        cutoff_m: f64,
     ) -> Result<Closest, f64> {
         let obstacle = predicted.obstacle();
         if predicted.watched.is_sphere() {
@@ -341,7 +341,7 @@ impl<'a> NearObstacles<'a> {
         } else {
             body.clearance_min_along(j, obstacle, &direction)
         };
-        if least_m >= enough_m {
+        if least_m >= cutoff_m {
             self.spend(1);
             return Err(least_m);
         }

@@ -57,14 +57,14 @@ pub(super) fn bound(
         for section in sections(watched.sections()) {
             let floor_m = watched.floor_bound_m(section, point.time_s);
             // Between the ends, only the violation that was found counts.
-            let enough_m = if is_end {
+            let cutoff_m = if is_end {
                 floor_m
             } else if (index, section) == (violation.index, violation.section) {
                 f64::INFINITY
             } else {
                 continue;
             };
-            if let Some(nearest) = near.nearest_below(&point, &predicted, section, enough_m) {
+            if let Some(nearest) = near.nearest_below(&point, &predicted, section, cutoff_m) {
                 least.insert(TooNear {
                     margin_m: nearest.clearance_m - floor_m,
                     point: &point,
@@ -153,7 +153,7 @@ pub(super) fn bound_relinearised(
                 let is_violated = between.is_some_and(|violation| {
                     (violation.index, violation.section) == (index, section)
                 });
-                let enough_m = if !is_end && !is_violated {
+                let cutoff_m = if !is_end && !is_violated {
                     continue;
                 } else if is_violated || around.is_none() || near.has_row(index, section) {
                     // The required clearance is out of reach of all rates that are not faster.
@@ -161,7 +161,7 @@ pub(super) fn bound_relinearised(
                 } else {
                     watched.floor_bound_m(section, point.time_s)
                 };
-                if let Some(nearest) = near.nearest_below(&point, &predicted, section, enough_m) {
+                if let Some(nearest) = near.nearest_below(&point, &predicted, section, cutoff_m) {
                     let short = TooNear {
                         margin_m: 0.0,
                         point: &point,

@@ -84,7 +84,7 @@ proptest! {
         let nearest = nearest.unwrap();
         let mut violation = |at: &Vector| {
             region.found.at = *at;
-            region.look_at_all();
+            region.mark_all_rows();
             region.most_violated().map_or(0.0, |row| row.bound - dot(&row.normal, at))
         };
         prop_assert!(violation(&nearest) < 1e-12);

@@ -39,14 +39,14 @@ proptest! {
         let truth = Robot::new(&parameters).unwrap();
         let at = Configuration::from_slice(&bends[..2 * n]).unwrap();
         let tip_m = model.tip_position(&at);
-        let thicker = model.thicker(&at, (truth.tip_position(&at) - tip_m).norm());
+        let enlarged = model.enlarged(&at, (truth.tip_position(&at) - tip_m).norm());
         for j in 0..n {
-            let more_m = thicker.sections()[j].body_radius_m - model.sections()[j].body_radius_m;
+            let more_m = enlarged.sections()[j].body_radius_m - model.sections()[j].body_radius_m;
             let [model_m, true_m] = [&model, &truth].map(|robot| robot.body_point(&at, j, share));
             let is_within = (true_m - model_m).norm() <= more_m + 1e-12;
             prop_assert!(is_within || model_m.norm() > tip_m.norm());
         }
-        prop_assert_eq!(&*model.thicker(&at, 0.0), &model);
+        prop_assert_eq!(&*model.enlarged(&at, 0.0), &model);
     }
 
     #[test]

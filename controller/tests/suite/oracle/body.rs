@@ -65,15 +65,15 @@ impl Arc {
     }
 
     /// Distance from the surface of the section to that of the obstacle (m), at most `within_m` too large,
-    /// and its place on the arc. Above `enough_m`, any value above it.
+    /// and its place on the arc. Above `cutoff_m`, any value above it.
     ///
     /// The distance to a convex set, here a point or a segment, is a convex function with slopes of at most
     /// one. Along an arc of curvature κ its second derivative is at least -κ. So within h of a point with
     /// distance d and slope d' it is at least d - |d'| h - κ h²/2, and at least d - h. The arc is halved
     /// where these bounds do not suffice.
-    pub(super) fn nearest_m(&self, ball: &Ball, enough_m: f64, within_m: f64) -> (f64, f64) {
+    pub(super) fn nearest_m(&self, ball: &Ball, cutoff_m: f64, within_m: f64) -> (f64, f64) {
         let radii_m = self.body_radius_m + ball.radius_m;
-        let enough_m = enough_m + radii_m;
+        let cutoff_m = cutoff_m + radii_m;
         let curvature = self.bend_rad / self.length_m;
         let mut nearest = (f64::INFINITY, 0.0);
         let mut look = |s_m: f64| {
@@ -90,7 +90,7 @@ impl Arc {
         while let Some((middle_m, half_m)) = open.pop() {
             let (distance_m, slope, least_m) = look(middle_m);
             let by_slope_m = slope * half_m + 0.5 * curvature * half_m * half_m;
-            if distance_m - by_slope_m.min(half_m) < least_m.min(enough_m) - within_m {
+            if distance_m - by_slope_m.min(half_m) < least_m.min(cutoff_m) - within_m {
                 let quarter_m = 0.5 * half_m;
                 if middle_m == half_m {
                     look(0.0);

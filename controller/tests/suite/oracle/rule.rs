@@ -355,8 +355,8 @@ impl<'a> Way<'a> {
         let body = arcs(&self.moment.parameters, &there);
         let spare_m = |pair: &Pair| {
             let ball = pair.ball.after(time_s);
-            let enough_m = self.moment.safe_m + pair.fastest_m_s * ahead_s;
-            let (clearance_m, _) = body[pair.section].nearest_m(&ball, enough_m, within_m);
+            let cutoff_m = self.moment.safe_m + pair.fastest_m_s * ahead_s;
+            let (clearance_m, _) = body[pair.section].nearest_m(&ball, cutoff_m, within_m);
             clearance_m - self.floor_m(pair, &ball)
         };
         pairs.iter().map(spare_m).collect()

@@ -72,7 +72,7 @@ fn a_reference_that_moves_elsewhere_is_reached_gently() {
         let seen = fastest(&tips_m);
         assert_eq!(is_gentle(seen), approach == "smooth", "{seen:?}");
         let record = trial.turn();
-        assert!(!record.approach.runs(), "it is over");
+        assert!(!record.approach.is_active(), "it is over");
         let error_m = (record.tip.position_m - record.reference.position_m).norm();
         assert!(error_m < 0.002, "{error_m}");
     }

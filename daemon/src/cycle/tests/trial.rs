@@ -277,7 +277,7 @@ impl Trial {
         for step in 1..=STEPS {
             let part = f64::from(step) / f64::from(STEPS);
             self.plant.order(match self.interface {
-                _ if self.stands => MotorOrder::Stand,
+                _ if self.stands => MotorOrder::Stop,
                 Interface::Velocity => MotorOrder::Speeds(command.cable_speed_m_s),
                 Interface::Position => MotorOrder::Lengths(core::array::from_fn(|cable| {
                     before_m[cable] + part * (self.sent_m[cable] - before_m[cable])
@@ -298,7 +298,7 @@ impl Trial {
             Interface::Position => MotorOrder::Lengths(self.sent_m),
             Interface::Velocity => match self.sent.filter(is_valid) {
                 Some(sent) => MotorOrder::Speeds(sent.cable_speed_m_s),
-                None => MotorOrder::Stand,
+                None => MotorOrder::Stop,
             },
         });
         (self.plant).advance((PERIOD_NS - MEASURED_BEFORE_NS) as f64 * 1e-9);

@@ -9,10 +9,10 @@ use crate::obstacles::ObstacleSet;
 fn an_obstacle_whose_source_died_does_not_expire_while_the_daemon_stands_still() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
     rig.gather();
-    rig.tell(4, ObstacleAction::Upsert, &[50]);
+    rig.send_update(4, ObstacleAction::Upsert, &[50]);
     rig.gather();
     // The last sign of life waits while the daemon stalls for longer than the obstacle's lifetime.
-    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.send_update(4, ObstacleAction::Upsert, &[]);
     rig.next_cycle += 80;
     for _ in 0..3 {
         let inputs = rig.gather();
@@ -47,7 +47,7 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
     let lifetime_ms = 50;
     for _ in 0..5 {
-        rig.tell(4, ObstacleAction::Upsert, &[lifetime_ms]);
+        rig.send_update(4, ObstacleAction::Upsert, &[lifetime_ms]);
         assert!(!rig.gather().obstacle_source_silent);
     }
     let begin_ns = rig.now_ns();
@@ -70,7 +70,7 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
         "{silent_ns}"
     );
     // The source sends again, without this obstacle.
-    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.send_update(4, ObstacleAction::Upsert, &[]);
     rig.gather();
     let inputs = rig.gather();
     assert!(!inputs.obstacle_source_silent);
@@ -78,7 +78,7 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
     // The source dies again, now without a known obstacle; an operator clears the list.
     rig.gather_for(200);
     assert!(rig.gather().obstacle_source_silent);
-    rig.tell(5, ObstacleAction::Clear, &[]);
+    rig.send_update(5, ObstacleAction::Clear, &[]);
     assert!(!rig.gather().obstacle_source_silent);
     rig.gather_for(200);
     assert!(!rig.gather().obstacle_source_silent);
@@ -87,17 +87,17 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
 #[test]
 fn a_source_of_obstacles_that_removes_them_and_ends_holds_nobody_up() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
-    rig.tell(4, ObstacleAction::Upsert, &[50, 5000]);
+    rig.send_update(4, ObstacleAction::Upsert, &[50, 5000]);
     rig.gather();
     rig.gather_for(20);
-    rig.tell(4, ObstacleAction::Remove, &[0, 0]);
+    rig.send_update(4, ObstacleAction::Remove, &[0, 0]);
     assert_eq!(rig.gather().obstacles.count(), 0);
     rig.gather_for(300);
     assert!(!rig.gather().obstacle_source_silent);
     // A source with an obstacle left has not ended, and the obstacle stays.
-    rig.tell(4, ObstacleAction::Upsert, &[50, 50]);
+    rig.send_update(4, ObstacleAction::Upsert, &[50, 50]);
     rig.gather();
-    rig.tell(4, ObstacleAction::Remove, &[0]);
+    rig.send_update(4, ObstacleAction::Remove, &[0]);
     rig.gather();
     rig.gather_for(300);
     let inputs = rig.gather();
@@ -108,7 +108,7 @@ fn a_source_of_obstacles_that_removes_them_and_ends_holds_nobody_up() {
 #[test]
 fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");
-    rig.tell(4, ObstacleAction::Upsert, &[50; 64]);
+    rig.send_update(4, ObstacleAction::Upsert, &[50; 64]);
     rig.gather();
     rig.gather_for(300);
     let inputs = rig.gather();
@@ -117,7 +117,7 @@ fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
         !inputs.obstacle_source_silent,
         "they are kept, and the robot goes on"
     );
-    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.send_update(4, ObstacleAction::Upsert, &[]);
     rig.gather();
     assert_eq!(rig.gather().obstacles.count(), 0);
 }
@@ -130,12 +130,12 @@ fn an_obstacle_that_was_sent_before_the_list_was_cleared_does_not_come_back() {
     rig.gather();
     let waited = rig.update(4, ObstacleAction::Upsert, &[0]);
     rig.next_cycle += 1;
-    rig.tell(5, ObstacleAction::Clear, &[]);
+    rig.send_update(5, ObstacleAction::Clear, &[]);
     rig.obstacles.send_copy(waited).unwrap();
     assert_eq!(rig.gather().obstacles.count(), 0);
     assert_eq!(rig.counted(Outcome::Stale), 1);
     // A later update is accepted, and one without a time of sending.
-    rig.tell(4, ObstacleAction::Upsert, &[0]);
+    rig.send_update(4, ObstacleAction::Upsert, &[0]);
     assert_eq!(rig.gather().obstacles.count(), 1);
     let mut undated = rig.update(6, ObstacleAction::Upsert, &[0, 0]);
     undated.header.sent_ns = 0;
@@ -186,7 +186,7 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
             (count > 0).then_some(events)
         });
         assert!(told.flatten().any(|event| event.sender_id == 4));
-        rig.tell(4, ObstacleAction::Clear, &[]);
+        rig.send_update(4, ObstacleAction::Clear, &[]);
         rig.gather_for(100);
     }
     // A gather with less time accepts fewer updates.

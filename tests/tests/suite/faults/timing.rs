@@ -315,7 +315,7 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
         ),
     ] {
         inputs.gather = number;
-        inputs.suspends = watch.look(&(slept_ns..=slept_ns));
+        inputs.suspends = watch.update(&(slept_ns..=slept_ns));
         let record = run(&mut cycle, number, &mut inputs, &validated);
         assert_eq!(record.mode, expected, "cycle {number}");
     }

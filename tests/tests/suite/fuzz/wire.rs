@@ -2,7 +2,7 @@
 
 use cdcr_controller::estimator::Estimator;
 use cdcr_controller::reference::{
-    APART_MIN_NS, Orientation, ReferencePoint, ReferenceState, ReferenceWindow, Trajectory,
+    Orientation, POINT_SPACING_MIN_NS, ReferencePoint, ReferenceState, ReferenceWindow, Trajectory,
 };
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters, Shape};
 use cdcr_daemon::convert::{
@@ -57,7 +57,7 @@ fn judge_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
         assert!((length - 1.0).abs() < 1e-12, "{:?}", point.orientation);
     }
     let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m());
-    let apart = |pair: &[ReferencePoint]| pair[1].time_ns >= pair[0].time_ns + APART_MIN_NS;
+    let apart = |pair: &[ReferencePoint]| pair[1].time_ns >= pair[0].time_ns + POINT_SPACING_MIN_NS;
     let taken = trajectory.replace(points.iter().copied()).is_ok();
     assert_eq!(taken, points.windows(2).all(apart));
     if !taken {

@@ -3,9 +3,9 @@
 
 use proptest::prelude::*;
 
-use super::super::{Found, GaussNewton};
+use super::super::{FoundStep, GaussNewton};
 use crate::optimizer::{
-    Bounds, Budget, Evaluation, Incumbent, LinearModel, Place, Problem, Reach, Stages,
+    Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages,
 };
 use crate::wide::Wide;
 
@@ -23,7 +23,7 @@ struct Linear {
 struct Row {
     value: f64,
     derivatives: Vec<f64>,
-    place: Place,
+    stage: RowStage,
 }
 
 impl Problem for Linear {
@@ -39,12 +39,12 @@ impl Problem for Linear {
     }
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
         for row in &self.residuals {
-            model.push(row.value, &row.derivatives, row.place);
+            model.push(row.value, &row.derivatives, row.stage);
         }
         if self.weight > 0.0 {
-            model.weigh(self.weight, z);
+            model.weight_unknowns(self.weight, z);
         }
-        budget.left()
+        budget.begin_quantum()
     }
     fn constrain(
         &self,
@@ -54,9 +54,9 @@ impl Problem for Linear {
         budget: &mut Budget<'_>,
     ) -> bool {
         for row in &self.constraints {
-            model.push_constraint(0, row.value, row.value, &row.derivatives, row.place);
+            model.push_constraint(0, row.value, row.value, &row.derivatives, row.stage);
         }
-        budget.left()
+        budget.begin_quantum()
     }
 }
 
@@ -74,7 +74,7 @@ fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> O
     incumbent.restart(z, None);
     let mut to = z.to_vec();
     let found = gauss_newton.propose(problem, &bounds, damping, budget, &mut incumbent, &mut to);
-    (found != Found::Nothing).then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
+    (found != FoundStep::Nothing).then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
 }
 
 fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
@@ -88,13 +88,13 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
             let stages = Stages::new(width, 0.1, lengths.iter().copied());
             let row = |scale: f64| {
                 let derivatives = prop::collection::vec(-1.0..1.0_f64, width);
-                let place = (0..blocks, any::<bool>(), 0..3_u8);
+                let stage = (0..blocks, any::<bool>(), 0..3_u8);
                 let lengths = lengths.clone();
-                (-1.0..1.0_f64, derivatives, place).prop_map(
+                (-1.0..1.0_f64, derivatives, stage).prop_map(
                     move |(value, derivatives, (block, of_step, short))| Row {
                         value: scale * value,
                         derivatives: derivatives.iter().map(|d| scale * d).collect(),
-                        place: Place {
+                        stage: RowStage {
                             block,
                             since_start: !of_step,
                             periods: if of_step {
@@ -107,9 +107,9 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
                 )
             };
             let at_end = row(1.0).prop_map(|row| Row {
-                place: Place {
+                stage: RowStage {
                     since_start: true,
-                    ..row.place
+                    ..row.stage
                 },
                 ..row
             });
@@ -120,7 +120,7 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
                 width * blocks,
             );
             (residuals, constraints, z).prop_map(move |(mut residuals, constraints, z)| {
-                residuals.sort_by_key(|row| row.place.block);
+                residuals.sort_by_key(|row| row.stage.block);
                 let problem = Linear {
                     stages,
                     is_staged: true,
@@ -140,9 +140,9 @@ impl Linear {
         let blocks = self.stages.lengths().iter().enumerate();
         blocks
             .flat_map(|(block, length)| {
-                let periods = match block.cmp(&row.place.block) {
-                    std::cmp::Ordering::Equal => row.place.periods,
-                    std::cmp::Ordering::Less if row.place.since_start => *length,
+                let periods = match block.cmp(&row.stage.block) {
+                    std::cmp::Ordering::Equal => row.stage.periods,
+                    std::cmp::Ordering::Less if row.stage.since_start => *length,
                     _ => 0.0,
                 };
                 row.derivatives.iter().map(move |d| 0.1 * periods * d)
@@ -244,7 +244,7 @@ fn a_number_that_is_not_finite_and_a_spent_budget_give_no_step() {
     let row = |value| Row {
         value,
         derivatives: vec![0.3, 0.2],
-        place: Place {
+        stage: RowStage {
             block: 3,
             since_start: true,
             periods: 1.0,
@@ -261,6 +261,6 @@ fn a_number_that_is_not_finite_and_a_spent_budget_give_no_step() {
     let unlimited = &mut Budget::unlimited();
     assert!(step(&problem(0.01), 1e-9, &z, unlimited).is_some());
     assert_eq!(step(&problem(f64::NAN), 1e-9, &z, unlimited), None);
-    let spent = &mut Budget::of_quanta(0);
+    let spent = &mut Budget::from_quanta(0);
     assert_eq!(step(&problem(0.01), 1e-9, &z, spent), None);
 }

@@ -170,13 +170,13 @@ impl Driver {
         let rests_ns = now_ns.saturating_sub(self.moved_ns) - obeys_ns;
         self.moved_ns = now_ns.max(self.moved_ns);
         let [obeying, resting] = match command {
-            None => [MotorOrder::Stand; 2],
+            None => [MotorOrder::Stop; 2],
             Some(command) if self.interface == Interface::Position => {
                 [MotorOrder::Lengths(command.cable_length_m); 2]
             }
             Some(command) => [
                 MotorOrder::Speeds(command.cable_speed_m_s),
-                MotorOrder::Stand,
+                MotorOrder::Stop,
             ],
         };
         for (order, time_ns) in [(obeying, obeys_ns), (resting, rests_ns)] {

@@ -5,9 +5,9 @@ use core::ops::Range;
 
 use super::TrackingProblem;
 use crate::nmpc::pose_error::distance_squared;
-use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Place, Problem};
+use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Problem, RowStage};
 use crate::reference::Orientation;
-use crate::robot::{COORDINATES_MAX, Near};
+use crate::robot::{COORDINATES_MAX, TipSeries};
 use crate::wide::{Aligned, Wide};
 
 /// The bends at the end of two steps. After an odd number of steps the second lane is unused.
@@ -15,26 +15,26 @@ type Pair = [Wide<2>; COORDINATES_MAX];
 
 /// A plain problem in bend vectors whose plans all stay near the start: the usual search problem of the
 /// swarm.
-pub(in crate::nmpc) struct Plain<'a> {
+pub(in crate::nmpc) struct PositionOnly<'a> {
     problem: &'a TrackingProblem<'a>,
-    near: Near,
+    tip_series: TipSeries,
     step_ns: u32,
 }
 
-impl<'a> Plain<'a> {
+impl<'a> PositionOnly<'a> {
     pub(in crate::nmpc) fn new(problem: &'a TrackingProblem<'a>) -> Option<Self> {
         if !(problem.is_free() && problem.follows_positions()) {
             return None;
         }
         Some(Self {
             problem,
-            near: problem.near()?,
+            tip_series: problem.tip_series()?,
             step_ns: problem.step_ns(),
         })
     }
 }
 
-impl Cost for Plain<'_> {
+impl Cost for PositionOnly<'_> {
     #[inline(always)]
     fn evaluate<const W: usize>(
         &self,
@@ -43,15 +43,21 @@ impl Cost for Plain<'_> {
         budget: &mut Budget<'_>,
         _instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        let Self { problem, near, .. } = self;
+        let Self {
+            problem,
+            tip_series,
+            ..
+        } = self;
         problem.motion.start_in(bends);
         let mut cost = problem.regularisation(&z);
         for step in 0..problem.steps() {
             if !budget.spend(self.step_ns) {
                 return None;
             }
-            let moving = problem.motion.moving(bends, &z, step);
-            let tip = problem.robot.tip_position_near(near, moving);
+            let advance_component = problem.motion.advance_component(bends, &z, step);
+            let tip = problem
+                .robot
+                .tip_position_by_series(tip_series, advance_component);
             if let Some(target) = problem.target(step) {
                 let error = distance_squared(&tip, &target.position_m);
                 cost = cost + error * problem.weights(step).position;
@@ -63,14 +69,15 @@ impl Cost for Plain<'_> {
 
 impl TrackingProblem<'_> {
     /// The approximation for bends near the start, if all plans stay near it.
-    pub(super) fn near(&self) -> Option<Near> {
-        let most_rad = self.motion.most_rad(self.robot);
-        self.robot.near(&self.motion.start_shape(), &most_rad)
+    pub(super) fn tip_series(&self) -> Option<TipSeries> {
+        let bend_change_max_rad = self.motion.bend_change_max_rad(self.robot);
+        self.robot
+            .tip_series(&self.motion.start_shape(), &bend_change_max_rad)
     }
 
     /// Whether the cost without obstacles and limits contains only the tip's position and the rates, and the
     /// rows are not staged.
-    pub(super) fn is_of_position(&self) -> bool {
+    pub(super) fn allows_position_only(&self) -> bool {
         !self.is_staged() && self.settings.rate_change_weight == 0.0 && self.follows_positions()
     }
 
@@ -84,12 +91,12 @@ impl TrackingProblem<'_> {
     }
 
     /// Whether the cost contains only the tip's position and the rates, and the rows are not staged.
-    pub(in crate::nmpc) fn is_plain(&self) -> bool {
-        self.has_plain_cost && self.is_free()
+    pub(in crate::nmpc) fn is_position_only(&self) -> bool {
+        self.has_position_only_cost && self.is_free()
     }
 
     /// The cost of one plan. Also writes the position residuals, up to the length of `residuals`.
-    pub(super) fn plain_residuals(
+    pub(super) fn position_residuals(
         &self,
         z: &[f64],
         residuals: &mut [f64],
@@ -123,23 +130,23 @@ impl TrackingProblem<'_> {
     }
 
     /// Adds the residuals and their derivatives with respect to bend vectors. False: the budget was spent.
-    pub(super) fn push_plain_rows(
+    pub(super) fn push_position_rows(
         &self,
         z: &[f64],
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
         let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
-        let mut places = [Place::LAST; 2];
-        let is_left = self.walk(z, |_, at| {
+        let mut row_stages = [RowStage::FIRST_BLOCK; 2];
+        let is_left = self.for_each_step(z, |_, at| {
             if !budget.spend(self.linearise_step_ns(at.index)) {
                 return false;
             }
             let (lane, end) = (at.index % 2, at.index + 1);
             put(&mut pair, lane, &at.bends.bend_rad);
-            places[lane] = at.place;
+            row_stages[lane] = at.stage;
             if lane == 1 || end == self.steps() {
-                self.push_pair(at.index - lane..end, &pair, places, model);
+                self.push_pair(at.index - lane..end, &pair, row_stages, model);
             }
             true
         });
@@ -151,7 +158,7 @@ impl TrackingProblem<'_> {
         &self,
         steps: Range<usize>,
         pair: &Pair,
-        places: [Place; 2],
+        row_stages: [RowStage; 2],
         model: &mut LinearModel,
     ) {
         let (tips, slopes) = self.robot.tip_slopes_wide(|i| pair[i]);
@@ -164,8 +171,8 @@ impl TrackingProblem<'_> {
             for axis in 0..3 {
                 let slope = |of: &[Wide<2>; 3]| scale * of[axis].0[step - first];
                 let derivatives = slopes.each_ref().map(slope);
-                let place = places[step - first];
-                model.push(scale * error[axis], &derivatives[..self.width()], place);
+                let stage = row_stages[step - first];
+                model.push(scale * error[axis], &derivatives[..self.width()], stage);
             }
         }
     }

@@ -6,13 +6,13 @@ use crate::optimizer::{Bounds, Budget, Incumbent, Problem};
 
 /// Derivatives are used again if the step reduced the cost to this share: the residuals to a thousandth. With
 /// a weight on the unknowns, it is the largest share of a step's gain that the next step may have.
-const FOLLOWED_SHARE: f64 = 1e-6;
+const REUSE_SHARE: f64 = 1e-6;
 /// Largest number of such steps after a linearised one.
-const FOLLOWING_MAX: u32 = 3;
+const REUSED_STEPS_MAX: u32 = 3;
 /// A cost below this multiple of the rounding cost needs no further linearisation,
 const LINEARISED_ROUNDINGS: f64 = 4.0;
 /// and below this multiple no further step.
-const FOLLOWED_ROUNDINGS: f64 = 0.25;
+const REUSE_ROUNDINGS: f64 = 0.25;
 
 /// The step whose derivatives are used again.
 #[derive(Clone, Copy)]
@@ -34,9 +34,9 @@ pub(super) fn is_rounding(rounding: Option<f64>, cost: f64) -> bool {
 impl GaussNewton {
     /// Continues after a linearised step. Returns the number of steps that improved the incumbent, and
     /// whether a further step would gain nothing.
-    pub(super) fn follow<P: Problem>(
+    pub(super) fn reuse_derivatives<P: Problem>(
         &mut self,
-        around: (&P, &Bounds, Option<f64>),
+        context: (&P, &Bounds, Option<f64>),
         linearised: LinearisedStep,
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
@@ -47,42 +47,45 @@ impl GaussNewton {
             damping,
             residuals_max,
         } = linearised;
-        let Some(rounding) = around.2 else {
+        let Some(rounding) = context.2 else {
             return (0, false);
         };
-        let weighed = self.model.weighed();
-        let weight = weighed.map(|(weight, _)| weight);
+        let regulariser = self.model.regulariser();
+        let weight = regulariser.map(|(weight, _)| weight);
         // With large remaining residuals, their curvature determines the minimum, and these derivatives do
         // not include it.
         let left = |(weight, _)| incumbent.cost() - weight * dot(incumbent.z(), incumbent.z());
-        if weighed.map_or(0.0, left) > residuals_max {
+        if regulariser.map_or(0.0, left) > residuals_max {
             return (0, false);
         }
-        let leads_on = |before: f64, cost: f64| {
-            let serves = cost <= FOLLOWED_SHARE * before || is_rounding(Some(rounding), cost);
-            serves && cost > FOLLOWED_ROUNDINGS * rounding
+        let is_reusable = |before: f64, cost: f64| {
+            let serves = cost <= REUSE_SHARE * before || is_rounding(Some(rounding), cost);
+            serves && cost > REUSE_ROUNDINGS * rounding
         };
         let (mut accepted, mut converged) = (0, false);
-        while accepted < FOLLOWING_MAX && (weight.is_some() || leads_on(before, incumbent.cost())) {
+        while accepted < REUSED_STEPS_MAX
+            && (weight.is_some() || is_reusable(before, incumbent.cost()))
+        {
             before = incumbent.cost();
             let origin = incumbent.origin();
             // The residuals of the incumbent, which was evaluated last.
             let residuals = self.model.residuals_mut();
-            residuals.copy_from_slice(&self.tried[..residuals.len()]);
-            let is_better = self.on_trial(around, incumbent, origin, |own, trial| {
+            residuals.copy_from_slice(&self.trial_residuals[..residuals.len()]);
+            let is_better = self.with_trial(context, incumbent, origin, |own, trial| {
                 let dimension = trial.base.len();
                 if let Some(weight) = weight {
-                    own.model.weigh(weight, trial.base);
+                    own.model.weight_unknowns(weight, trial.base);
                     own.model.gradient(&mut own.gradient[..dimension], budget)?;
                 }
-                own.solve_again(dimension, damping, budget).then_some(())?;
+                own.solve_with_last_factors(dimension, damping, budget)
+                    .then_some(())?;
                 if weight.is_some() {
-                    let most = FOLLOWED_SHARE * gain;
+                    let most = REUSE_SHARE * gain;
                     gain = own.gain(dimension);
-                    let is_hidden = trial.hides(&own.step[..dimension], gain);
+                    let is_gain_rounding = trial.is_gain_rounding(&own.step[..dimension], gain);
                     // An unknown at a bound may have to leave it, which requires new derivatives.
-                    converged = is_hidden && own.free.len() == dimension;
-                    (!is_hidden && gain <= most).then_some(())?;
+                    converged = is_gain_rounding && own.free.len() == dimension;
+                    (!is_gain_rounding && gain <= most).then_some(())?;
                 }
                 trial.offer(&own.step[..dimension], 1.0, budget)
             });
@@ -101,7 +104,7 @@ mod tests {
 
     use super::*;
     use crate::optimizer::gauss_newton::GaussNewtonSettings;
-    use crate::optimizer::{Evaluation, LinearModel, Place, Stages};
+    use crate::optimizer::{Evaluation, LinearModel, RowStage, Stages};
     use crate::wide::Wide;
 
     /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1, l + l z₀²), whose last residual remains, with a count of
@@ -152,11 +155,11 @@ mod tests {
         fn linearise(&self, z: &[f64], model: &mut LinearModel, _: &mut Budget<'_>) -> bool {
             self.linearised.set(self.linearised.get() + 1);
             let [first, second, last] = self.residuals(z);
-            model.push(first, &[1.0, 0.2 * z[1]], Place::LAST);
-            model.push(second, &[-0.4 * z[0], 1.0], Place::LAST);
-            model.push(last, &[2.0 * self.left * z[0], 0.0], Place::LAST);
+            model.push(first, &[1.0, 0.2 * z[1]], RowStage::FIRST_BLOCK);
+            model.push(second, &[-0.4 * z[0], 1.0], RowStage::FIRST_BLOCK);
+            model.push(last, &[2.0 * self.left * z[0], 0.0], RowStage::FIRST_BLOCK);
             if self.weight > 0.0 {
-                model.weigh(self.weight, z);
+                model.weight_unknowns(self.weight, z);
             }
             true
         }
