@@ -70,7 +70,7 @@ impl Reload {
         Arc::clone(&self.asked)
     }
 
-    /// A reload was requested since the last call of [`look`](Self::look), and none is running.
+    /// A reload was requested since the last [`Self::start_if_wanted`], and none is running.
     pub(crate) fn is_wanted(&self) -> bool {
         let is_being_read = |thread: &JoinHandle<()>| !thread.is_finished();
         self.asked.load(Ordering::Relaxed) && !self.reading.as_ref().is_some_and(is_being_read)

@@ -1,6 +1,6 @@
 //! Latency of messages into the daemon, through it and back to a client.
 //!
-//! [`baseline`] measures iceoryx2 alone between two threads; `inputs` the time from a message or request to
+//! `baseline` measures iceoryx2 alone between two threads; `inputs` the time from a message or request to
 //! its effect; `stops` that from a stop to zero rates. [`Leg`] defines the stamps of each leg.
 //!
 //! Every message waits for the next gather, shortly before a release: half a period on average, by design.

@@ -73,7 +73,7 @@ impl SchedulerDeltas {
         self.since_before(counts)
     }
 
-    /// Same as [`look`](Self::look) without page faults, which the next complete reading includes.
+    /// Same as [`read`](Self::read) without page faults, which the next complete reading includes.
     pub fn read_without_page_faults(&mut self) -> Option<Scheduling> {
         let Some(before) = self.before else {
             return self.read();
