@@ -304,6 +304,11 @@ pub(crate) fn check_clock(location: &Location, place: &Place) -> Result<(), Conn
 /// Offset of the process's `CLOCK_MONOTONIC` by its time namespace \[s\]; whole seconds, because nobody shifts
 /// it by less.
 fn clock_offset_s(process_id: u32) -> Option<i64> {
+    // The file has the offsets of the namespace of its children.
+    let namespace = |name: &str| std::fs::read_link(format!("/proc/{process_id}/ns/{name}")).ok();
+    if namespace("time")? != namespace("time_for_children")? {
+        return None;
+    }
     let offsets = std::fs::read_to_string(format!("/proc/{process_id}/timens_offsets")).ok()?;
     let mut words = offsets.split_whitespace();
     words.find(|word| *word == "monotonic")?;

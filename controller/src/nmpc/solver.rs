@@ -145,7 +145,7 @@ impl Solver {
             if refines && is_new {
                 refinement = Some(self.refine(task, budget));
             }
-            // The search has already tried the escape directions at its start.
+            // A search has already tried the escape directions at its start; a late error is left to later cycles.
             if refines
                 && (is_new || !searches)
                 && refinement.is_some_and(|refinement| refinement.is_stationary)

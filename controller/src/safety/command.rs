@@ -164,8 +164,9 @@ pub struct SafeCommand {
 ///
 /// Motors that lag average the commanded path, and so lead the body past its corners. Of first order, they lead
 /// it between the commanded path and the straight lines in the bends from its present configuration to the ends
-/// of the period and of the stopping path. So each section keeps D - 1 mm on these lines, too, or what it keeps
-/// on the line to rest; otherwise the command is scaled down.
+/// of the period and of the stopping path. At seven points of these lines each section keeps 1 mm less than D, or
+/// than its clearance where the commands so far lead, or what it keeps on the line to rest; otherwise the command
+/// is scaled down.
 ///
 /// A robot that comes to rest continues along the stopping path of the previous command, through its play,
 /// too: its ramp is only scaled down. Allocates nothing.
@@ -187,7 +188,7 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
     // The guard returns no faster rates.
     let limits = situation.limits_moving(fastest(&limited.rates));
     let safe = SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates));
-    let lag = LagLines::new(situation);
+    let lag = LagLines::new(situation, &safe.rates);
     let safe = lag.as_ref().map_or(safe, |lag| lag.kept(safe));
     let Some(slack) = situation.play() else {
         return safe;

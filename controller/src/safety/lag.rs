@@ -2,39 +2,70 @@
 //! past its corners.
 
 use core::array::from_fn;
+use core::cell::Cell;
 
-use super::clearance::{DIP_M, fastest, scaled_by};
+use super::clearance::{DIP_M, NEAR_MAX, fastest, scaled_by};
 use super::{Lag, SafeCommand, Situation};
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
 /// Points that are checked between the ends of a line.
-const POINTS: usize = 3;
+const POINTS: usize = 7;
 /// Bisection steps of the scaling.
-const SCALES: u32 = 6;
+const SCALES: u32 = 5;
+/// Work budget of one command, in sections compared with an obstacle. When it is spent, a line counts as
+/// violated.
+const WORK_BUDGET: u32 = 3000;
 
 /// The straight lines in the bends from the present body to the ends of a command: the body moves between
 /// these lines and the commanded path.
 pub(super) struct LagLines<'a> {
     situation: &'a Situation<'a>,
     lag: Lag<'a>,
+    /// The body where the commands so far lead.
+    arrived: Body,
     /// The body on the line that it follows if the robot is commanded to rest.
     resting: [Body; POINTS],
-    /// Clearance that is always sufficient \[m\].
-    cutoff_m: f64,
+    /// Sections that come near to each of the first obstacles, a bit each; all of them to any other.
+    near: [u8; NEAR_MAX],
+    work_left: Cell<u32>,
 }
 
 impl<'a> LagLines<'a> {
-    /// `None` if the robot is where its commands lead, or without obstacles.
-    pub(super) fn new(situation: &'a Situation<'a>) -> Option<Self> {
-        let lag = situation.lag.filter(|lag| lag.present != situation.at)?;
+    /// For commands that are not faster than `rates`. `None` without a lag, or with nothing near.
+    pub(super) fn new(situation: &'a Situation<'a>, rates: &BendRates) -> Option<Self> {
+        let is_behind = |lag: &Lag<'_>| lag.lead_s > 0.0 && lag.present != situation.at;
+        let lag = situation.lag.filter(is_behind)?;
         if situation.obstacles.is_empty() {
             return None;
         }
-        Some(Self {
+        let (robot, at) = (situation.robot, situation.at);
+        let path = situation.stopping().path(fastest(rates));
+        let ends = [*lag.present, at.advanced(rates, path.path_s)];
+        let change_rad = from_fn(|j| {
+            let far = ends
+                .iter()
+                .filter(|_| j < robot.section_count())
+                .map(|end| {
+                    let ([u, v], [end_u, end_v]) = (at.section(j), end.section(j));
+                    (end_u - u).hypot(end_v - v)
+                });
+            far.fold(0.0, f64::max)
+        });
+        let travel_m = robot.travel_m(&change_rad);
+        let arrived = robot.body(at);
+        let mut near = [0; NEAR_MAX];
+        for (near, obstacle) in near.iter_mut().zip(situation.obstacles) {
+            let own_m = situation.safe_distance_m + lag.lead_s * obstacle.velocity_m_s().norm();
+            *near = arrived.sections_in_reach(obstacle, &travel_m.map(|travel_m| travel_m + own_m));
+        }
+        let is_any_near = near != [0; NEAR_MAX] || situation.obstacles.len() > NEAR_MAX;
+        is_any_near.then(|| Self {
             situation,
             lag,
-            resting: bodies_between(situation.robot, lag.present, situation.at),
-            cutoff_m: situation.safe_distance_m - DIP_M,
+            arrived,
+            resting: bodies_between(robot, lag.present, at),
+            near,
+            work_left: Cell::new(WORK_BUDGET),
         })
     }
 
@@ -57,41 +88,67 @@ impl<'a> LagLines<'a> {
             .repaired(&safe, &scaled, |rates| self.holds(rates))
     }
 
-    /// Whether no section comes closer to an obstacle on the lines than D - 1 mm, or, if it does at rest,
-    /// closer than at rest.
+    /// Whether each section keeps the floor of [`Self::floor_m`] at the points of the lines.
     pub(super) fn holds(&self, rates: &BendRates) -> bool {
-        let Situation { at, period_s, .. } = *self.situation;
-        let end_s = self.situation.stopping().path(fastest(rates)).path_s;
-        let is_clear = |end_s: f64| self.is_clear(&at.advanced(rates, end_s));
-        fastest(rates) == 0.0 || is_clear(end_s) && is_clear(period_s)
+        if fastest(rates) == 0.0 {
+            return true;
+        }
+        let path = self.situation.stopping().path(fastest(rates));
+        let period_s = self.situation.period_s;
+        self.is_clear(rates, path.path_s)
+            && (period_s >= path.path_s || self.is_clear(rates, period_s))
     }
 
-    fn is_clear(&self, end: &Configuration) -> bool {
-        let bodies = bodies_between(self.situation.robot, self.lag.present, end);
-        let reach_m = [self.cutoff_m; SECTIONS_MAX];
-        self.situation.obstacles.iter().all(|obstacle| {
-            bodies.iter().enumerate().all(|(point, body)| {
-                let obstacle = self.obstacle_at(point, obstacle);
-                let clearances_m = body.clearances_below(&obstacle, &reach_m, self.cutoff_m);
-                let mut sections = clearances_m.iter().enumerate();
-                sections.all(|(section, clearance_m)| {
-                    *clearance_m >= self.cutoff_m
-                        || *clearance_m >= self.resting_m(section, &obstacle)
-                })
+    /// The same for the line to the place of the command at s = `path_s`. Obstacles are where they are when the
+    /// body passes the same share of the line to rest.
+    fn is_clear(&self, rates: &BendRates, path_s: f64) -> bool {
+        let end = self.situation.at.advanced(rates, path_s);
+        let bodies = bodies_between(self.situation.robot, self.lag.present, &end);
+        let mut points = bodies.iter().enumerate();
+        points.all(|(point, body)| {
+            let after_s = (share(point) - 1.0) * self.lag.lead_s;
+            let near = self.near.iter().copied().chain(core::iter::repeat(u8::MAX));
+            let mut obstacles = self.situation.obstacles.iter().zip(near);
+            obstacles.all(|(obstacle, near)| {
+                near == 0 || self.keeps(body, &obstacle.moved(after_s), near)
             })
         })
     }
 
-    /// The obstacle at the time when the body passes this point.
-    fn obstacle_at(&self, point: usize, obstacle: &Obstacle) -> Obstacle {
-        obstacle.moved((share(point) - 1.0) * self.lag.lead_s)
+    /// Whether the `near` sections of the body at a point keep their floors from an obstacle at that time.
+    fn keeps(&self, body: &Body, obstacle: &Obstacle, near: u8) -> bool {
+        let work_left = self.work_left.get().checked_sub(near.count_ones());
+        self.work_left.set(work_left.unwrap_or(0));
+        let enough_m = self.situation.safe_distance_m - self.dip_m(obstacle);
+        let reach_m: [f64; SECTIONS_MAX] = from_fn(|j| match near >> j & 1 {
+            1 => enough_m,
+            _ => f64::NEG_INFINITY,
+        });
+        let clearances_m = body.clearances_below(obstacle, &reach_m, enough_m);
+        let mut sections = clearances_m.iter().enumerate();
+        work_left.is_some()
+            && sections.all(|(section, clearance_m)| {
+                *clearance_m >= enough_m || *clearance_m >= self.floor_m(section, obstacle)
+            })
     }
 
-    /// Least clearance of a section if the robot is commanded to rest \[m\].
-    fn resting_m(&self, section: usize, obstacle: &Obstacle) -> f64 {
-        let bodies = self.resting.iter();
-        let clearances_m = bodies.map(|body| body.clearance_of(section, obstacle));
-        clearances_m.fold(f64::INFINITY, f64::min)
+    /// The clearance that a section keeps on the lines: D, or that of the robot at its commands, less a dip; or, if
+    /// it is less, that on the line to rest \[m\].
+    fn floor_m(&self, section: usize, obstacle: &Obstacle) -> f64 {
+        let arrived_m = self.arrived.clearance_of(section, obstacle);
+        let floor_m = arrived_m.min(self.situation.safe_distance_m) - self.dip_m(obstacle);
+        let resting_m = self
+            .resting
+            .iter()
+            .map(|body| body.clearance_of(section, obstacle));
+        resting_m.fold(floor_m, f64::min)
+    }
+
+    /// As between the points of the guard.
+    fn dip_m(&self, obstacle: &Obstacle) -> f64 {
+        let sections = self.situation.robot.sections().iter();
+        let thinnest_m = sections.fold(f64::INFINITY, |least, it| least.min(it.body_radius_m));
+        DIP_M.min(0.5 * (self.situation.safe_distance_m + thinnest_m + obstacle.radius_m()))
     }
 }
 

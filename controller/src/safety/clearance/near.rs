@@ -12,7 +12,7 @@ use super::watched::{CAPSULE_COST, PredictedObstacle, WatchedObstacle, least_m};
 use super::{ClearanceGuard, StoppingPath, fastest};
 
 /// Obstacles that are checked individually. If more are within reach, the robot stands still.
-pub(super) const NEAR_MAX: usize = 64;
+pub(in crate::safety) const NEAR_MAX: usize = 64;
 /// Largest undershoot that is tolerated between two points of the path \[m\]. Half the distance between the
 /// axes at clearance D, if that is less, so that no thin section passes through a thin obstacle.
 pub(in crate::safety) const DIP_M: f64 = 1e-3;
