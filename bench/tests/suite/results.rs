@@ -129,7 +129,7 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
     let picture = rows(&result("results/report.json")["rate"], "default");
     let picture = rate::picture(&picture).expect("a picture").svg;
     for (name, contained) in [
-        ("results.md", "| gauss-newton |"),
+        ("results.md", "<!-- generated from results/report.json"),
         ("robustness.md", "| 30 µm of noise |"),
         ("tuning.md", "| smooth |"),
         ("images/results-rate.svg", "<svg"),
