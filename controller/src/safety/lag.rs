@@ -14,7 +14,7 @@ const POINTS: usize = 7;
 const SCALES: u32 = 5;
 /// Work budget of one command, in sections compared with an obstacle. When it is spent, a line counts as
 /// violated.
-const WORK_BUDGET: u32 = 3000;
+const WORK_BUDGET: u32 = 12_000;
 
 /// The straight lines in the bends from the present body to the ends of a command: the body moves between
 /// these lines and the commanded path.

@@ -17,7 +17,8 @@ fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
     let motion = format!(
         "[motion]\ndeceleration_rad_s2 = {deceleration_rad_s2}\nhome_rate_rad_s = {rate_rad_s}\n"
     );
-    let bend = "[link]\ninitial_bend_rad = [[2.0, 0.0], [0.0, -2.0], [1.0, 1.0]]\n";
+    // So long a validity that no stall of the machine ends the ramp.
+    let bend = "[link]\ncommand_valid_ms = 500.0\ninitial_bend_rad = [[2.0, 0.0], [0.0, -2.0], [1.0, 1.0]]\n";
     let daemon = Daemon::start(&format!("{PATIENT}{motion}{bend}"));
     let connection = daemon.connect();
     let mut commands = connection.commands().unwrap();
