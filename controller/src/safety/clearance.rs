@@ -15,7 +15,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 use super::Limits;
 use super::projection::Region;
 use body_pose::BodyPose;
-pub(super) use near::{DIP_M, NEAR_MAX};
+pub(super) use near::{NEAR_MAX, dip_m, thinnest_m};
 use near::{NearObstacles, Violation};
 use relinearised::{LINEARISATIONS, Linearisation, SLOW_LINEARISATION};
 

@@ -2,9 +2,9 @@
 //! past its corners.
 
 use core::array::from_fn;
-use core::cell::Cell;
+use core::cell::{Cell, OnceCell};
 
-use super::clearance::{DIP_M, NEAR_MAX, fastest, scaled_by};
+use super::clearance::{NEAR_MAX, dip_m, fastest, scaled_by, thinnest_m};
 use super::{Lag, SafeCommand, Situation};
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
@@ -23,8 +23,9 @@ pub(super) struct LagLines<'a> {
     lag: Lag<'a>,
     /// The body where the commands so far lead.
     arrived: Body,
-    /// The body on the line that it follows if the robot is commanded to rest.
-    resting: [Body; POINTS],
+    /// The body on the line that it follows if the robot is commanded to rest; few commands need it.
+    resting: OnceCell<[Body; POINTS]>,
+    thinnest_m: f64,
     /// Sections that come near to each of the first obstacles, a bit each; all of them to any other.
     near: [u8; NEAR_MAX],
     work_left: Cell<u32>,
@@ -63,7 +64,8 @@ impl<'a> LagLines<'a> {
             situation,
             lag,
             arrived,
-            resting: bodies_between(robot, lag.present, at),
+            resting: OnceCell::new(),
+            thinnest_m: thinnest_m(robot),
             near,
             work_left: Cell::new(WORK_BUDGET),
         })
@@ -137,18 +139,15 @@ impl<'a> LagLines<'a> {
     fn floor_m(&self, section: usize, obstacle: &Obstacle) -> f64 {
         let arrived_m = self.arrived.clearance_of(section, obstacle);
         let floor_m = arrived_m.min(self.situation.safe_distance_m) - self.dip_m(obstacle);
-        let resting_m = self
-            .resting
-            .iter()
-            .map(|body| body.clearance_of(section, obstacle));
+        let Situation { robot, at, .. } = *self.situation;
+        let line = || bodies_between(robot, self.lag.present, at);
+        let bodies = self.resting.get_or_init(line).iter();
+        let resting_m = bodies.map(|body| body.clearance_of(section, obstacle));
         resting_m.fold(floor_m, f64::min)
     }
 
-    /// As between the points of the guard.
     fn dip_m(&self, obstacle: &Obstacle) -> f64 {
-        let sections = self.situation.robot.sections().iter();
-        let thinnest_m = sections.fold(f64::INFINITY, |least, it| least.min(it.body_radius_m));
-        DIP_M.min(0.5 * (self.situation.safe_distance_m + thinnest_m + obstacle.radius_m()))
+        dip_m(self.situation.safe_distance_m, self.thinnest_m, obstacle)
     }
 }
 

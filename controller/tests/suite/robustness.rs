@@ -73,6 +73,18 @@ fn driven(flaws: Flaws) -> Driven {
     }
 }
 
+/// A robot whose motors lag, as its controller knows.
+fn lagging(motors: Actuator, obeys_positions: bool) -> Driven {
+    Driven {
+        obeys_positions,
+        actuator: motors,
+        ..driven(Flaws {
+            actuator: motors,
+            ..Flaws::default()
+        })
+    }
+}
+
 fn actuator(delay_s: f64, time_constant_s: f64) -> Actuator {
     Actuator {
         delay_s,
@@ -211,14 +223,7 @@ fn motors_with_a_lag_give_way_to_what_moves() {
     ];
     for &(motors, obeys_positions) in crate::cases(2, &motors) {
         let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-        let lagging = Driven {
-            obeys_positions,
-            actuator: motors,
-            ..driven(Flaws {
-                actuator: motors,
-                ..Flaws::default()
-            })
-        };
+        let lagging = lagging(motors, obeys_positions);
         let acceleration_rad_s2 = 40.0;
         let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, rest, &[ball], |_| goal)
             .unwrap()
@@ -273,14 +278,7 @@ fn motors_that_lag_lead_the_body_around_obstacles_at_the_safe_distance() {
             let kept_m = settings.safe_distance_m - 1.01e-3 - 0.5 * motion_m;
             for obeys_positions in [true, false] {
                 let motors = actuator(delay_s, time_constant_s);
-                let lagging = Driven {
-                    obeys_positions,
-                    actuator: motors,
-                    ..driven(Flaws {
-                        actuator: motors,
-                        ..Flaws::default()
-                    })
-                };
+                let lagging = lagging(motors, obeys_positions);
                 let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
                 let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, rest, obstacles, line)
                     .unwrap()

@@ -12,6 +12,7 @@ mod own_costs;
 mod present_clearance;
 mod rehearsal;
 mod requests;
+mod safe;
 mod state;
 mod unsent;
 mod warm_up;
@@ -20,10 +21,7 @@ use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, SolveInput, SolveReport, SolveS
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
-use cdcr_controller::safety::{
-    Lag, Mode, ModeMachine, Reason, SafeCommand, Situation, homing_rates, ramp_to_zero,
-    safe_command,
-};
+use cdcr_controller::safety::{Mode, ModeMachine, Reason, homing_rates, ramp_to_zero};
 
 use crate::accounting::Accounting;
 use crate::config::{Validated, ns};
@@ -469,37 +467,6 @@ impl Cycle {
             self.modes.fault(Reason::NonFinite);
         }
         (rates, report)
-    }
-
-    /// Applies the limits and the clearance guard to every command, in every mode.
-    fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
-        let safe = safe_command(&self.situation(comes_to_rest), desired_rates);
-        if safe.limits_hit.non_finite {
-            self.modes.fault(Reason::NonFinite);
-        }
-        safe
-    }
-
-    fn situation(&self, comes_to_rest: bool) -> Situation<'_> {
-        Situation {
-            robot: &self.robot,
-            at: self.state.configuration(),
-            lag: Some(Lag {
-                present: self.state.present(),
-                lead_s: self.policy.reference_lead_ns as f64 * 1e-9,
-            }),
-            commanded: self.state.commanded_motors(),
-            slack: self.state.commanded_slack(),
-            previous: &self.rates,
-            obstacles: &self.obstacles,
-            safe_distance_m: self.nmpc.settings().safe_distance_m,
-            tip_offset_m: self.state.tip_margin_m(),
-            acceleration_rad_s2: self.policy.acceleration_rad_s2,
-            period_s: self.period_ns as f64 * 1e-9,
-            moving_s: self.policy.moving_ns(u64::MAX, self.period_ns) as f64 * 1e-9,
-            deceleration_rad_s2: self.policy.deceleration_rad_s2,
-            comes_to_rest,
-        }
     }
 }
 

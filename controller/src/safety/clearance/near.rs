@@ -5,7 +5,7 @@ use core::cell::Cell;
 
 use nalgebra::Vector3;
 
-use crate::robot::{BendRates, Body, Closest, Nearest, SECTIONS_MAX};
+use crate::robot::{BendRates, Body, Closest, Nearest, Obstacle, Robot, SECTIONS_MAX};
 
 use super::body_pose::BodyPose;
 use super::watched::{CAPSULE_COST, PredictedObstacle, WatchedObstacle, least_m};
@@ -13,9 +13,8 @@ use super::{ClearanceGuard, StoppingPath, fastest};
 
 /// Obstacles that are checked individually. If more are within reach, the robot stands still.
 pub(in crate::safety) const NEAR_MAX: usize = 64;
-/// Largest undershoot that is tolerated between two points of the path \[m\]. Half the distance between the
-/// axes at clearance D, if that is less, so that no thin section passes through a thin obstacle.
-pub(in crate::safety) const DIP_M: f64 = 1e-3;
+/// Largest undershoot that is tolerated between two points of the path \[m\].
+const DIP_M: f64 = 1e-3;
 /// Allowance for rounding in bounds of clearances \[m\], for obstacles of any size.
 pub(super) const ROUNDING_M: f64 = 1e-6;
 /// Work budget of one command, in units of one exact clearance from a sphere (about 22 ns). When it is spent,
@@ -97,8 +96,7 @@ impl<'a> NearObstacles<'a> {
         let way = guard.stopping.path(fastest(rates));
         let travel_m = guard.farthest_m(rates);
         let time_s = way.time_s(way.path_s);
-        let radii_m = guard.robot.sections().iter().map(|s| s.body_radius_m);
-        let thinnest_m = radii_m.fold(f64::INFINITY, f64::min);
+        let thinnest_m = thinnest_m(guard.robot);
         let nearest_m = travel_m.iter().copied().fold(f64::INFINITY, f64::min);
         let mut near = Self {
             standing,
@@ -125,7 +123,7 @@ impl<'a> NearObstacles<'a> {
             if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
-            let dip_m = DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m()));
+            let dip_m = dip_m(safe_m, thinnest_m, obstacle);
             // A ramp may end inside the tolerance of the command before it, and deeper by rounding.
             let is_continued = is_ramp && speed_m_s == 0.0;
             let watched = WatchedObstacle {
@@ -472,4 +470,16 @@ pub(super) fn sections(bits: u8) -> impl Iterator<Item = usize> {
 /// Points at which the rule holds exactly: the end of the period and the end of the stopping path.
 pub(super) fn ends_s(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; 2] {
     [guard.period_s, guard.stopping.path(fastest(rates)).path_s]
+}
+
+/// Undershoot that is tolerated between two points of the path \[m\]: half the distance between the axes at
+/// clearance D, if that is less than 1 mm, so that no thin section passes through a thin obstacle.
+pub(in crate::safety) fn dip_m(safe_m: f64, thinnest_m: f64, obstacle: &Obstacle) -> f64 {
+    DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m()))
+}
+
+/// Least radius of a section \[m\].
+pub(in crate::safety) fn thinnest_m(robot: &Robot) -> f64 {
+    let radii_m = robot.sections().iter().map(|it| it.body_radius_m);
+    radii_m.fold(f64::INFINITY, f64::min)
 }
