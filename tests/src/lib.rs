@@ -36,6 +36,7 @@ use derive_more::{Deref, DerefMut};
 pub use program::{Program, Running};
 use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use serde_json::Value;
 
 pub const ROBOT: &str = "cdcr";
 /// Selects the robot that a daemon simulates; empty counts as unset.
@@ -98,13 +99,32 @@ impl Place {
         command
     }
 
-    /// Runs the words of `line`, a program of this project with its arguments, in the place's folder, so that
-    /// file names are short. Returns its output, checked by [`assert_says`].
-    pub fn says(&self, line: &str, status: i32, parts: &[&str]) -> String {
+    /// Starts the words of `line`, a program of this project with its arguments, in the place's folder, so that
+    /// file names are short.
+    pub fn start(&self, line: &str) -> Program {
         let mut words = line.split_whitespace();
         let mut command = self.command(words.next().expect("a program"));
-        command.args(words).current_dir(self.folder());
-        assert_says(&Program::start(&mut command).output(), status, parts)
+        Program::start(command.args(words).current_dir(self.folder()))
+    }
+
+    /// Runs the same to its end. Returns its output, checked by [`assert_says`].
+    pub fn says(&self, line: &str, status: i32, parts: &[&str]) -> String {
+        assert_says(&self.start(line).output(), status, parts)
+    }
+
+    /// The same for `cdcrctl`, which prints one JSON value.
+    pub fn json(&self, line: &str) -> Value {
+        let printed = self.says(&format!("cdcrctl {line} --format json"), 0, &[]);
+        serde_json::from_str(&printed).unwrap_or_else(|error| panic!("{error}: {printed}"))
+    }
+
+    /// Starts a recording into this file of the place's folder, and waits until its streams are open.
+    pub fn record(&self, file: &str) -> Program {
+        let recorder = self.start(&format!("cdcrctl record -o {file}"));
+        wait_until("the recorder has begun", || {
+            self.folder().join(file).exists()
+        });
+        recorder
     }
 
     /// Runs `cdcrctl` with `arguments` to its end.

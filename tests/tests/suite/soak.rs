@@ -14,8 +14,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::Connection;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_tests::load::{self, Busy, Done};
-use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, asked, wait_until};
-use rustix::process::Signal;
+use cdcr_tests::{Daemon, EndWhenDropped, Place, TIMEOUT, asked, wait_until};
 
 /// Timing is not the subject; everything else is as in operation.
 const CONFIGURATION: &str = "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n";
@@ -236,7 +235,8 @@ fn shared_memory(place: &Place) -> (u64, u64) {
     (names.len() as u64, sizes.map(|file| file.len()).sum())
 }
 
-fn files_below(folder: &Path) -> u64 {
+/// Number of files, without folders.
+pub(crate) fn files_below(folder: &Path) -> u64 {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     entries
         .map(|entry| match entry.file_type() {
@@ -247,7 +247,7 @@ fn files_below(folder: &Path) -> u64 {
 }
 
 /// Numbers of living and dead iceoryx2 nodes here.
-fn nodes(place: &Place) -> [u64; 2] {
+pub(crate) fn nodes(place: &Place) -> [u64; 2] {
     use iceoryx2::prelude::{CallbackProgression, Node, NodeState};
     let mut count = [0, 0];
     let config = place.location().iceoryx2_config().unwrap();
@@ -339,27 +339,6 @@ fn inventory(place: &Place) -> [u64; 4] {
     [shared_memory(place).0, files, living, dead]
 }
 
-#[test]
-fn what_killed_clients_leave_goes_when_the_next_one_comes() {
-    let mut daemon = Daemon::start(CONFIGURATION);
-    let place = daemon.place();
-    let before = inventory(place);
-    for _ in 0..3 {
-        let mut victims: Vec<_> = (0..4).map(|_| echo(place)).collect();
-        victims.iter_mut().for_each(wait_until_it_reads);
-        // Before the daemon can remove their files.
-        daemon.signal(Signal::STOP);
-        victims.into_iter().for_each(kill);
-        assert!(inventory(place)[3] > 0, "a killed client cannot tidy up");
-        daemon.signal(Signal::CONT);
-        wait_until("it is as before", || {
-            drop(daemon.connect());
-            inventory(place) == before
-        });
-    }
-    daemon.end_clean();
-}
-
 /// A client may be killed between announcing that it will open a service and opening it. iceoryx2 0.10 cannot
 /// remove all of it: a few small files below the root remain until the folder is removed. No place of a
 /// service is lost.
@@ -421,7 +400,7 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     fs::write(&begun, "").unwrap();
     fs::set_permissions(&begun, fs::Permissions::from_mode(0o200)).unwrap();
     kill(victim);
-    let mut next = Program::start(place.command("cdcrctl").arg("status"));
+    let mut next = place.start("cdcrctl status");
     wait_until("the next client is served", || !next.runs());
     daemon.end_clean();
 }

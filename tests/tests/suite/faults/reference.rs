@@ -264,13 +264,8 @@ fn a_silent_holder_loses_the_lease() {
 /// A client process that feeds and starts tracking. `None` when it ended by itself: its reference was late,
 /// or it lost its lease.
 fn feeding_process(daemon: &Daemon, trail: &mut Trail, renewal: &mut Renewal) -> Option<Program> {
-    let mut command = daemon.place().command("cdcrctl");
-    let arguments = ["ref", "line", "--track", "--duration", "60s"];
-    let mut program = Program::start(
-        command
-            .args(arguments)
-            .args(["--velocity", "0.005,0,-0.001"]),
-    );
+    let line = "cdcrctl ref line --track --duration 60s --velocity 0.005,0,-0.001";
+    let mut program = daemon.place().start(line);
     let (mut tracked, mut is_gone) = (0, false);
     trail.until("tracking", |record| {
         renewal.look(record);

@@ -10,11 +10,11 @@ use cdcr_tests::{
     Daemon, EndWhenDropped, PATIENT, Place, Program, ROBOT, TIMEOUT, ask_for, wait_mode,
     wait_record, wait_until,
 };
-use iceoryx2::node::NodeState;
-use iceoryx2::prelude::{CallbackProgression, Node};
+use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
 use super::matrix::{TRIES, Timed, timed};
+use crate::soak::nodes;
 
 /// Every connection that a daemon accepts, including all status readers and all request clients.
 pub(super) struct Crowd {
@@ -174,17 +174,6 @@ const VICTIMS: usize = 4;
 /// Dead nodes that a daemon removes in a second, with the checks that a test may meet.
 const CLEARED_PER_S: u64 = 8;
 
-pub(super) fn dead_nodes(location: &Location) -> u64 {
-    let config = location.iceoryx2_config().unwrap();
-    let mut dead = 0;
-    Node::<ipc::Service>::list(&config, |state| {
-        dead += u64::from(matches!(state, NodeState::Dead(_)));
-        CallbackProgression::Continue
-    })
-    .unwrap();
-    dead
-}
-
 /// Creates nodes until the process is killed.
 pub(super) fn die() -> bool {
     let Ok(place) = std::env::var(VICTIM) else {
@@ -226,16 +215,16 @@ fn a_stop_does_not_wait_for_the_dead() {
         let test = "stop::access::a_stop_does_not_wait_for_the_dead";
         kill_a_victim(daemon.place(), test);
     }
-    let location = daemon.place().location();
-    let begin = Instant::now();
-    let before = dead_nodes(location);
-    assert!(before > (VICTIMS * NODES) as u64 / 2, "{before}");
     let place = daemon.place();
+    let dead_nodes = || nodes(place)[1];
+    let begin = Instant::now();
+    let before = dead_nodes();
+    assert!(before > (VICTIMS * NODES) as u64 / 2, "{before}");
     let stop = || drop(place.says("cdcrctl stop", 0, &[]));
     let timed: Vec<_> = (0..TRIES).map(|_| timed(place, stop)).collect();
     assert!(!timed.iter().all(Timed::is_late), "{timed:?}");
     let took = timed[0].took;
-    let after = dead_nodes(location);
+    let after = dead_nodes();
     println!("beside {before} dead nodes: a stop took {took:?}, and {after} were left");
     // The client removed none; the daemon did.
     let looks = begin.elapsed().as_secs() + 2;
@@ -245,6 +234,6 @@ fn a_stop_does_not_wait_for_the_dead() {
     );
     wait_until("the daemon clears some away", || {
         std::thread::sleep(Duration::from_millis(200));
-        dead_nodes(location) < after.saturating_sub(CLEARED_PER_S)
+        dead_nodes() < after.saturating_sub(CLEARED_PER_S)
     });
 }

@@ -52,7 +52,7 @@ fn a_deleted_lock_file_is_made_again_and_lets_no_second_daemon_in() {
 
 /// Checks that a second daemon does not start while the first runs.
 fn assert_none_starts_beside(daemon: &mut Daemon) {
-    let mut second = Program::start(daemon.place().command("cdcrd").arg("run"));
+    let mut second = daemon.place().start("cdcrd run");
     wait_until("one of them ends", || !second.runs() || !daemon.runs());
     if daemon.runs() {
         let output = second.output();

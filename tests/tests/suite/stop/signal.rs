@@ -6,8 +6,7 @@ use cdcr_client::RequestError;
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status,
-    wait_until,
+    Daemon, PATIENT, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -79,7 +78,7 @@ fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
         let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
             return Some(());
         };
-        let mut stop = Program::start(daemon.place().command("cdcrctl").arg("stop"));
+        let mut stop = daemon.place().start("cdcrctl stop");
         // By then it has sent the signal, and repeats its request.
         std::thread::sleep(Duration::from_millis(600));
         let is_asking = stop.runs();

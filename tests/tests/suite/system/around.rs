@@ -41,23 +41,14 @@ fn content(file: &Path) -> (BTreeMap<String, Vec<Vec<u8>>>, BTreeSet<String>) {
 }
 
 fn info(daemon: &Daemon, file: &str) -> Value {
-    let line = format!("cdcrctl info {file} --format json");
-    serde_json::from_str(&daemon.place().says(&line, 0, &[])).unwrap()
-}
-
-/// Starts a command of `cdcrctl`.
-fn start(daemon: &Daemon, arguments: &[&str]) -> Program {
-    let place = daemon.place();
-    let mut command = place.command("cdcrctl");
-    Program::start(command.args(arguments).current_dir(place.folder()))
+    daemon.place().json(&format!("info {file}"))
 }
 
 #[test]
 fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
     let daemon = Daemon::start(PATIENT);
     let file = daemon.place().folder().join("run.mcap");
-    let mut recorder = start(&daemon, &["record", "-o", "run.mcap"]);
-    wait_until("the recorder has begun", || file.exists());
+    let mut recorder = daemon.place().record("run.mcap");
     let curve = Spiral {
         duration_s: 1.5,
         ..Spiral::for_sections(&[0.3; 3])
@@ -148,11 +139,10 @@ fn output_of_one_that_ends(mut program: Program) -> Option<Output> {
 
 #[test]
 fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
-    let around = "record --around mode --before 1s --after 500ms -o mode.mcap";
-    let around: Vec<_> = around.split(' ').collect();
+    let around = "cdcrctl record --around mode --before 1s --after 500ms -o mode.mcap";
     let (daemon, found) = until_undisturbed("a recorder ends half a second later", || {
         let daemon = Daemon::start(PATIENT);
-        let recorder = start(&daemon, &around);
+        let recorder = daemon.place().start(around);
         let file = daemon.place().folder().join("mode.mcap");
         // Long enough to fill its memory.
         std::thread::sleep(Duration::from_secs(2));
@@ -178,11 +168,10 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
 
 #[test]
 fn the_scope_waits_draws_and_records() {
-    let line = "scope --trigger mode --before 500ms --after 500ms -o shot.mcap";
-    let words: Vec<_> = line.split(' ').collect();
+    let line = "cdcrctl scope --trigger mode --before 500ms --after 500ms -o shot.mcap";
     let (daemon, output) = until_undisturbed("a scope sees a stop after a second", || {
         let daemon = Daemon::start(PATIENT);
-        let scope = start(&daemon, &words);
+        let scope = daemon.place().start(line);
         std::thread::sleep(Duration::from_secs(1));
         let connection = daemon.connect();
         ask_for(&connection, RequestKind::Stop);
@@ -205,7 +194,7 @@ fn what_does_not_happen_leaves_no_file() {
     let line = "cdcrctl record --around error>500mm --duration 500ms -o none.mcap";
     place.says(line, 1, &["nothing was recorded"]);
     let output = until_undisturbed("a recorder hears a signal after half a second", || {
-        let mut recorder = start(&daemon, &["record", "--around", "fault", "-o", "none.mcap"]);
+        let mut recorder = place.start("cdcrctl record --around fault -o none.mcap");
         std::thread::sleep(Duration::from_millis(500));
         recorder.signal(Signal::INT);
         let output = recorder.output();

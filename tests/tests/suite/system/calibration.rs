@@ -341,10 +341,8 @@ fn a_recording_tells_what_its_rows_tell() {
     const LENGTH_M: f64 = 0.3;
     let mut daemon = one_section();
     let folder = daemon.place().folder().to_owned();
-    let mut command = daemon.place().command("cdcrctl");
     let whole = folder.join("moved.mcap");
-    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&whole));
-    wait_until("the recorder has begun", || whole.exists());
+    let mut recorder = daemon.place().record("moved.mcap");
     let excite = [
         "calibrate",
         "excite",

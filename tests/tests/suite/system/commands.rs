@@ -80,8 +80,7 @@ fn the_obstacles_that_are_known_are_listed() {
         rows[1].starts_with("8  capsule 0.500,0.000,0.000       0.500,0.000,1.000"),
         "{list}"
     );
-    let json = done(&daemon, "obstacle list --format json");
-    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let json = daemon.place().json("obstacle list");
     assert_eq!(
         (&json[1]["id"], json.as_array().unwrap().len()),
         (&8.into(), 2)
@@ -115,9 +114,8 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     );
     // The plan stays within the acceleration limit.
     assert!(limited_percent < 50.0, "{printed}");
-    let line = "ref line --duration 200ms --lead 1s --track --max-error 100mm";
-    let words: Vec<_> = line.split(' ').collect();
-    let output = daemon.place().cdcrctl(&words);
+    let line = "cdcrctl ref line --duration 200ms --lead 1s --track --max-error 100mm";
+    let output = daemon.place().start(line).output();
     assert_says(&output, 1, &["more than --max-error, 100.000 mm"]);
     let printed = text(&output);
     assert!(printed.contains("tip error: mean"), "{printed}");
@@ -254,7 +252,7 @@ fn saved_settings_are_those_of_the_next_daemon() {
     assert!(same.contains("nothing to change"), "{same}");
     done(
         &daemon,
-        "settings set horizon_steps=4 solver=gauss-newton damping=1e-12 budget_ms=1.5 seed=9",
+        "settings set horizon_steps=4 solver=gauss-newton damping=1e-12 budget_ms=1.5 seed=9 rate_weight=0",
     );
     done(&daemon, "settings save robot.toml");
     let text = std::fs::read_to_string(&file).unwrap();
@@ -273,26 +271,6 @@ fn saved_settings_are_those_of_the_next_daemon() {
         again.contains("horizon_steps = 4") && !again.contains("inertia"),
         "{again}"
     );
-}
-
-#[test]
-fn a_rate_weight_of_zero_is_that_of_the_next_daemon_of_a_robot_with_noise() {
-    let weight = |daemon: &Daemon| daemon.connect().settings().unwrap().rate_weight;
-    let saved = |change: &str| {
-        let mut daemon = Daemon::start(PATIENT);
-        assert_eq!(weight(&daemon), 1e-10);
-        if !change.is_empty() {
-            done(&daemon, &format!("settings set {change}"));
-        }
-        let file = daemon.place().folder().join("robot.toml");
-        done(&daemon, &format!("settings save {}", file.display()));
-        assert!(daemon.stop().success());
-        std::fs::read_to_string(file).unwrap()
-    };
-    for (change, expected) in [("", 1e-10), ("rate_weight=0", 0.0)] {
-        let next = Daemon::start(&saved(change));
-        assert_eq!(weight(&next), expected, "{change}");
-    }
 }
 
 #[test]

@@ -79,7 +79,7 @@ fn a_position_driver_that_is_started_again_beside_a_stopped_robot_moves_nothing(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 1000.0\n\
          command_valid_ms = 1000.0\n"
     ));
-    let start = || Program::start(daemon.place().command("examples/driver").arg("position"));
+    let start = || daemon.place().start("examples/driver position");
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let example = start();

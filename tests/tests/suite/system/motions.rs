@@ -5,8 +5,7 @@ use std::time::Duration;
 use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, assert_says, text, until_undisturbed, wait_mode, wait_record,
-    wait_until,
+    Daemon, PATIENT, assert_says, text, until_undisturbed, wait_mode, wait_record, wait_until,
 };
 use rustix::process::Signal;
 
@@ -17,9 +16,7 @@ fn says(daemon: &Daemon, line: &str, status: i32) -> String {
 /// The same for a command that succeeds. `None` if a stall took the tip off its path, because the rates are
 /// constant meanwhile.
 fn says_unless_stalled(daemon: &Daemon, line: &str) -> Option<String> {
-    let mut command = daemon.place().command("cdcrctl");
-    command.args(line.split(' '));
-    let output = Program::start(command.current_dir(daemon.place().folder())).output();
+    let output = daemon.place().start(&format!("cdcrctl {line}")).output();
     let by_stalls = [Reason::InputsStale.text(), "more than --max-error"];
     let is_stalled = by_stalls.iter().any(|words| text(&output).contains(words));
     (!is_stalled).then(|| assert_says(&output, 0, &[]))
@@ -182,8 +179,8 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         let daemon = Daemon::start(&format!(
             "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
         ));
-        let mut command = daemon.place().command("cdcrctl");
-        let mut plant = Program::start(command.args(["plant", "--tip", "100", "--preset", preset]));
+        let line = format!("cdcrctl plant --tip 100 --preset {preset}");
+        let mut plant = daemon.place().start(&line);
         wait_mode(&mut daemon.connect().telemetry().unwrap(), Mode::Holding);
         // The estimate of the tip offset is still converging.
         wait_until("the tip rests", || {
@@ -213,12 +210,11 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
     ));
     let refused = says(&daemon, "plant --section 0.31,0.0125,0", 1);
     assert!(refused.contains("1 section given"), "{refused}");
-    let mut command = daemon.place().command("cdcrctl");
     let sections = "--section 0.31,0.0125,0 --section 0.29,0.0125,0.7 --section 0.32,0.0125,1.4";
     let line = format!(
-        "plant --preset ideal --tip 100 {sections} --flaw base_x_m=0.01 --flaw tip_tick_m=1e-4"
+        "cdcrctl plant --preset ideal --tip 100 {sections} --flaw base_x_m=0.01 --flaw tip_tick_m=1e-4"
     );
-    let mut plant = Program::start(command.args(line.split(' ')));
+    let mut plant = daemon.place().start(&line);
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let measured = wait_record(&mut telemetry, |record| record.tip_measured_ns > 0);
     assert!(distance_m(measured.tip_measured_m, [0.01, 0.0, 0.92]) < 1e-9);
@@ -232,12 +228,8 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 300.0\n"
     ));
-    let plant = |arguments: &[&str]| {
-        let mut command = daemon.place().command("cdcrctl");
-        Program::start(command.arg("plant").args(arguments))
-    };
     let mut telemetry = daemon.connect().telemetry().unwrap();
-    let robot = plant(&[]);
+    let robot = daemon.place().start("cdcrctl plant");
     wait_mode(&mut telemetry, Mode::Holding);
     says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --max-error 20mm", 0);
     robot.signal(Signal::KILL);
@@ -248,7 +240,7 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
         "{stopped}"
     );
     // When straight, it is not at its commanded position.
-    let mut other = plant(&["--force"]);
+    let mut other = daemon.place().start("cdcrctl plant --force");
     std::thread::sleep(Duration::from_secs(1));
     other.signal(Signal::INT);
     let printed = text(&other.output());
@@ -277,8 +269,7 @@ fn a_reference_that_ends_before_it_is_reached_is_an_error() {
     let daemon = Daemon::start(PATIENT);
     // 0.4 m away, at 0.1 m/s at most.
     let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
-    let words: Vec<_> = far.split(' ').collect();
-    let output = daemon.place().cdcrctl(&words);
+    let output = daemon.place().start(&format!("cdcrctl {far}")).output();
     let parts = [
         "the reference ended before the tip reached it",
         "cdcrctl goto",

@@ -6,8 +6,7 @@ use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, ask_for, assert_says, ball, text, track, wait_record,
-    wait_status, wait_until,
+    Daemon, PATIENT, TIMEOUT, ask_for, assert_says, ball, text, track, wait_record, wait_status,
 };
 use rustix::process::Signal;
 
@@ -19,10 +18,7 @@ pub(super) fn record_beside(
     start_m: [f64; 3],
     before: impl FnOnce(&Connection),
 ) -> PathBuf {
-    let file = daemon.place().folder().join("run.mcap");
-    let mut command = daemon.place().command("cdcrctl");
-    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&file));
-    wait_until("the recorder has begun", || file.exists());
+    let mut recorder = daemon.place().record("run.mcap");
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let obstacle = Obstacle {
@@ -42,7 +38,7 @@ pub(super) fn record_beside(
     track(&connection, &curve);
     recorder.signal(Signal::INT);
     assert_says(&recorder.output(), 0, &["run.mcap", "1 obstacle update,"]);
-    file
+    daemon.place().folder().join("run.mcap")
 }
 
 /// Such a recording, and its daemon, at rest at another position.
@@ -60,9 +56,7 @@ fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
     let (daemon, _) = recorded();
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    let mut command = daemon.place().command("cdcrctl");
-    command.args(["replay", "run.mcap", "--speed", "2"]);
-    let mut player = Program::start(command.current_dir(daemon.place().folder()));
+    let mut player = daemon.place().start("cdcrctl replay run.mcap --speed 2");
     let mut known = wait_record(&mut telemetry, |record| record.obstacle_count == 1);
     // Twice as fast, and so is the obstacle.
     assert_eq!(known.obstacles[0].velocity_m_s, [0.0, 0.02, 0.0]);
@@ -96,9 +90,7 @@ fn an_interrupted_replay_ends_in_hold() {
     let (daemon, _) = recorded();
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    let mut command = daemon.place().command("cdcrctl");
-    command.args(["replay", "run.mcap", "--speed", "0.1"]);
-    let mut player = Program::start(command.current_dir(daemon.place().folder()));
+    let mut player = daemon.place().start("cdcrctl replay run.mcap --speed 0.1");
     wait_record(&mut telemetry, |record| record.obstacle_count == 1);
     player.signal(Signal::INT);
     let output = player.output();

@@ -1,8 +1,6 @@
 //! `cdcrctl` in normal use, without faults.
 
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use cdcr_shared_types::codes::Mode;
@@ -18,29 +16,8 @@ use super::freeze;
 const LONG_LINE: &str = "ref line --velocity 0.001,0,-0.001 --duration 120s --lead 1s";
 const SHORT_LINE: &str = "ref line --duration 300ms --lead 1s";
 
-fn command(place: &Place, line: &str) -> Command {
-    let mut command = place.command("cdcrctl");
-    command.args(line.split(' '));
-    command
-}
-
-/// Starts it with its standard output in a file, which can be read while it runs.
-fn start_into(path: &Path, command: &Command) -> Program {
-    let mut shell = Command::new("/bin/sh");
-    shell
-        .args(["-c", r#"out=$1; shift; exec "$0" "$@" > "$out""#])
-        .arg(command.get_program())
-        .arg(path)
-        .args(command.get_args());
-    for (name, value) in command.get_envs() {
-        match value {
-            Some(value) => shell.env(name, value),
-            None => shell.env_remove(name),
-        };
-    }
-    // The shell may not have created it yet.
-    fs::write(path, "").unwrap();
-    Program::start(shell.stdin(Stdio::null()))
+fn start(place: &Place, line: &str) -> Program {
+    place.start(&format!("cdcrctl {line}"))
 }
 
 /// Runs a command that must succeed, and returns its output.
@@ -49,7 +26,7 @@ fn good(place: &Place, line: &str) -> String {
 }
 
 fn status(place: &Place) -> Value {
-    serde_json::from_str(&good(place, "status --format json")).unwrap()
+    place.json("status")
 }
 
 #[test]
@@ -57,11 +34,11 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
     // Ideal: the tip is at the begin of the line, so that no approach is needed.
     let daemon = Daemon::ideal(PATIENT);
     let place = daemon.place();
-    let fed = good(place, &format!("{SHORT_LINE} --track"));
-    assert!(
-        fed.contains("line: 61 points") && fed.contains("tracked to its end"),
-        "{fed}"
-    );
+    let line = format!("{SHORT_LINE} --axis 0,0,1 --track");
+    let output = start(place, &line).output();
+    assert_says(&output, 0, &["line: 61 points", "tracked to its end"]);
+    let fed = text(&output);
+    assert!(!fed.contains("warning"), "an orientation needs none: {fed}");
     let reason = "the reference ended";
     wait_until(reason, || status(place)["reason"] == reason);
     let fed = good(place, SHORT_LINE);
@@ -72,18 +49,6 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
     );
     let fed = good(place, "ref file path.csv --lead 1s --track");
     assert!(fed.contains("3 points"), "{fed}");
-}
-
-#[test]
-fn an_orientation_is_fed_without_a_warning() {
-    // Ideal: the tip is at the begin of the line, so that no approach is needed.
-    let daemon = Daemon::ideal(PATIENT);
-    let place = daemon.place();
-    let line = format!("{SHORT_LINE} --axis 0,0,1 --track");
-    let output = Program::start(&mut command(place, &line)).output();
-    assert_says(&output, 0, &["tracked to its end"]);
-    let fed = text(&output);
-    assert!(!fed.contains("warning"), "{fed}");
 }
 
 #[test]
@@ -151,7 +116,7 @@ fn track_follows_what_another_program_feeds_until_sigint_holds() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
     let connection = daemon.connect();
-    let mut feeding = Program::start(&mut command(place, LONG_LINE));
+    let mut feeding = start(place, LONG_LINE);
     // Rejected until the first chunk is accepted.
     wait_until("tracking", || {
         let output = place.cdcrctl(&["track"]);
@@ -177,10 +142,7 @@ fn sigint_and_sigterm_during_a_tracked_feed_hold_and_exit_with_130() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     for signal in [Signal::INT, Signal::TERM] {
-        let mut feeding = Program::start(&mut command(
-            daemon.place(),
-            &format!("{LONG_LINE} --track"),
-        ));
+        let mut feeding = start(daemon.place(), &format!("{LONG_LINE} --track"));
         wait_status(&connection, |status| status.mode == Mode::Tracking.code());
         feeding.signal(signal);
         let output = feeding.output();
@@ -193,7 +155,7 @@ fn sigint_and_sigterm_during_a_tracked_feed_hold_and_exit_with_130() {
 
 #[test]
 fn the_status_is_shown_as_text_and_as_json() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(&format!("{PATIENT}[robot]\ncable_speed_max_m_s = 0.25\n"));
     let table = good(daemon.place(), "status");
     for part in [
         "robot       cdcr (3 sections",
@@ -209,6 +171,7 @@ fn the_status_is_shown_as_text_and_as_json() {
     assert_eq!(status["mode"], "holding");
     assert_eq!(status["period_ns"], 5_000_000);
     assert_eq!(status["robot"]["sections"].as_array().unwrap().len(), 3);
+    assert_eq!(status["robot"]["cable_speed_max_m_s"], 0.25);
     let statistics = &status["since_reset"];
     assert_eq!(statistics["cycles"], status["cycles"]);
     assert_eq!(statistics["wake"]["count"], status["cycles"]);
@@ -233,18 +196,10 @@ fn the_statistics_are_reset_for_all_and_the_stop_stays() {
 #[test]
 fn a_watched_status_is_shown_again_and_again() {
     let daemon = Daemon::start(PATIENT);
-    let path = daemon.place().folder().join("watch.jsonl");
-    let mut watch = start_into(
-        &path,
-        &command(daemon.place(), "status --watch --format json"),
-    );
-    wait_until("two of them", || {
-        fs::read_to_string(&path).unwrap().lines().count() > 1
-    });
+    let mut watch = start(daemon.place(), "status --watch --format json");
+    wait_until("two of them", || watch.lines() > 1);
     watch.signal(Signal::INT);
-    let output = watch.output();
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
-    let shown = fs::read_to_string(&path).unwrap();
+    let shown = assert_says(&watch.output(), 0, &[]);
     let cycles = shown.lines().map(|line| {
         let status: Value = serde_json::from_str(line).unwrap();
         status["cycles"].as_u64().unwrap()
@@ -289,17 +244,14 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
     assert!(printed.contains("skipped "), "{printed}");
 
     let line = "incidents --follow --count 0 --format json";
-    let path = place.folder().join("follow.jsonl");
-    let mut follow = start_into(&path, &command(place, line));
+    let mut follow = start(place, line);
     // The time until it listens depends on the machine.
     wait_until("a new incident", || {
         freeze(&daemon, FROZEN);
-        fs::read_to_string(&path).unwrap().lines().any(frozen)
+        follow.printed().lines().any(frozen)
     });
     follow.signal(Signal::INT);
-    let output = follow.output();
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
-    let printed = fs::read_to_string(&path).unwrap();
+    let printed = assert_says(&follow.output(), 0, &[]);
     assert!(
         printed
             .lines()
@@ -312,8 +264,7 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
 fn settings_are_shown_and_changed_by_their_keys() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let show = "settings show --format json";
-    let shown = || -> Value { serde_json::from_str(&good(place, show)).unwrap() };
+    let shown = || place.json("settings show");
     let before = shown();
     let table = good(place, "settings");
     assert!(
@@ -359,7 +310,7 @@ fn settings_are_shown_and_changed_by_their_keys() {
 /// Starts an echo, calls `speak` to cause messages until the echo has enough, and returns its lines.
 fn echo(place: &Place, topic: &str, format: &str, speak: &dyn Fn()) -> Vec<String> {
     let line = format!("echo {topic} --count 3 --format {format}");
-    let mut echo = Program::start(&mut command(place, &line));
+    let mut echo = start(place, &line);
     wait_until(topic, || {
         speak();
         !echo.runs()

@@ -4,8 +4,9 @@ mod recorded;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::LazyLock;
 use std::time::Duration;
 
 use cdcr_client::channels::Topic;
@@ -16,7 +17,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_shared_types::message::Struct;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, TIMEOUT, assert_says, ball, refused, text, track, until_undisturbed,
+    Daemon, PATIENT, Place, TIMEOUT, assert_says, ball, refused, text, track, until_undisturbed,
     wait_mode,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
@@ -80,7 +81,8 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
         // Only two snapshots wait for a reader: if it is 0.2 s late, older ones are lost, and counted.
         assert_eq!(channel["missing"], lost(&said, topic), "{info}");
     }
-    run.cdcrctl(&["convert", "run.mcap", "--csv", "tables"]);
+    let place = run.daemon.place();
+    place.says("cdcrctl convert run.mcap --csv tables", 0, &[]);
     let table = |name: &str| {
         let path = run.file.with_file_name("tables").join(name);
         let text = fs::read_to_string(path).unwrap();
@@ -156,8 +158,7 @@ fn every_cycle_of_a_recording_is_computed_again() {
     connection.change_settings(changed).unwrap();
     track(&connection, &curve());
     run.end();
-    let printed = run.cdcrctl(&["replay", "--verify", "run.mcap", "--format", "json"]);
-    let verified: Value = serde_json::from_str(&printed).unwrap();
+    let verified = run.daemon.place().json("replay --verify run.mcap");
     assert_eq!(verified["cycles"], verified["reproduced"], "{verified}");
     assert_eq!(verified["first_difference"], Value::Null);
     assert!(verified["solved"].as_u64().unwrap() > 300, "{verified}");
@@ -175,12 +176,11 @@ fn every_cycle_of_a_recording_is_computed_again() {
 fn cycles_of_a_reference_from_before_the_recording_are_counted_apart() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
-    let file = daemon.place().folder().join("run.mcap");
     let mut run = std::thread::scope(|scope| {
         let feed = scope.spawn(|| track(&daemon.connect(), &curve()));
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Tracking);
-        let recorder = Recorded::recorder(&daemon, &file);
+        let recorder = daemon.place().record("run.mcap");
         feed.join().unwrap();
         recorder
     });
@@ -226,8 +226,8 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     let all_s = (newest.release_ns - begin.release_ns) as f64 * 1e-9;
     // A stalled machine delays the recorder, too; it flushes when it runs.
     assert!(seen_s > all_s - 2.0, "{seen_s} of {all_s} s");
-    let said = run.cdcrctl(&["info", "run.mcap", "--repair"]);
-    assert!(said.contains("is truncated"), "{said}");
+    let place = run.daemon.place();
+    place.says("cdcrctl info run.mcap --repair", 0, &["is truncated"]);
     fs::rename(run.file.with_file_name("run-repaired.mcap"), &run.file).unwrap();
     let repaired = run.info();
     assert_eq!(repaired["cut"], false);
@@ -248,12 +248,10 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     if !mount(&format!("mount -t tmpfs -o size=512k tmpfs {folder}")) {
         return;
     }
-    let mut run = Recorded::into(daemon, disk.join("run.mcap"));
+    let mut run = Recorded::into(daemon, "disk/run.mcap");
     let output = run.recorder.output();
     assert_says(&output, 3, &["run.mcap", "the recording ended there"]);
-    let file = Path::new("disk/run.mcap").display().to_string();
-    let info: Value =
-        serde_json::from_str(&run.cdcrctl(&["info", &file, "--format", "json"])).unwrap();
+    let info = run.daemon.place().json("info disk/run.mcap");
     assert_eq!(info["cut"], false);
     let messages = info["channels"]["telemetry"]["messages"].as_u64().unwrap();
     assert!(messages > 10);
@@ -268,7 +266,7 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     );
     // Fails as well if the disk was full before.
     fs::write(disk.join("rest"), vec![0; 1 << 20]).unwrap_err();
-    let mut again = Recorded::recorder(&run.daemon, &disk.join("again.mcap"));
+    let mut again = run.daemon.place().record("disk/again.mcap");
     assert_says(&again.output(), 3, &["again.mcap", "No space left"]);
     // The loop was not affected.
     let status = run
@@ -317,20 +315,27 @@ fn rewrite(
     writer.finish().unwrap();
 }
 
-fn tracked_curve() -> Recorded {
-    let mut run = Recorded::start(PATIENT);
-    track(&run.daemon.connect(), &curve());
-    run.end();
-    run
+/// A recording of a tracked curve in a new place. Made once: those who read it need no daemon.
+fn tracked_curve() -> (Place, PathBuf) {
+    static MADE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+        let mut run = Recorded::start(PATIENT);
+        track(&run.daemon.connect(), &curve());
+        run.end();
+        fs::read(&run.file).unwrap()
+    });
+    let place = Place::new();
+    let file = place.folder().join("run.mcap");
+    fs::write(&file, &*MADE).unwrap();
+    (place, file)
 }
 
 #[test]
 fn the_first_difference_is_named_and_saved_so_that_it_shows_again_alone() {
-    let run = tracked_curve();
-    let altered = run.file.with_file_name("altered.mcap");
+    let (place, file) = tracked_curve();
+    let altered = file.with_file_name("altered.mcap");
     let mut solved = 0;
     rewrite(
-        &run.file,
+        &file,
         &altered,
         |_| {},
         |record| {
@@ -342,9 +347,8 @@ fn the_first_difference_is_named_and_saved_so_that_it_shows_again_alone() {
         },
     );
     let verify = |file: &str| -> Value {
-        let mut command = run.daemon.place().command("cdcrctl");
-        command.args(["replay", "--format", "json", "--verify", file]);
-        let output = Program::start(command.current_dir(run.daemon.place().folder())).output();
+        let line = format!("cdcrctl replay --format json --verify {file}");
+        let output = place.start(&line).output();
         assert_eq!(output.status.code(), Some(1), "{}", text(&output));
         serde_json::from_slice(&output.stdout).unwrap()
     };
@@ -368,11 +372,8 @@ fn the_first_difference_is_named_and_saved_so_that_it_shows_again_alone() {
 
 #[test]
 fn other_settings_are_compared_with_what_was_commanded() {
-    let run = tracked_curve();
-    let with = |changes: &str| -> Value {
-        let printed = run.cdcrctl(&["replay", "--with", changes, "run.mcap", "--format", "json"]);
-        serde_json::from_str(&printed).unwrap()
-    };
+    let (place, file) = tracked_curve();
+    let with = |changes: &str| place.json(&format!("replay --with {changes} run.mcap"));
     let [same, others] = [
         "velocity_rule=inertia",
         "solver=gauss-newton,horizon_steps=5",
@@ -386,12 +387,11 @@ fn other_settings_are_compared_with_what_was_commanded() {
     assert!(most(&others) > 1e-6, "{others}");
     assert_eq!(same["cycles"], others["cycles"]);
     assert_ne!(same["with"]["evaluations"], others["with"]["evaluations"]);
-    let place = run.daemon.place();
     place.says("cdcrctl replay --with horizon=5 run.mcap", 2, &["horizon"]);
     // Plans of a version with other control blocks have another length.
-    let other = run.file.with_file_name("other.mcap");
+    let other = file.with_file_name("other.mcap");
     rewrite(
-        &run.file,
+        &file,
         &other,
         |_| {},
         |record| record.plan_length = record.plan_length.saturating_sub(1),
@@ -404,10 +404,10 @@ fn other_settings_are_compared_with_what_was_commanded() {
 
 #[test]
 fn a_recording_of_another_version_is_refused_and_both_are_named() {
-    let run = tracked_curve();
-    let other = run.file.with_file_name("other.mcap");
+    let (place, file) = tracked_curve();
+    let other = file.with_file_name("other.mcap");
     rewrite(
-        &run.file,
+        &file,
         &other,
         |channel| {
             // Standard messages have no version of this project.
@@ -418,7 +418,6 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
         |_| {},
     );
     let name = <Telemetry as Struct>::layout(&Telemetry::default()).type_name;
-    let place = run.daemon.place();
     for task in ["info", "replay --verify", "convert --csv tables"] {
         let found = format!("{name}99");
         let ours = format!("reads {name}:");
@@ -434,13 +433,12 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
 
 #[test]
 fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
-    let run = tracked_curve();
-    let mut bytes = fs::read(&run.file).unwrap();
+    let (place, file) = tracked_curve();
+    let mut bytes = fs::read(&file).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle..middle + 1000].fill(0x5a);
-    fs::write(run.file.with_file_name("damaged.mcap"), &bytes).unwrap();
-    fs::write(run.file.with_file_name("begun.mcap"), &bytes[..8]).unwrap();
-    let place = run.daemon.place();
+    fs::write(file.with_file_name("damaged.mcap"), &bytes).unwrap();
+    fs::write(file.with_file_name("begun.mcap"), &bytes[..8]).unwrap();
     let says = [
         "error: damaged.mcap: the recording is damaged",
         "; recover the part before the damage with `cdcrctl info --repair damaged.mcap`",
@@ -450,7 +448,7 @@ fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
     place.says("cdcrctl info --repair damaged.mcap", 0, &says);
     place.says("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
     place.says("cdcrctl info --repair begun.mcap", 1, &["no message"]);
-    assert!(!run.file.with_file_name("begun-repaired.mcap").exists());
+    assert!(!file.with_file_name("begun-repaired.mcap").exists());
 }
 
 #[test]

@@ -52,12 +52,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
     assert!(!addresses.contains("http://") && !addresses.contains("https://"));
     assert!(page.len() < 1_000_000, "{}", page.len());
     let data = data(&page);
-    let info: Value = serde_json::from_str(&daemon.place().says(
-        "cdcrctl info run.mcap --format json",
-        0,
-        &["telemetry"],
-    ))
-    .unwrap();
+    let info = daemon.place().json("info run.mcap");
     assert_eq!(data["link"], "simulated");
     assert_eq!(data["cycles"], info["channels"]["telemetry"]["messages"]);
     assert_eq!(data["deadline_misses"], info["deadline_misses"]);

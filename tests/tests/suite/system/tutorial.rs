@@ -67,8 +67,7 @@ fn type_the_session() -> Option<String> {
 #[test]
 fn the_tutorial_works_as_typed() {
     let place = until_undisturbed("the tutorial", type_the_tutorial);
-    let said = place.says("cdcrctl info loop.mcap --format json", 0, &["tracking"]);
-    let info: serde_json::Value = serde_json::from_str(&said).unwrap();
+    let info = place.json("info loop.mcap");
     // A robot that differs from its model, beside an obstacle off its path. The robot had to approach from
     // the straight shape first.
     let error_m = |of: &str| info[of]["position_error_m"].as_f64().unwrap();

@@ -37,7 +37,7 @@ fn viewer(port: u16) -> WebSocket<TcpStream> {
 
 /// Starts `cdcr-view` on a free port.
 fn serve(daemon: &Daemon) -> (Program, u16) {
-    let view = Program::start(daemon.place().command("cdcr-view").args(["--port", "0"]));
+    let view = daemon.place().start("cdcr-view --port 0");
     wait_until("it serves", || view.lines() > 0);
     let said = view.printed();
     let port = said

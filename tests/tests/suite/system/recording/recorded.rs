@@ -1,8 +1,8 @@
 //! A daemon whose cycles are recorded.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use cdcr_tests::{Daemon, Program, assert_says, text, wait_until};
+use cdcr_tests::{Daemon, Program, assert_says};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -15,25 +15,16 @@ pub(super) struct Recorded {
 
 impl Recorded {
     pub(super) fn start(configuration: &str) -> Self {
-        let daemon = Daemon::start(configuration);
-        let file = daemon.place().folder().join("run.mcap");
-        Self::into(daemon, file)
+        Self::into(Daemon::start(configuration), "run.mcap")
     }
 
-    pub(super) fn into(daemon: Daemon, file: PathBuf) -> Self {
+    /// A file of the daemon's folder.
+    pub(super) fn into(daemon: Daemon, file: &str) -> Self {
         Self {
-            recorder: Self::recorder(&daemon, &file),
+            recorder: daemon.place().record(file),
+            file: daemon.place().folder().join(file),
             daemon,
-            file,
         }
-    }
-
-    /// A recorder whose streams are open.
-    pub(super) fn recorder(daemon: &Daemon, file: &Path) -> Program {
-        let mut command = daemon.place().command("cdcrctl");
-        let recorder = Program::start(command.arg("record").arg("-o").arg(file));
-        wait_until("the recorder has begun", || file.exists());
-        recorder
     }
 
     pub(super) fn end(&mut self) -> String {
@@ -41,16 +32,7 @@ impl Recorded {
         assert_says(&self.recorder.output(), 0, &["run.mcap"])
     }
 
-    pub(super) fn cdcrctl(&self, arguments: &[&str]) -> String {
-        let mut command = self.daemon.place().command("cdcrctl");
-        let folder = self.daemon.place().folder();
-        let output = Program::start(command.args(arguments).current_dir(folder)).output();
-        assert!(output.status.success(), "{arguments:?}: {}", text(&output));
-        String::from_utf8(output.stdout).unwrap()
-    }
-
     pub(super) fn info(&self) -> Value {
-        let printed = self.cdcrctl(&["info", "run.mcap", "--format", "json"]);
-        serde_json::from_str(&printed).unwrap()
+        self.daemon.place().json("info run.mcap")
     }
 }
