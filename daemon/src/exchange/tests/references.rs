@@ -29,20 +29,58 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
 
 /// Sends a trajectory that begins in half a second.
 fn send_reference(rig: &Rig, client: u64) {
+    send_points(
+        rig,
+        client,
+        ChunkMode::Replace,
+        [500, 1000].map(|ms| ms * MS),
+    );
+}
+
+/// Sends points at these times from now on.
+fn send_points<const N: usize>(rig: &Rig, client: u64, mode: ChunkMode, times_ns: [u64; N]) {
     let mut chunk = ReferenceChunk {
         header: rig.header(client),
-        mode: ChunkMode::Replace.code(),
-        count: 2,
+        mode: mode.code(),
+        count: N as u32,
         ..ReferenceChunk::default()
     };
-    for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
+    for (point, time_ns) in chunk.points.iter_mut().zip(times_ns) {
         *point = ReferencePoint {
-            time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
+            time_ns: rig.now_ns() + time_ns,
             position_m: [0.0, 0.0, 0.89],
             ..ReferencePoint::default()
         };
     }
     rig.references.send_copy(chunk).unwrap();
+}
+
+#[test]
+fn a_chunk_continues_the_last_one_with_later_points_and_a_refused_one_is_counted() {
+    let mut rig = Rig::new("");
+    rig.gather();
+    let lease = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    let (append, replace) = (ChunkMode::Append, ChunkMode::Replace);
+    for (mode, times_ns, outcome) in [
+        // Nothing was accepted yet, so there is nothing to append to.
+        (append, [500 * MS, 600 * MS], Outcome::SequenceGap),
+        (replace, [500 * MS; 2], Outcome::TimeNotIncreasing),
+        (
+            replace,
+            [500 * MS, 500 * MS + 999],
+            Outcome::TimeNotIncreasing,
+        ),
+        (replace, [500 * MS, 600 * MS], Outcome::Accepted),
+        (append, [700 * MS, 800 * MS], Outcome::Accepted),
+        (append, [600 * MS, 900 * MS], Outcome::TimeNotIncreasing),
+    ] {
+        let before = rig.counted(outcome);
+        send_points(&rig, 1, mode, times_ns);
+        rig.gather();
+        assert_eq!(rig.counted(outcome), before + 1, "{mode:?} {times_ns:?}");
+    }
+    drop(lease);
 }
 
 fn track(lease_number: u32) -> ModeRequest {

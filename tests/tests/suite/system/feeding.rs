@@ -4,8 +4,8 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, FeedReport, Line};
-use cdcr_shared_types::codes::{LeaseState, Outcome, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, ask_for, paper_line, tracked, wait_status};
+use cdcr_shared_types::codes::{LeaseState, Outcome};
+use cdcr_tests::{Daemon, PATIENT, paper_line, tracked, wait_status};
 
 fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
     let options = FeedOptions { track, ..tracked() };
@@ -62,26 +62,6 @@ fn a_refused_chunk_ends_the_feed_with_the_reason_and_the_point() {
         (report.end, report.points, report.tracked),
         (FeedEnd::Played, 61, true)
     );
-}
-
-#[test]
-fn a_refused_request_tells_the_remedy() {
-    let daemon = Daemon::start(PATIENT);
-    let connection = daemon.connect();
-    let refused = |kind| {
-        let error = connection
-            .request_within(kind, TIMEOUT)
-            .expect_err("refused");
-        error.to_string()
-    };
-    let message = refused(RequestKind::Track);
-    assert!(message.contains("cdcrctl ref"), "{message}");
-    let _lease = connection.acquire_lease_within(TIMEOUT).unwrap();
-    let message = refused(RequestKind::Track);
-    assert!(message.contains("cdcrctl ref spiral --track"), "{message}");
-    ask_for(&connection, RequestKind::Stop);
-    let message = refused(RequestKind::Home);
-    assert!(message.contains("cdcrctl reset"), "{message}");
 }
 
 #[test]

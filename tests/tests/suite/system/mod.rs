@@ -2,7 +2,6 @@
 
 mod access;
 mod around;
-mod bad_input;
 mod bare;
 mod c;
 mod calibration;
