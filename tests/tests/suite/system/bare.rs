@@ -8,6 +8,8 @@ use cdcr_shared_types::codes::LateCause;
 use cdcr_tests::{Place, Program, text, wait_until};
 use rustix::process::Signal;
 
+use crate::faults::threads::find_thread;
+
 const HEADER: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,\
                       page_faults,cause";
 const PERIOD_NS: u64 = 5_000_000;
@@ -98,46 +100,14 @@ fn every_cycle_lies_on_the_grid_and_nothing_in_shared_memory() {
 }
 
 #[test]
-fn the_summary_counts_the_cycles_and_says_whether_it_was_real_time() {
-    let place = Place::new();
-    let arguments = [
-        "--duration",
-        "200ms",
-        "--format",
-        "json",
-        "--set",
-        "realtime.mode=off",
-    ];
-    let output = bare(&place, &arguments).output().unwrap();
-    assert!(output.status.success(), "{}", text(&output));
-    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let number = |key: &str| json[key].as_u64().unwrap();
-    assert_eq!(number("period_ns"), PERIOD_NS);
-    assert!(number("cycles") + number("skipped_periods") >= 40, "{json}");
-    assert!(number("deadline_misses") <= number("cycles"));
-    assert_eq!(json["realtime"], false);
-    assert_eq!(json["realtime_missing"][0], "real time");
-    assert_eq!(json["core"], serde_json::Value::Null);
-    let wake = |key: &str| json["wake"][key].as_u64().unwrap();
-    assert!(wake("min_ns") <= wake("p50_ns") && wake("p50_ns") <= wake("max_ns"));
-}
-
-fn has_thread(process: u32, name: &str) -> bool {
-    let threads = std::fs::read_dir(format!("/proc/{process}/task"));
-    let mut threads = threads.into_iter().flatten().flatten();
-    threads.any(|thread| {
-        let found = std::fs::read_to_string(thread.path().join("comm"));
-        found.is_ok_and(|found| found.trim() == name)
-    })
-}
-
-#[test]
 fn a_signal_ends_it_early_with_what_there_is() {
     for signal in [Signal::TERM, Signal::INT] {
         let place = Place::new();
         let mut program = Program::start(&mut bare(&place, &["--duration", "1h"]));
         // It handles signals before it starts its thread.
-        wait_until("its thread", || has_thread(program.id(), "cdcr-cycle"));
+        wait_until("its thread", || {
+            find_thread(program.id(), "cdcr-cycle").is_some()
+        });
         program.signal(signal);
         let output = program.output();
         assert!(output.status.success(), "{}", text(&output));

@@ -158,19 +158,6 @@ fn the_demo_writes_telemetry_and_pictures() {
     }
 }
 
-#[test]
-fn the_demo_refuses_what_it_cannot_show() {
-    let place = Place::new();
-    for arguments in [
-        ["--sections", "4"],
-        ["--duration", "0s"],
-        ["--duration", "1h"],
-    ] {
-        let (good, _, err) = demo(&place, &arguments);
-        assert!(!good && err.contains(arguments[0]), "{err}");
-    }
-}
-
 /// A running demo with a private folder for temporary files. Dropping it removes what is left.
 struct RunningDemo {
     program: Program,

@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use cdcr_client::Connection;
-use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, realtime, timing};
+use cdcr_shared_types::codes::{LateCause, Mode, realtime, timing};
 use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, ask_for, paper_line, track, wait_mode, wait_record, wait_status,
-    wait_until,
+    Daemon, PATIENT, TIMEOUT, paper_line, track, wait_mode, wait_record, wait_status, wait_until,
 };
 
 use super::{error_max_m, freeze};
@@ -97,37 +96,6 @@ fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan(
     wait_status(&connection, |status| {
         status.budget_hits > 0 && status.since_reset.budget_hits > 0
     });
-}
-
-#[test]
-fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
-    let daemon = Daemon::start(PATIENT);
-    let connection = daemon.connect();
-    let before = wait_status(&connection, |status| status.since_reset.cycles > 200);
-    assert!(before.last_minute.cycles <= before.since_reset.cycles);
-    for window in [&before.since_reset, &before.last_minute] {
-        for latency in [
-            &window.wake,
-            &window.gather,
-            &window.compute,
-            &window.publish,
-        ] {
-            assert!(
-                latency.count > 0 && latency.p50_ns <= latency.max_ns,
-                "{window:?}"
-            );
-        }
-        // Each part of a cycle lies within the whole.
-        assert!(window.compute.p50_ns <= window.response.p50_ns);
-        let bad: u64 = window.causes.iter().sum();
-        assert!(bad >= window.deadline_misses.max(window.late_starts));
-    }
-    ask_for(&connection, RequestKind::ResetStatistics);
-    let after = wait_status(&connection, |status| {
-        status.statistics_since_ns > before.statistics_since_ns
-    });
-    assert!(after.since_reset.cycles < after.cycles - 150, "{after:?}");
-    assert!(after.cycles > before.cycles);
 }
 
 /// All kept incidents: they come at once, new ones one by one.
