@@ -1,15 +1,12 @@
 //! Hanging threads: the test stops a single thread as a debugger does.
 
 use std::ops::ControlFlow;
-use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, FeedEnd, FeedEvent, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{
-    Daemon, Place, Program, ROBOT, TIMEOUT, ask_for, paper_line, tracked, wait_status, wait_until,
-};
+use cdcr_tests::{Daemon, ROBOT, TIMEOUT, ask_for, paper_line, tracked, wait_status, wait_until};
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
 use nix::unistd::Pid;
@@ -17,6 +14,7 @@ use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, rests};
+use crate::system::service_manager::Managed;
 
 /// A thread of another process, stopped until this is dropped.
 pub(crate) struct Hung {
@@ -252,45 +250,6 @@ fn a_status_thread_that_hangs_for_good_ends_the_process_at_last() {
     daemon.connect().status(TIMEOUT).unwrap();
 }
 
-/// A daemon whose service manager expects a watchdog message five times a second.
-struct Managed {
-    daemon: Program,
-    manager: UnixDatagram,
-    place: Place,
-}
-
-impl Managed {
-    fn start() -> Self {
-        let place = Place::new();
-        let socket = place.folder().join("notify");
-        let manager = UnixDatagram::bind(&socket).unwrap();
-        manager.set_nonblocking(true).unwrap();
-        let configuration = place.write("robot.toml", "[cycle]\nmiss_limit = 1000000\n");
-        let mut command = place.command("cdcrd");
-        command
-            .args(["run", "--config"])
-            .arg(configuration)
-            .env("NOTIFY_SOCKET", socket)
-            .env("WATCHDOG_USEC", "200000")
-            .env_remove("WATCHDOG_PID");
-        Self {
-            daemon: Program::start(&mut command),
-            manager,
-            place,
-        }
-    }
-
-    /// Number of watchdog messages since the last call.
-    fn fed(&self) -> usize {
-        let (mut buffer, mut fed) = ([0; 4096], 0);
-        while let Ok(length) = self.manager.recv(&mut buffer) {
-            let text = String::from_utf8_lossy(&buffer[..length]);
-            fed += text.matches("WATCHDOG=1").count();
-        }
-        fed
-    }
-}
-
 #[test]
 fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_watchdog() {
     let managed = Managed::start();
@@ -367,6 +326,5 @@ fn a_hung_status_thread_keeps_neither_the_watchdog_nor_the_end_waiting() {
         hung.reap();
         !managed.daemon.runs()
     });
-    let ended = managed.daemon.output();
-    assert_eq!(ended.status.code(), Some(0), "{}", cdcr_tests::text(&ended));
+    assert_eq!(managed.daemon.wait(String::new).code(), Some(0));
 }

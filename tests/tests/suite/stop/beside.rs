@@ -1,7 +1,7 @@
 //! Conditions that could prevent a stop.
 
-use std::io::{ErrorKind, PipeReader, Write};
-use std::os::fd::{AsFd, OwnedFd};
+use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
+use std::os::fd::OwnedFd;
 use std::os::unix::net::{UnixDatagram, UnixStream};
 
 use cdcr_tests::Daemon;
@@ -81,8 +81,7 @@ impl Beside {
         let configuration = format!("{}{link}", self.configuration());
         match self {
             Self::FullStderr => {
-                let (reader, mut writer) = std::io::pipe().unwrap();
-                fill(&mut writer);
+                let (reader, writer) = unread_pipe();
                 let daemon = Daemon::start_with(&configuration, |command| {
                     command.stderr(writer);
                 });
@@ -150,8 +149,9 @@ impl Beside {
     }
 }
 
-/// Writes until nothing more is accepted; a further writer blocks.
-fn fill(writer: &mut (impl Write + AsFd)) {
+/// A pipe without a reader that accepts nothing more; a further writer blocks.
+pub(crate) fn unread_pipe() -> (PipeReader, PipeWriter) {
+    let (reader, mut writer) = std::io::pipe().unwrap();
     let flags = fcntl_getfl(&writer).unwrap();
     fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
     let full = loop {
@@ -161,4 +161,5 @@ fn fill(writer: &mut (impl Write + AsFd)) {
     };
     assert_eq!(full.kind(), ErrorKind::WouldBlock, "{full}");
     fcntl_setfl(&writer, flags).unwrap();
+    (reader, writer)
 }

@@ -24,6 +24,7 @@ mod recording;
 mod replay;
 mod report;
 mod scenes;
+pub(crate) mod service_manager;
 mod silence;
 mod strangers;
 mod timing;

@@ -1,0 +1,146 @@
+//! Notifications of `cdcrd run` to the service manager that started it.
+
+use std::os::unix::net::UnixDatagram;
+use std::path::Path;
+use std::process::Stdio;
+
+use cdcr_tests::{Place, Program, Running, wait_until};
+use rustix::process::Signal;
+
+use crate::stop::beside::unread_pipe;
+
+/// A daemon whose service manager expects a watchdog message five times a second.
+pub(crate) struct Managed {
+    pub(crate) daemon: Running,
+    manager: UnixDatagram,
+    pub(crate) place: Place,
+}
+
+impl Managed {
+    pub(crate) fn start() -> Self {
+        Self::start_onto(Stdio::null())
+    }
+
+    /// Starts the daemon with this standard error.
+    fn start_onto(stderr: impl Into<Stdio>) -> Self {
+        let place = Place::new();
+        let socket = place.folder().join("notify");
+        let manager = listen(&socket);
+        let configuration = place.write("robot.toml", "[cycle]\nmiss_limit = 1000000\n");
+        let mut command = place.command("cdcrd");
+        command
+            .args(["run", "--config"])
+            .arg(configuration)
+            .env("NOTIFY_SOCKET", socket)
+            .env("WATCHDOG_USEC", "200000")
+            .env_remove("WATCHDOG_PID")
+            .env("RUST_LOG", "debug")
+            .stdout(Stdio::null())
+            .stderr(stderr);
+        Self {
+            daemon: Running::start(&mut command),
+            manager,
+            place,
+        }
+    }
+
+    /// All received lines, up to a line that starts with `what`.
+    fn hear_until(&self, what: &str) -> Vec<String> {
+        let mut heard = Vec::new();
+        wait_until(what, || {
+            heard.extend(heard_by(&self.manager));
+            heard.iter().any(|line| line.starts_with(what))
+        });
+        heard
+    }
+
+    /// Number of watchdog messages since the last call.
+    pub(crate) fn fed(&self) -> usize {
+        let heard = heard_by(&self.manager);
+        heard.iter().filter(|line| *line == "WATCHDOG=1").count()
+    }
+
+    fn end(&mut self) {
+        self.daemon.signal(Signal::TERM);
+        assert!(self.daemon.wait(String::new).success());
+    }
+}
+
+fn listen(socket: &Path) -> UnixDatagram {
+    let manager = UnixDatagram::bind(socket).unwrap();
+    manager.set_nonblocking(true).unwrap();
+    manager
+}
+
+/// The lines received since the last call.
+fn heard_by(manager: &UnixDatagram) -> Vec<String> {
+    let (mut buffer, mut heard) = ([0; 4096], Vec::new());
+    while let Ok(length) = manager.recv(&mut buffer) {
+        let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
+        heard.extend(text.lines().map(str::to_owned));
+    }
+    heard
+}
+
+#[test]
+fn a_life_is_told_from_ready_to_stopping() {
+    let mut managed = Managed::start();
+    let mut heard = Vec::new();
+    for what in ["READY=1", "STATUS=", "WATCHDOG=1", "WATCHDOG=1"] {
+        heard.extend(managed.hear_until(what));
+    }
+    managed.daemon.signal(Signal::TERM);
+    heard.extend(managed.hear_until("STOPPING=1"));
+    assert!(managed.daemon.wait(String::new).success());
+    let at = |what: &str| {
+        heard
+            .iter()
+            .position(|line| line.starts_with(what))
+            .unwrap()
+    };
+    assert!(at("READY=1") < at("STOPPING=1"), "{heard:?}");
+    let readies = heard.iter().filter(|line| *line == "READY=1").count();
+    assert_eq!(readies, 1, "{heard:?}");
+    let status = &heard[at("STATUS=")];
+    for part in [" Hz, ", " miss", " skipped period"] {
+        assert!(status.contains(part), "{status}");
+    }
+}
+
+#[test]
+fn a_daemon_that_cannot_start_is_never_ready() {
+    let mut managed = Managed::start();
+    managed.hear_until("READY=1");
+    let socket = managed.place.folder().join("second");
+    let manager = listen(&socket);
+    // A second daemon for the same robot at the same location.
+    let mut second = managed.place.command("cdcrd");
+    second.arg("run").env("NOTIFY_SOCKET", socket);
+    let ended = Program::start(&mut second).output();
+    assert_eq!(ended.status.code(), Some(69));
+    let heard = heard_by(&manager);
+    assert!(!heard.contains(&"READY=1".to_owned()), "{heard:?}");
+    managed.end();
+}
+
+#[test]
+fn a_log_that_nobody_reads_stops_neither_the_status_nor_the_end() {
+    let (_reader, writer) = unread_pipe();
+    let mut managed = Managed::start_onto(writer);
+    managed.hear_until("READY=1");
+    for _ in 0..3 {
+        managed.hear_until("STATUS=");
+        managed.hear_until("WATCHDOG=1");
+    }
+    managed.end();
+}
+
+#[test]
+fn a_failure_whose_message_nobody_reads_ends_the_process_with_its_status() {
+    let (_reader, writer) = unread_pipe();
+    let place = Place::new();
+    let mut command = place.command("cdcrd");
+    command.args(["run", "--set", "cycle.period_ms=-1"]);
+    let mut daemon = Running::start(command.stderr(writer));
+    assert_eq!(daemon.wait(String::new).code(), Some(78));
+}
