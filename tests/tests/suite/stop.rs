@@ -19,16 +19,14 @@ use std::time::Duration;
 use cdcr_client::{
     Connection, FeedEvent, FeedOptions, Line, TelemetryStream, events, monotonic_ns,
 };
-use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
-use cdcr_controller::safety::{ramp_to_zero, shorten};
-use cdcr_shared_types::codes::{
-    EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard, timing,
-};
+use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, timing};
 use cdcr_shared_types::{Response, Telemetry};
 use cdcr_testbed::subject::asker::Asker;
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
+
+use crate::chaos::ramp;
 
 /// Number of measured stops.
 const STOPS: usize = 20;
@@ -41,8 +39,6 @@ const DECELERATION_RAD_S2: f64 = 20.0;
 /// Time from the gather to the release in the default configuration \[ns\]: 0.2 ms before the cycle thread
 /// wakes up, 75 µs early.
 const GATHER_LEAD_NS: u64 = 275_000;
-/// Rounding error of a rate \[rad/s\].
-const TOLERANCE_RAD_S: f64 = 1e-9;
 
 #[test]
 fn a_simulated_robot_stops_within_one_period_and_the_ramp() {
@@ -285,69 +281,20 @@ fn late_ns(before: &Telemetry, first: &Telemetry) -> u64 {
     skipped_ns + after_release_ns + old_inputs_ns
 }
 
-/// Checks that the fastest rate decreases by one step in each record from the first stopped one on. Returns
-/// the index of the first record at rest.
-///
-/// At its bend limit a section is slowed down further; no component ever becomes faster.
+/// Checks that the rates follow the ramp from the first stopped record on, and within its cycles. Returns the
+/// index of the first record at rest.
 fn assert_ramp(records: &[Telemetry], step: f64) -> usize {
     let first = largest(&records[0].previous_rate_rad_s);
     let cycles = (first / step - 1e-9).ceil() as usize;
     for (k, record) in records.iter().enumerate() {
-        let rate = largest(&record.command.bend_rate_rad_s);
-        let before = largest(&record.previous_rate_rad_s);
-        let left = (before - step).max(0.0);
-        if record.guard_flags & guard::BEND == 0 {
-            assert!(
-                (rate - left).abs() <= TOLERANCE_RAD_S,
-                "{rate} instead of {left} rad/s in cycle {k} of the ramp"
-            );
-        }
-        let ramp = record
-            .previous_rate_rad_s
-            .map(|rate| rate * left / before.max(step));
-        for (rate, ramp) in record.command.bend_rate_rad_s.iter().zip(ramp) {
-            assert!(
-                rate.abs() <= ramp.abs() + TOLERANCE_RAD_S,
-                "{rate} rad/s, beyond the ramp at {ramp} rad/s, in cycle {k}"
-            );
-        }
-        if rate == 0.0 {
+        assert_eq!(record.deceleration_rad_s2, DECELERATION_RAD_S2);
+        ramp::check(record, record.period_ns as f64 * 1e-9).unwrap();
+        if largest(&record.command.bend_rate_rad_s) == 0.0 {
             return k;
         }
         assert!(k + 1 < cycles, "not at rest after {cycles} cycles");
     }
     panic!("the records do not reach to rest");
-}
-
-/// Independent of the machine's timing: the controller's ramp alone, from a bend at its limit and from
-/// beyond.
-#[test]
-fn a_ramp_at_the_limit_of_a_bend_is_only_shortened() {
-    let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
-    let limit_rad = robot.sections()[0].bend_max_rad;
-    let (period_s, mut cut) = (0.005, 0);
-    for direction in 0..100 {
-        let angle = f64::from(direction) * 0.0628;
-        let bend_rad = limit_rad + 0.1 * f64::from(direction % 3);
-        let mut at =
-            Configuration::from_slice(&[bend_rad * angle.cos(), bend_rad * angle.sin()]).unwrap();
-        let mut rates = BendRates::from_slice(&[2.0, -1.5]).unwrap();
-        let mut records = Vec::new();
-        while rates.as_slice() != [0.0; 2] {
-            let mut record = Telemetry::default();
-            record.previous_rate_rad_s[..2].copy_from_slice(rates.as_slice());
-            let ramp = ramp_to_zero(&rates, DECELERATION_RAD_S2, period_s);
-            let limited = shorten(&robot, &at, &ramp, period_s);
-            rates = limited.rates;
-            record.guard_flags = if limited.hit.bend { guard::BEND } else { 0 };
-            record.command.bend_rate_rad_s[..2].copy_from_slice(rates.as_slice());
-            cut += u32::from(limited.hit.bend);
-            at = at.advanced(&rates, period_s);
-            records.push(record);
-        }
-        assert_ramp(&records, DECELERATION_RAD_S2 * period_s);
-    }
-    assert!(cut > 50, "{cut} ramps met the limit");
 }
 
 fn report(link: &str, taken: &[Taken]) {

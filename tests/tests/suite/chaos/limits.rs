@@ -77,7 +77,7 @@ fn check_cables(robot: &Robot, command: &Command) -> CheckResult {
     )
 }
 
-fn check_finite(command: &Command) -> CheckResult {
+pub(crate) fn check_finite(command: &Command) -> CheckResult {
     let numbers = command.bend_rate_rad_s.iter();
     let numbers = numbers
         .chain(&command.bend_target_rad)

@@ -11,7 +11,7 @@ mod director;
 mod feeder;
 mod grid;
 pub(crate) mod integral;
-mod limits;
+pub(crate) mod limits;
 mod modes;
 mod obstacles;
 pub(crate) mod ramp;

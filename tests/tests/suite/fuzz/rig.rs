@@ -18,8 +18,9 @@ use cdcr_daemon::rt::clock::{Clock, ManualClock};
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{ChunkMode, Interface, MeasurementKind, RequestKind};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
-use cdcr_shared_types::{Command, Measurement, ObstacleUpdate, ReferenceChunk, Request};
+use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Request, Telemetry};
 
+use crate::chaos::limits;
 use crate::fuzz::cases::Tally;
 use crate::fuzz::script::{BEGIN_NS, PERIOD_NS, Run, Script, Step};
 
@@ -251,54 +252,13 @@ impl Rig {
         );
     }
 
-    /// Checks that the rates and the resulting positions are finite and within the limits, unless the robot
-    /// was measured outside before, and that the message for the driver is finite.
+    /// Checks that the command is finite and within the limits, unless the robot was measured outside before.
     fn evaluate(&self, record: &CycleRecord) {
-        let rates = &record.rates;
-        assert!(rates.is_finite(), "{rates:?} in {:?}", record.mode);
-        let period_s = self.period_ns as f64 * 1e-9;
-        let now = &record.configuration;
-        let next = now.advanced(rates, period_s);
-        for (index, section) in self.robot.sections().iter().enumerate() {
-            let fastest = rates
-                .section(index)
-                .map(f64::abs)
-                .into_iter()
-                .fold(0.0, f64::max);
-            assert!(
-                fastest <= section.rate_max_rad_s,
-                "section {index}: {fastest} rad/s"
-            );
-            let most_rad = section.bend_max_rad.max(now.bend_rad(index)) * (1.0 + 1e-12);
-            let bend_rad = next.bend_rad(index);
-            assert!(
-                bend_rad <= most_rad,
-                "section {index}: {bend_rad} > {most_rad} rad"
-            );
-        }
-        let most_m_s = self.robot.cable_speed_max_m_s() * (1.0 + 1e-12);
-        for speed_m_s in self.robot.cable_speeds(rates) {
-            assert!(speed_m_s.abs() <= most_m_s, "a cable at {speed_m_s} m/s");
-        }
-        let command = convert::command(record, &self.robot, self.period_ns);
-        if record.measurement.is_some() {
-            assert_finite(&command);
-        }
-        let telemetry = convert::telemetry(record, &self.robot, self.period_ns);
+        let telemetry = Telemetry {
+            command: convert::command(record, &self.robot, self.period_ns),
+            ..convert::telemetry(record, &self.robot, self.period_ns)
+        };
+        limits::check_record(&self.robot, &telemetry, self.period_ns as f64 * 1e-9).unwrap();
         assert_eq!(telemetry.cycle, record.release.cycle);
     }
-}
-
-/// No number of a command is NaN or infinite.
-pub(crate) fn assert_finite(command: &Command) {
-    let angles = command
-        .bend_rate_rad_s
-        .iter()
-        .chain(&command.bend_target_rad);
-    let cables = command
-        .cable_length_m
-        .iter()
-        .chain(&command.cable_speed_m_s);
-    let finite = angles.chain(cables).all(|value| value.is_finite());
-    assert!(finite, "a command that is not finite: {command:?}");
 }

@@ -14,10 +14,10 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
+use crate::chaos::limits;
 use crate::fuzz::cases::asked;
 use crate::fuzz::draft::{self, Draft, lay_out};
 use crate::fuzz::fields::Fields;
-use crate::fuzz::rig::assert_finite;
 use crate::fuzz::script::{Robot, Step};
 
 /// Sender id of the invalid messages.
@@ -235,7 +235,7 @@ impl Watcher {
 
     fn look(&mut self) -> Status {
         while let Some(record) = self.telemetry.try_next().unwrap() {
-            assert_finite(&record.command);
+            limits::check_finite(&record.command).unwrap();
             self.records += 1;
             self.follows |= record.mode == Mode::Tracking.code();
         }
