@@ -4,6 +4,7 @@
 mod home;
 
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
@@ -34,69 +35,47 @@ const RETURN_TIMES_MAX: u32 = 2;
 /// A start that takes this multiple of the usual time was blocked.
 const SLOW_TIMES: u32 = 15;
 
-/// A daemon that is killed and reaped when dropped.
-struct Life(Running);
-
 /// Adds the log of the newest daemon to the report of a failing test.
 struct LogOfFailure<'a>(&'a Place);
 
 impl Drop for LogOfFailure<'_> {
     fn drop(&mut self) {
         if thread::panicking() {
-            let log = std::fs::read_to_string(Life::log(self.0)).unwrap_or_default();
+            let log = std::fs::read_to_string(log_of(self.0)).unwrap_or_default();
             println!("cdcrd said:\n{log}");
         }
     }
 }
 
-impl Life {
-    fn begin(place: &Place) -> Self {
-        let config = place.folder().join("robot.toml");
-        let mut command = place.command("cdcrd");
-        // With a driver, too, on machines without real time.
-        command.env("CDCR_REALTIME_MODE", "prefer");
-        command.args(["run", "--config"]).arg(config);
-        let log = std::fs::File::create(Self::log(place)).expect("the folder is writable");
-        let command = command.stdout(Stdio::null()).stderr(log);
-        Self(Running::start(command))
-    }
-
-    fn log(place: &Place) -> std::path::PathBuf {
-        place.folder().join("cdcrd.log")
-    }
-
-    /// Connects, or fails with the log of the daemon.
-    fn connect(&mut self, place: &Place) -> Connection {
-        Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap_or_else(|error| {
-            let ended = self.0.0.try_wait().expect("it is our child");
-            let log = std::fs::read_to_string(Self::log(place)).unwrap_or_default();
-            panic!("{error}\nits end: {ended:?}\nits log: {log}")
-        })
-    }
-
-    /// Ends it like a service manager.
-    fn end(mut self) {
-        self.0.signal(Signal::TERM);
-        let status = self.0.wait(String::new);
-        assert!(status.success(), "{status}");
-    }
-
-    /// Starts the next daemon of a place, and waits until its client sees that it holds. Returns the time
-    /// until then.
-    fn start_to_holding(place: &Place, old: &mut Old<'_>) -> (Self, Duration) {
-        let begin_ns = monotonic_ns();
-        let daemon = Self::begin(place);
-        old.wait_mode(Mode::Holding, begin_ns);
-        (daemon, Duration::from_nanos(monotonic_ns() - begin_ns))
-    }
+fn log_of(place: &Place) -> PathBuf {
+    place.folder().join("cdcrd.log")
 }
 
-impl Drop for Life {
-    fn drop(&mut self) {
-        if thread::panicking() {
-            println!("the daemon at the end: {:?}", self.0.0.try_wait());
-        }
-    }
+/// Starts a daemon, which is killed and reaped when dropped.
+fn begin(place: &Place) -> Running {
+    let config = place.folder().join("robot.toml");
+    let mut command = place.command("cdcrd");
+    // With a driver, too, on machines without real time.
+    command.env("CDCR_REALTIME_MODE", "prefer");
+    command.args(["run", "--config"]).arg(config);
+    let log = std::fs::File::create(log_of(place)).expect("the folder is writable");
+    Running::start(command.stdout(Stdio::null()).stderr(log))
+}
+
+/// Ends a daemon like a service manager.
+fn end(mut daemon: Running) {
+    daemon.signal(Signal::TERM);
+    let status = daemon.wait(String::new);
+    assert!(status.success(), "{status}");
+}
+
+/// Starts the next daemon of a place, and waits until its client sees that it holds. Returns the time until
+/// then.
+fn start_to_holding(place: &Place, old: &mut Old<'_>) -> (Running, Duration) {
+    let begin_ns = monotonic_ns();
+    let daemon = begin(place);
+    old.wait_mode(Mode::Holding, begin_ns);
+    (daemon, Duration::from_nanos(monotonic_ns() - begin_ns))
 }
 
 fn place(configuration: &str) -> Place {
@@ -168,12 +147,12 @@ fn fifty_kills_at_any_moment() {
     let place = place(PATIENT);
     let _log = LogOfFailure(&place);
     let mut dice = Dice::new(1);
-    let mut daemon = Life::begin(&place);
+    let mut daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     old.wait_mode(Mode::Holding, 0);
     let unharmed = self::place(PATIENT);
-    let mut beside = Life::begin(&unharmed);
+    let mut beside = begin(&unharmed);
     let beside_connection = connect(&unharmed);
     let mut beside_old = Old::new(&beside_connection);
     beside_old.wait_mode(Mode::Holding, 0);
@@ -190,18 +169,18 @@ fn fifty_kills_at_any_moment() {
             thread::sleep(dice.duration_ms(0, 100));
             drop(daemon);
             if kill % 2 == 0 {
-                let starting = Life::begin(&place);
+                let starting = begin(&place);
                 thread::sleep(dice.duration_ms(0, 60));
                 drop(starting);
             }
             let took;
-            (daemon, took) = Life::start_to_holding(&place, &mut old);
+            (daemon, took) = start_to_holding(&place, &mut old);
             returns.push(took);
-            old.use_everything(daemon.0.id());
+            old.use_everything(daemon.id());
             if kill % BESIDE_EVERY == 0 {
-                beside.end();
+                end(beside);
                 let took;
-                (beside, took) = Life::start_to_holding(&unharmed, &mut beside_old);
+                (beside, took) = start_to_holding(&unharmed, &mut beside_old);
                 starts.push(took);
             }
         }
@@ -232,7 +211,7 @@ fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
 /// False if the start took so long that the feeder detected silence.
 fn is_told_of_the_restart_and_feeds_again() -> bool {
     let place = place(PATIENT);
-    let mut daemon = Some(Life::begin(&place));
+    let mut daemon = Some(begin(&place));
     let connection = connect(&place);
     let line = paper_line(0.3);
     let long = Line {
@@ -249,7 +228,7 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
         {
             killed = Some(Instant::now());
             drop(daemon.take());
-            daemon = Some(Life::begin(&place));
+            daemon = Some(begin(&place));
         }
         ControlFlow::Continue(())
     });
@@ -280,12 +259,12 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
 #[test]
 fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
     let place = place(PATIENT);
-    let daemon = Life::begin(&place);
+    let daemon = begin(&place);
     let connection = connect(&place);
     let first = connection.acquire_lease_within(TIMEOUT).unwrap();
     first.renew().unwrap();
     drop(daemon);
-    let _daemon = Life::begin(&place);
+    let _daemon = begin(&place);
     // The first answer of the new daemon.
     wait_until("an answer", || {
         !matches!(first.renew(), Err(RequestError::Timeout { .. }))
@@ -311,7 +290,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
 #[test]
 fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
     let place = place(PATIENT);
-    let daemon = Life::begin(&place);
+    let daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     old.wait_mode(Mode::Holding, 0);
@@ -325,7 +304,7 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
     thread::scope(|scope| {
         let next = scope.spawn(|| {
             thread::sleep(short);
-            Life::begin(&place)
+            begin(&place)
         });
         let answer = ask_for(&connection, RequestKind::Stop);
         assert_eq!(answer.mode, Mode::Stopped.code());
@@ -337,11 +316,11 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
 #[test]
 fn a_stop_that_comes_while_no_daemon_runs_stops_the_one_that_is_just_started_again() {
     let place = place(PATIENT);
-    drop(Life::begin(&place));
+    drop(begin(&place));
     let next = thread::scope(|scope| {
         let next = scope.spawn(|| {
             thread::sleep(Duration::from_millis(200));
-            Life::begin(&place)
+            begin(&place)
         });
         let stopped = Requester::stop(place.location(), ROBOT);
         let is_sent = matches!(stopped, Ok(_) | Err(StopError::Unconfirmed { .. }));
@@ -389,7 +368,7 @@ fn drive(
 fn a_driver_serves_every_daemon() {
     let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
     let place = place(&format!("{PATIENT}{link}"));
-    let mut daemon = Some(Life::begin(&place));
+    let mut daemon = Some(begin(&place));
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
@@ -404,7 +383,7 @@ fn a_driver_serves_every_daemon() {
             });
             drop(daemon.take());
             begin_ns = monotonic_ns();
-            daemon = Some(Life::begin(&place));
+            daemon = Some(begin(&place));
         }
         drop(over);
         // The fifth daemon may not have sent a command yet.
@@ -416,18 +395,19 @@ fn a_driver_serves_every_daemon() {
 #[test]
 fn kills_in_the_middle_of_the_start_leave_nothing_that_hinders_the_next_one() {
     let place = place(PATIENT);
+    let _log = LogOfFailure(&place);
     let mut dice = Dice::new(2);
     let mut starts = Vec::new();
     for _ in 0..5 {
         // No other process keeps the services open: each of these creates them.
         for _ in 0..20 {
-            let starting = Life::begin(&place);
+            let starting = begin(&place);
             thread::sleep(dice.duration_ms(0, 60));
             drop(starting);
         }
         let begin_ns = monotonic_ns();
-        let mut daemon = Life::begin(&place);
-        let connection = daemon.connect(&place);
+        let _daemon = begin(&place);
+        let connection = connect(&place);
         Old::new(&connection).wait_mode(Mode::Holding, begin_ns);
         starts.push(Duration::from_nanos(monotonic_ns() - begin_ns));
     }

@@ -13,7 +13,7 @@ fn far_from_home() -> Place {
 #[test]
 fn a_home_reaches_the_next_daemon_and_is_carried_out() {
     let place = far_from_home();
-    let daemon = Life::begin(&place);
+    let daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     old.wait_mode(Mode::Holding, 0);
@@ -22,7 +22,7 @@ fn a_home_reaches_the_next_daemon_and_is_carried_out() {
     thread::scope(|scope| {
         let next = scope.spawn(|| {
             thread::sleep(Duration::from_millis(100));
-            Life::begin(&place)
+            begin(&place)
         });
         let answer = connection.request_within(RequestKind::Home, TIMEOUT);
         assert_eq!(answer.unwrap().mode, Mode::Homing.code());
@@ -35,7 +35,7 @@ fn a_home_reaches_the_next_daemon_and_is_carried_out() {
 #[test]
 fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
     let place = far_from_home();
-    let daemon = Life::begin(&place);
+    let daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     old.wait_mode(Mode::Holding, 0);
@@ -46,7 +46,7 @@ fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
         "{answer:?}"
     );
     let begin_ns = monotonic_ns();
-    let _next = Life::begin(&place);
+    let _next = begin(&place);
     old.wait_mode(Mode::Holding, begin_ns);
     let mut held = 0;
     wait_record(&mut old.telemetry, |record| {
@@ -61,7 +61,7 @@ fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
 fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
     let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
     let place = place(&format!("{PATIENT}{SLOWLY}{link}"));
-    let daemon = Life::begin(&place);
+    let daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     let (is_connected, is_dead) = (AtomicBool::new(false), AtomicBool::new(false));
@@ -85,7 +85,7 @@ fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
         // It sends its request without a daemon.
         thread::sleep(Duration::from_millis(100));
         let begin_ns = monotonic_ns();
-        let _next = Life::begin(&place);
+        let _next = begin(&place);
         old.wait_mode(Mode::Starting, begin_ns);
         // The request has been rejected many times meanwhile.
         let refused = Outcome::WrongMode.code() as usize;
