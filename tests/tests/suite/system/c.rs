@@ -84,19 +84,24 @@ fn the_client_in_c_feeds_and_watches() {
     assert!(tracked > 20, "{said}");
 }
 
-/// The cases of `c/tests/probe.c`.
+/// A case of `c/tests/probe.c`.
 struct Probe {
+    case: &'static str,
     program: Program,
     says: ChildStdin,
 }
 
 impl Probe {
-    fn start(daemon: &Daemon, case: &str) -> Self {
+    fn start(daemon: &Daemon, case: &'static str) -> Self {
         let program = built(daemon.place(), "tests/probe.c", Linked::Shared);
         let mut command = daemon.place().command_of(&program);
         let mut program = Program::start(command.arg(case).stdin(Stdio::piped()));
         let says = program.0.stdin.take().unwrap();
-        Self { program, says }
+        Self {
+            case,
+            program,
+            says,
+        }
     }
 
     /// Waits until it has printed `lines` lines.
@@ -112,26 +117,19 @@ impl Probe {
     }
 
     fn ends_well(mut self) {
-        assert_says(&self.program.output(), 0, &[]);
+        let output = self.program.output();
+        assert!(output.status.success(), "{}: {}", self.case, text(&output));
     }
 }
 
+/// Bad inputs are refused; handles stay on their thread and end with it; a forked child leaves its parent's
+/// handles alone.
 #[test]
-fn bad_inputs_from_c_are_refused() {
+fn what_a_program_in_c_does_wrong_is_refused_and_harms_nobody() {
     let daemon = Daemon::start(PATIENT);
-    Probe::start(&daemon, "inputs").ends_well();
-}
-
-#[test]
-fn handles_stay_on_their_thread_and_end_with_it() {
-    let daemon = Daemon::start(PATIENT);
-    Probe::start(&daemon, "threads").ends_well();
-}
-
-#[test]
-fn a_forked_child_leaves_its_parents_handles_alone() {
-    let daemon = Daemon::start(PATIENT);
-    Probe::start(&daemon, "forks").ends_well();
+    for case in ["forks", "threads", "inputs"] {
+        Probe::start(&daemon, case).ends_well();
+    }
 }
 
 #[test]
