@@ -1,4 +1,4 @@
-use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
+use cdcr_controller::robot::{BendRates, Configuration, Robot};
 
 /// Turns of each bend per round. All differ, so that every bend meets every other in many combinations.
 const TURNS: [f64; 12] = [
@@ -82,35 +82,5 @@ impl ExcitingPath {
             before = here;
         }
         share
-    }
-}
-
-#[test]
-fn it_stays_within_its_bounds_and_begins_and_ends_at_rest() {
-    for sections in 1..=6 {
-        let mut parameters = RobotParameters::paper(sections);
-        parameters.cable_stroke_max_m = 0.03;
-        let robot = Robot::new(&parameters).unwrap();
-        for (bend_share, speed_share, duration_s) in [(0.5, 0.25, 60.0), (1.0, 1.0, 20.0)] {
-            let path = ExcitingPath::new(&robot, bend_share, speed_share, duration_s);
-            assert!(path.rate_share(&robot) <= speed_share);
-            let at = |time_s: f64| path.bends(time_s);
-            for (end_s, inside_s) in [(0.0, 1e-3), (duration_s, duration_s - 1e-3)] {
-                let (end, inside) = (at(end_s), at(inside_s));
-                for (end, inside) in end.as_slice().iter().zip(inside.as_slice()) {
-                    assert!(end.abs() < 1e-12 && (end - inside).abs() < 1e-6);
-                }
-            }
-            for sample in 0..1000 {
-                let bends = at(duration_s * f64::from(sample) / 999.0);
-                for j in 0..sections {
-                    let limit_rad = bend_share * robot.sections()[j].bend_max_rad;
-                    assert!(bends.bend_rad(j) <= limit_rad + 1e-12);
-                }
-                let strokes_m = robot.cable_strokes(&bends);
-                let most_m = bend_share * robot.cable_stroke_max_m() + 1e-12;
-                assert!(strokes_m.iter().all(|stroke_m| stroke_m.abs() <= most_m));
-            }
-        }
     }
 }

@@ -48,7 +48,7 @@ struct Course {
     settings: NmpcSettings,
     obstacles: Vec<Obstacle>,
     at: Configuration,
-    reference: fn(&Robot, f64) -> ReferenceSample,
+    reference: Curve,
     /// Speed of the reference as a multiple of the paper's.
     speed: f64,
     cycles: u32,
@@ -92,11 +92,11 @@ impl Course {
         self
     }
 
-    /// The same with this number of horizon steps.
     fn lasting(self, cycles: u32) -> Self {
         Self { cycles, ..self }
     }
 
+    /// The same with this number of horizon steps.
     fn with_steps(mut self, steps: u32) -> Self {
         self.settings.horizon_steps = steps;
         self
@@ -189,12 +189,57 @@ const fn quanta(budget_ns: u32) -> u32 {
     budget_ns / QUANTUM_NS
 }
 
+type Curve = fn(&Robot, f64) -> ReferenceSample;
+
+/// Time of a period on the spiral at ten times its speed \[s\].
+const FAST_S: f64 = 10.0 * PERIOD_S;
+
+/// The spiral ends, or turns back: the extrapolated reference differs from the later one.
+const ENDS: Curve = |robot, time_s| spiral(robot, f64::min(time_s, 99.0 * FAST_S));
+const STOPS: Curve = |robot, time_s| spiral(robot, f64::min(time_s, 60.0 * FAST_S));
+const TURNS: Curve = |robot, time_s| spiral(robot, 50.0 * FAST_S - (time_s - 50.0 * FAST_S).abs());
+const STANDS: Curve = |robot, _| spiral(robot, FAST_S);
+
+/// Half a second of a curve at ten times the speed of the spiral, among balls and capsules.
+fn fast(solver: SolverKind, reference: Curve, steps: u32) -> Course {
+    let course = Course::spiral(solver, 10.0, true).with_capsules(4);
+    Course {
+        reference,
+        ..course.with_steps(steps).lasting(99)
+    }
+}
+
+/// Name, course and largest mean error of the tip.
+type Row = (&'static str, fn(SolverKind) -> Course, f64);
+
+/// On the spiral, a longer horizon accepts an early error for the part after it, which no plan can follow. A
+/// horizon that sees the end of the curve follows it all.
 #[test]
-fn a_fast_spiral_among_obstacles_is_followed_within_its_budget() {
-    for solver in SOLVERS {
-        let outcome = Course::spiral(solver, 5.0, true).run(quanta(BUDGET_NS));
-        assert!(outcome.mean_m < 1e-7, "{solver:?}: {outcome:?}");
-        assert!(outcome.spare_m > -1e-9, "{solver:?}: {outcome:?}");
+fn fast_curves_among_obstacles_are_followed_within_the_budget() {
+    let rows: [Row; 8] = [
+        (
+            "five times",
+            |solver| Course::spiral(solver, 5.0, true),
+            1e-7,
+        ),
+        (
+            "the first cycles",
+            |solver| Course::spiral(solver, 10.0, false).lasting(2),
+            1e-8,
+        ),
+        ("seen early enough", |solver| fast(solver, spiral, 30), 1e-4),
+        ("an end, 35 steps", |solver| fast(solver, ENDS, 35), 1e-9),
+        ("a stop", |solver| fast(solver, STOPS, STEPS), 1e-9),
+        ("a turn", |solver| fast(solver, TURNS, STEPS), 1e-9),
+        ("no motion", |solver| fast(solver, STANDS, STEPS), 1e-9),
+        ("an end, 30 steps", |solver| fast(solver, ENDS, 30), 1e-9),
+    ];
+    for &(name, course, most_m) in crate::cases(7, &rows) {
+        for solver in SOLVERS {
+            let outcome = course(solver).run(quanta(BUDGET_NS));
+            assert!(outcome.mean_m < most_m, "{name}, {solver:?}: {outcome:?}");
+            assert!(outcome.spare_m > -1e-9, "{name}, {solver:?}: {outcome:?}");
+        }
     }
 }
 
@@ -228,47 +273,6 @@ fn work_grows_no_faster_than_the_horizon() {
         );
         // 134 quanta per cycle with the search, and 60 with a third step.
         assert!(long.work < 50 * 199, "{solver:?}: {long:?}");
-    }
-}
-
-#[test]
-fn from_the_first_cycle_on_a_fast_spiral_is_followed_to_ten_nanometres() {
-    for solver in SOLVERS {
-        let course = Course::spiral(solver, 10.0, false).lasting(2);
-        let outcome = course.run(quanta(BUDGET_NS));
-        assert!(outcome.mean_m < 1e-8, "{solver:?}: {outcome:?}");
-    }
-}
-
-#[test]
-fn thirty_steps_see_the_way_round_early_enough() {
-    for solver in SOLVERS {
-        let course = Course::spiral(solver, 10.0, true).with_capsules(4);
-        let course = Course {
-            cycles: 99,
-            ..course.with_steps(30)
-        };
-        let outcome = course.run(quanta(BUDGET_NS));
-        assert!(outcome.mean_m < 1e-4, "{solver:?}: {outcome:?}");
-        assert!(outcome.spare_m > -1e-9, "{solver:?}: {outcome:?}");
-    }
-}
-
-/// On the spiral, a longer horizon accepts an early error for the part after it, which no plan can follow.
-#[test]
-fn a_horizon_that_sees_the_end_of_the_curve_follows_it_all() {
-    for solver in SOLVERS {
-        for &steps in crate::cases(1, &[35, 30]) {
-            let course = Course::spiral(solver, 10.0, true).with_capsules(4);
-            let course = Course {
-                reference: |robot, time_s| spiral(robot, f64::min(time_s, 4.95)),
-                cycles: 99,
-                ..course.with_steps(steps)
-            };
-            let outcome = course.run(quanta(BUDGET_NS));
-            assert!(outcome.mean_m < 1e-9, "{solver:?}, {steps}: {outcome:?}");
-            assert!(outcome.spare_m > -1e-9, "{solver:?}, {steps}: {outcome:?}");
-        }
     }
 }
 
