@@ -32,7 +32,12 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
             change(&connection, |sender| sender.upsert(&[obstacle]))
         }
         ObstacleAction::List(options) => list(&connection, options.format),
-        ObstacleAction::Remove { ids } => change(&connection, |sender| sender.remove(ids)),
+        ObstacleAction::Remove { ids } => {
+            // The daemon does not report which of the ids it knew.
+            let before = known(&connection, TIMEOUT)?;
+            change(&connection, |sender| sender.remove(ids))?;
+            check_were_known(ids, &before)
+        }
         ObstacleAction::Clear => change(&connection, ObstacleSender::clear),
         ObstacleAction::File(options) => feed::file(&connection, &options.path, options.far),
         ObstacleAction::Stdin(options) => feed::stdin(&connection, options.far),
@@ -60,6 +65,19 @@ fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<
         Outcome::Accepted => Ok(event.detail),
         outcome => bail!("rejected by the daemon: {outcome}. {}", advice(outcome)),
     }
+}
+
+/// Fails when an obstacle to be removed was not known before.
+fn check_were_known(ids: &[u32], before: &[Obstacle]) -> anyhow::Result<Done> {
+    let is_unknown = |id: &&u32| before.iter().all(|known| known.id != **id);
+    let unknown: Vec<_> = ids.iter().filter(is_unknown).map(u32::to_string).collect();
+    if !unknown.is_empty() {
+        bail!(
+            "no obstacle with id {} was known to the daemon; the known ones: cdcrctl obstacle list",
+            unknown.join(", ")
+        );
+    }
+    Ok(Done::Good)
 }
 
 fn list(connection: &Connection, format: Format) -> anyhow::Result<Done> {
@@ -270,6 +288,17 @@ mod tests {
         assert!(check(&obstacle(&fleeting, 0), &watching, false, false).is_ok());
         fleeting.lifetime = None;
         assert!(checked(&fleeting, &watching).is_ok());
+    }
+
+    #[test]
+    fn ids_that_were_not_known_are_named() {
+        let before = [1, 2].map(|id| Obstacle {
+            id,
+            ..Obstacle::default()
+        });
+        assert!(check_were_known(&[2, 1, 2], &before).is_ok());
+        let error = check_were_known(&[7, 1, 9], &before).expect_err("unknown");
+        assert!(error.to_string().contains("id 7, 9 was"), "{error}");
     }
 
     #[test]

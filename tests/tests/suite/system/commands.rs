@@ -86,6 +86,11 @@ fn the_obstacles_that_are_known_are_listed() {
         (&8.into(), 2)
     );
     assert!(json.as_array().unwrap().len() <= OBSTACLES_MAX);
+    // The others are removed all the same.
+    let error = refused(&daemon, "obstacle remove 99 8");
+    assert!(error.contains("no obstacle with id 99 was"), "{error}");
+    done(&daemon, "obstacle remove 7");
+    assert_eq!(done(&daemon, "obstacle list"), "no obstacles are known\n");
 }
 
 #[test]

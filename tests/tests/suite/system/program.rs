@@ -70,7 +70,7 @@ fn obstacles_are_added_shown_and_removed() {
     let table = good(place, "status");
     let shown = "obstacles   2, smallest clearance 135.00 mm";
     assert!(table.contains(shown), "{table}");
-    says("remove 2 77", "accepted, 1 known");
+    says("remove 2", "accepted, 1 known");
     says("clear", "accepted, 0 known");
     wait_until("none", || status(place)["clearance_m"].is_null());
     let far = "cdcrctl obstacle add --id 1 --at 9e8,0,0 --radius 1 --far";

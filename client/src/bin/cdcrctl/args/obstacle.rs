@@ -29,7 +29,7 @@ pub(crate) enum ObstacleAction {
     /// Show the obstacles of the newest cycle at their positions in it
     #[command(after_help = "Example:\n  cdcrctl obstacle list --format json")]
     List(ObstacleList),
-    /// Remove obstacles by id; unknown ids are ignored
+    /// Remove obstacles by id; fail when one of them was not known
     #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
     Remove {
         /// Ids of the obstacles
