@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::model::settings_of;
 use cdcr_client::{
-    self, CommandStream, ConnectError, LinkError, Liveness, ObstacleSender, Requester, Stream,
+    self, CommandStream, ConnectError, LinkError, ObstacleSender, Requester, Stream,
     TelemetryStream,
 };
 use cdcr_controller::robot::Robot as Model;
@@ -18,12 +18,14 @@ use cdcr_shared_types::{
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 
+use crate::address::Address;
 use crate::arrays::ArrayLike;
 use crate::driver::{DriverPort, interface_of};
 use crate::errors::{Class, Failure};
 use crate::feed::Feed;
 use crate::feed_stream::FeedStream;
 use crate::live::Live;
+use crate::mapping::pairs;
 use crate::numbers::{count, seconds, until, within};
 use crate::obstacle::{Obstacle, check_count};
 use crate::robot::Robot;
@@ -45,44 +47,6 @@ const TELEMETRY_SILENT_AFTER: Duration = Duration::from_secs(10);
 const COMMAND_WITHIN: Duration = Duration::from_millis(100);
 /// Interval between fetches of records, short enough that a queue of 256 does not fill.
 pub(crate) const FETCH_EACH: Duration = Duration::from_millis(20);
-
-/// Location and robot of a daemon.
-#[derive(Clone)]
-pub(crate) struct Address {
-    pub(crate) location: Location,
-    pub(crate) robot: String,
-    pub(crate) timeout: Duration,
-}
-
-impl Address {
-    pub(crate) fn open(&self) -> Result<cdcr_client::Connection, ConnectError> {
-        cdcr_client::Connection::open_within(&self.location, &self.robot, self.timeout)
-    }
-
-    /// Fails if the daemon has ended, which explains the silence on a service.
-    pub(crate) fn check_runs(&self, service: Service, waited: Duration) -> Result<(), LinkError> {
-        let error = self.silent(service, waited);
-        match error {
-            LinkError::Silent {
-                liveness: Liveness::Ended,
-                ..
-            } => Err(error),
-            _ => Ok(()),
-        }
-    }
-
-    /// The error for silence on a service.
-    fn silent(&self, service: Service, waited: Duration) -> LinkError {
-        let presence = self.location.presence(&self.robot);
-        LinkError::Silent {
-            service: service.key(),
-            waited,
-            liveness: presence.map_or(Liveness::Ended, |presence| Liveness::Runs {
-                process_id: presence.process_id,
-            }),
-        }
-    }
-}
 
 /// State owned by the thread of a connection.
 pub(crate) struct Desk {
@@ -497,25 +461,4 @@ impl Connection {
         let message = format!("the daemon refused the obstacles: {outcome}");
         Err(Failure::new(Class::Request, message, cdcr_client::remedy(outcome)).into())
     }
-}
-
-/// Items of a Python mapping; `what` describes the required contents.
-pub(crate) fn pairs<'py, K, V>(
-    name: &str,
-    what: &str,
-    mapping: &Bound<'py, PyMapping>,
-) -> PyResult<Vec<(K, V)>>
-where
-    (K, V): FromPyObjectOwned<'py>,
-{
-    let pair = |item: Bound<'py, PyAny>| {
-        item.extract::<(K, V)>().map_err(|_| {
-            Failure::argument(
-                format!("{name} holds {item}; needed is a mapping of {what}"),
-                format!("Give {name} as a dictionary of {what}."),
-            )
-        })
-    };
-    let pairs: Result<_, _> = mapping.items()?.iter().map(pair).collect();
-    Ok(pairs?)
 }

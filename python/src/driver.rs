@@ -8,8 +8,8 @@ use cdcr_shared_types::{Measurement, Service};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::address::Address;
 use crate::arrays::{ArrayLike, Doubles, Numbers};
-use crate::connection::Address;
 use crate::errors::Failure;
 use crate::numbers::{count, until};
 use crate::robot::Robot;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use cdcr_client::{FeedEnd, FeedEvent, FeedOptions, FeedProgress, FeedReport as Report};
 use pyo3::prelude::*;
 
-use crate::connection::Address;
+use crate::address::Address;
 use crate::errors::Failure;
 use crate::numbers::{until, within};
 use crate::running::{Running, exit_result, wait_until_holding};

@@ -17,8 +17,8 @@ use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferencePoint, Telemetry};
 use pyo3::prelude::*;
 
+use crate::address::Address;
 use crate::arrays::{ArrayLike, Numbers, shape_text};
-use crate::connection::Address;
 use crate::errors::{Class, Failure};
 use crate::numbers::SECONDS;
 use crate::running::{Running, TURN, exit_result, wait_until_holding};

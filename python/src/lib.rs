@@ -16,6 +16,7 @@
     reason = "the interpreter hands arguments over by value"
 )]
 
+mod address;
 mod arrays;
 mod connection;
 mod driver;
@@ -23,6 +24,7 @@ mod errors;
 mod feed;
 mod feed_stream;
 mod live;
+mod mapping;
 mod nmpc;
 mod numbers;
 mod obstacle;

@@ -11,7 +11,7 @@ use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::Mode;
 use pyo3::prelude::*;
 
-use crate::connection::Address;
+use crate::address::Address;
 use crate::errors::{Class, Failure};
 use crate::worker::{ended, forked, refuse_forked_process, sleep_until, spawn, wait};
 

@@ -13,9 +13,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 
 use crate::arrays::{ArrayLike, Doubles};
-use crate::connection::pairs;
 use crate::driver::interface_of;
 use crate::errors::Failure;
+use crate::mapping::pairs;
 use crate::nmpc::{SEEDS, status_word};
 use crate::numbers::{count, within};
 use crate::obstacle::{Obstacle, inner};
