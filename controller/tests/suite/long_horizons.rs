@@ -1,195 +1,27 @@
 //! Horizons of twenty steps with saturated rates, obstacles around the body, and a limited budget.
 
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
+use cdcr_controller::nmpc::{Nmpc, SolveInput, SolverKind};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS};
-use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Shape};
 use nalgebra::Vector3;
 
 use crate::{input, inside};
 
+mod course;
 mod foresight;
+
+use course::{Course, Curve, spiral};
 
 const PERIOD_S: f64 = 0.005;
 const STEPS: u32 = 20;
 /// Nominal time of a solve, less than a period \[ns\].
 const BUDGET_NS: u32 = 4_500_000;
 
-/// Eq. 8 for the last of three sections of the paper's robot.
-fn spiral(robot: &Robot, time_s: f64) -> ReferenceSample {
-    let lengths_m: Vec<f64> = robot.sections().iter().map(|s| s.length_m).collect();
-    let t = 5.0_f64.to_radians() + time_s;
-    let (sin, cos) = t.sin_cos();
-    let (sin_part, cos_part) = (t / 15.0).sin_cos();
-    let h = 15.0 * lengths_m[2] * sin_part / t;
-    inside(Vector3::new(
-        h * sin_part * cos,
-        h * sin_part * sin,
-        lengths_m[0] + lengths_m[1] + h * cos_part,
-    ))
-}
-
-/// Sixteen balls around the base of the last section, 16 mm beyond the safe distance.
-fn balls(robot: &Robot, safe_distance_m: f64) -> Vec<Obstacle> {
-    let last = robot.sections()[2];
-    let apart_m = last.body_radius_m + safe_distance_m + 0.016 + 0.01;
-    let ball = |i: usize| {
-        let (sin, cos) = (2.4 * i as f64).sin_cos();
-        let up_m = (2.05 + 0.2 * i as f64 / 16.0) * last.length_m;
-        let centre_m = Vector3::new(apart_m * cos, apart_m * sin, up_m);
-        Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).unwrap()
-    };
-    (0..16).map(ball).collect()
-}
-
-/// A robot that executes the plan exactly, without a guard.
-struct Course {
-    robot: Robot,
-    settings: NmpcSettings,
-    obstacles: Vec<Obstacle>,
-    at: Configuration,
-    reference: Curve,
-    /// Speed of the reference as a multiple of the paper's.
-    speed: f64,
-    cycles: u32,
-}
-
-impl Course {
-    /// A second of the paper's spiral at a multiple of its speed, with or without balls.
-    fn spiral(solver: SolverKind, speed: f64, among_balls: bool) -> Self {
-        let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-        let settings = NmpcSettings {
-            solver,
-            horizon_steps: STEPS,
-            ..NmpcSettings::default()
-        };
-        let bend = 2.0 * 5.0_f64.to_radians() / 15.0;
-        let obstacles = balls(&robot, settings.safe_distance_m);
-        Self {
-            obstacles: if among_balls { obstacles } else { Vec::new() },
-            at: Configuration::from_bend_angles(&[
-                [0.0; 2],
-                [0.0; 2],
-                [bend, 5.0_f64.to_radians()],
-            ]),
-            robot,
-            settings,
-            reference: spiral,
-            speed,
-            cycles: 199,
-        }
-    }
-
-    /// The same with an upright capsule instead of each `every`-th ball.
-    fn with_capsules(mut self, every: usize) -> Self {
-        for obstacle in self.obstacles.iter_mut().skip(every - 1).step_by(every) {
-            if let &Shape::Sphere { centre_m: start_m } = obstacle.shape() {
-                let end_m = start_m + Vector3::new(0.0, 0.0, 0.03);
-                let capsule = Shape::Capsule { start_m, end_m };
-                *obstacle = Obstacle::new(capsule, 0.01, Vector3::zeros()).unwrap();
-            }
-        }
-        self
-    }
-
-    fn lasting(self, cycles: u32) -> Self {
-        Self { cycles, ..self }
-    }
-
-    /// The same with this number of horizon steps.
-    fn with_steps(mut self, steps: u32) -> Self {
-        self.settings.horizon_steps = steps;
-        self
-    }
-
-    /// A goal 15 cm beside the tip, from the first cycle on, for 0.2 s.
-    fn jump(solver: SolverKind) -> Self {
-        Self {
-            at: Configuration::from_bend_angles(&[[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]]),
-            reference: |robot, _| {
-                let start = Configuration::from_bend_angles(&[[0.5, 0.0], [0.3, 1.0], [0.4, 2.0]]);
-                inside(robot.tip_position(&start) + Vector3::new(-0.1, 0.1, -0.05))
-            },
-            cycles: 40,
-            ..Self::spiral(solver, 1.0, false)
-        }
-    }
-
-    fn obstacles_at(&self, cycle: u32) -> Vec<Obstacle> {
-        let time_s = f64::from(cycle) * PERIOD_S;
-        self.obstacles.iter().map(|one| one.moved(time_s)).collect()
-    }
-
-    /// Mean distance from the reference of a robot that stays at rest.
-    fn mean_at_rest_m(&self) -> f64 {
-        let tip_m = self.robot.tip_position(&self.at);
-        let errors = (1..=self.cycles).map(|cycle| {
-            let time_s = self.speed * f64::from(cycle) * PERIOD_S;
-            ((self.reference)(&self.robot, time_s).position_m - tip_m).norm()
-        });
-        errors.sum::<f64>() / f64::from(self.cycles)
-    }
-
-    /// Solves each cycle with a budget of `quanta`.
-    fn run(&self, quanta: u32) -> Outcome {
-        let mut nmpc = Nmpc::new(self.robot.clone(), PERIOD_S, self.settings).unwrap();
-        let (mut at, mut previous_rates) = (self.at, BendRates::zero(3));
-        let (mut sum_m, mut last_m, mut least_m) = (0.0, 0.0, f64::INFINITY);
-        let (mut first_cost, mut work) = (None, 0);
-        for cycle in 0..self.cycles {
-            let at_s = |step: u32| self.speed * f64::from(cycle + step) * PERIOD_S;
-            let window: Vec<_> = (1..=self.settings.horizon_steps)
-                .map(|step| (self.reference)(&self.robot, at_s(step)))
-                .collect();
-            let input = SolveInput {
-                obstacles: &self.obstacles_at(cycle),
-                seed: cycle.into(),
-                ..input(&at, &previous_rates, &window)
-            };
-            let (rates, report) = nmpc.solve(&input, &mut Budget::from_quanta(quanta));
-            assert!(report.cost <= report.warm_cost, "{report:?}");
-            first_cost.get_or_insert(report.cost);
-            work += report.quanta;
-            at = at.advanced(&rates, PERIOD_S);
-            previous_rates = rates;
-            last_m = (self.robot.tip_position(&at) - window[0].position_m).norm();
-            sum_m += last_m;
-            let body = self.robot.body(&at);
-            let clearance_m = body.least_clearance_m(self.obstacles_at(cycle + 1));
-            least_m = least_m.min(clearance_m - self.settings.safe_distance_m);
-        }
-        Outcome {
-            mean_m: sum_m / f64::from(self.cycles),
-            last_m,
-            spare_m: least_m,
-            first_cost: first_cost.unwrap(),
-            work,
-            tip_m: self.robot.tip_position(&at),
-        }
-    }
-}
-
-/// Tracking error, and violation of the safe distance.
-#[derive(Debug)]
-struct Outcome {
-    mean_m: f64,
-    last_m: f64,
-    spare_m: f64,
-    /// Cost of the plan of the first cycle.
-    first_cost: f64,
-    /// Quanta of all cycles.
-    work: u32,
-    /// Position of the tip at the end.
-    tip_m: Vector3<f64>,
-}
-
 const SOLVERS: [SolverKind; 2] = [SolverKind::KpsoRefined, SolverKind::GaussNewton];
 
 const fn quanta(budget_ns: u32) -> u32 {
     budget_ns / QUANTUM_NS
 }
-
-type Curve = fn(&Robot, f64) -> ReferenceSample;
 
 /// Time of a period on the spiral at ten times its speed \[s\].
 const FAST_S: f64 = 10.0 * PERIOD_S;

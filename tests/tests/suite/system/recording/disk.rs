@@ -1,0 +1,80 @@
+//! A disk that ends a recording.
+
+use std::fs;
+use std::time::Duration;
+
+use cdcr_client::channels::Topic;
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::{Daemon, PATIENT, assert_says};
+use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
+
+use super::lost;
+use super::recorded::Recorded;
+use crate::own_mounts::{has_own_mounts, mount, name_of};
+
+#[test]
+fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
+    if !has_own_mounts(&name_of(
+        &a_full_disk_ends_the_recording_and_the_file_is_whole,
+    )) {
+        return;
+    }
+    let daemon = Daemon::start(PATIENT);
+    let disk = daemon.place().folder().join("disk");
+    fs::create_dir(&disk).unwrap();
+    let folder = disk.display();
+    if !mount(&format!("mount -t tmpfs -o size=512k tmpfs {folder}")) {
+        return;
+    }
+    let mut run = Recorded::into(daemon, "disk/run.mcap");
+    let output = run.recorder.output();
+    assert_says(&output, 3, &["run.mcap", "the recording ended there"]);
+    let info = run.daemon.place().json("info disk/run.mcap");
+    assert_eq!(info["cut"], false);
+    let messages = info["channels"]["telemetry"]["messages"].as_u64().unwrap();
+    assert!(messages > 10);
+    // If the machine delayed the recorder for more than a second, records are lost, and the recorder reports
+    // it.
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains(&format!(": {messages} cycles, ")), "{said}");
+    let missing = info["channels"]["telemetry"]["missing"].as_u64().unwrap();
+    assert!(
+        missing <= lost(&said, Topic::Telemetry),
+        "{missing}: {said}"
+    );
+    // Fails as well if the disk was full before.
+    fs::write(disk.join("rest"), vec![0; 1 << 20]).unwrap_err();
+    let mut again = run.daemon.place().record("disk/again.mcap");
+    assert_says(&again.output(), 3, &["again.mcap", "No space left"]);
+    // The loop was not affected.
+    let status = run
+        .daemon
+        .connect()
+        .status(Duration::from_secs(10))
+        .unwrap();
+    assert_eq!(status.mode, Mode::Holding.code());
+    // Unmounted before the folder that contains it is removed.
+    assert!(mount(&format!("umount {folder}")));
+}
+
+#[test]
+fn a_file_at_its_limit_ends_the_recording_like_a_full_disk() {
+    let mut run = Recorded::start(PATIENT);
+    let limit = Rlimit {
+        current: Some(200_000),
+        maximum: None,
+    };
+    let id = Pid::from_raw(run.recorder.id().try_into().unwrap());
+    prlimit(id, Resource::Fsize, limit).unwrap();
+    let says = ["run.mcap: the recording ended there: File too large"];
+    assert_says(&run.recorder.output(), 3, &says);
+}
+
+#[test]
+fn a_recording_whose_file_was_removed_is_an_error() {
+    let mut run = Recorded::start(PATIENT);
+    fs::remove_file(&run.file).unwrap();
+    run.recorder.signal(Signal::INT);
+    let says = ["run.mcap was removed during the recording"];
+    assert_says(&run.recorder.output(), 1, &says);
+}

@@ -1,0 +1,85 @@
+//! Files that are not recordings, of another version, or damaged.
+
+use std::fs;
+
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::message::Struct;
+use cdcr_tests::PATIENT;
+
+use super::recorded::Recorded;
+use super::{rewrite, tracked_curve};
+
+#[test]
+fn a_recording_of_another_version_is_refused_and_both_are_named() {
+    let (place, file) = tracked_curve();
+    let other = file.with_file_name("other.mcap");
+    rewrite(
+        &file,
+        &other,
+        |channel| {
+            // Standard messages have no version of this project.
+            if let Some(version) = channel.metadata.get_mut("wire_type") {
+                version.push_str("99");
+            }
+        },
+        |_| {},
+    );
+    let name = <Telemetry as Struct>::layout(&Telemetry::default()).type_name;
+    for task in ["info", "replay --verify", "convert --csv tables"] {
+        let found = format!("{name}99");
+        let ours = format!("reads {name}:");
+        // The order of the messages is random; each one has its two versions.
+        let said = place.says(
+            &format!("cdcrctl {task} other.mcap"),
+            1,
+            &["was recorded as", "reads"],
+        );
+        assert!(said.contains(&found) == said.contains(&ours), "{said}");
+    }
+}
+
+#[test]
+fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
+    let (place, file) = tracked_curve();
+    let mut bytes = fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 1000].fill(0x5a);
+    fs::write(file.with_file_name("damaged.mcap"), &bytes).unwrap();
+    fs::write(file.with_file_name("begun.mcap"), &bytes[..8]).unwrap();
+    let says = [
+        "error: damaged.mcap: the recording is damaged",
+        "; recover the part before the damage with `cdcrctl info --repair damaged.mcap`",
+    ];
+    place.says("cdcrctl info damaged.mcap", 1, &says);
+    let says = ["is damaged", "saved", "the first"];
+    place.says("cdcrctl info --repair damaged.mcap", 0, &says);
+    place.says("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
+    place.says("cdcrctl info --repair begun.mcap", 1, &["no message"]);
+    assert!(!file.with_file_name("begun-repaired.mcap").exists());
+}
+
+#[test]
+fn what_is_no_recording_is_refused_with_the_reason() {
+    let run = Recorded::start(PATIENT);
+    let place = run.daemon.place();
+    place.write("empty.mcap", "");
+    place.write("foreign.mcap", "time_s,x_m\n0,1\n");
+    for (file, reason) in [
+        ("empty.mcap", "the file is empty"),
+        ("foreign.mcap", "not an MCAP file"),
+        ("missing.mcap", "No such file"),
+    ] {
+        place.says(&format!("cdcrctl info {file}"), 1, &[file, reason]);
+    }
+    let exists = |file, or| format!("{file} exists: remove it {or}");
+    let another = exists("run.mcap", "or name another");
+    place.says("cdcrctl record -o run.mcap", 1, &[&another]);
+    let table = place.folder().join("tables/telemetry.csv");
+    fs::create_dir(table.parent().unwrap()).unwrap();
+    fs::write(&table, "mine").unwrap();
+    let refused = exists("tables/telemetry.csv", "or use another --csv folder");
+    place.says("cdcrctl convert run.mcap --csv tables", 1, &[&refused]);
+    // A table without the others is not a result.
+    assert_eq!(fs::read_dir(table.parent().unwrap()).unwrap().count(), 1);
+    assert_eq!(fs::read_to_string(table).unwrap(), "mine");
+}
