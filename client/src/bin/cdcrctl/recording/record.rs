@@ -84,12 +84,14 @@ pub(super) struct Around {
 
 /// Records a daemon into a file.
 pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
-    match recorded(target, task) {
-        Err(error) if error.downcast_ref().is_some_and(is_full) => {
-            tell!("error: {error:#}");
+    let ended = recorded(target, task);
+    let cause = ended.as_ref().err().and_then(|error| error.downcast_ref());
+    match (&ended, cause.and_then(remedy_if_full)) {
+        (Err(error), Some(remedy)) => {
+            tell!("error: {error:#}; {remedy}");
             Ok(Done::DiskFull)
         }
-        done => done,
+        _ => ended,
     }
 }
 
@@ -112,18 +114,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
         // Reported now rather than after the wait for the trigger.
         bail!("{name} exists: remove it or name another");
     }
-    let mut head = Head::new(robot, &status, offset_ns)?;
-    let settings = configuration(status.settings, &status)?;
-    head.attach("settings.toml", "application/toml", settings.into_bytes());
-    let snapshot = json::message(&status).to_string();
-    head.attach("status.json", "application/json", snapshot.into_bytes());
-    if let Some(started) = Invocation::of(status.process_id) {
-        let how = started.json().to_string().into_bytes();
-        head.attach("daemon.json", "application/json", how);
-        if let Some(text) = started.configuration() {
-            head.attach("configuration.toml", "application/toml", text);
-        }
-    }
+    let head = head(robot, &status, offset_ns)?;
     let examination = Examination::begin();
     let before = task.around.map_or(Duration::ZERO, |around| around.before);
     let sink = Sink::new(head, &path, before);
@@ -157,9 +148,15 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     };
     let (lost, counts) = (recorder.lost(), recorder.sink.whole);
     let is_removed = recorder.sink.is_removed();
-    recorder
-        .finish(&ended, &lost, examination)
-        .with_context(cannot_write)?;
+    let finished = recorder.finish(&ended, &lost, examination);
+    let ended = match ended {
+        Ended::Failed(cause) if counts.iter().all(|count| *count == 0) => {
+            return Err(cause)
+                .with_context(|| format!("cannot write {name}, nothing was recorded"));
+        }
+        ended => ended,
+    };
+    finished.with_context(cannot_write)?;
     print_summary(&path, counts, &ended, &lost)?;
     if let Ended::Failed(cause) = ended {
         return Err(cause).with_context(|| format!("{name}: the recording ended there"));
@@ -169,6 +166,23 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
         "{name} was removed during the recording: nothing is left of it"
     );
     Ok(Done::Good)
+}
+
+/// Settings, status and configuration of the daemon, with which its cycles can be recomputed.
+fn head(robot: &str, status: &Status, offset_ns: u64) -> anyhow::Result<Head> {
+    let mut head = Head::new(robot, status, offset_ns)?;
+    let settings = configuration(status.settings, status)?;
+    head.attach("settings.toml", "application/toml", settings.into_bytes());
+    let snapshot = json::message(status).to_string();
+    head.attach("status.json", "application/json", snapshot.into_bytes());
+    if let Some(started) = Invocation::of(status.process_id) {
+        let how = started.json().to_string().into_bytes();
+        head.attach("daemon.json", "application/json", how);
+        if let Some(text) = started.configuration() {
+            head.attach("configuration.toml", "application/toml", text);
+        }
+    }
+    Ok(head)
 }
 
 /// Why a recording ended.
@@ -188,9 +202,17 @@ fn nanoseconds(time: Duration) -> u64 {
     time.as_nanos() as u64
 }
 
-fn is_full(cause: &io::Error) -> bool {
-    use ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
-    matches!(cause.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+/// Remedy when a file cannot become larger.
+fn remedy_if_full(cause: &io::Error) -> Option<&'static str> {
+    match cause.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+            Some("free space there, or name a file on another disk with -o")
+        }
+        ErrorKind::FileTooLarge => {
+            Some("raise the limit (ulimit -f), or name a file on another disk with -o")
+        }
+        _ => None,
+    }
 }
 
 /// Prints a line with the recorded and the missing messages.

@@ -136,7 +136,10 @@ impl Sink {
         let cannot_write = || format!("cannot write {name}");
         let file = new_file(&self.path, "or name another")?;
         self.opened = Some(file.try_clone().with_context(cannot_write)?);
-        let mut writer = Writer::new(file, "ros2", &library()).with_context(cannot_write)?;
+        let writer = Writer::new(file, "ros2", &library());
+        let mut writer = writer
+            .inspect_err(|_| self.remove())
+            .with_context(cannot_write)?;
         let mut begun = || {
             let ids = self.head.channels.iter();
             let ids = ids
@@ -196,17 +199,26 @@ impl Sink {
         Ok(())
     }
 
+    /// Removes a file without a message.
+    fn remove(&self) {
+        drop(std::fs::remove_file(&self.path));
+    }
+
     /// Completes the file, if there is one, even when the disk is nearly full. `about` and `attachment` are
-    /// its last entries.
+    /// its last entries. After a failure, a file without a message is removed.
     pub(super) fn finish(
-        self,
+        mut self,
         is_good: bool,
         about: BTreeMap<String, String>,
         attachment: Option<(&str, u64, Vec<u8>)>,
     ) -> io::Result<()> {
-        let Some((mut writer, _)) = self.file else {
+        let Some((mut writer, _)) = self.file.take() else {
             return Ok(());
         };
+        if !is_good && self.whole.iter().all(|count| *count == 0) {
+            self.remove();
+            return Ok(());
+        }
         let whole_bytes = writer.whole_bytes();
         if !is_good {
             return cut(writer.abandon(), whole_bytes);
