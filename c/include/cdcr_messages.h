@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x9cad3e6df550d56e)
+#define CDCR_LAYOUT UINT64_C(0x31f02e0843722cd1)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -623,7 +623,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 448);
 
-/* cdcr.Status.v8, 2176 bytes. */
+/* cdcr.Status.v9, 2176 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -711,8 +711,9 @@ typedef struct CdcrStatus {
     uint64_t following_warnings;
     /* 2144: CdcrInterface. */
     uint32_t interface;
-    /* 2148: Zero. */
-    uint32_t reserved;
+    /* 2148: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+     * not. */
+    uint32_t reset_refused_by;
     /* 2152: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
     /* 2160: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is

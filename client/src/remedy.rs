@@ -32,8 +32,8 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "See the mode in cdcrctl status: hold ends homing, reset leaves stopped and faulted."
         }
         Outcome::CauseStands => {
-            "Correct the cause first (cdcrctl status names it; after many deadline misses, wait until the cycles were in time for some seconds), \
-             then repeat cdcrctl reset."
+            "Correct the cause first: cdcrctl status names it in its line reset (after many deadline misses, wait until the cycles were in time for \
+             some seconds); then repeat cdcrctl reset."
         }
         Outcome::Waits => {
             "Restart the program that sends the obstacles, or remove them all: cdcrctl obstacle clear."
@@ -95,7 +95,7 @@ mod tests {
             let text = remedy(outcome);
             assert!(text.ends_with('.') && text.len() > 10, "{outcome:?}");
         }
-        // A reset is also refused while the leaky bucket is full, which no status shows.
+        // A reset is also refused while the leaky bucket is full.
         assert!(remedy(Outcome::CauseStands).contains("deadline misses"));
     }
 }

@@ -199,6 +199,9 @@ impl Reporter {
             totals: record.totals,
             mode: self.last_mode,
             reason: convert::reason(record.mode.reason()),
+            reset_refused_by: (record.reset_refused_by)
+                .filter(|_| record.mode.is_latched())
+                .map(convert::reason),
             faults: record.faults,
             settings: convert::settings_to_wire(&record.settings),
             safe_distance_min_m: inputs.safe_distance_min_m,

@@ -104,7 +104,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v8" {
+    pub struct Status "cdcr.Status.v9" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
@@ -196,8 +196,9 @@ message! {
         following_warnings: u64,
         /// [`codes::Interface`](crate::codes::Interface).
         interface: u32 [code Interface],
-        /// Zero.
-        reserved: u32 [reserved],
+        /// [`codes::Reason`](crate::codes::Reason) why a reset is refused in the newest cycle, in the modes stopped and
+        /// faulted; `Start`: it is not.
+        reset_refused_by: u32 [code Reason],
 
         /// Smallest `safe_distance_m` that a client may ask for \[m\]: that of the configuration.
         safe_distance_min_m: f64,

@@ -203,6 +203,17 @@ pub struct Observation {
     pub fault: Option<Reason>,
 }
 
+impl Observation {
+    /// Why a reset is refused in this cycle; `None`: it is not.
+    pub fn reset_refused_by(&self) -> Option<Reason> {
+        if !self.measured {
+            return Some(Reason::MeasurementLost);
+        }
+        let misses = self.misses_overflow.then_some(Reason::DeadlineMisses);
+        self.fault.or(misses)
+    }
+}
+
 /// The mode and its transitions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ModeMachine {
@@ -408,7 +419,7 @@ impl ModeMachine {
     }
 
     fn reset(&mut self, seen: &Observation) -> Result<(), Refusal> {
-        if !seen.measured || seen.fault.is_some() || seen.misses_overflow {
+        if seen.reset_refused_by().is_some() {
             return Err(Refusal::CauseStands);
         }
         self.hold(Reason::Request);

@@ -286,6 +286,7 @@ impl Cycle {
             stale_inputs,
             totals: *self.accounting.totals(),
             miss_bucket: self.accounting.bucket().level(),
+            reset_refused_by: seen.reset_refused_by(),
             control_begins,
             mode: self.modes.mode(),
             faults: self.modes.faults(),

@@ -45,6 +45,8 @@ pub struct Summary {
     pub totals: Totals,
     pub mode: Mode,
     pub reason: Reason,
+    /// Why a reset is refused in a latched mode; `None`: it is not.
+    pub reset_refused_by: Option<Reason>,
     /// Number of faults since the start.
     pub faults: u64,
     pub settings: wire::SolverSettings,

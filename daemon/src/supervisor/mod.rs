@@ -4,20 +4,19 @@
 //! other real-time threads. It receives the cycles through rings that never block the sender. It waits for no
 //! file: the `status_desk` publishes its results.
 
+mod snapshot;
 mod statistics;
 mod steal;
 mod watchdog;
 
 use std::time::{Duration, Instant};
 
-use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
 
 use crate::config::{Validated, ns};
-use crate::convert;
 use crate::exit::{Ended, ExitCause};
-use crate::handover::{Settings, Shared, Summary, SupervisorEnds};
+use crate::handover::{Shared, Summary, SupervisorEnds};
 use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
 use crate::status_desk::StatusDesk;
@@ -87,7 +86,7 @@ impl Supervisor {
         Ok(Self {
             ends,
             check_interval: check_interval(ns(validated.config.cycle.period_ms)),
-            status: first_status(validated, daemon_id),
+            status: snapshot::first(validated, daemon_id),
             statistics: Statistics::new(clock.now_ns())?,
             resets: 0,
             budget_hits: 0,
@@ -337,7 +336,7 @@ impl Supervisor {
         self.status.dropped_records = dropped;
         self.status.budget_hits = self.budget_hits;
         if self.newest.totals.cycles > 0 {
-            copy_newest_cycle(&mut self.status, &self.newest);
+            snapshot::update(&mut self.status, &self.newest);
         }
         self.statistics.report(&mut self.status);
         if self.newest.totals.cycles > 0 && self.summed.elapsed() > SUMMARY_MAX {
@@ -388,62 +387,6 @@ fn explain(incident: &mut wire::Incident, stolen: Stolen) {
     let lateness_ns = record.handed_over_ns.saturating_sub(record.due_ns);
     let cause = &mut record.scheduling.late_cause;
     *cause = stolen.cause(*cause, lateness_ns);
-}
-
-/// Copies the data of the newest cycle into a status.
-fn copy_newest_cycle(status: &mut wire::Status, summary: &Summary) {
-    status.mode = summary.mode.code();
-    status.reason = summary.reason.code();
-    status.cycles = summary.totals.cycles;
-    status.late_starts = summary.totals.late_starts;
-    status.deadline_misses = summary.totals.deadline_misses;
-    status.skipped_periods = summary.totals.skipped_periods;
-    status.faults = summary.faults;
-    status.outcomes = summary.outcomes;
-    status.lease_holder = summary.lease_holder;
-    status.reference_end_ns = summary.reference_end_ns;
-    status.reference_points = summary.reference_points;
-    status.obstacle_count = summary.obstacle_count;
-    status.obstacles_refused = summary.obstacles_refused;
-    status.clearance_m = summary.clearance_m;
-    status.tip_position_m = summary.tip_position_m;
-    status.position_error_m = summary.reference_distance_m;
-    status.reference_position_m = summary.reference_position_m;
-    status.measured_error_m = summary.measured_error_m;
-    status.following_error_rad = summary.following.bend_rad;
-    status.following_error_m = summary.following.cable_m;
-    status.settings = summary.settings;
-    status.safe_distance_min_m = summary.safe_distance_min_m;
-}
-
-/// The status of the daemon before its first cycle.
-fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
-    let config = &validated.config;
-    let period_ns = ns(config.cycle.period_ms);
-    wire::Status {
-        header: wire::Header {
-            sender_id: daemon_id,
-            ..wire::Header::default()
-        },
-        robot_name: convert::text(&config.robot.name),
-        build: convert::text(env!("CARGO_PKG_VERSION")),
-        process_id: std::process::id(),
-        mode: Mode::Starting.code(),
-        link: convert::link(config.link.kind).code(),
-        interface: convert::interface(config.link.interface).code(),
-        position_error_m: f64::NAN,
-        reference_position_m: [f64::NAN; 3],
-        measured_error_m: f64::NAN,
-        period_ns,
-        deadline_ns: config.cycle.deadline_ns(),
-        robot: convert::robot(&validated.robot),
-        settings: convert::settings_to_wire(&Settings::new(config)),
-        clearance_m: f64::INFINITY,
-        safe_distance_min_m: config.controller.safe_distance_m,
-        obstacle_source_timeout_ns: ns(config.obstacles.source_timeout_ms),
-        rate_weight_auto: RateWeight::auto(config.link.is_ideal()).into(),
-        ..wire::Status::default()
-    }
 }
 
 #[cfg(test)]

@@ -101,6 +101,10 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         counted(status.faults, "fault"),
         counted(status.cycles, "cycle"),
     )?;
+    if status.reset_refused_by != Reason::Start.code() {
+        let cause = Reason::text_of(status.reset_refused_by);
+        writeln!(out, "reset       is refused now: {cause}")?;
+    }
     place(out, status)?;
     if status.misses_tolerated > 0 {
         writeln!(
@@ -396,8 +400,12 @@ mod tests {
             assert!(table.contains(expected), "{expected} in\n{table}");
         }
         assert!(!table.contains("page fault"), "{table}");
+        assert!(!table.contains("\nreset "), "{table}");
         status.misses_tolerated = 0;
+        status.reset_refused_by = Reason::DeadlineMisses.code();
         let table = super::table(&status, 0).expect("formatted");
         assert!(!table.contains("leaky bucket"), "{table}");
+        let line = "\nreset       is refused now: too many deadline misses (cycle.miss_limit)\n";
+        assert!(table.contains(line), "{table}");
     }
 }

@@ -118,14 +118,28 @@ fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
         for request in [TRACK, Request::Hold, Request::Home] {
             assert_eq!(asked(mode, request, good()), Err(Refusal::WrongMode));
         }
+        let unmeasured = Observation {
+            measured: false,
+            ..good()
+        };
         let standing = Observation {
             fault: Some(Reason::NonFinite),
             ..good()
         };
-        assert_eq!(
-            asked(mode, Request::Reset, standing),
-            Err(Refusal::CauseStands)
-        );
+        let overflows = Observation {
+            misses_overflow: true,
+            ..good()
+        };
+        for (seen, cause) in [
+            (unmeasured, Reason::MeasurementLost),
+            (standing, Reason::NonFinite),
+            (overflows, Reason::DeadlineMisses),
+        ] {
+            let refused = asked(mode, Request::Reset, seen);
+            assert_eq!(refused, Err(Refusal::CauseStands));
+            assert_eq!(seen.reset_refused_by(), Some(cause));
+        }
+        assert_eq!(good().reset_refused_by(), None);
         let reset = asked(mode, Request::Reset, good());
         assert_eq!(
             reset,

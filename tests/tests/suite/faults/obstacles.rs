@@ -126,8 +126,13 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     assert!(detected_ns <= bound_ns);
     let outcome = refused(&connection, RequestKind::Reset);
     assert_eq!(outcome, Outcome::CauseStands);
+    let contact = Reason::ClearanceBroken.code();
+    wait_status(&connection, |status| status.reset_refused_by == contact);
     sender.clear().unwrap();
     trail.until("gone", |record| record.obstacle_count == 0);
+    wait_status(&connection, |status| {
+        status.mode == Mode::Faulted.code() && status.reset_refused_by == Reason::Start.code()
+    });
     ask_for(&connection, RequestKind::Reset);
     trail.until("holding", is(Mode::Holding));
 }

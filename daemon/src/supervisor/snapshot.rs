@@ -1,0 +1,66 @@
+//! The status that late joiners get.
+
+use cdcr_controller::nmpc::RateWeight;
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::{Mode, Reason};
+
+use crate::config::{Validated, ns};
+use crate::convert;
+use crate::handover::{Settings, Summary};
+
+/// Copies the data of the newest cycle into a status.
+pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
+    status.mode = summary.mode.code();
+    status.reason = summary.reason.code();
+    status.reset_refused_by = summary.reset_refused_by.unwrap_or(Reason::Start).code();
+    status.cycles = summary.totals.cycles;
+    status.late_starts = summary.totals.late_starts;
+    status.deadline_misses = summary.totals.deadline_misses;
+    status.skipped_periods = summary.totals.skipped_periods;
+    status.faults = summary.faults;
+    status.outcomes = summary.outcomes;
+    status.lease_holder = summary.lease_holder;
+    status.reference_end_ns = summary.reference_end_ns;
+    status.reference_points = summary.reference_points;
+    status.obstacle_count = summary.obstacle_count;
+    status.obstacles_refused = summary.obstacles_refused;
+    status.clearance_m = summary.clearance_m;
+    status.tip_position_m = summary.tip_position_m;
+    status.position_error_m = summary.reference_distance_m;
+    status.reference_position_m = summary.reference_position_m;
+    status.measured_error_m = summary.measured_error_m;
+    status.following_error_rad = summary.following.bend_rad;
+    status.following_error_m = summary.following.cable_m;
+    status.settings = summary.settings;
+    status.safe_distance_min_m = summary.safe_distance_min_m;
+}
+
+/// The status of the daemon before its first cycle.
+pub(super) fn first(validated: &Validated, daemon_id: u64) -> wire::Status {
+    let config = &validated.config;
+    let period_ns = ns(config.cycle.period_ms);
+    wire::Status {
+        header: wire::Header {
+            sender_id: daemon_id,
+            ..wire::Header::default()
+        },
+        robot_name: convert::text(&config.robot.name),
+        build: convert::text(env!("CARGO_PKG_VERSION")),
+        process_id: std::process::id(),
+        mode: Mode::Starting.code(),
+        link: convert::link(config.link.kind).code(),
+        interface: convert::interface(config.link.interface).code(),
+        position_error_m: f64::NAN,
+        reference_position_m: [f64::NAN; 3],
+        measured_error_m: f64::NAN,
+        period_ns,
+        deadline_ns: config.cycle.deadline_ns(),
+        robot: convert::robot(&validated.robot),
+        settings: convert::settings_to_wire(&Settings::new(config)),
+        clearance_m: f64::INFINITY,
+        safe_distance_min_m: config.controller.safe_distance_m,
+        obstacle_source_timeout_ns: ns(config.obstacles.source_timeout_ms),
+        rate_weight_auto: RateWeight::auto(config.link.is_ideal()).into(),
+        ..wire::Status::default()
+    }
+}
