@@ -37,6 +37,10 @@ struct Measured {
     max_m: f64,
 }
 
+/// Without a limit, a reference that ends with the tip farther away was not followed \[m\]: a robot that lags
+/// 0.1 s behind at 0.2 m/s is as far away.
+const ENDED_OFF_M: f64 = 0.02;
+
 /// Whether the tip follows the reference itself, after the approach.
 pub(crate) fn is_along(record: &Telemetry) -> bool {
     record.mode == Mode::Tracking.code() && is_inside(record) && !is_approach(record)
@@ -129,7 +133,8 @@ impl TipError {
         Some(format!("error {:.3}{measured} mm", 1e3 * self.final_m))
     }
 
-    /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`.
+    /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`; without a limit, if the
+    /// last one exceeds [`ENDED_OFF_M`].
     pub(crate) fn print(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
         if self.approach_cycles > 0 {
             let seconds = (self.approach_cycles * self.period_ns) as f64 * 1e-9;
@@ -167,7 +172,19 @@ impl TipError {
                 "measured by the tip sensor: mean {mean:.3}, max {max:.3} mm in {count} measurements, noise included"
             )?;
         }
-        limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
+        limit_m.map_or_else(|| self.check_end(), |limit_m| self.check(limit_m))
+    }
+
+    fn check_end(&self) -> anyhow::Result<()> {
+        let last_m = self.final_m.max(self.measured.newest_m);
+        if last_m > ENDED_OFF_M {
+            let [last, limit] = [last_m, ENDED_OFF_M].map(|m| 1e3 * m);
+            bail!(
+                "the tip was {last:.3} mm from its reference at the end, more than {limit} mm: limits or obstacles held it back, or it began too \
+                 far away; --max-error allows another error"
+            );
+        }
+        Ok(())
     }
 
     /// Mean, maximum and final error after the approach \[m\]; `None` without such cycles.
@@ -297,6 +314,13 @@ mod tests {
         let mut error = TipError::default();
         assert!(error.print(None).is_ok());
         assert_eq!(error.live(), None);
+        // Without a limit, only the end counts.
+        for (error_m, is_followed) in [(0.5, false), (0.021, false), (0.019, true)] {
+            let mut error = TipError::default();
+            error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.5));
+            error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, error_m));
+            assert_eq!(error.print(None).is_ok(), is_followed, "{error_m}");
+        }
         assert!(error.print(Some(1.0)).is_err());
         error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.003));
         error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, 0.001));

@@ -153,7 +153,7 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
     // With immediate tracking, it moves at its largest rates.
     let daemon = Daemon::ideal(PATIENT);
     let curve = "ref line --start 0.1,0,0.85 --velocity 0,0.03,0 --duration 300ms --track";
-    let (_, jumps_m_s) = says_and_speed(&daemon, curve);
+    let (_, jumps_m_s) = says_and_speed(&daemon, &format!("{curve} --max-error 1m"));
     // For a path at 0.05 m/s; after a stall of the machine, the tip catches up.
     until_undisturbed("the tip moves slowly", || {
         says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
