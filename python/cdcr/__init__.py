@@ -29,6 +29,7 @@ from ._cdcr import (
     default_settings,
     dtype,
     read,
+    setting_texts,
     settings_from_toml,
     simulate,
 )
@@ -74,6 +75,7 @@ __all__ = [
     "dtype",
     "message",
     "read",
+    "setting_texts",
     "settings_from_toml",
     "simulate",
 ]

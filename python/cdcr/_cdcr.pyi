@@ -8,7 +8,7 @@ from typing import Final, final
 
 from ._types import ArrayLike, Any, Doubles, Form, Interface, Interpolation, Mapping, Message, Plant, Records, Sensor, Sequence, Settings, Unpack, np
 
-__all__ = ["__version__", "Connection", "Driver", "Feed", "FeedReport", "FeedStream", "Live", "Nmpc", "Obstacle", "Robot", "Simulation", "SolveReport", "Trajectory", "connect", "default_settings", "dtype", "enumerations", "fields", "messages", "read", "settings_from_toml", "simulate"]
+__all__ = ["__version__", "Connection", "Driver", "Feed", "FeedReport", "FeedStream", "Live", "Nmpc", "Obstacle", "Robot", "Simulation", "SolveReport", "Trajectory", "connect", "default_settings", "dtype", "enumerations", "fields", "messages", "read", "setting_texts", "settings_from_toml", "simulate"]
 
 __version__: Final[str]
 """
@@ -297,7 +297,7 @@ class Nmpc:
         """
         A solver for one robot.
 
-        settings: what differs from default_settings(). period_s: 1e-6 to 10 s. Raises ArgumentError for an unknown key and a value outside
+        settings: what differs from default_settings(); setting_texts() has the range of each. period_s: 1e-6 to 10 s. Raises ArgumentError for an unknown key and a value outside
         its range.
         """
     def __repr__(self, /) -> str: ...
@@ -710,6 +710,11 @@ def read(path: str | PathLike[str], *, every: int = 1) -> dict[str, Records]:
     path: an MCAP file. every: keep each so many-th record of telemetry. A record of telemetry has 14 kB: an hour at 5 ms are 10 GB, so `every` is for long files.
     A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, is damaged, or has messages of another version or of
     more than one robot.
+    """
+
+def setting_texts() -> dict[str, str]:
+    """
+    What each setting of the solver is, with its range: by its name.
     """
 
 def settings_from_toml(path: str | PathLike[str]) -> Settings:

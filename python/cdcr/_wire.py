@@ -5,32 +5,56 @@ from typing import Literal, TypedDict
 
 
 class Settings(TypedDict, total=False):
-    """Settings of the solver; docs/tuning.md says what each does, and configs/default.toml its range."""
+    """Settings of the solver; docs/tuning.md says how to choose them."""
 
     cognitive: float
+    """Coefficient c1 of Eq. 6, the weight of a particle's own best, 0 to 4."""
     control_blocks: int
+    """Control blocks M, 0 to 50, and at most N; 0: one per step. A plan has at most 300 numbers: 50 blocks with three sections, 25 with six; at most 20 blocks where rate changes have a weight."""
     coordinates: str
+    """Optimised rates: 'bend-vector' (smooth everywhere), or 'bend-angles', the paper's theta and phi."""
     damping: float
+    """Damping of the Gauss-Newton steps, 1e-20 to 1."""
     horizon_steps: int
+    """Prediction steps N, 1 to 50."""
     inertia: float
+    """Inertia weight w, 0 to 1."""
     obstacle_slope_penalty: float
+    """Penalty in the solver's cost per m of depth inside the safe distance, 0 to 1e12."""
     obstacle_square_penalty: float
+    """Penalty in the solver's cost per m² of squared depth inside the safe distance, 0 to 1e12."""
     obstacle_step_penalty: float
+    """Penalty in the solver's cost for each step inside the safe distance, 0 to 1e12. Rejected without a slope or square penalty, because it does not prevent collisions alone."""
     orientation_tolerance_rad: float
+    """Orientation error without cost, 0 to 1 rad."""
     orientation_weight: float
+    """Weight of the squared orientation error, per rad², 0 to 1e12, where the reference asks for an orientation."""
     position_weight: float
+    """Weight of the squared position error in the cost (Eq. 5), per m², 1e-12 to 1e12."""
     rate_change_weight: float
+    """Weight of the squared changes of rates, per (rad/s)², 0 to 1e12."""
     rate_weight: float | Literal["auto"]
+    """Weight of the squared rates, per (rad/s)², 0 to 1e12, or 'auto': 0, as in the paper, for the ideal simulated robot, and 1e-10 for all others. With 0, sensor noise makes a robot of several sections drift around its tip."""
     refinement_steps: int
+    """Gauss-Newton steps, 0 to 50; 'gauss-newton' takes one more for a long plan from rest."""
     regenerate_after: int
+    """Iterations without improvement before the swarm is regenerated, 0 to 1000; 0: never."""
     safe_distance_m: float
+    """Safe distance between body and obstacles, 0 to 10 m: the clearance guard lets no command bring it nearer. Clients can set a larger value at run time, not a smaller one."""
     seed: int
+    """Seed of the swarm, a whole number. The same seed gives bit-identical results."""
     social: float
+    """Coefficient c2 of Eq. 6, the weight of the swarm's best, 0 to 4."""
     solver: str
+    """'kpso-refined': Gauss-Newton, then the swarm where an error remains. 'kpso': only the paper's swarm. 'gauss-newton': damped steps from the last plan, and from the best candidate where an error remains."""
     swarm_iterations: int
+    """Iterations of the swarm, 0 to 1000."""
     swarm_size: int
+    """Particles of the swarm, 1 to 512."""
     terminal_weight: float
+    """Factor on the error cost of the last step, 0 to 1e12."""
     velocity_rule: str
+    """'inertia', 'constriction' (Clerc & Kennedy), or 'verbatim' (Eq. 6 as printed; it does not converge)."""
 
 
 class Code(IntEnum):

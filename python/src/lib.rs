@@ -64,7 +64,7 @@ mod _cdcr {
     #[pymodule_export]
     use super::robot::Robot;
     #[pymodule_export]
-    use super::settings::{default_settings, settings_from_toml};
+    use super::settings::{default_settings, setting_texts, settings_from_toml};
     #[pymodule_export]
     use super::simulation::{Simulation, simulate};
     #[pymodule_export]

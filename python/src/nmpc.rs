@@ -41,7 +41,7 @@ type Solution = (Doubles, Doubles, SolveReport);
 impl Nmpc {
     /// A solver for one robot.
     ///
-    /// settings: what differs from default_settings(). period_s: 1e-6 to 10 s. Raises ArgumentError for an unknown key and a value outside
+    /// settings: what differs from default_settings(); setting_texts() has the range of each. period_s: 1e-6 to 10 s. Raises ArgumentError for an unknown key and a value outside
     /// its range.
     #[new]
     #[pyo3(signature = (robot, settings: "Settings | None" = None, *, period_s = 0.005))]

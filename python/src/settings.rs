@@ -1,5 +1,6 @@
 //! Settings of the solver: a Python dictionary whose keys are the names of `NmpcSettings`.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 
@@ -91,6 +92,15 @@ impl<'py> IntoPyObject<'py> for Settings {
 #[pyfunction]
 pub(crate) fn default_settings() -> Settings {
     Settings(NmpcSettings::default())
+}
+
+/// What each setting of the solver is, with its range: by its name.
+#[pyfunction]
+pub(crate) fn setting_texts() -> BTreeMap<&'static str, String> {
+    let declared = NmpcSettings::PARAMETERS.iter();
+    declared
+        .map(|setting| (setting.name, setting.text().replace('\n', " ")))
+        .collect()
 }
 
 /// The settings of the solver in the table `[controller]` of a configuration of cdcrd; the defaults for keys that are not there.

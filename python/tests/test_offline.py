@@ -169,6 +169,12 @@ def test_what_is_no_robot_is_refused(arguments: dict, words: str) -> None:
         cdcr.Robot(**arguments)
 
 
+def test_every_setting_has_a_text_with_its_range() -> None:
+    texts = cdcr.setting_texts()
+    assert texts.keys() == cdcr.default_settings().keys()
+    assert "1 to 50" in texts["horizon_steps"] and not any("{range}" in text for text in texts.values())
+
+
 def test_a_robot_comes_from_a_configuration(tmp_path: Path) -> None:
     assert cdcr.Robot.from_toml(PROJECT / "configs/default.toml") == cdcr.Robot() == cdcr.Robot.paper(3)
     assert cdcr.Robot.from_toml(PROJECT / "configs/two-sections.toml").sections == 2
