@@ -285,7 +285,7 @@ fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
     write!(out, "obstacles   {}", status.obstacle_count)?;
     if status.obstacle_count > 0 {
         let clearance = clearance_text(status.clearance_m);
-        write!(out, ", smallest clearance {clearance} mm")?;
+        write!(out, ", smallest clearance {clearance} mm as estimated")?;
     }
     writeln!(
         out,
@@ -392,7 +392,7 @@ mod tests {
             &format!("tip error mean, max mm{:>31}{:>36}\n", "1.500, 2.500", "-"),
             &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
             "pinned to no core",
-            "obstacles   2, smallest clearance 10.50 mm",
+            "obstacles   2, smallest clearance 10.50 mm as estimated",
             "the guard changed 17 commands",
             "3  the sender does not hold the reference lease",
             "budget all the remaining period\n",

@@ -68,7 +68,7 @@ fn obstacles_are_added_shown_and_removed() {
     let clearance_m = status(place)["clearance_m"].as_f64().unwrap();
     assert!((clearance_m - 0.135).abs() < 1e-12, "{clearance_m}");
     let table = good(place, "status");
-    let shown = "obstacles   2, smallest clearance 135.00 mm";
+    let shown = "obstacles   2, smallest clearance 135.00 mm as estimated";
     assert!(table.contains(shown), "{table}");
     says("remove 2", "accepted, 1 known");
     says("clear", "accepted, 0 known");
