@@ -298,8 +298,12 @@ fn changed(
     let duration_s = f64::from(repeat) * trajectory.duration_s() / speed;
     let rows = trajectory.knots_s().map_or(0, <[f64]>::len) * repeat as usize;
     ensure!(
-        duration_s <= LONGEST_S && rows <= ROWS_MAX,
-        "the reference lasts {duration_s:.0} s and has {rows} rows: at most {LONGEST_S} s and {ROWS_MAX} rows are allowed"
+        duration_s <= LONGEST_S,
+        "the reference lasts {duration_s:.0} s: at most {LONGEST_S} s are allowed (--speed, --repeat)"
+    );
+    ensure!(
+        rows <= ROWS_MAX,
+        "the reference has {rows} rows: at most {ROWS_MAX} are allowed (--repeat)"
     );
     let trajectory = Box::new(trajectory);
     Ok(Box::new(Changed::new(

@@ -16,6 +16,7 @@ mod demo;
 mod dry_run;
 mod echo;
 mod feed;
+mod files;
 mod hz;
 mod incidents;
 mod interrupt;

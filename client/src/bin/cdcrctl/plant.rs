@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use cdcr_client::{PlantDriver, counted, events, remedy};
-use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome};
+use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason};
 use cdcr_shared_types::{InputEvent, Telemetry};
 
 use crate::Done;
@@ -26,7 +26,11 @@ const CHECK_DURATION: Duration = Duration::from_secs(1);
 pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let status = connection.status(Duration::from_secs(1))?;
-    if status.mode != Mode::Starting.code() && !options.force {
+    // A daemon may also be stopped before its first measurement.
+    let is_unmeasured = status.mode == Mode::Starting.code()
+        || status.mode == Mode::Stopped.code()
+            && status.reset_refused_by == Reason::MeasurementLost.code();
+    if !is_unmeasured && !options.force {
         bail!(
             "the robot is already measured, by a driver or a simulating daemon (the daemon is {}): its motors would \
              follow the commands to the simulated robot\n\

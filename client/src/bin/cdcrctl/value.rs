@@ -18,7 +18,7 @@ pub(crate) fn vector(text: &str) -> Result<Vector, String> {
     let count = numbers.len();
     numbers
         .try_into()
-        .map_err(|_| format!("expected three numbers x,y,z, found {count}"))
+        .map_err(|_| format!("expected three numbers with commas between them, found {count}"))
 }
 
 /// A direction `x,y,z` of non-zero length, normalised.
@@ -116,7 +116,7 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
             if seconds < 0.0 {
                 "is below zero".to_owned()
             } else {
-                format!("{seconds:e} s is not a valid waiting time")
+                format!("{seconds:e} s is not a possible time")
             }
         });
     }
@@ -173,7 +173,7 @@ mod tests {
             assert!(refused.len() < 30, "{refused}");
         }
         let refused = parse_duration("1e30s").expect_err("too long");
-        assert_eq!(refused, "1e30 s is not a valid waiting time");
+        assert_eq!(refused, "1e30 s is not a possible time");
         assert_eq!(parse_duration("-2s"), Err("is below zero".to_owned()));
     }
 

@@ -209,5 +209,11 @@ fn what_does_not_happen_leaves_no_file() {
         1,
         &["none.mcap exists: remove it"],
     );
+    // What could not be written is reported before the wait for the trigger.
+    place.says(
+        "cdcrctl record --around fault -o nowhere/none.mcap",
+        1,
+        &["cannot write into nowhere"],
+    );
     place.says("cdcrctl scope --trigger error>5", 2, &["unit"]);
 }

@@ -298,6 +298,27 @@ fn obstacles_are_where_they_will_be_when_a_reference_is_tried() {
 }
 
 #[test]
+fn a_daemon_that_is_stopped_before_its_first_measurement_waits_for_one() {
+    let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
+    says(&daemon, "stop", 0);
+    let refused = says(&daemon, "reset", 1);
+    assert!(refused.contains("its line reset"), "{refused}");
+    let cause = "is refused now: the measurement is lost";
+    wait_until("the status names the cause", || {
+        says(&daemon, "status", 0).contains(cause)
+    });
+    assert!(says(&daemon, "calibrate noise", 1).contains("cdcrctl reset"));
+    // Nothing has measured it: a simulated robot needs no force.
+    let mut plant = daemon.place().start("cdcrctl plant");
+    wait_until("a reset is accepted", || {
+        daemon.place().cdcrctl(&["reset"]).status.success()
+    });
+    plant.signal(Signal::INT);
+    assert_says(&plant.output(), 0, &["a simulated robot"]);
+}
+
+#[test]
 fn a_simulated_robot_is_refused_beside_a_driver() {
     let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n";
     let daemon = Daemon::start(&format!("{PATIENT}{driver}"));

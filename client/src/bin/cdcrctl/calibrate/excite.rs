@@ -10,12 +10,13 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::RequestKind;
 use nalgebra::Vector3;
 
-use super::record::{Rows, check_new, check_sensors, print_rows};
+use super::record::{OR, Rows, check_sensors, print_rows};
 use super::resting::{Sensors, rests};
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
 use crate::dry_run::{self, Demands, newest, robot_and_pose};
 use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, within};
+use crate::files::check_new;
 use crate::wait;
 
 /// Default bounds as shares of the robot's limits: bends, rates.
@@ -52,7 +53,7 @@ const STEPS: u32 = 10_000;
 pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Done> {
     let output = &options.record.output;
     if !options.dry_run {
-        check_new(output)?;
+        check_new(output, OR)?;
     }
     let connection = target.connect()?;
     let before = rests(&mut connection.telemetry()?)?;

@@ -1,4 +1,3 @@
-use std::fs;
 use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
@@ -15,6 +14,7 @@ use super::recording::Recording;
 use super::{recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
+use crate::files::read_text;
 use crate::settings::save::number_of;
 
 pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<Done> {
@@ -45,8 +45,7 @@ fn of_rows(
     options: &GeometryOptions,
 ) -> anyhow::Result<(RobotParameters, Recording)> {
     let path = &options.file;
-    let text =
-        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path)?;
     let robot = if let Some(path) = &options.config {
         configured(path)?
     } else {
@@ -87,7 +86,7 @@ fn described(description: &RobotDescription) -> anyhow::Result<RobotParameters> 
 /// The robot of a configuration file; without sections, the default one.
 fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
     let name = path.display();
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let text = read_text(path)?;
     let document: DocumentMut = text.parse().with_context(|| name.to_string())?;
     let mut robot = RobotParameters::paper(3);
     let sections = document
@@ -129,12 +128,12 @@ mod tests {
         let folder = Scratch::temporary().expect("a folder");
         let path = folder.path().join("robot.toml");
         let default = include_str!("../../../../../configs/default.toml");
-        fs::write(&path, default).expect("written");
+        std::fs::write(&path, default).expect("written");
         assert_eq!(
             configured(&path).expect("good").sections,
             RobotParameters::paper(3).sections
         );
-        fs::write(
+        std::fs::write(
             &path,
             default.replace("length_m = 0.3\n", "length_m = \"a\"\n"),
         )

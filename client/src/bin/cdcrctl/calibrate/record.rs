@@ -4,7 +4,6 @@ use std::path::Path;
 
 use anyhow::{Context, ensure};
 use cdcr_client::counted;
-use cdcr_process::check_writable;
 use cdcr_shared_types::Telemetry;
 
 use super::pairs::Pairs;
@@ -13,6 +12,7 @@ use super::resting::{Sensors, next};
 use crate::Done;
 use crate::args::{RecordOptions, Target};
 use crate::bar::Bar;
+use crate::files::new_file;
 use crate::interrupt::Interrupt;
 
 pub(super) fn run(target: &Target, options: &RecordOptions) -> anyhow::Result<Done> {
@@ -56,18 +56,8 @@ pub(super) fn print_rows(output: &Path, rows: u64, passed_s: f64) -> anyhow::Res
     Ok(())
 }
 
-/// Refuses to overwrite a recording, and a folder that cannot be written, before anything is computed or moves.
-pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
-    let name = output.display();
-    ensure!(
-        !output.exists(),
-        "{name} already exists: remove it or use another file"
-    );
-    let folder = output
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    check_writable(folder.unwrap_or(Path::new(".")))
-}
+/// What the user can do when the file exists, instead of removing it.
+pub(super) const OR: &str = "or use another file";
 
 /// Rows of tips, with the cables at the time of the tip.
 pub(super) struct Rows {
@@ -84,7 +74,7 @@ impl Rows {
         check_sensors(Sensors::of(first))?;
         let cables = 3 * first.command.sections as usize;
         let name = output.display().to_string();
-        let file = File::create_new(output).with_context(|| format!("cannot write {name}"))?;
+        let file = new_file(output, OR)?;
         let mut out = csv::Writer::from_writer(BufWriter::new(file));
         out.write_record(header(cables))?;
         Ok(Self {
@@ -159,6 +149,8 @@ mod tests {
              0.008000,0.0000000,0.2400000,0.0000000,0.0000000,0.0000000,3.0000000\n\
              0.013000,0.0000000,0.3400000,0.0000000,0.0000000,0.0000000,4.0000000\n"
         );
-        assert!(check_new(&output).is_err() && Rows::create(&output, &first).is_err());
+        assert!(
+            crate::files::check_new(&output, OR).is_err() && Rows::create(&output, &first).is_err()
+        );
     }
 }

@@ -25,8 +25,13 @@ pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry
         let record = next(telemetry)?;
         let is_held = record.mode == Mode::Holding.code();
         if !is_held || record.command.bend_rate_rad_s != [0.0; _] {
+            let first = match Mode::try_from(record.mode) {
+                Ok(Mode::Stopped | Mode::Faulted) => "cdcrctl reset --wait",
+                Ok(Mode::Starting) => "start its driver",
+                _ => "cdcrctl hold --wait or home --wait",
+            };
             bail!(
-                "the robot is not held at rest, the daemon is {}: first cdcrctl hold --wait or home --wait",
+                "the robot is not held at rest, the daemon is {}: first {first}",
                 Mode::text_of(record.mode)
             );
         }

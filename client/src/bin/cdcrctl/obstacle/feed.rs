@@ -14,6 +14,7 @@ use cdcr_shared_types::{Header, Obstacle};
 use super::scene::{self, Change, What};
 use super::{TIMEOUT, accepted, check};
 use crate::Done;
+use crate::files::read_text;
 use crate::interrupt::Interrupt;
 
 /// Interval of the checks for an interrupt.
@@ -35,7 +36,7 @@ struct Feed {
 /// `cdcrctl obstacle file PATH`: sends each change at its time. The whole file is checked first.
 pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::Result<Done> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let text = read_text(path)?;
     let changes = scene::parse(&text).map_err(|cause| anyhow!("{name}: {cause}"))?;
     if changes.is_empty() {
         bail!("{name} contains no obstacle");

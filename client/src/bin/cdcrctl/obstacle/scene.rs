@@ -109,7 +109,12 @@ pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, St
         }
     });
     value
-        .and_then(|value| change(number, value))
+        .and_then(|value: Value| match value {
+            Value::Array(_) => {
+                Err("use one obstacle per line, not a list (obstacle file reads lists)".to_owned())
+            }
+            value => change(number, value),
+        })
         .map(Some)
         .map_err(|cause| format!("line {number}: {cause}"))
 }
@@ -124,7 +129,7 @@ fn change(number: usize, value: Value) -> Result<Change, String> {
         (known.time_s, What::Upsert(obstacle(&known)?))
     };
     if !(0.0..=TIME_MAX_S).contains(&time_s) {
-        return Err(format!("time_s = {time_s} is not 0 to {TIME_MAX_S} s"));
+        return Err(format!("time_s = {time_s:?} is not 0 to {TIME_MAX_S} s"));
     }
     Ok(Change {
         number,

@@ -10,10 +10,10 @@ use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
 use super::file::{Recorded, Recording};
-use super::new_file;
 use crate::Done;
 use crate::args::ConvertOptions;
 use crate::echo::json::text_of;
+use crate::files::new_file;
 use crate::interrupt::Interrupt;
 
 /// Column name and value; an empty value means none.

@@ -13,10 +13,10 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::file::{Recorded, Recording};
-use super::new_file;
 use super::topic::Topic;
 use crate::Done;
 use crate::args::{Format, InfoOptions};
+use crate::files::new_file;
 use crate::interrupt::Interrupt;
 use crate::tip_error::is_along;
 

@@ -19,6 +19,7 @@ use super::when::{date_time, unix_offset_ns};
 use crate::Done;
 use crate::args::{RecordingOptions, Target};
 use crate::echo::json;
+use crate::files::check_new;
 use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
 use crate::trigger::Trigger;
@@ -27,6 +28,8 @@ use crate::trigger::Trigger;
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// A message sent this long before the recording began may still get its outcome in it \[ns\].
 const JUDGED_WITHIN_NS: u64 = 100_000_000;
+/// What the user can do when the file exists, instead of removing it.
+pub(super) const OR: &str = "or name another";
 /// Chunks and updates kept until their outcome arrives: the daemon gathers fewer at once.
 const REMEMBERED: usize = 256;
 pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result<Done> {
@@ -110,9 +113,9 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
     let path: PathBuf = task.output.map_or_else(default, Path::to_owned);
     let name = path.display();
     let cannot_write = || format!("cannot write {name}");
-    if task.around.is_some() && path.exists() {
+    if task.around.is_some() {
         // Reported now rather than after the wait for the trigger.
-        bail!("{name} exists: remove it or name another");
+        check_new(&path, OR)?;
     }
     let head = head(robot, &status, offset_ns)?;
     let examination = Examination::begin();

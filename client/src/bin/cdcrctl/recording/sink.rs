@@ -10,8 +10,9 @@ use cdcr_client::text;
 use cdcr_interchange::mcap::{self, Channel, Stamp, Writer};
 use cdcr_shared_types::Status;
 
-use super::new_file;
+use super::record::OR;
 use super::topic::{Drawn, Topic};
+use crate::files::new_file;
 
 /// Channels of a file: those of the services, then the drawn ones.
 pub(super) const CHANNELS: usize = Topic::ALL.len() + Drawn::ALL.len();
@@ -134,7 +135,7 @@ impl Sink {
     pub(super) fn begin(&mut self, unix_ns: u64) -> anyhow::Result<io::Result<()>> {
         let name = self.path.display();
         let cannot_write = || format!("cannot write {name}");
-        let file = new_file(&self.path, "or name another")?;
+        let file = new_file(&self.path, OR)?;
         self.opened = Some(file.try_clone().with_context(cannot_write)?);
         let writer = Writer::new(file, "ros2", &library());
         let mut writer = writer

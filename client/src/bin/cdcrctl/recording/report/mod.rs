@@ -40,7 +40,14 @@ pub(crate) fn run(options: &ReportOptions) -> anyhow::Result<Done> {
     let data = serde_json::to_string(&data)?.replace('<', "\\u003c");
     let text = PAGE.replacen("{DATA}", &data, 1);
     let (head, tail) = text.rsplit_once("{SCRIPT}").unwrap_or((&text, ""));
+    let is_new = !page.exists();
     fs::write(&page, [head, SCRIPT, tail].concat())
+        .inspect_err(|_| {
+            // Half a page is none.
+            if is_new {
+                drop(fs::remove_file(&page));
+            }
+        })
         .with_context(|| format!("cannot write {}", page.display()))?;
     writeln!(
         io::stdout(),
