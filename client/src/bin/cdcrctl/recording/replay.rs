@@ -39,13 +39,14 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     }
     out.flush()?;
     recording.warn_of_cut();
-    if let Some((_, saved)) = &verified.first_difference {
-        bail!(
+    match &verified.first_difference {
+        Some((_, Ok(saved))) => bail!(
             "not all cycles were reproduced: see the first with `cdcrctl replay --verify {}`",
             saved.display()
-        );
+        ),
+        Some((_, Err(_))) => bail!("not all cycles were reproduced"),
+        None => Ok(Done::Good),
     }
-    Ok(Done::Good)
 }
 
 /// Result of a recomputed recording.
@@ -56,8 +57,8 @@ struct Verified {
     solved: u64,
     without_reference: u64,
     different: u64,
-    /// The first difference, and the recording with the inputs of its cycle.
-    first_difference: Option<(Difference, PathBuf)>,
+    /// The first difference, and the recording with the inputs of its cycle, or why it was not saved.
+    first_difference: Option<(Difference, Result<PathBuf, String>)>,
     first_ns: Option<u64>,
     last_ns: u64,
 }
@@ -65,7 +66,8 @@ struct Verified {
 fn verify(recording: &mut Recording, path: &Path) -> anyhow::Result<Verified> {
     let mut verified = Verified::default();
     each_cycle(recording, |cycle, replayer| {
-        verified.take(cycle, replayer, path)
+        verified.take(cycle, replayer, path);
+        Ok(())
     })?;
     Ok(verified)
 }
@@ -94,12 +96,7 @@ pub(super) fn each_cycle(
 }
 
 impl Verified {
-    fn take(
-        &mut self,
-        cycle: ReplayedCycle,
-        replayer: &Replayer,
-        path: &Path,
-    ) -> anyhow::Result<()> {
+    fn take(&mut self, cycle: ReplayedCycle, replayer: &Replayer, path: &Path) {
         let ReplayedCycle { record, outcome } = cycle;
         self.cycles += 1;
         self.first_ns.get_or_insert(record.release_ns);
@@ -113,12 +110,12 @@ impl Verified {
             Outcome::Different(difference) => {
                 self.different += 1;
                 if self.first_difference.is_none() {
-                    let saved = save(&record, replayer.chunks_in_force(), path)?;
+                    let saved = save(&record, replayer.chunks_in_force(), path)
+                        .map_err(|cause| format!("{cause:#}"));
                     self.first_difference = Some((difference, saved));
                 }
             }
         }
-        Ok(())
     }
 
     /// Speed relative to real time.
@@ -149,7 +146,10 @@ impl Verified {
             lines.push(format!(
                 "{different} cycles differ; the first: {difference}"
             ));
-            lines.push(format!("its inputs: {}", saved.display()));
+            lines.push(match saved {
+                Ok(path) => format!("its inputs: {}", path.display()),
+                Err(cause) => format!("its inputs are not saved: {cause}"),
+            });
         }
         lines.join("\n") + "\n"
     }
@@ -161,7 +161,7 @@ impl Verified {
                 "what": difference.what,
                 "recorded": difference.recorded,
                 "computed": difference.computed,
-                "inputs": saved.display().to_string(),
+                "inputs": saved.as_ref().ok().map(|path| path.display().to_string()),
             })
         });
         json!({

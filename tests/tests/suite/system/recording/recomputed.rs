@@ -1,5 +1,7 @@
 //! Cycles that are recomputed from a recording: `cdcrctl replay --verify` and `--with`.
 
+use std::fs;
+
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_says, refused, text, track, wait_mode};
 use rustix::process::Signal;
@@ -111,6 +113,13 @@ fn the_first_difference_is_named_and_saved_so_that_it_shows_again_alone() {
     for name in ["cycle", "what", "recorded", "computed"] {
         assert_eq!(alone["first_difference"][name], first[name], "{name}");
     }
+    // Where its inputs cannot be saved, it is named all the same.
+    let saved = file.with_file_name(first["inputs"].as_str().unwrap());
+    fs::remove_file(&saved).unwrap();
+    fs::create_dir(&saved).unwrap();
+    let unsaved = &verify("altered.mcap")["first_difference"];
+    assert_eq!(unsaved["inputs"], Value::Null);
+    assert_eq!(unsaved["what"], first["what"]);
 }
 
 #[test]
