@@ -73,6 +73,10 @@ fn main() -> ExitCode {
         Ok(Done::DiskFull) => ExitCode::from(EXIT_DISK_FULL),
         // The reader of the output (head, less) has closed it.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) if is_output_full(&error) => {
+            tell!("error: cannot write the output: {error}");
+            ExitCode::FAILURE
+        }
         Err(error) => {
             tell!("error: {error:#}");
             ExitCode::FAILURE
@@ -111,6 +115,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Obstacle(options) => obstacle::run(target, options),
         Task::Calibrate(options) => calibrate::run(target, options),
     }
+}
+
+/// Whether the standard output cannot be written: the errors of files name them.
+fn is_output_full(error: &anyhow::Error) -> bool {
+    let is_named = error.chain().nth(1).is_some();
+    let cause = error.downcast_ref::<io::Error>();
+    !is_named && cause.is_some_and(|cause| cause.kind() == io::ErrorKind::StorageFull)
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {

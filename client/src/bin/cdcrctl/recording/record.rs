@@ -160,7 +160,7 @@ fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
         ended => ended,
     };
     finished.with_context(cannot_write)?;
-    print_summary(&path, counts, &ended, &lost)?;
+    print_summary(&path, counts, &ended, &lost).map_err(OutputError)?;
     if let Ended::Failed(cause) = ended {
         return Err(cause).with_context(|| format!("{name}: the recording ended there"));
     }
@@ -187,6 +187,11 @@ fn head(robot: &str, status: &Status, offset_ns: u64) -> anyhow::Result<Head> {
     }
     Ok(head)
 }
+
+/// The summary cannot be printed. The file is complete.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write the output")]
+struct OutputError(#[source] io::Error);
 
 /// Why a recording ended.
 #[derive(Debug)]

@@ -85,3 +85,17 @@ fn a_recording_whose_file_was_removed_is_an_error() {
     let says = ["run.mcap was removed during the recording"];
     assert_says(&run.recorder.output(), 1, &says);
 }
+
+#[test]
+fn an_output_that_cannot_be_written_is_no_full_disk() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    for line in ["record --duration 500ms -o run.mcap", "status"] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = place.command("cdcrctl");
+        command.args(line.split(' ')).current_dir(place.folder());
+        let output = command.stdout(full).output().unwrap();
+        assert_says(&output, 1, &["cannot write the output: No space left"]);
+    }
+    place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
+}
