@@ -1,5 +1,6 @@
 //! Inputs of `cdcrctl` from formulas, files and pipes, curves and scenes, and its output for other programs.
 
+use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
 use std::process::{Child, Output, Stdio};
@@ -119,6 +120,18 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     write(&mut camera, "{\"remove\": [3]}\n{\"id\": 7\n");
     assert_says(&ended(camera), 1, &["standard input: line 2"]);
     wait_status(&connection, |status| status.obstacle_count == 0);
+
+    // What was not sent says nothing about what is known.
+    let output = ended(piped(&daemon, "obstacle stdin"));
+    assert!(!assert_says(&output, 0, &["0 changes accepted"]).contains("known"));
+    let mut endless = daemon.place().command("cdcrctl");
+    let zeros = File::open("/dev/zero").unwrap();
+    let output = endless.args(["obstacle", "stdin"]).stdin(zeros).output();
+    assert_says(
+        &output.unwrap(),
+        1,
+        &["line 1: it is longer than 65536 bytes"],
+    );
 
     // Stamped by a clock that shows the date.
     let mut camera = piped(&daemon, "obstacle stdin");

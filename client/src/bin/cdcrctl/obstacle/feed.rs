@@ -1,6 +1,6 @@
 //! Obstacles from a scene file or from lines on the standard input.
 
-use std::io::{BufRead, Write};
+use std::io::{BufRead, Read as _, Write};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread::{self, sleep};
@@ -22,6 +22,9 @@ const INTERRUPT_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of queued lines: a faster writer waits.
 const WAITING: usize = 1024;
 
+/// Maximum length of a line \[bytes\]: a device has no end.
+const LINE_MAX: u64 = 65_536;
+
 /// A line of the standard input: a change with its arrival time, or an error.
 type Read = Result<Change, String>;
 
@@ -30,7 +33,8 @@ struct Feed {
     sender: ObstacleSender,
     telemetry: TelemetryStream,
     changes: usize,
-    known: u32,
+    /// Obstacles that the daemon knew after the last change.
+    known: Option<u32>,
 }
 
 /// `cdcrctl obstacle file PATH`: sends each change at its time. The whole file is checked first.
@@ -117,9 +121,18 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
 fn read_lines() -> Receiver<Read> {
     let (send, receive) = mpsc::sync_channel(WAITING);
     thread::spawn(move || {
-        for (index, line) in std::io::stdin().lock().lines().enumerate() {
-            let line = line.map_err(|cause| format!("line {}: {cause}", index + 1));
-            let read = match line.and_then(|line| scene::parse_line(index + 1, &line)) {
+        let mut input = std::io::stdin().lock();
+        for number in 1.. {
+            let mut line = String::new();
+            let line = match input.by_ref().take(LINE_MAX).read_line(&mut line) {
+                Ok(0) => break,
+                Ok(_) if line.len() as u64 == LINE_MAX && !line.ends_with('\n') => {
+                    Err(format!("line {number}: it is longer than {LINE_MAX} bytes"))
+                }
+                Ok(_) => Ok(line),
+                Err(cause) => Err(format!("line {number}: {cause}")),
+            };
+            let read = match line.and_then(|line| scene::parse_line(number, &line)) {
                 Ok(None) => continue,
                 Ok(Some(mut change)) => {
                     change.stamp_where_none(monotonic_ns());
@@ -141,7 +154,7 @@ impl Feed {
             telemetry: connection.telemetry()?,
             sender: connection.obstacle_sender()?,
             changes: 0,
-            known: 0,
+            known: None,
         })
     }
 
@@ -178,7 +191,7 @@ impl Feed {
                 sent[sent.len() - 1].number
             ),
         };
-        self.known = accepted(&mut self.telemetry, header).with_context(lines)?;
+        self.known = Some(accepted(&mut self.telemetry, header).with_context(lines)?);
         self.changes += sent.len();
         Ok(())
     }
@@ -192,10 +205,12 @@ impl Feed {
     }
 
     fn end(&self, done: Done) -> anyhow::Result<Done> {
-        let (changes, known) = (counted(self.changes, "change"), self.known);
+        let changes = counted(self.changes, "change");
+        let known = (self.known).map(|known| format!(", {known} known to the daemon now"));
         writeln!(
             std::io::stdout(),
-            "obstacles: {changes} accepted, {known} known to the daemon now"
+            "obstacles: {changes} accepted{}",
+            known.unwrap_or_default()
         )?;
         Ok(done)
     }
