@@ -27,7 +27,7 @@ const SMOOTH_SHARE: f64 = 0.003;
 const BOUND_SHARE: f64 = 1e-3;
 
 /// A longer horizon with its own box, obstacles and limits.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Foresight {
     horizon: Option<Horizon>,
     reachable: Reachable,

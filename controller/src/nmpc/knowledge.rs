@@ -7,7 +7,7 @@ use crate::robot::COORDINATES_MAX;
 
 /// Candidate plans. The first is the warm start, which is already the incumbent. The swarm evaluates the
 /// others together with its own particles.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Knowledge {
     candidates: Vec<f64>,
     origins: Vec<Candidate>,

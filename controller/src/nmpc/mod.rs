@@ -94,8 +94,8 @@ pub struct SolveInput<'a> {
 }
 
 /// Nonlinear model predictive control of one robot. The constructor allocates memory for the largest
-/// settings.
-#[derive(Debug, Clone)]
+/// settings, and so does a clone.
+#[derive(Debug)]
 pub struct Nmpc {
     robot: Robot,
     period_s: f64,
@@ -113,6 +113,19 @@ pub struct Nmpc {
     restored_periods: u64,
     solver: Solver,
     foresight: Foresight,
+}
+
+impl Clone for Nmpc {
+    /// A derived clone would lose the capacity of the vectors, and its first solve would allocate.
+    fn clone(&self) -> Self {
+        let simd = self.solver.simd();
+        let mut clone = Self::from_valid(simd, self.robot.clone(), self.period_s, self.settings);
+        clone.acceleration_rad_s2 = self.acceleration_rad_s2;
+        clone.plan.copy_from_slice(&self.plan);
+        clone.warm_plan.copy_from_slice(&self.warm_plan);
+        clone.restored_periods = self.restored_periods;
+        clone
+    }
 }
 
 impl Nmpc {
@@ -136,6 +149,10 @@ impl Nmpc {
         settings: NmpcSettings,
     ) -> Result<Self, SettingsError> {
         settings.validate_with(period_s)?;
+        Ok(Self::from_valid(simd, robot, period_s, settings))
+    }
+
+    fn from_valid(simd: Simd, robot: Robot, period_s: f64, settings: NmpcSettings) -> Self {
         let width = robot.coordinate_count();
         let unknowns = PLAN_MAX.min(width * CONTROL_BLOCKS_MAX);
         let mut nmpc = Self {
@@ -153,7 +170,7 @@ impl Nmpc {
             foresight: Foresight::with_capacity(unknowns),
         };
         nmpc.apply(settings);
-        Ok(nmpc)
+        nmpc
     }
 
     /// Limits the growth of each component's rate to `acceleration_rad_s2` \[rad/s²\], above 0; infinite, the

@@ -38,7 +38,7 @@ const ROUNDING_M: f64 = 1e-9;
 const CONSTRAINT_SCALE: f64 = 1e3;
 
 /// The obstacles within reach of the body over the horizon.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Obstacles {
     reachable: Vec<ReachableObstacle>,
     /// The configuration to which the clearances at the start refer.

@@ -57,7 +57,7 @@ impl<'a> SolveContext<'a> {
     }
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Reachable {
     /// The box of the controls.
     pub bounds: Bounds,

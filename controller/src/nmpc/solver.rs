@@ -37,7 +37,7 @@ pub(super) struct Task<'a> {
 }
 
 /// Solvers that share one incumbent. The constructor allocates memory for the largest problem.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Solver {
     knowledge: Knowledge,
     swarm: Kpso,
@@ -68,6 +68,10 @@ impl Solver {
             free_plan: Vec::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
         }
+    }
+
+    pub(super) fn simd(&self) -> Simd {
+        self.swarm.simd()
     }
 
     /// The best plan of the last solve.

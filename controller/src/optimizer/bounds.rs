@@ -1,5 +1,5 @@
 /// The box of the solution: `lower[i] <= z[i] <= upper[i]`.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Bounds {
     lower: Vec<f64>,
     upper: Vec<f64>,

@@ -20,7 +20,7 @@ pub enum Candidate {
 }
 
 /// The best solution so far. Its cost never increases until a restart or [`Self::replace`].
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Incumbent {
     z: Vec<f64>,
     cost: f64,

@@ -42,14 +42,14 @@ pub(crate) struct KpsoSettings {
 }
 
 /// A particle swarm. The constructor allocates memory for the largest one.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct Kpso {
     simd: Simd,
     layout: SwarmLayout,
 }
 
 /// The particles, by number of lanes.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 enum SwarmLayout {
     #[cfg(any(test, feature = "scalar"))]
     Scalar(Swarm<1>),
@@ -65,6 +65,10 @@ impl Kpso {
             _ => SwarmLayout::Wide(Swarm::with_capacity(size, dimension)),
         };
         Self { simd, layout }
+    }
+
+    pub(crate) fn simd(&self) -> Simd {
+        self.simd
     }
 
     /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
@@ -160,7 +164,7 @@ impl<C: Cost, const W: usize> WithSimd for Search<'_, '_, C, W> {
 }
 
 /// Particles in blocks of W, one in each lane.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 struct Swarm<const W: usize> {
     dimension: usize,
     count: usize,

@@ -15,7 +15,7 @@ pub(crate) struct RowStage {
 }
 
 /// Values with their derivatives.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 struct Rows {
     values: Vec<f64>,
     derivatives: Vec<f64>,
@@ -63,7 +63,7 @@ impl Rows {
 ///
 /// A dense row has a derivative for each unknown. A *staged* row has only the derivatives of its [`RowStage`],
 /// which all blocks it depends on share.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct LinearModel {
     stages: Stages,
     is_staged: bool,

@@ -65,7 +65,10 @@ fn plans_beyond_a_horizon_touch_no_heap() {
             solver,
             ..NmpcSettings::default()
         };
-        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        // A clone has the same capacity, also for horizons longer than the present one.
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings)
+            .unwrap()
+            .clone();
         let (operations, ()) = count_allocations(|| {
             let begin = 5.0_f64.to_radians();
             let mut at =

@@ -81,7 +81,7 @@ impl QuadraticProgram<'_> {
 }
 
 /// Workspace.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct InteriorPoint {
     lower: Vec<ComplementaryPair>,
     upper: Vec<ComplementaryPair>,

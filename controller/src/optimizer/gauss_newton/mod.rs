@@ -53,7 +53,7 @@ pub(crate) struct GaussNewtonOutcome {
 ///
 /// The minimum-norm form has no weight on the unknowns. So the cost can reach zero, and the motion is spread
 /// over all sections.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct GaussNewton {
     model: LinearModel,
     gradient: Vec<f64>,

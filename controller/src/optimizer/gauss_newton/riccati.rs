@@ -20,7 +20,7 @@ const RAISED_SHARE: f64 = 1e-9;
 const FIXED_SHARE: f64 = 1e12;
 
 /// Workspace.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Riccati {
     /// For each block, from rows of the cost: state × state, own × state, own × own, and the linear terms of
     /// both.

@@ -12,7 +12,7 @@ use crate::optimizer::stages::{BLOCKS_MAX, WIDTH_MAX};
 use crate::optimizer::{Budget, LinearModel};
 
 /// Workspace, and the results of the filter for the smoother.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Smoother {
     /// Row indices sorted by block.
     order: Vec<u16>,
