@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 
 use super::reachable::{Reachable, SolveContext};
 use super::solver::{Solver, Task};
-use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport};
-use crate::optimizer::{Budget, GaussNewtonSettings, Incumbent, Problem};
+use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport, SolveStatus};
+use crate::optimizer::{Budget, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Problem};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 
 /// Additional steps beyond the horizon, as a share of it.
@@ -213,10 +213,12 @@ impl Solver {
         self.scratch
             .extend_from_slice(&alternative.z()[..task.problem.dimension()]);
         restart(alternative, task, &self.scratch, budget);
+        let mut refinement = GaussNewtonOutcome::default();
         for _ in 0..settings.steps {
             let before = alternative.cost();
             if before > task.settings.cost_tolerance() {
-                gauss_newton.refine(task.problem, task.bounds, &each, budget, alternative);
+                refinement =
+                    gauss_newton.refine(task.problem, task.bounds, &each, budget, alternative);
             }
             if alternative.cost() >= before {
                 break;
@@ -229,6 +231,13 @@ impl Solver {
         if alternative.cost() <= f64::min(most, report.warm_cost) && !alternative.is_violated() {
             self.incumbent.replace(alternative);
             report.cost = alternative.cost();
+            report.gradient_norm = refinement.gradient_norm;
+            report.status = SolveStatus::from_incumbent(
+                &self.incumbent,
+                task.settings,
+                &refinement,
+                budget.is_spent(),
+            );
         }
     }
 }
@@ -356,6 +365,11 @@ mod tests {
             let (command, report) = nmpc.solve(&input, &mut Budget::unlimited());
             let most = f64::max(without.cost, EQUAL_SHARE * settings.small_cost());
             assert!(report.cost <= f64::min(most, report.warm_cost), "{cycle}");
+            let is_solved = report.cost <= settings.cost_tolerance();
+            assert!(
+                !is_solved || report.status == SolveStatus::Converged,
+                "{cycle}"
+            );
             others += u32::from(nmpc.plan != blind.plan);
             (at, rates) = (at.advanced(&command, 0.005), command);
         }
