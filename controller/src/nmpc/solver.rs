@@ -128,7 +128,9 @@ impl Solver {
             // elsewhere.
             let is_done =
                 !has_tracking_error && refinement.is_some_and(|refined| refined.converged);
-            if searches && refinement.is_some() && self.error_is_late(task, warm_plan, budget) {
+            let is_late =
+                searches && refinement.is_some() && self.error_is_late(task, warm_plan, budget);
+            if is_late {
                 // A later cycle searches if the error stays until it is near.
             } else if searches && refinement.is_some() && has_tracking_error {
                 (iterations, refinement) = self.search_from_warm_start(
@@ -149,9 +151,9 @@ impl Solver {
             if refines && is_new {
                 refinement = Some(self.refine(task, budget));
             }
-            // A search has already tried the escape directions at its start; a late error is left to later cycles.
+            // A search has already tried the escape directions at its start.
             if refines
-                && (is_new || !searches)
+                && (is_new || is_late || !searches)
                 && refinement.is_some_and(|refinement| refinement.is_stationary)
                 && self.escape_stationary_point(task, budget)
             {
