@@ -17,7 +17,8 @@ pub(crate) struct Outlet<T: Message> {
 
 impl<T: Message> Outlet<T> {
     pub(crate) fn open(service: &Channel<T>, sender: Sender) -> Result<Self, LinkError> {
-        let bytes = T::SERVICE.queues().writer_bytes(size_of::<T>());
+        let queues = T::SERVICE.queues();
+        let bytes = queues.writer_bytes(size_of::<T>());
         let publisher = service.make_port(
             T::SERVICE,
             bytes,
@@ -25,6 +26,7 @@ impl<T: Message> Outlet<T> {
                 service
                     .publisher_builder()
                     .backpressure_strategy(BackpressureStrategy::DiscardData)
+                    .override_sample_preallocation(move |_| queues.writer_messages())
                     .create()
             },
             |cause| LinkError::port(T::SERVICE, cause),

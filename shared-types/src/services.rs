@@ -62,11 +62,21 @@ impl QueueLengths {
         self.subscribers - self.kept
     }
 
-    /// Shared memory for one writer's messages \[bytes\]: as many as all readers together can hold, so that the writer
-    /// never waits.
+    /// Messages in the memory of one writer: as many as can be in use at one time, so that a writer always has a free
+    /// one. A message enters the queues of all readers at once, and a full queue drops its oldest. So queues and
+    /// history together contain only the last messages sent; older ones are those that readers hold.
+    pub const fn writer_messages(self) -> usize {
+        let last = if self.queue > self.history {
+            self.queue
+        } else {
+            self.history
+        };
+        last + self.subscribers * Self::HELD + Self::HELD
+    }
+
+    /// Shared memory for one writer's messages \[bytes\].
     pub const fn writer_bytes(self, message_bytes: usize) -> u64 {
-        let messages = self.subscribers * (self.queue + Self::HELD) + self.history + Self::HELD;
-        (messages * message_bytes) as u64
+        (self.writer_messages() * message_bytes) as u64
     }
 }
 
@@ -127,14 +137,14 @@ impl Service {
             // A driver, its replacement, and a tip sensor. Messages are small, so every connected process may read.
             Self::Measurement => (3, Self::NODES + 1, 1, 16, 0),
             Self::Command => (1, Self::NODES + Self::DRIVERS, Self::DRIVERS, 16, 0),
-            // 256 records: 1.28 s at 5 ms. A reader costs 4 MB.
+            // 256 records, 4 MB: 1.28 s at 5 ms.
             Self::Telemetry => (1, 8, 0, 256, 0),
             // Each connection reads it and may have one stream of it; a driver reads it once.
             Self::Status | Self::Control => {
                 let readers = 2 * Self::NODES + Self::DRIVERS;
                 (1, readers, Self::DRIVERS, 2, 1)
             }
-            // Few clients read bad cycles, and each reader costs 64 of them, 1 MB.
+            // Few clients read bad cycles.
             Self::Incidents => (1, 4, 0, INCIDENTS_MAX, INCIDENTS_MAX),
         };
         QueueLengths {

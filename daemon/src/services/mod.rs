@@ -200,12 +200,14 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     robot: &str,
 ) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
     let bytes = shm_space::writer_bytes(service, size_of::<T>());
+    let messages = service.queues().writer_messages();
     with_space(node, service, robot, bytes, || {
         let topic = topic::<T>(node, service, robot)?;
         let create = || {
             topic
                 .publisher_builder()
                 .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .override_sample_preallocation(move |_| messages)
                 .create()
         };
         let is_full = |cause: &_| *cause == PublisherCreateError::ExceedsMaxSupportedPublishers;

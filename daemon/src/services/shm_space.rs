@@ -110,7 +110,7 @@ impl ShmSpace {
 #[cfg(test)]
 mod tests {
     use cdcr_scratch::Scratch;
-    use cdcr_shared_types::Location;
+    use cdcr_shared_types::{Location, QueueLengths};
 
     use super::super::{Ports, ServiceError, incidents, node, publisher, telemetry};
     use super::*;
@@ -137,6 +137,40 @@ mod tests {
             (taken_bytes..taken_bytes + taken_bytes / 20).contains(&said),
             "{said} said, {taken_bytes} taken"
         );
+    }
+
+    #[test]
+    fn a_writer_always_has_memory_whatever_its_readers_keep() {
+        let folder = Scratch::in_memory().unwrap();
+        let location = Location::new("cdcrtest_keep_", &folder.path().join("root")).unwrap();
+        let node = node(&location).unwrap();
+        let writer = incidents(&node, "cdcr").unwrap();
+        let name = Service::Incidents.name("cdcr").unwrap();
+        let service = node.service_builder(&name).publish_subscribe::<Incident>();
+        let service = service.open().unwrap();
+        let reader = || service.subscriber_builder().create().unwrap();
+        let queues = Service::Incidents.queues();
+        let mut readers: Vec<_> = (0..queues.subscribers)
+            .map(|_| (reader(), Vec::new()))
+            .collect();
+        for sequence in 1..=6 * queues.queue as u64 {
+            let mut incident = Incident::default();
+            incident.header.sequence = sequence;
+            assert!(writer.send_copy(incident).is_ok(), "message {sequence}");
+            // The first one never reads, the next ones keep the oldest that they get, the last one is replaced.
+            for (pace, (reader, held)) in (3..).zip(&mut readers[1..]) {
+                if sequence % (pace * 13) == 0 && held.len() == QueueLengths::HELD {
+                    held.remove(0);
+                }
+                if held.len() < QueueLengths::HELD {
+                    held.extend(reader.receive().unwrap());
+                }
+            }
+            if sequence % 50 == 0 {
+                readers.pop();
+                readers.push((reader(), Vec::new()));
+            }
+        }
     }
 
     #[test]

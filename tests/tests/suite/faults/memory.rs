@@ -24,7 +24,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
         return;
     }
     // Slightly and much too small; the default of many containers is large enough.
-    for kilobytes in [4, 16, 1_000, 30_000] {
+    for kilobytes in [4, 16, 1_000, 5_000] {
         if !mount_memory(&format!("size={kilobytes}k")) {
             return;
         }
