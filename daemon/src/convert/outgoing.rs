@@ -73,6 +73,7 @@ macro_rules! assign_all {
         let wire::Telemetry {
             header: _, command: _, scheduling: _, events: _, event_count: _, // in the reporter
             obstacles: _, bend_rad: _, commanded_rad: _, present_rad: _, motor_rad: _, previous_rate_rad_s: _,
+            warm_plan: _, plan: _,
             $($field: _,)*
         } = $telemetry;
         $($telemetry.$field = $value;)*
@@ -93,6 +94,16 @@ pub fn fill_telemetry(
     }
     for (target, known) in telemetry.obstacles.iter_mut().zip(record.obstacles.iter()) {
         *target = obstacle_to_wire(known);
+    }
+    // Plans have room for the longest horizon, of which few cycles use more than a part.
+    let length = record.plan_length;
+    let left_over = length..length.max(telemetry.plan_length as usize);
+    for (from, to) in [
+        (&record.warm_plan, &mut telemetry.warm_plan),
+        (&record.plan, &mut telemetry.plan),
+    ] {
+        copy(&from[..length], to);
+        to[left_over.clone()].fill(0.0);
     }
     for (from, to) in [
         (&record.configuration, &mut telemetry.bend_rad),
@@ -158,8 +169,6 @@ pub fn fill_telemetry(
         tip_margin_m = record.tip_margin_m,
         miss_limit = record.policy.miss_limit,
         plan_length = record.plan_length as u32,
-        warm_plan = record.warm_plan,
-        plan = record.plan,
         report = report(&record.report),
         reference = reference(&record.reference),
         approach = approach(&record.approach),
