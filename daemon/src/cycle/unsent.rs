@@ -101,7 +101,9 @@ impl Cycle {
     /// brought the robot to rest: rates grow from zero, and no ramp begins again.
     pub(super) fn rest_if_run_out(&mut self, elapsed_ns: u64) {
         let is_held_up = self.has_stale_inputs() || self.sent_runs_out(0);
-        if is_held_up || elapsed_ns > self.policy.command_valid_ns.max(self.period_ns) {
+        // The driver stops at the end of the validity, and the next command arrives after that.
+        let has_stalled = elapsed_ns > self.period_ns && elapsed_ns >= self.policy.command_valid_ns;
+        if is_held_up || has_stalled {
             self.rates = BendRates::zero(self.robot.section_count());
         }
     }

@@ -10,8 +10,8 @@ use super::{DIRECT, MOST_RAD_S2, bits, is_at_rest};
 use crate::config::Interface;
 
 const BOTH: [Interface; 2] = [Interface::Position, Interface::Velocity];
-/// Releases without a cycle, longer than a command is valid.
-const STALL: u32 = 10;
+/// Releases without a cycle: the next one is exactly when a command runs out, and long after.
+const STALLS: [u32; 2] = [2, 10];
 
 fn fastest(rates: &BendRates) -> f64 {
     let rates = rates.as_slice().iter();
@@ -30,13 +30,15 @@ fn moving(interface: Interface) -> Trial {
 #[test]
 fn rates_grow_from_rest() {
     for interface in BOTH {
-        let mut trial = moving(interface);
-        // Within its validity, the last command continues.
-        assert!(fastest(&trial.cycle(1).rates) > 1.5);
-        let record = trial.cycle(STALL);
-        assert!(matches!(record.mode, Mode::Tracking { .. }));
-        assert_eq!(fastest(&record.previous_rates), 0.0);
-        assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
+        for stall in STALLS {
+            let mut trial = moving(interface);
+            // Within its validity, the last command continues.
+            assert!(fastest(&trial.cycle(1).rates) > 1.5);
+            let record = trial.cycle(stall);
+            assert!(matches!(record.mode, Mode::Tracking { .. }));
+            assert_eq!(fastest(&record.previous_rates), 0.0, "{interface:?}, {stall}");
+            assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
+        }
     }
 }
 
@@ -83,8 +85,10 @@ fn a_ramp_does_not_begin_again_while_the_exchange_is_held_up() {
 #[test]
 fn a_ramp_does_not_begin_again() {
     for interface in BOTH {
-        let mut trial = moving(interface);
-        assert!(!is_at_rest(&trial.ask(Request::Stop)));
-        assert!(is_at_rest(&trial.cycle(STALL)));
+        for stall in STALLS {
+            let mut trial = moving(interface);
+            assert!(!is_at_rest(&trial.ask(Request::Stop)));
+            assert!(is_at_rest(&trial.cycle(stall)), "{interface:?}, {stall}");
+        }
     }
 }

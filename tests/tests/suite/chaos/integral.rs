@@ -152,7 +152,8 @@ impl Integral {
         };
         let valid_ns = valid_ns(record);
         let waits = stale_ns > 0 && is_by_driver(record);
-        let must_rest = record.elapsed_ns > valid_ns || waits && stale_ns > valid_ns;
+        let has_stalled = record.elapsed_ns > record.period_ns && record.elapsed_ns >= valid_ns;
+        let must_rest = has_stalled || waits && stale_ns > valid_ns;
         let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
         let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
         let runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > valid_ns;
@@ -269,7 +270,8 @@ mod tests {
         assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
         let early = |record: &mut Telemetry| record.previous_rate_rad_s.fill(0.0);
         assert!(line.next(0.005, 1.0, early).is_err());
-        let stall = |record: &mut Telemetry| record.elapsed_ns = 4 * T_NS;
+        // Exactly as long as a command is valid.
+        let stall = |record: &mut Telemetry| record.elapsed_ns = 3 * T_NS;
         assert!(line.next(0.02, 1.0, stall).is_err());
         let stall = |record: &mut Telemetry| {
             stall(record);
