@@ -75,35 +75,37 @@ impl Cycle {
         self.stale_ns > self.policy.stale_inputs_max_ns
     }
 
-    /// Advances the state by the commands sent. Until the inputs count as stale, commands may still have been
-    /// sent: only the gather was late. A robot that has come to rest keeps its commanded position.
+    /// Advances the state by the commands sent. In a first cycle with old inputs, the gather alone may be late.
+    /// In the next one the exchange has stood still for a period, and nothing was sent.
     pub(super) fn move_on(&mut self, elapsed_ns: u64) {
-        let runs_out = !self.sent_runs_out(0) && self.sent_runs_out(elapsed_ns);
-        if self.stale_ns == self.period_ns || runs_out && self.is_at_rest() {
+        if self.stale_ns == self.period_ns {
             self.last_sent.note(&self.state, &self.rates);
         }
         self.last_sent.elapsed_ns += elapsed_ns;
-        if self.has_stale_inputs() {
+        if self.is_behind_exchange() && self.stale_ns > self.period_ns {
             self.last_sent.obey_alone(&mut self.state);
         } else {
             self.state.move_on(&self.rates, elapsed_ns);
         }
     }
 
-    /// While the exchange is held up: the last command sent runs out before the next release, `more_ns` from
-    /// now. A command that leaves by then finds the robot at rest.
-    fn sent_runs_out(&self, more_ns: u64) -> bool {
-        let until_ns = self.last_sent.elapsed_ns + more_ns + self.period_ns;
-        self.stale_ns > 0 && until_ns > self.policy.stale_inputs_max_ns
+    /// Inputs and commands pass the exchange; a simulated robot is measured and commanded in the cycle.
+    fn is_behind_exchange(&self) -> bool {
+        self.policy.stale_inputs_max_ns < u64::MAX
     }
 
-    /// After a stall, or while the exchange is held up, the last command has run out, and the driver has
-    /// brought the robot to rest: rates grow from zero, and no ramp begins again.
+    /// After a stall, or while the exchange is held up, the robot has come to rest by itself before this
+    /// command arrives: rates grow from zero, and no ramp begins again.
     pub(super) fn rest_if_run_out(&mut self, elapsed_ns: u64) {
-        let is_held_up = self.has_stale_inputs() || self.sent_runs_out(0);
-        // The driver stops at the end of the validity, and the next command arrives after that.
-        let has_stalled = elapsed_ns > self.period_ns && elapsed_ns >= self.policy.command_valid_ns;
-        if is_held_up || has_stalled {
+        let rests_after_ns = self.policy.rests_after_ns(self.period_ns);
+        // At the end of the validity the driver stops, and the next command arrives after that.
+        let runs_out = elapsed_ns >= self.policy.command_valid_ns || elapsed_ns > rests_after_ns;
+        let has_stalled = elapsed_ns > self.period_ns && runs_out;
+        // A command that waits for the exchange leaves before the next release.
+        let leaves_ns = self.last_sent.elapsed_ns + self.period_ns;
+        let is_held_up =
+            self.is_behind_exchange() && self.stale_ns > 0 && leaves_ns > rests_after_ns;
+        if has_stalled || is_held_up || self.has_stale_inputs() {
             self.rates = BendRates::zero(self.robot.section_count());
         }
     }

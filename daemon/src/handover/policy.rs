@@ -101,6 +101,15 @@ impl Policy {
         })
     }
 
+    /// Time since a command after which the robot rests, if no other follows \[ns\]. Motors that obey positions
+    /// reach their target after a period; the motors do not notice one missed period.
+    pub fn rests_after_ns(&self, period_ns: u64) -> u64 {
+        match self.interface {
+            Interface::Position => self.command_valid_ns.min(2 * period_ns),
+            Interface::Velocity => self.command_valid_ns,
+        }
+    }
+
     pub fn limits(&self) -> Limits {
         Limits {
             deadline_ns: self.deadline_ns,

@@ -6,8 +6,8 @@
 //! - Control begins at the present position of the robot: at the first measurement (`measurement_state`), and
 //!   after a latched mode (`mode`, `control_begins`). This includes a lost measurement and a change of
 //!   drivers, because both lead through Faulted.
-//! - When inputs are stale (`timing_flags`) for longer than a command is valid, no command leaves the daemon:
-//!   the robot obeyed the last command before. A robot at rest by then stays at rest.
+//! - When inputs are stale (`timing_flags`) for more than a period, no command has left the daemon meanwhile:
+//!   the robot obeyed the last command before.
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementKind, MeasurementState, Mode, timing};
@@ -113,23 +113,14 @@ impl Integral {
             (true, Some(_)) => self.stale_ns.map(|stale_ns| stale_ns + record.period_ns),
         };
         let (stale_ns, before) = (self.stale_ns?, before?);
-        let valid_ns = valid_ns(record);
-        let has_run_out = stale_ns > valid_ns && is_by_driver(record);
-        // Before the next release.
-        let runs_out = self.sent.is_some_and(|sent| {
-            let until_ns = sent.elapsed_ns + record.period_ns;
-            (until_ns..until_ns + record.elapsed_ns).contains(&valid_ns)
-                && is_stale
-                && is_by_driver(record)
-        });
-        let rests = largest(&before.command.bend_rate_rad_s) == 0.0;
-        if stale_ns == record.period_ns || runs_out && rests {
+        let is_unsent = stale_ns > record.period_ns && is_by_driver(record);
+        if stale_ns == record.period_ns {
             self.sent = Some(Obeyed::new(before));
         }
         if let Some(sent) = &mut self.sent {
             sent.elapsed_ns += record.elapsed_ns;
         }
-        let obeyed = if has_run_out {
+        let obeyed = if is_unsent {
             self.sent?
         } else {
             Obeyed {
@@ -141,7 +132,7 @@ impl Integral {
         Some(obeyed.leads_to(if obeys_positions {
             record.period_ns
         } else {
-            valid_ns
+            valid_ns(record)
         }))
     }
 
@@ -152,11 +143,18 @@ impl Integral {
         };
         let valid_ns = valid_ns(record);
         let waits = stale_ns > 0 && is_by_driver(record);
-        let has_stalled = record.elapsed_ns > record.period_ns && record.elapsed_ns >= valid_ns;
+        let obeys_positions = record.command.interface == Interface::Position.code();
+        let rests_after_ns = if obeys_positions {
+            valid_ns.min(2 * record.period_ns)
+        } else {
+            valid_ns
+        };
+        let runs_out = record.elapsed_ns >= valid_ns || record.elapsed_ns > rests_after_ns;
+        let has_stalled = record.elapsed_ns > record.period_ns && runs_out;
         let must_rest = has_stalled || waits && stale_ns > valid_ns;
         let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
         let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
-        let runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > valid_ns;
+        let runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns;
         let may_rest = must_rest || waits && self.sent.is_some_and(runs_out);
         ensure(rests && may_rest || goes_on && !must_rest, || {
             "the previous rates are not those of the command before".to_owned()
@@ -334,41 +332,35 @@ mod tests {
 
     #[test]
     fn commands_that_did_not_leave_move_it_as_long_as_they_are_valid() {
-        // Delayed for as long as a command is valid: the position follows its rate and those after it.
-        let hold_up = |interface| {
-            let (mut line, mut at_rad) = (Line::new(interface), 0.0);
-            assert_eq!(line.next(at_rad, 1.0, |_| {}), Ok(()));
-            for _ in 0..3 {
-                at_rad += 0.005;
-                let is_last = at_rad > 0.012;
-                assert_eq!(
-                    line.next(at_rad, 1.0, if is_last { rests } else { stale }),
-                    Ok(())
-                );
-            }
-            (line, at_rad)
-        };
+        // The gather alone is late, then the exchange: the robot obeys the last command that left.
         let obeyed = [
-            (Interface::Position, 5e6 * 1e-9),
-            (Interface::Velocity, 15e6 * 1e-9),
+            (Interface::Position, [5e6 * 1e-9; 3]),
+            (Interface::Velocity, [5e6, 10e6, 15e6].map(|ns| ns * 1e-9)),
         ];
-        for (interface, end_rad) in obeyed {
-            let (mut line, _) = hold_up(interface);
+        let hold_up = |interface, led_rad: [f64; 3]| {
+            let mut line = Line::new(interface);
+            assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
+            for (i, led_rad) in led_rad.into_iter().enumerate() {
+                let change = if i == 2 { rests } else { stale };
+                assert_eq!(line.next(led_rad, 1.0, change), Ok(()));
+            }
+            (line, led_rad[2])
+        };
+        for (interface, led_rad) in obeyed {
+            let (mut line, end_rad) = hold_up(interface, led_rad);
             assert_eq!(line.next(end_rad, 0.5, rests), Ok(()));
             assert_eq!(line.next(end_rad, 0.5, rests), Ok(()));
             assert_eq!(line.next(end_rad + 0.5 * 0.005, 0.0, |_| {}), Ok(()));
-            let (mut line, at_rad) = hold_up(interface);
-            assert!(line.next(at_rad + 0.005, 0.5, rests).is_err());
+            let (mut line, end_rad) = hold_up(interface, led_rad);
+            assert!(line.next(end_rad + 0.005, 0.5, rests).is_err());
         }
-        // A robot at rest when the commands expire stays there; a simulated one was measured meanwhile.
+        // A robot that is commanded to rest meanwhile returns there; a simulated one was measured meanwhile.
         let mut line = Line::new(Interface::Position);
         assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
-        assert_eq!(line.next(0.005, 1.0, stale), Ok(()));
-        assert_eq!(line.next(0.01, 0.0, stale), Ok(()));
-        for _ in 0..2 {
-            assert_eq!(line.next(0.01, 0.0, stale), Ok(()));
+        for rate_rad_s in [1.0, 0.0, 0.0, 0.0] {
+            assert_eq!(line.next(0.005, rate_rad_s, stale), Ok(()));
         }
-        let (mut line, at_rad) = hold_up(Interface::Position);
+        let (mut line, at_rad) = hold_up(obeyed[0].0, obeyed[0].1);
         let simulated = |record: &mut Telemetry| {
             stale(record);
             record.measurement.measured_ns = 9 * T_NS;
