@@ -6,6 +6,7 @@
 //! cycle; outputs are a mode and a command inside every limit that moves the body no closer to an obstacle
 //! than allowed.
 
+mod bend_limit;
 mod bucket;
 mod clearance;
 mod command;
@@ -19,6 +20,7 @@ mod play;
 mod projection;
 mod ramp;
 
+pub use bend_limit::BendLimitWatch;
 pub use bucket::LeakyBucket;
 pub use command::{Lag, SafeCommand, Situation, safe_command};
 pub use common_mode::CommonModeWatch;

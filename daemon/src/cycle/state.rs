@@ -2,15 +2,13 @@ use cdcr_controller::estimator::{Estimator, Measurement, Slack};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{
-    CommonModeWatch, FollowingWatch, MeasurementWatch, Plausibility, Reason,
+    BendLimitWatch, CommonModeWatch, FollowingWatch, MeasurementWatch, Plausibility, Reason,
 };
 use nalgebra::Vector3;
 
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
-/// A measured bend this far beyond its limit is not yet a fault \[rad\]: sensor noise.
-const BEND_TOLERANCE_RAD: f64 = 0.05;
 /// Motors within this distance of the end of their motion have arrived \[rad\].
 const ARRIVED_RAD: f64 = 1e-3;
 /// Bends all below this count as straight at once \[rad\].
@@ -37,6 +35,7 @@ pub(super) struct RobotState {
     last_tip_ns: u64,
     /// Number of tip sensors so far.
     tip_sensors: u64,
+    bend_limit: BendLimitWatch,
     /// The tip measurement froze or jumped too often: it is not used until control begins again or another
     /// sensor takes over.
     tip_is_wrong: bool,
@@ -83,6 +82,7 @@ impl RobotState {
             last_measured_ns: 0,
             last_gather_ns: 0,
             unmeasured_ns: 0,
+            bend_limit: BendLimitWatch::new(0.5 * policy.plausibility.jump_rad, initial),
             straight_ns: 0,
             measurement_fault: None,
         }
@@ -209,6 +209,7 @@ impl RobotState {
     /// corrects it, so that the tip does not jump.
     pub(super) fn measure_tip(
         &mut self,
+            self.bend_limit.measured(measured, measured_ns);
         measurement: Option<TimedMeasurement>,
         tip_sensors: u64,
         release_ns: u64,
@@ -373,11 +374,11 @@ impl RobotState {
         if !estimate.is_finite() {
             return Some(Reason::NonFinite);
         }
-        let at = self.measured.as_ref().unwrap_or(estimate);
-        let mut sections = self.robot.sections().iter().enumerate();
-        let beyond = sections
-            .any(|(index, section)| at.bend_rad(index) > section.bend_max_rad + BEND_TOLERANCE_RAD);
-        beyond.then_some(Reason::LimitBroken)
+        let is_beyond = match self.measured {
+            Some(_) => self.bend_limit.is_broken(&self.robot),
+            None => BendLimitWatch::is_beyond(&self.robot, estimate),
+        };
+        is_beyond.then_some(Reason::LimitBroken)
     }
 }
 

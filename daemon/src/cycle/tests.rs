@@ -1,6 +1,7 @@
 //! Cycles of a robot that differs from its model.
 
 mod approach;
+mod bend_limit;
 mod common_mode;
 mod core_budget;
 mod lead;

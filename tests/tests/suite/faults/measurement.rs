@@ -400,6 +400,12 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
                 (r.measurement.bend_rad[0] - bend_rad).abs() < 1e-9
             });
         }
+        // The average over 0.1 s follows.
+        let mut records = 0;
+        measured_at(&mut trail, &robot, bend_rad, |_| {
+            records += 1;
+            records > 100
+        });
         ask_for(&connection, RequestKind::Reset);
         trail.until("holding", is(Mode::Holding));
         Some(())

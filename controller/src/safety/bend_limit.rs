@@ -1,0 +1,68 @@
+use crate::robot::{Configuration, Robot};
+
+/// A bend this far beyond its limit is not yet a fault \[rad\].
+const TOLERANCE_RAD: f64 = 0.05;
+/// Time over which measured bends are averaged \[s\].
+const AVERAGE_S: f64 = 0.1;
+/// Longest time between two measurements that counts \[s\]: after a pause, one of them is not yet the average.
+const GAP_MAX_S: f64 = 0.01;
+
+/// Supervision of the measured bends against the limits of their sections. Noise of the sensors is averaged.
+#[derive(Debug, Clone, Copy)]
+pub struct BendLimitWatch {
+    /// Noise of a measured bend that is no fault \[rad\].
+    noise_rad: f64,
+    measured: Configuration,
+    average: Configuration,
+    /// Duration of the measurements \[s\].
+    seen_s: f64,
+    last_ns: Option<u64>,
+}
+
+impl BendLimitWatch {
+    /// Measured bends of a robot at `at` may be up to `noise_rad` \[rad\] beside the true ones.
+    pub fn new(noise_rad: f64, at: Configuration) -> Self {
+        Self {
+            noise_rad,
+            measured: at,
+            average: at,
+            seen_s: 0.0,
+            last_ns: None,
+        }
+    }
+
+    /// Takes a measurement that is newer than all before.
+    pub fn measured(&mut self, measured: &Configuration, measured_ns: u64) {
+        let last_ns = self.last_ns.replace(measured_ns).unwrap_or(measured_ns);
+        let elapsed_s = (measured_ns.saturating_sub(last_ns) as f64 * 1e-9).min(GAP_MAX_S);
+        self.seen_s += elapsed_s;
+        let most_s = self.seen_s.min(AVERAGE_S + elapsed_s);
+        let gain = if most_s > 0.0 {
+            elapsed_s / most_s
+        } else {
+            1.0
+        };
+        self.measured = *measured;
+        let pairs = self.average.as_mut_slice().iter_mut();
+        for (average, measured) in pairs.zip(measured.as_slice()) {
+            *average += gain * (measured - *average);
+        }
+    }
+
+    /// Whether a measured bend is beyond its limit: on average by more than 0.05 rad, or by as much plus the noise now.
+    pub fn is_broken(&self, robot: &Robot) -> bool {
+        let has_average = self.seen_s >= AVERAGE_S;
+        is_beyond(robot, &self.measured, self.noise_rad)
+            || has_average && Self::is_beyond(robot, &self.average)
+    }
+
+    /// Whether a bend without noise is beyond its limit by more than 0.05 rad.
+    pub fn is_beyond(robot: &Robot, at: &Configuration) -> bool {
+        is_beyond(robot, at, 0.0)
+    }
+}
+
+fn is_beyond(robot: &Robot, at: &Configuration, noise_rad: f64) -> bool {
+    let mut sections = robot.sections().iter().enumerate();
+    sections.any(|(j, section)| at.bend_rad(j) > section.bend_max_rad + TOLERANCE_RAD + noise_rad)
+}
