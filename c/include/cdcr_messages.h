@@ -994,8 +994,8 @@ typedef struct CdcrTelemetry {
     double play_m;
     /* 15328: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15336: 1: yes, 0: no. 1 where a latched mode was left and the robot has not come to rest since: a following
-     * error is no fault then. */
+    /* 15336: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+     * fault then. */
     uint32_t control_begins;
     /* 15340: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;

@@ -286,7 +286,7 @@ message! {
         play_m: f64,
         /// A reference farther from the tip than this is not approached \[m\]; infinite: it is, from anywhere.
         approach_distance_m: f64,
-        /// 1 where a latched mode was left and the robot has not come to rest since: a following error is no fault then.
+        /// 1 where a latched mode was left and control has not begun since: a following error is no fault then.
         control_begins: u32 [yes],
         /// Number of the reference lease: counted as leases are acquired. Tracking ends where it changes.
         lease_number: u32,

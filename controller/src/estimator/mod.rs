@@ -160,6 +160,11 @@ impl Estimator {
         &self.stages[STAGES - 1]
     }
 
+    /// The same by the last measurement alone, unfiltered.
+    pub fn motors_measured(&self) -> &Configuration {
+        &self.measured
+    }
+
     /// State of the cables' play at [`Self::motors`]; `None`: no play.
     pub fn commanded_slack(&self) -> Option<&Slack> {
         self.motors.commanded_slack()

@@ -71,7 +71,7 @@ pub enum Mode {
     /// Before the first good cycle.
     #[default]
     Starting,
-    /// At rest, or on the ramp to it.
+    /// At rest, or on the ramp to it; after a reset, a commanded position first moves to the robot.
     Holding {
         /// Why.
         reason: Reason,
@@ -101,7 +101,8 @@ impl Mode {
         matches!(self, Self::Stopped { .. } | Self::Faulted { .. })
     }
 
-    /// Whether the robot rests in this mode, or comes to rest: nothing may increase its rates.
+    /// Whether the robot rests in this mode, or comes to rest: nothing may increase its rates, except where a
+    /// commanded position moves to the robot after a reset.
     pub fn comes_to_rest(&self) -> bool {
         !matches!(self, Self::Tracking { .. } | Self::Homing)
     }

@@ -20,7 +20,7 @@ mod warm_up;
 use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{FollowedReference, GridPoint};
-use cdcr_controller::robot::{BendRates, Obstacle, Robot};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
 use cdcr_controller::safety::{Mode, ModeMachine, Reason, homing_rates, ramp_to_zero};
 
 use crate::accounting::Accounting;
@@ -251,7 +251,8 @@ impl Cycle {
         self.solve_until_ns = 0;
         let (mut desired_rates, report) =
             self.desired_rates(&release, inputs, elapsed_ns, costs, clock);
-        let comes_to_rest = self.modes.mode().comes_to_rest();
+        let comes_to_rest =
+            self.modes.mode().comes_to_rest() && self.way_to_begin(inputs).is_none();
         if report.status == SolveStatus::NonFinite {
             // The solve found a fault.
             desired_rates = self.ramp();
@@ -358,14 +359,22 @@ impl Cycle {
     }
 
     /// Restarts control after a latched mode. The robot first completes its ramp, and lagging motors complete
-    /// their motion, unless a request to move comes earlier.
+    /// their motion, unless a request to move comes earlier. A commanded position elsewhere then moves to the robot.
     fn begin_control(&mut self, was_latched: bool) {
         let mode = self.modes.mode();
         self.control_begins = (self.control_begins || was_latched) && !mode.is_latched();
         if !self.control_begins {
+            self.state.give_up_way();
             return;
         }
         if self.is_at_rest() && self.state.has_arrived() {
+            if self.state.is_commanded_elsewhere() {
+                // From the next cycle on, whose record states that control begins.
+                if !was_latched {
+                    self.state.set_out();
+                }
+                return;
+            }
             self.control_begins = false;
             self.state.take_control();
             self.rehearsed.take_control();
@@ -380,6 +389,13 @@ impl Cycle {
         }
     }
 
+    /// The commanded position, seen from where control begins, while it moves there.
+    fn way_to_begin(&self, inputs: &CycleInputs) -> Option<Configuration> {
+        let waits = self.has_stale_inputs() || inputs.obstacle_source_silent;
+        let holds = matches!(self.modes.mode(), Mode::Holding { .. }) && !waits;
+        self.state.way_to_begin().filter(|_| holds)
+    }
+
     fn desired_rates(
         &mut self,
         release: &Release,
@@ -388,24 +404,30 @@ impl Cycle {
         costs: Costs,
         clock: &impl Clock,
     ) -> (BendRates, SolveReport) {
-        let period_s = self.period_ns as f64 * 1e-9;
         let rates = match self.modes.mode() {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, costs, clock),
-            Mode::Homing => homing_rates(
-                &self.robot,
-                self.state.configuration(),
-                &self.rates,
-                self.policy.home_rate_rad_s,
-                self.policy.acceleration_rad_s2 * period_s,
-                period_s,
-            ),
+            Mode::Homing => self.rates_home(self.state.configuration()),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {
-                self.ramp()
+                let way = self.way_to_begin(inputs);
+                way.map_or_else(|| self.ramp(), |way| self.rates_home(&way))
             }
         };
         self.nmpc.forget_plan();
         self.followed.forget();
         (rates, SolveReport::default())
+    }
+
+    /// The next rates on the straight line from `from` to zero.
+    fn rates_home(&self, from: &Configuration) -> BendRates {
+        let period_s = self.period_ns as f64 * 1e-9;
+        homing_rates(
+            &self.robot,
+            from,
+            &self.rates,
+            self.policy.home_rate_rad_s,
+            self.policy.acceleration_rad_s2 * period_s,
+            period_s,
+        )
     }
 
     /// The next rates of the ramp to rest.

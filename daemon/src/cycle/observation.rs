@@ -36,9 +36,11 @@ impl Cycle {
         if self.followed.is_replaced(&inputs.window) && self.state.is_too_far(reference) {
             return Some(Reason::ReferenceTooFar);
         }
-        inputs
-            .obstacle_source_silent
-            .then_some(Reason::ObstacleSourceSilent)
+        if inputs.obstacle_source_silent {
+            return Some(Reason::ObstacleSourceSilent);
+        }
+        let begins = self.modes.mode().is_latched() || self.control_begins;
+        (begins && self.state.is_commanded_elsewhere()).then_some(Reason::FollowingError)
     }
 
     fn fault(&self, measurement: Option<TimedMeasurement>) -> Option<Reason> {

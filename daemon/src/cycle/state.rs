@@ -9,6 +9,9 @@ use nalgebra::Vector3;
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
+/// Commanded positions within this distance of the measured one stay when control begins \[rad\]: zero and load
+/// of motors and encoders. A driver accepts such a first position.
+const BESIDE_RAD: f64 = 0.05;
 /// Motors within this distance of the end of their motion have arrived \[rad\].
 const ARRIVED_RAD: f64 = 1e-3;
 /// Bends all below this count as straight at once \[rad\].
@@ -27,15 +30,20 @@ pub(super) struct RobotState {
     /// Commanded position: while the robot is in control, only the commanded rates change it. A robot with
     /// the position interface receives it.
     pub(super) commanded: Configuration,
+    /// Number of drivers so far, and whether control has not begun since the last one came: it does not yet obey.
+    drivers: u64,
+    is_driver_new: bool,
+    /// Where control begins, while the commanded position is on its way there.
+    begins_at: Option<Configuration>,
     pub(super) following: FollowingWatch,
     pub(super) plausibility: MeasurementWatch,
     common_mode: CommonModeWatch,
+    bend_limit: BendLimitWatch,
     /// Of the tip, measured in addition to bends or cables.
     pub(super) tip_plausibility: MeasurementWatch,
     last_tip_ns: u64,
     /// Number of tip sensors so far.
     tip_sensors: u64,
-    bend_limit: BendLimitWatch,
     /// The tip measurement froze or jumped too often: it is not used until control begins again or another
     /// sensor takes over.
     tip_is_wrong: bool,
@@ -71,9 +79,13 @@ impl RobotState {
             estimator,
             present: initial,
             commanded: initial,
+            drivers: 0,
+            is_driver_new: false,
+            begins_at: None,
             following: FollowingWatch::new(policy.following, obeys_positions, initial),
             plausibility: MeasurementWatch::new(policy.plausibility),
             common_mode: CommonModeWatch::new(policy.cable_common_m),
+            bend_limit: BendLimitWatch::new(0.5 * policy.plausibility.jump_rad, initial),
             tip_plausibility: MeasurementWatch::new(policy.plausibility),
             last_tip_ns: 0,
             tip_sensors: 0,
@@ -82,7 +94,6 @@ impl RobotState {
             last_measured_ns: 0,
             last_gather_ns: 0,
             unmeasured_ns: 0,
-            bend_limit: BendLimitWatch::new(0.5 * policy.plausibility.jump_rad, initial),
             straight_ns: 0,
             measurement_fault: None,
         }
@@ -195,10 +206,13 @@ impl RobotState {
         if is_first {
             // A tip offset measured earlier was relative to assumed bends.
             self.estimator.forget_tip_offset();
+            // No command has been sent.
+            self.is_driver_new = true;
             self.take_control();
         }
         if let Some(measured) = &self.measured {
             self.following.measured(&self.robot, measured);
+            self.bend_limit.measured(measured, measured_ns);
         }
         MeasurementUse::Used
     }
@@ -209,7 +223,6 @@ impl RobotState {
     /// corrects it, so that the tip does not jump.
     pub(super) fn measure_tip(
         &mut self,
-            self.bend_limit.measured(measured, measured_ns);
         measurement: Option<TimedMeasurement>,
         tip_sensors: u64,
         release_ns: u64,
@@ -286,29 +299,78 @@ impl RobotState {
         }
     }
 
+    /// The motors are where the commanded position leads, or on their way there.
+    fn obeys_positions(&self) -> bool {
+        self.policy.interface == Interface::Position && !self.is_driver_new
+    }
+
+    fn measured_place(&self) -> Configuration {
+        self.measured.unwrap_or(*self.estimator.motors())
+    }
+
     /// Begins control at the robot's position: at the first measurement, and after a latched mode, in which
-    /// the robot may have been moved by hand.
+    /// the robot may have been moved by hand. A driver that obeys positions keeps its commanded position.
     pub(super) fn take_control(&mut self) {
-        let here = self.measured.unwrap_or(*self.estimator.motors());
-        self.following.begin(here);
+        let here = self.measured_place();
         self.estimator.begin(here);
         self.begin_at(here);
+        self.following.begin(self.commanded);
     }
 
     /// Begins control while the motors still move: at the end of their motion, computed from the measured
     /// positions.
     pub(super) fn take_control_moving(&mut self) {
         self.estimator.begin_moving();
-        let end = *self.estimator.motors();
-        self.following.begin_moving(end);
-        self.begin_at(end);
+        self.begin_at(*self.estimator.motors());
+        self.following.begin_moving(self.commanded);
     }
 
     fn begin_at(&mut self, at: Configuration) {
-        self.commanded = at;
+        if !self.obeys_positions() {
+            self.commanded = at;
+        }
+        self.begins_at = None;
+        self.is_driver_new = false;
         self.present = self.estimator.present();
         self.common_mode.begin();
         self.trust_tip();
+    }
+
+    /// Control may begin after a latched mode only when the commanded position has moved to the robot.
+    pub(super) fn is_commanded_elsewhere(&self) -> bool {
+        self.obeys_positions()
+            && match &self.begins_at {
+                Some(begins_at) => is_apart(&self.commanded, begins_at, HOME_EXACT_RAD),
+                // One measurement may be noise, and the average is late.
+                None => [self.estimator.motors_measured(), self.estimator.motors()]
+                    .iter()
+                    .all(|at| is_apart(&self.commanded, at, BESIDE_RAD)),
+            }
+    }
+
+    /// Sets where control begins to the present place of the robot, for the whole way there: a measurement
+    /// that is wrong by a constant moves along with the robot.
+    pub(super) fn set_out(&mut self) {
+        let here = self.measured_place();
+        self.begins_at.get_or_insert(here);
+    }
+
+    /// The way to that place ends where the commanded position is.
+    pub(super) fn give_up_way(&mut self) {
+        self.begins_at = None;
+    }
+
+    /// Commanded position, seen from where control begins, zero on arrival; `None` if it is not on its way there.
+    pub(super) fn way_to_begin(&self) -> Option<Configuration> {
+        let begins_at = self.begins_at?;
+        if !self.is_commanded_elsewhere() {
+            return Some(Configuration::straight(self.robot.section_count()));
+        }
+        let mut way = self.commanded;
+        for (way, begin) in way.as_mut_slice().iter_mut().zip(begins_at.as_slice()) {
+            *way -= begin;
+        }
+        Some(way)
     }
 
     /// Accepts the next tip measurement without history.
@@ -324,6 +386,8 @@ impl RobotState {
         measurement: Option<TimedMeasurement>,
         inputs: &CycleInputs,
     ) {
+        let drivers = core::mem::replace(&mut self.drivers, inputs.drivers);
+        self.is_driver_new |= drivers != inputs.drivers;
         let passed_ns = inputs.gather_ns.saturating_sub(self.last_gather_ns);
         self.last_gather_ns = inputs.gather_ns;
         let Some(TimedMeasurement { measured_ns, .. }) = measurement else {
@@ -380,6 +444,12 @@ impl RobotState {
         };
         is_beyond.then_some(Reason::LimitBroken)
     }
+}
+
+/// A bend component differs by more than `within_rad`, or is not a number.
+fn is_apart(one: &Configuration, other: &Configuration, within_rad: f64) -> bool {
+    let mut pairs = one.as_slice().iter().zip(other.as_slice());
+    !pairs.all(|(one, other)| (one - other).abs() <= within_rad)
 }
 
 /// The configuration given by a measurement; a tip position gives none.

@@ -7,6 +7,7 @@ mod core_budget;
 mod lead;
 mod play;
 mod rehearsal;
+mod reset;
 mod stall;
 mod tip_margin;
 mod trial;
@@ -336,6 +337,8 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
                 reason: Reason::Request
             }
         );
+        // The commanded position moves there.
+        trial.turns(200);
         assert!(
             trial.target_rad.iter().all(|bend| bend.abs() < 1e-5),
             "{:?}",

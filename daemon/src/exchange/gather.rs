@@ -72,6 +72,7 @@ impl Exchange {
         inputs.exchange_ns = self.own_costs.high_ns();
         inputs.interruptions = self.cycle_watch.interruptions();
         inputs.measurement = self.measurements.newest();
+        inputs.drivers = self.measurements.drivers();
         inputs.tip = self.measurements.newest_tip();
         inputs.tip_sensors = self.measurements.tip_sensors();
         self.obstacles.hand_over(&mut inputs.obstacles, now_ns);

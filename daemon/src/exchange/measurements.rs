@@ -16,6 +16,8 @@ pub(super) struct Measurements {
     /// A measurement older than this at its arrival is refused \[ns\].
     timeout_ns: u64,
     driver: BoundSender,
+    /// Number of drivers so far.
+    drivers: u64,
     /// First measurement of that driver \[ns\]; time without a gather does not count.
     driver_since_ns: u64,
     /// That driver has sent bends or cables.
@@ -55,6 +57,7 @@ impl Measurements {
             interface: config.link.interface,
             timeout_ns,
             driver: BoundSender::new(timeout_ns),
+            drivers: 0,
             driver_since_ns: 0,
             has_bends: false,
             tip_sensor: (config.link.tip_sensor == TipSensor::Separate)
@@ -77,6 +80,11 @@ impl Measurements {
     /// The newest measurement of the tip in addition to bends or cables.
     pub(super) fn newest_tip(&self) -> Option<TimedMeasurement> {
         self.newest_tip
+    }
+
+    /// Number of drivers so far.
+    pub(super) fn drivers(&self) -> u64 {
+        self.drivers
     }
 
     /// Number of separate tip sensors so far.
@@ -137,6 +145,7 @@ impl Measurements {
             if !is_bound && self.tip_sensor.is_none() {
                 self.newest_tip = None;
             }
+            self.drivers += u64::from(!is_bound);
             self.driver.bind(sender, arrival.gather_ns);
             self.driver_since_ns = since_ns;
             self.has_bends = has_bends || !is_tip;

@@ -31,6 +31,8 @@ pub struct CycleInputs {
     pub obstacle_source_silent: bool,
     /// The driver's newest measurement of bends or cables, or of the tip if it measures nothing else.
     pub measurement: Option<TimedMeasurement>,
+    /// Number of drivers so far. A new one holds its motors until the commanded position is where it measures them.
+    pub drivers: u64,
     /// The newest measurement of the tip in addition to bends or cables.
     pub tip: Option<TimedMeasurement>,
     /// Number of processes that measured the tip so far. It grows with each new sensor.
@@ -61,6 +63,7 @@ impl CycleInputs {
             suspends: 0,
             obstacle_source_silent: false,
             measurement: None,
+            drivers: 0,
             tip: None,
             tip_sensors: 0,
             obstacles: ObstacleSet::default(),

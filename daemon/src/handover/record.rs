@@ -107,7 +107,7 @@ pub struct CycleFacts {
     pub miss_bucket: u32,
     /// Why this cycle refuses a reset.
     pub reset_refused_by: Option<Reason>,
-    /// After a latched mode, the robot had not yet come to rest when the cycle checked for faults.
+    /// After a latched mode, control had not yet begun when the cycle checked for faults.
     pub control_begins: bool,
     /// Mode in which the command was computed.
     pub mode: Mode,

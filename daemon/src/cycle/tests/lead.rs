@@ -3,12 +3,12 @@
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Obstacle, Shape};
-use cdcr_controller::safety::Request;
+use cdcr_controller::safety::{Refusal, Request};
 use nalgebra::Vector3;
 
 use super::super::*;
 use super::is_at_rest;
-use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
 use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
@@ -46,7 +46,7 @@ fn turns_until_latched(trial: &mut Trial) -> CycleRecord {
 }
 
 /// A robot is held fast, reset and tracked before the end of its motors' motion: control begins at its
-/// position, not at its commanded position.
+/// position. A commanded position moves there first.
 #[test]
 fn track_directly_after_a_reset_begins_where_the_robot_is() {
     for interface in INTERFACES {
@@ -66,6 +66,12 @@ fn track_directly_after_a_reset_begins_where_the_robot_is() {
         let reset = trial.ask(Request::Reset);
         assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
         trial.stands = false;
+        if interface == Interface::Position {
+            // Not before the commanded position has moved to the robot.
+            let outcome = trial.ask(TRACK).answers[0].unwrap().outcome;
+            assert_eq!(outcome, Err(Refusal::Waits));
+            trial.turns(600);
+        }
         trial.begin_tracking();
         let begun = trial.turn();
         let pairs = begun.commanded.as_slice().iter();

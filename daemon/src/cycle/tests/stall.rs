@@ -36,7 +36,11 @@ fn rates_grow_from_rest() {
             assert!(fastest(&trial.cycle(1).rates) > 1.5);
             let record = trial.cycle(stall);
             assert!(matches!(record.mode, Mode::Tracking { .. }));
-            assert_eq!(fastest(&record.previous_rates), 0.0, "{interface:?}, {stall}");
+            assert_eq!(
+                fastest(&record.previous_rates),
+                0.0,
+                "{interface:?}, {stall}"
+            );
             assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
         }
     }

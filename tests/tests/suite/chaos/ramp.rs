@@ -1,7 +1,7 @@
 //! Invariant: a robot that must rest slows down at the deceleration and never accelerates again.
 
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{MeasurementState, Mode, guard, timing};
+use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, guard, timing};
 use cdcr_tests::record::largest;
 
 use crate::chaos::{CheckResult, ensure};
@@ -14,7 +14,7 @@ const TOLERANCE_RAD_S: f64 = 1e-9;
 /// further; no component grows.
 pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     let mode = Mode::try_from(record.mode).map_err(|unknown| unknown.to_string())?;
-    if matches!(mode, Mode::Tracking | Mode::Homing) {
+    if matches!(mode, Mode::Tracking | Mode::Homing) || may_move_to_begin(record) {
         return Ok(());
     }
     let fastest = largest(&record.previous_rate_rad_s);
@@ -36,6 +36,13 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     ensure((0..rates.len()).all(is_shorter), || {
         format!("{mode}: the rates {rates:?} are beyond the ramp, {ramp:?}")
     })
+}
+
+/// Whether the commanded position may be on its way to the robot, where control begins.
+fn may_move_to_begin(record: &Telemetry) -> bool {
+    record.mode == Mode::Holding.code()
+        && record.control_begins != 0
+        && record.command.interface == Interface::Position.code()
 }
 
 /// Whether a record is the first with a known robot, where control begins.
