@@ -46,6 +46,22 @@ fn rates_grow_from_rest() {
     }
 }
 
+/// Positions stand at their target from the next release on, however long the command is valid.
+#[test]
+fn rates_of_positions_that_stood_grow_from_rest() {
+    for stall in STALLS {
+        let more = format!("command_valid_ms = 100.0\n{DIRECT}");
+        let flaws = Preset::Laboratory.flaws();
+        let mut trial = Trial::with(Interface::Position, flaws, &more);
+        trial.turns(3);
+        trial.begin_tracking();
+        assert!(fastest(&trial.turns(12).rates) > 1.5);
+        assert!(fastest(&trial.cycle(1).rates) > 1.5);
+        let record = trial.cycle(stall);
+        assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
+    }
+}
+
 /// Whichever command leaves when the exchange continues.
 #[test]
 fn rates_grow_from_rest_while_the_exchange_is_held_up() {
