@@ -23,6 +23,8 @@ struct Present {
     command: Command,
     begin: CommandedPosition,
     end: CommandedPosition,
+    /// Time at which the command was taken and the move began \[ns\].
+    begin_ns: u64,
     /// Time at which the move ends \[ns\].
     end_ns: u64,
 }
@@ -30,13 +32,12 @@ struct Present {
 impl Present {
     /// Completed part of the move, 0 to 1.
     fn part(&self, now_ns: u64) -> f64 {
-        let begin_ns = self.command.release_ns;
         if now_ns >= self.end_ns {
             1.0
-        } else if now_ns <= begin_ns {
+        } else if now_ns <= self.begin_ns {
             0.0
         } else {
-            (now_ns - begin_ns) as f64 / (self.end_ns - begin_ns) as f64
+            (now_ns - self.begin_ns) as f64 / (self.end_ns - self.begin_ns) as f64
         }
     }
 }
@@ -71,7 +72,7 @@ impl CommandFollower {
     /// # Errors
     /// The reason of a refusal, which is also counted. The present command stays in force until it expires.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
-        let begin = self.position_at(command.release_ns);
+        let begin = self.position_at(now_ns);
         if let Err(refusal) = self.check(command, begin.as_ref(), now_ns) {
             self.refusals += 1;
             return Err(refusal);
@@ -82,11 +83,15 @@ impl CommandFollower {
         };
         // The robot was measured at the first position: there is no move to it.
         let begin = begin.unwrap_or(end);
+        // Late commands must not make up for their delay by a jump.
+        let shortest_s = bounds::shortest_s(&self.robot, &begin, &end) - ROUNDING_S;
+        let shortest_ns = (1e9 * shortest_s.clamp(0.0, MOVE_MAX_S)) as u64;
         self.present = Some(Present {
             command: *command,
             begin,
             end,
-            end_ns: self.end_ns(command, &begin, &end),
+            begin_ns: now_ns,
+            end_ns: command.target_ns.max(now_ns.saturating_add(shortest_ns)),
         });
         Ok(())
     }
@@ -132,16 +137,6 @@ impl CommandFollower {
         }
     }
 
-    /// Time at which the target is reached. It is later than `target_ns` if the robot's limits require it:
-    /// after lost commands, or when control restarts beside the old position.
-    fn end_ns(&self, command: &Command, begin: &CommandedPosition, end: &CommandedPosition) -> u64 {
-        let shortest_s = bounds::shortest_s(&self.robot, begin, end) - ROUNDING_S;
-        let shortest_ns = (1e9 * shortest_s.clamp(0.0, MOVE_MAX_S)) as u64;
-        command
-            .target_ns
-            .max(command.release_ns.saturating_add(shortest_ns))
-    }
-
     /// Commanded rates at `now_ns`: rest before the first command and after `valid_until_ns` of the newest
     /// one. For a driver that obeys [`Interface::Velocity`].
     pub fn rates_at(&self, now_ns: u64) -> CommandedRates {
@@ -154,12 +149,13 @@ impl CommandFollower {
         }
     }
 
-    /// Commanded position at `now_ns`: on a straight line from the position at the command's release to its
-    /// target at `target_ns`, then constant. `None` before the first command. For a driver that obeys
+    /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to
+    /// its target at `target_ns`, then constant. `None` before the first command. For a driver that obeys
     /// [`Interface::Position`].
     ///
-    /// The position never overshoots the target and respects the robot's limits, so it may arrive later. It
-    /// is constant from `valid_until_ns` on.
+    /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
+    /// later: after lost or late commands, or when control restarts beside the old position. It is constant
+    /// from `valid_until_ns` on.
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.present.as_ref().map(|present| {
             let now_ns = now_ns.min(present.command.valid_until_ns);

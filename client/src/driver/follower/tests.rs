@@ -145,7 +145,9 @@ fn a_position_is_reached_at_its_target_time_and_never_passed() {
         (0.206, LENGTH_M - 0.0125 * 0.206),
     );
     assert_eq!(at(&follower, 11.0), before);
-    let half = at(&follower, 11.5);
+    // Taken at 11.2, 1 ms after its release.
+    assert_eq!(at(&follower, 11.2), before);
+    let half = at(&follower, 11.6);
     assert!((half.0 - 0.203).abs() < 1e-15 && (half.1 - (LENGTH_M - 0.0125 * 0.203)).abs() < 1e-15);
     for periods in [12.0, 13.0, 14.0, 1e6] {
         assert_eq!(at(&follower, periods), after);
@@ -194,11 +196,11 @@ fn a_resting_position_keeps_its_bits() {
 #[test]
 fn a_position_that_runs_out_on_its_way_stays_where_it_is() {
     let mut short = position(11, 0.206);
-    short.valid_until_ns = short.release_ns + PERIOD_NS / 2;
+    short.valid_until_ns = short.release_ns + PERIOD_NS * 3 / 5;
     let follower = follower(Interface::Position, &[position(10, 0.2), short]);
-    let half = at(&follower, 11.5);
+    let half = at(&follower, 11.6);
     assert!((half.0 - 0.203).abs() < 1e-15);
-    for periods in [11.6, 12.0, 20.0] {
+    for periods in [11.7, 12.0, 20.0] {
         assert_eq!(at(&follower, periods), half);
     }
 }
@@ -220,14 +222,48 @@ fn lost_commands_make_no_move_faster_than_the_robot() {
             assert!(bend >= last && bend - last <= step_rad * 1.000_01);
             last = bend;
         }
-        // The command expired during the move; the next one continues from there.
-        assert!((last - 0.2 - 3.0 * period_s * fastest_rad_s).abs() < 1e-6);
+        // The command was taken at 20.2 and expired during the move; the next one continues from there.
+        assert!((last - 0.2 - 2.8 * period_s * fastest_rad_s).abs() < 1e-6);
         take(&mut follower, &position(24, 0.3)).unwrap();
         assert_eq!(at(&follower, 24.0).0, last);
         for cycle in 25..36 {
             take(&mut follower, &position(cycle, 0.3)).unwrap();
         }
         assert_eq!(at(&follower, 40.0).0, 0.3);
+    }
+}
+
+/// Of a daemon that stalls: each command arrives with another delay, and is partly over then.
+#[test]
+fn late_commands_make_no_move_faster_than_the_robot() {
+    const TURN_NS: u64 = PERIOD_NS / 10;
+    for rate_rad_s in [RATE_MAX_RAD_S, 0.7 * RATE_MAX_RAD_S] {
+        let mut follower = CommandFollower::new(&robot(), Interface::Position);
+        follower.robot.cable_speed_max_m_s = 1.0;
+        let step_rad = rate_rad_s * 1e-9 * PERIOD_NS as f64;
+        // The robot comes to rest in time to be caught up with.
+        let goal = |cycle: u64| 0.2 + step_rad * (cycle.min(17) - 10) as f64;
+        let most_rad = RATE_MAX_RAD_S * 1e-9 * TURN_NS as f64 * 1.001;
+        let mut last: Option<f64> = None;
+        // Turns of the driver from the release until the command arrives.
+        let delays = (10..).zip([1, 3, 9, 2, 19, 7, 27, 12, 1, 1]);
+        let mut waiting: Vec<_> = delays
+            .map(|(cycle, turns)| (cycle * PERIOD_NS + turns * TURN_NS, cycle))
+            .collect();
+        for turn in 101..260 {
+            let now_ns = turn * TURN_NS;
+            let due = waiting.iter().position(|(at_ns, _)| *at_ns == now_ns);
+            if let Some(due) = due {
+                let (_, cycle) = waiting.remove(due);
+                // One that was overtaken is refused.
+                let _ = follower.take(&position(cycle, goal(cycle)), now_ns);
+            }
+            let bend = follower.position_at(now_ns).unwrap().bend_rad[0];
+            let way = last.map_or(0.0, |last| bend - last);
+            assert!((0.0..=most_rad).contains(&way), "turn {turn}: {way}");
+            last = Some(bend);
+        }
+        assert!((last.unwrap() - goal(19)).abs() < 1e-12);
     }
 }
 
