@@ -66,6 +66,10 @@
 /* Bad cycles that are kept whole for whoever asks: 0.9 MB. */
 #define CDCR_INCIDENTS_MAX 64
 
+/* Time for which a first tip of a driver awaits bends or cables [ms]. After it, the driver measures the tip
+ * alone. */
+#define CDCR_BENDS_LATE_MS 100
+
 /* Bytes of a text in a message (robot name, build), UTF-8, padded with zeros. */
 #define CDCR_TEXT_BYTES 48
 

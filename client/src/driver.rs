@@ -1,6 +1,7 @@
 mod bounds;
 mod commanded;
 mod follower;
+mod measured;
 mod refusal;
 
 use std::cell::Cell;
@@ -18,6 +19,8 @@ use crate::services::{Channel, DriverServices, check_clock, check_owner};
 use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::stream::Stream;
 use crate::{CommandStream, ConnectError, LinkError, monotonic_ns};
+
+use measured::Measured;
 
 pub use commanded::{CommandedPosition, CommandedRates};
 pub use follower::CommandFollower;
@@ -67,8 +70,7 @@ pub struct Driver {
     measurements: Outlet<Measurement>,
     commands: CommandStream,
     follower: CommandFollower,
-    /// The last measurement sent of bends or cables.
-    measured: Cell<Option<Measurement>>,
+    measured: Cell<Measured>,
 }
 
 /// Result of [`Driver::update`].
@@ -140,7 +142,7 @@ impl Driver {
             measurements: Outlet::open(measurement, sender)?,
             commands: Stream::open_reserved(command)?,
             follower: CommandFollower::new(robot, interface),
-            measured: Cell::new(None),
+            measured: Cell::default(),
         })
     }
 
@@ -154,9 +156,8 @@ impl Driver {
     /// # Errors
     /// When iceoryx2 fails.
     pub fn send(&self, measurement: Measurement) -> Result<Header, LinkError> {
-        if self.measured.get().is_none() || measurement.kind != MeasurementKind::TipPose.code() {
-            self.measured.set(Some(measurement));
-        }
+        self.measured
+            .set(self.measured.get().with(&measurement, monotonic_ns()));
         self.measurements.send(Measurement {
             interface: self.interface.code(),
             ..measurement
@@ -182,18 +183,20 @@ impl Driver {
     }
 
     /// Processes all queued commands, oldest first, and returns what is new. Never blocks. A driver that
-    /// obeys positions ignores commands before its first measurement. Its first position must agree with the
-    /// measured one.
+    /// obeys positions ignores commands before its first measurement, of which a tip counts only if no bends
+    /// or cables follow within [`BENDS_LATE_MS`](cdcr_shared_types::limits::BENDS_LATE_MS). Its first
+    /// position must agree with the measured bends or cables; nothing is compared with a tip.
     ///
     /// # Errors
     /// When iceoryx2 fails. A refused command is not an error.
     pub fn update(&mut self) -> Result<DriverUpdate, LinkError> {
         let mut update = DriverUpdate::default();
         let measured = self.measured.get();
-        if let Some(measured) = &measured {
+        if let Some(measured) = &measured.bends {
             self.follower.tell_measured(measured);
         }
-        let awaits_measurement = self.interface == Interface::Position && measured.is_none();
+        let awaits_measurement =
+            self.interface == Interface::Position && !measured.may_begin(monotonic_ns());
         while let Some(command) = self.commands.try_next()? {
             // A command of the other interface is still refused.
             if awaits_measurement && command.interface == self.interface.code() {

@@ -1,4 +1,4 @@
-use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
@@ -59,11 +59,13 @@ impl CommandFollower {
         }
     }
 
-    /// Sets the last measurement, which a first position must match. Motors at another position are held
-    /// until a reset has set the commanded position to theirs. Without a measurement of bends or cables, any
-    /// first position is accepted.
+    /// Sets the last measurement of bends or cables, which a first position must match. Motors at another
+    /// position are held until a reset has set the commanded position to theirs. A tip does not count: where
+    /// nothing else is measured, any first position is accepted.
     pub fn tell_measured(&mut self, measurement: &Measurement) {
-        self.measured = Some(*measurement);
+        if measurement.kind != MeasurementKind::TipPose.code() {
+            self.measured = Some(*measurement);
+        }
     }
 
     /// Processes a command that arrived at `now_ns`. A command of another daemon is accepted once the present

@@ -2,6 +2,7 @@ use cdcr_controller::estimator::Measurement as Measured;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{MeasurementKind, Outcome};
+use cdcr_shared_types::limits::BENDS_LATE_MS;
 
 use super::bound_sender::BoundSender;
 use crate::config::{Config, Interface, LinkKind, TipSensor, ns};
@@ -35,7 +36,7 @@ pub(super) struct Measurements {
 /// A tip sensor silent for this long may be replaced by another one \[ns\]: some frames of a slow camera.
 const TIP_SENSOR_LOST_NS: u64 = 1_000_000_000;
 /// A driver that has sent no bends or cables for this long since its first tip measures the tip alone \[ns\].
-const BENDS_LATE_NS: u64 = 100_000_000;
+const BENDS_LATE_NS: u64 = 1_000_000 * BENDS_LATE_MS as u64;
 
 /// Circumstances of a measurement's arrival.
 #[derive(Debug, Clone, Copy)]
