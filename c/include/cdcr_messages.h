@@ -44,6 +44,13 @@
 /* Obstacles known to the daemon at one time, and obstacles in one message. */
 #define CDCR_OBSTACLES_MAX 64
 
+/* Age of an obstacle that moves, at its arrival [ms]. Its place is predicted from its stamp on, so an old or
+ * unset one would place it elsewhere. */
+#define CDCR_OBSTACLE_AGE_MS_MAX 1000
+
+/* Speed of an obstacle [m/s]: faster than anything beside a robot. */
+#define CDCR_OBSTACLE_SPEED_M_S_MAX 100
+
 /* Prediction steps N of the optimal control problem. */
 #define CDCR_HORIZON_STEPS_MAX 50
 
@@ -346,9 +353,10 @@ typedef struct CdcrObstacle {
     /* 56: Radius [m], ≥ 0. */
     double radius_m;
     /* 64: Velocity of the whole shape [m/s]: it is predicted to each release, and over the horizon, at constant
-     * velocity. */
+     * velocity. At most 100 m/s (OBSTACLE_SPEED_M_S_MAX). */
     double velocity_m_s[3];
-    /* 88: When start_m and end_m held [ns, CLOCK_MONOTONIC]; at most 1 ms ahead of the daemon. */
+    /* 88: When start_m and end_m held [ns, CLOCK_MONOTONIC]; at most 1 ms ahead of the daemon. An obstacle that
+     * moves is refused as in the past if it is older than 1 s when it arrives (OBSTACLE_AGE_MS_MAX), as with 0. */
     uint64_t measured_ns;
     /* 96: How long it stays known after measured_ns [ns]; 0: until removed. An obstacle whose lifetime is over when
      * it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where

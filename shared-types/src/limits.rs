@@ -29,6 +29,13 @@ limits! {
     /// Obstacles known to the daemon at one time, and obstacles in one message.
     OBSTACLES_MAX = 64;
 
+    /// Age of an obstacle that moves, at its arrival \[ms\]. Its place is predicted from its stamp on, so an old or unset one
+    /// would place it elsewhere.
+    OBSTACLE_AGE_MS_MAX = 1000;
+
+    /// Speed of an obstacle \[m/s\]: faster than anything beside a robot.
+    OBSTACLE_SPEED_M_S_MAX = 100;
+
     /// Prediction steps N of the optimal control problem.
     HORIZON_STEPS_MAX = 50;
 

@@ -5,7 +5,7 @@ use crate::message::message;
 message! {
     /// A sphere or a capsule with which the robot's body must not collide.
     ///
-    /// Numbers are finite, components of positions (m) and velocities (m/s) within ±10⁶, the radius within 0 to 10⁶ m.
+    /// Numbers are finite, components of positions (m) within ±10⁶, the radius within 0 to 10⁶ m.
     /// A telemetry record holds the obstacle as used by the cycle, moved to the release.
     pub struct Obstacle "cdcr.Obstacle.v1" {
         /// Identity chosen by the sender, unique among all senders; an upsert with a known id replaces.
@@ -19,9 +19,10 @@ message! {
         /// Radius \[m\], ≥ 0.
         radius_m: f64,
         /// Velocity of the whole shape \[m/s\]: it is predicted to each release, and over the horizon, at
-        /// constant velocity.
+        /// constant velocity. At most 100 m/s (`OBSTACLE_SPEED_M_S_MAX`).
         velocity_m_s: [f64; 3],
-        /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon.
+        /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon. An obstacle
+        /// that moves is refused as in the past if it is older than 1 s when it arrives (`OBSTACLE_AGE_MS_MAX`), as with 0.
         measured_ns: u64,
         /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
         /// is over when it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where the daemon watches those who send obstacles

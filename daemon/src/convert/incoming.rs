@@ -6,6 +6,7 @@ use cdcr_controller::robot::{CABLES_MAX, Configuration, Obstacle, Robot, Shape};
 use cdcr_controller::safety::Request;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
+use cdcr_shared_types::limits::{OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::handover::TimedMeasurement;
@@ -40,6 +41,8 @@ const REACH_TOLERANCE_M: f64 = 1e-6;
 /// Time by which the clock of a driver or obstacle source may be ahead \[ns\].
 const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
 
+/// Largest age of an obstacle that moves \[ns\].
+const OBSTACLE_AGE_MAX_NS: u64 = 1_000_000 * OBSTACLE_AGE_MS_MAX as u64;
 /// References are at most a day ahead \[ns\].
 const AHEAD_MAX_NS: u64 = 86_400_000_000_000;
 /// Larger bends \[rad\], lengths or positions \[m\] are not valid measurements.
@@ -224,7 +227,8 @@ pub fn updated_obstacles(
     Ok(set)
 }
 
-/// One obstacle without its source: finite numbers in range, not measured in the future, not yet expired.
+/// One obstacle without its source: finite numbers in range, not measured in the future, not yet expired. One that
+/// moves was measured a short time ago: the prediction from an old stamp, or from 0, would place it elsewhere.
 pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, Outcome> {
     let [start_m, end_m] = [message.start_m, message.end_m].map(Vector3::from);
     let velocity_m_s = Vector3::from(message.velocity_m_s);
@@ -241,8 +245,13 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
     if !finite.chain([&message.radius_m]).all(|x| x.is_finite()) {
         return Err(Outcome::NotFinite);
     }
-    if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
+    let is_too_fast = velocity_m_s.norm() > OBSTACLE_SPEED_M_S_MAX as f64;
+    if is_too_fast || message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
         return Err(Outcome::OutOfRange);
+    }
+    let is_old = now_ns.saturating_sub(message.measured_ns) > OBSTACLE_AGE_MAX_NS;
+    if is_old && velocity_m_s != Vector3::zeros() {
+        return Err(Outcome::InThePast);
     }
     let expires_ns = message.measured_ns.saturating_add(message.lifetime_ns);
     let known = KnownObstacle {

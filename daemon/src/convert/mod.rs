@@ -24,7 +24,7 @@ mod tests {
 
     use cdcr_controller::estimator::Measurement;
     use cdcr_controller::nmpc::{NmpcSettings, SolverKind};
-    use cdcr_controller::robot::{Configuration, Robot};
+    use cdcr_controller::robot::{Configuration, Robot, Shape};
     use cdcr_shared_types as wire;
     use cdcr_shared_types::codes::{self, Outcome};
     use nalgebra::Vector3;
@@ -186,8 +186,9 @@ mod tests {
         assert_eq!(bad(|o| o.start_m[2] = f64::INFINITY), not_finite);
         assert_eq!(bad(|o| o.velocity_m_s[0] = f64::NAN), not_finite);
         let out_of_range = (Outcome::OutOfRange, 1);
-        let gone = |o: &mut wire::Obstacle| (o.start_m[0], o.velocity_m_s[0]) = (1e6 - 0.5, 1e6);
+        let gone = |o: &mut wire::Obstacle| (o.start_m[0], o.velocity_m_s[0]) = (1e6, 50.0);
         assert_eq!(bad(gone), out_of_range);
+        assert_eq!(bad(|o| o.velocity_m_s = [60.0, 0.0, 81.0]), out_of_range);
         assert_eq!(bad(|o| o.radius_m = -0.01), out_of_range);
         assert_eq!(bad(|o| o.start_m[0] = 1e7), out_of_range);
         assert_eq!(bad(|o| o.measured_ns = 10_000_000), out_of_range);
@@ -203,6 +204,30 @@ mod tests {
         let full = updated_obstacles(&update(upsert, &all), &none, 2_000).unwrap();
         let one_more = update(upsert, &[ball(5), ball(64)]);
         assert_eq!(refusal(&one_more, &full), (Outcome::BufferFull, 1));
+    }
+
+    /// The prediction to the present would move it by its velocity times its age.
+    #[test]
+    fn an_obstacle_that_moves_is_refused_with_an_old_or_unset_stamp() {
+        const NOW_NS: u64 = 2_460_000_000_000;
+        let taken = |velocity_m_s: f64, age_ns: u64, lifetime_ns: u64| {
+            let moving = wire::Obstacle {
+                velocity_m_s: [velocity_m_s, 0.0, 0.0],
+                measured_ns: NOW_NS - age_ns,
+                lifetime_ns,
+                ..ball(1)
+            };
+            obstacle(&moving, NOW_NS).map(|known| known.at(NOW_NS).unwrap().obstacle)
+        };
+        for age_ns in [NOW_NS, 600_000_000_000, 1_000_000_001] {
+            assert_eq!(taken(0.01, age_ns, 0), Err(Outcome::InThePast));
+            assert_eq!(taken(0.01, age_ns, u64::MAX), Err(Outcome::InThePast));
+            // One that stands is where it was measured.
+            assert!(taken(0.0, age_ns, 0).is_ok());
+        }
+        let moved = taken(0.01, 1_000_000_000, 0).unwrap();
+        let centre_m = Vector3::new(0.11, 0.0, 0.3);
+        assert_eq!(*moved.shape(), Shape::Sphere { centre_m });
     }
 
     #[test]

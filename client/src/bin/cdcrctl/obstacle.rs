@@ -189,10 +189,13 @@ fn advice(outcome: Outcome) -> &'static str {
             "The limit of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
         }
         Outcome::OutOfRange => {
-            "Use positions and velocities within ±1000000 m and m/s, a radius of 0 to 1000000 m, and a measured_ns of \
+            "Use positions within ±1000000 m, a speed of at most 100 m/s, a radius of 0 to 1000000 m, and a measured_ns of \
              CLOCK_MONOTONIC that is not in the future."
         }
-        Outcome::InThePast => "The lifetime had ended on arrival: use a longer --lifetime.",
+        Outcome::InThePast => {
+            "The lifetime had ended on arrival, or an obstacle that moves was measured more than a second ago: use a \
+             longer lifetime, or a newer measured_ns."
+        }
         other => remedy(other),
     }
 }

@@ -182,7 +182,7 @@ fn obstacle() -> impl Strategy<Value = Obstacle> {
     let id = prop_oneof![0..6_u32, 0..100_u32];
     let age_ns = prop_oneof![4 => 0..100_000_000_u64, 1 => Just(BEGIN_NS)];
     let lifetime_ns = prop_oneof![Just(0), 50_000_000..500_000_000_u64, Just(u64::MAX)];
-    let velocity_m_s = prop_oneof![Just([0.0; 3]), uniform3(-1.0..1.0), uniform3(-1e6..1e6)];
+    let velocity_m_s = prop_oneof![Just([0.0; 3]), uniform3(-1.0..1.0), uniform3(-60.0..60.0)];
     // Anywhere, or beside the straight robot.
     let place = || {
         let beside = (-0.15..0.15, -0.15..0.15, 0.3..1.1).prop_map(|(x, y, z)| [x, y, z]);
