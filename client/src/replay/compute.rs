@@ -210,6 +210,11 @@ impl Computer {
             until_ns.saturating_sub(record.release_ns)
         };
         let motors = Some(&state.motors).filter(|motors| **motors != state.at);
+        let previous = if ran_out_while_solving(record) {
+            BendRates::zero(self.robot.section_count())
+        } else {
+            state.previous
+        };
         let situation = Situation {
             robot: &self.robot,
             at: &state.at,
@@ -223,7 +228,7 @@ impl Computer {
                 motors
             },
             slack,
-            previous: &state.previous,
+            previous: &previous,
             obstacles: &state.led,
             safe_distance_m: record.settings.safe_distance_m,
             tip_offset_m: state.tip_margin_m,
@@ -413,6 +418,19 @@ fn slack_of(record: &Telemetry) -> Option<Slack> {
 /// The next rates of the ramp to rest.
 fn ramp(record: &Telemetry, state: &State) -> BendRates {
     ramp_to_zero(&state.previous, record.deceleration_rad_s2, state.period_s)
+}
+
+/// The last command ran out in a stall before the end of the solve: rates grow from zero, whatever the solver knew.
+fn ran_out_while_solving(record: &Telemetry) -> bool {
+    let valid_ns = (record.command.valid_until_ns).saturating_sub(record.release_ns);
+    let rests_after_ns = if record.command.interface == Interface::Position.code() {
+        valid_ns.min(2 * record.period_ns)
+    } else {
+        valid_ns
+    };
+    let late_ns = record.solve_end_ns.saturating_sub(record.release_ns);
+    let since_ns = record.elapsed_ns.saturating_add(late_ns);
+    late_ns > record.period_ns && (since_ns >= valid_ns || since_ns > rests_after_ns)
 }
 
 /// Whether a commanded position may be on its way to the robot, where control begins. The record does not state where

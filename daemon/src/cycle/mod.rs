@@ -243,9 +243,10 @@ impl Cycle {
         let answers = self.answer(next_request, inputs, &seen, &release);
         self.begin_control(mode_before.is_latched());
 
-        let previous_rates = self.rates;
         let (configuration, present) = (*self.state.configuration(), *self.state.present());
         let solve_start_ns = clock.now_ns();
+        self.rest_if_run_out_by(solve_start_ns, &release, elapsed_ns);
+        let previous_rates = self.rates;
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         let costs = self.costs(inputs);
         self.solve_until_ns = 0;
@@ -260,10 +261,11 @@ impl Cycle {
         let solve_end_ns = clock.now_ns();
         // A solve that overruns its end cannot be cut short: the excess counts as time after the solver.
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
-
+        self.rest_if_run_out_by(solve_end_ns, &release, elapsed_ns);
         let safe = self.make_safe(&desired_rates, comes_to_rest);
         self.note_latch(mode_before, &release);
         self.clearance_m = self.present_clearance_m(safe.clearance_m);
+        self.last_sent.is_first = self.is_at_rest();
         self.rates = safe.rates;
         self.link
             .command(release.release_ns, &safe.rates, self.state.commanded());

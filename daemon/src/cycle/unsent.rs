@@ -9,6 +9,7 @@ use cdcr_controller::safety::{FollowingWatch, MeasurementWatch};
 use super::Cycle;
 use super::state::RobotState;
 use crate::handover::CycleInputs;
+use crate::rt::schedule::Release;
 
 /// The state that commands advance, as it was when the last command was sent.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub(super) struct LastSent {
     /// The last command sent; `elapsed_ns` is the time since then.
     rates: BendRates,
     elapsed_ns: u64,
+    /// That command was the first after rest. While the exchange is held up, it may not have left.
+    pub(super) is_first: bool,
     estimator: Estimator,
     commanded: Configuration,
     following: FollowingWatch,
@@ -28,6 +31,7 @@ impl LastSent {
         Self {
             rates: BendRates::zero(state.robot.section_count()),
             elapsed_ns: 0,
+            is_first: true,
             estimator: state.estimator.clone(),
             commanded: state.commanded,
             following: state.following.clone(),
@@ -95,19 +99,36 @@ impl Cycle {
     }
 
     /// After a stall, or while the exchange is held up, the robot has come to rest by itself before this
-    /// command arrives: rates grow from zero, and no ramp begins again.
+    /// command arrives, or has not begun to move: rates grow from zero, and no ramp begins again.
     pub(super) fn rest_if_run_out(&mut self, elapsed_ns: u64) {
         let rests_after_ns = self.policy.rests_after_ns(self.period_ns);
-        // At the end of the validity the driver stops, and the next command arrives after that.
-        let runs_out = elapsed_ns >= self.policy.command_valid_ns || elapsed_ns > rests_after_ns;
-        let has_stalled = elapsed_ns > self.period_ns && runs_out;
+        let has_stalled = elapsed_ns > self.period_ns && self.runs_out(elapsed_ns);
         // A command that waits for the exchange leaves before the next release.
         let leaves_ns = self.last_sent.elapsed_ns + self.period_ns;
         let is_held_up =
             self.is_behind_exchange() && self.stale_ns > 0 && leaves_ns > rests_after_ns;
-        if has_stalled || is_held_up || self.has_stale_inputs() {
-            self.rates = BendRates::zero(self.robot.section_count());
+        let may_stand = self.is_behind_exchange() && self.stale_ns > 0 && self.last_sent.is_first;
+        if has_stalled || is_held_up || may_stand || self.has_stale_inputs() {
+            self.forget_rates();
         }
+    }
+
+    /// The same at `now_ns`, after a stall inside the cycle of `release`.
+    pub(super) fn rest_if_run_out_by(&mut self, now_ns: u64, release: &Release, elapsed_ns: u64) {
+        let late_ns = now_ns.saturating_sub(release.release_ns);
+        if late_ns > self.period_ns && self.runs_out(elapsed_ns + late_ns) {
+            self.forget_rates();
+        }
+    }
+
+    /// At the end of the validity the driver stops, and the next command arrives after that.
+    fn runs_out(&self, since_ns: u64) -> bool {
+        since_ns >= self.policy.command_valid_ns
+            || since_ns > self.policy.rests_after_ns(self.period_ns)
+    }
+
+    fn forget_rates(&mut self) {
+        self.rates = BendRates::zero(self.robot.section_count());
     }
 
     /// Control has begun again, and no command has been sent since.

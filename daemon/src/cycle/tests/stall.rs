@@ -112,3 +112,46 @@ fn a_ramp_does_not_begin_again() {
         }
     }
 }
+
+/// A stall inside the cycle, before the solver or in it. Each reading of the clock advances it.
+#[test]
+fn rates_grow_from_rest_after_a_stall_inside_the_cycle() {
+    for (interface, reading_ms, knows) in [
+        (Interface::Position, 11, true),
+        (Interface::Velocity, 11, true),
+        (Interface::Position, 3, false),
+        (Interface::Velocity, 6, false),
+    ] {
+        let mut trial = moving(interface);
+        trial.clock.step_ns.set(reading_ms * 1_000_000);
+        let record = trial.turn();
+        assert!(matches!(record.mode, Mode::Tracking { .. }));
+        // The solver began with the rates that were valid then.
+        let told = fastest(&record.previous_rates);
+        assert_eq!(told == 0.0, knows, "{interface:?}, {reading_ms}: {told}");
+        assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
+    }
+}
+
+/// The first command after rest may not have left when the next one follows without a gather: whichever leaves, the
+/// robot begins with one step.
+#[test]
+fn rates_begin_with_one_step_while_the_exchange_is_held_up() {
+    for interface in BOTH {
+        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+        trial.turns(3);
+        trial.is_held_up = true;
+        trial.begin_tracking();
+        let mut most = 0.0_f64;
+        for _ in 0..3 {
+            let fastest = fastest(&trial.last().rates);
+            most = most.max(fastest);
+            assert!(
+                fastest <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12),
+                "{interface:?}: {fastest}"
+            );
+            trial.cycle(0);
+        }
+        assert!(most > 0.0, "{interface:?}: it begins to move");
+    }
+}

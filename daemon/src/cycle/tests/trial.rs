@@ -61,7 +61,7 @@ pub(super) struct Trial {
     pub(super) frozen_tip_m: Option<Vector3<f64>>,
     pub(super) inputs: CycleInputs,
     trajectory: Trajectory,
-    clock: ManualClock,
+    pub(super) clock: ManualClock,
     next: u64,
     asked: Option<Request>,
     last: Option<CycleRecord>,
