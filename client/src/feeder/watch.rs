@@ -149,7 +149,10 @@ fn reason_remedy(reason: Reason) -> &'static str {
             "The machine is too busy: see the causes in cdcrctl status, then cdcrctl reset. The limit is the setting \
              cycle.miss_limit."
         }
-        Reason::MeasurementLost => "Check that the driver runs, then cdcrctl reset.",
+        Reason::MeasurementLost => {
+            "Check that the driver runs, and in cdcrctl status that no messages are refused (cdcrctl echo telemetry \
+             shows refused measurements), then cdcrctl reset."
+        }
         Reason::MeasurementJump => {
             "Check the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
              cdcrctl reset."

@@ -29,6 +29,8 @@ const MOVE_MAX_S: f64 = 30.0;
 /// A tip that gets no nearer than by this in [`STALL_CYCLES`] has arrived \[m\].
 const NEARER_M: f64 = 1e-6;
 const STALL_CYCLES: u32 = 100;
+/// A robot this near to the safe distance is held back by an obstacle \[m\].
+const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 
@@ -284,11 +286,25 @@ impl Demands {
     pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_end_m > allowed_m {
             bail!(
-                "not reachable: {}; nothing moved",
-                away(self.error_end_m, self.end_m)
+                "not reachable: {}{}; nothing moved",
+                away(self.error_end_m, self.end_m),
+                self.obstruction()
             );
         }
         Ok(())
+    }
+
+    /// Names the obstacle that the motion came near.
+    fn obstruction(&self) -> String {
+        let clearance_m = self.before.clearance_m.min(self.along.clearance_m);
+        if clearance_m > self.safe_distance_m + NEAR_M {
+            return String::new();
+        }
+        let [clearance_mm, safe_mm] = [clearance_m, self.safe_distance_m].map(|m| 1e3 * m);
+        format!(
+            ", beside an obstacle at {clearance_mm:.1} mm of its body, where the clearance guard keeps {safe_mm:.1} mm \
+             (cdcrctl obstacle list)"
+        )
     }
 }
 
@@ -335,5 +351,34 @@ impl fmt::Display for Demands {
             &format!("mean {mean:.3}, max {max:.3}, final {end:.3} mm"),
             "",
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_obstacle_in_the_way_is_named() {
+        let mut demands = Demands {
+            distance_m: 0.1,
+            before: Motion::NONE,
+            along: Motion::NONE,
+            cycles: 1,
+            error_sum_m: 0.0989,
+            error_max_m: 0.0989,
+            error_end_m: 0.0989,
+            farthest: (0.0, [0.0; 3]),
+            end_m: [0.0; 3],
+            stroke_max_m: 0.1,
+            safe_distance_m: 0.03,
+        };
+        let text = |demands: &Demands| demands.check_end(1e-3).unwrap_err().to_string();
+        assert!(!text(&demands).contains("obstacle"));
+        demands.along.clearance_m = 0.2;
+        assert!(!text(&demands).contains("obstacle"));
+        demands.before.clearance_m = 0.0302;
+        let text = text(&demands);
+        assert!(text.contains("obstacle at 30.2 mm"), "{text}");
     }
 }

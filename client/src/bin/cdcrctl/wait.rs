@@ -2,12 +2,13 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
-use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Reason, RequestKind, guard};
 use cdcr_shared_types::{Response, Telemetry};
 
 use crate::Done;
 use crate::args::Target;
 use crate::bar::Bar;
+use crate::echo::line::clearance_text;
 use crate::interrupt::Interrupt;
 use crate::standstill::Standstill;
 
@@ -37,6 +38,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     let begun = Instant::now();
     let (mut heard, mut first) = (begun, None);
     let mut standstill = Standstill::default();
+    let mut obstructed = String::new();
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
             drop(bar);
@@ -54,6 +56,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
         if !is_later(&record, &response) {
             continue;
         }
+        obstructed = obstruction(&record);
         let left = left(kind, &record);
         bar.show_share(1.0 - left / *first.get_or_insert(left.max(f64::MIN_POSITIVE)));
         match progress(kind, &record) {
@@ -82,7 +85,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
         );
     }
     bail!(
-        "{kind}: not done within {limit:?}; the robot continues (end it with cdcrctl hold or stop)"
+        "{kind}: not done within {limit:?}{obstructed}; the robot continues (end it with cdcrctl hold or stop)"
     )
 }
 
@@ -120,6 +123,18 @@ fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
     } else {
         Progress::Moves
     }
+}
+
+/// Names the obstacle at which the clearance guard changed the command of a record.
+fn obstruction(record: &Telemetry) -> String {
+    if record.guard_flags & guard::CLEARANCE == 0 {
+        return String::new();
+    }
+    format!(
+        ": an obstacle is in the way, {} mm from the body, and the clearance guard keeps {} mm (cdcrctl obstacle list)",
+        clearance_text(record.clearance_m),
+        clearance_text(record.settings.safe_distance_m)
+    )
 }
 
 /// Remaining distance: the largest bend of homing \[rad\], otherwise the largest rate \[rad/s\].
@@ -185,6 +200,18 @@ mod tests {
             let record = record(mode, reason, rate_rad_s);
             assert_eq!(progress(kind, &record), is, "{kind} {mode} {reason}");
         }
+    }
+
+    #[test]
+    fn an_obstacle_in_the_way_is_named() {
+        let mut record = record(Mode::Homing, Reason::Request, 0.0);
+        record.clearance_m = 0.0301;
+        record.settings.safe_distance_m = 0.03;
+        assert_eq!(obstruction(&record), "");
+        record.guard_flags = guard::CLEARANCE | guard::RATE;
+        let text = obstruction(&record);
+        assert!(text.contains("in the way, 30.10 mm"), "{text}");
+        assert!(text.contains("keeps 30.00 mm"), "{text}");
     }
 
     #[test]

@@ -2,8 +2,8 @@
 
 use cdcr_client::events;
 use cdcr_shared_types::codes::{
-    ChunkMode, Interpolation, LateCause, MeasurementState, Mode, ObstacleAction, ObstacleShape,
-    Outcome, Reason, ReferenceState, SolverStatus, guard, timing,
+    ChunkMode, EventKind, Interpolation, LateCause, MeasurementState, Mode, ObstacleAction,
+    ObstacleShape, Outcome, Reason, ReferenceState, SolverStatus, guard, timing,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
@@ -92,7 +92,13 @@ fn refusals(record: &Telemetry) -> String {
     let refused = events(record)
         .iter()
         .filter(|event| event.outcome != Outcome::Accepted.code())
-        .map(|event| format!("refused: {}", Outcome::text_of(event.outcome)));
+        .map(|event| {
+            let (kind, why) = (
+                EventKind::text_of(event.kind),
+                Outcome::text_of(event.outcome),
+            );
+            format!("refused: {kind}: {why}")
+        });
     refused.collect::<Vec<_>>().join("; ")
 }
 
@@ -232,6 +238,21 @@ mod tests {
         record.clearance_m = f64::INFINITY;
         record.guard_flags = 0;
         assert!(telemetry(&record).ends_with("3             -  "));
+    }
+
+    #[test]
+    fn a_refusal_shows_what_was_refused() {
+        let mut record = Telemetry {
+            event_count: 1,
+            ..Telemetry::default()
+        };
+        record.events[0].kind = EventKind::Measurement.code();
+        record.events[0].outcome = Outcome::OutOfRange.code();
+        let line = telemetry(&record);
+        assert!(
+            line.ends_with("refused: measurement: a value is out of range"),
+            "{line}"
+        );
     }
 
     #[test]
