@@ -51,7 +51,9 @@ pub(crate) enum ObstacleAction {
     /// Read obstacles from the standard input, one JSON object per line, and send each at once
     ///
     /// Each line is as in a file. `measured_ns` is the time of the measurement in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python),
-    /// by default the arrival of the line; one that moves is refused when it is older than a second. `time_s` is ignored. An invalid line ends the command with an error; obstacles sent before it stay.
+    /// by default the arrival of the line; one that moves is refused when it is older than a second. `time_s` is ignored. Each line
+    /// is one update, and the daemon takes at most 8 updates a period: many obstacles that move often need a program that sends them
+    /// together, up to 64 in one update. An invalid line ends the command with an error; obstacles sent before it stay.
     #[command(after_help = "Example:\n  camera.py | cdcrctl obstacle stdin\n  \
         echo '{\"id\": 1, \"start_m\": [0.3, 0, 0.5], \"radius_m\": 0.02}' | cdcrctl obstacle stdin")]
     Stdin(ObstacleStdin),
