@@ -278,6 +278,10 @@ message! {
         acceleration_rad_s2: f64,
         /// How far ahead of the reference the motors are commanded \[ns\]: the delay and time constant of `[actuator]` together.
         reference_lead_ns: u64,
+        /// Time constant of the motors \[ns\]: `reference_lead_ns` less their delay.
+        motor_time_constant_ns: u64,
+        /// Bend vector at the end of the motors' delay \[rad\], where this cycle's command begins to act.
+        delayed_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// Where the commands up to this release lead the motors \[rad\]: `bend_rad` is beside that by the play of the cables.
         motor_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// What of that play is taken there: each cable minus its motor \[m\].

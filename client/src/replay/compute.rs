@@ -56,6 +56,8 @@ struct State {
     commanded: Configuration,
     motors: Configuration,
     present: Configuration,
+    /// At the end of the motors' delay.
+    delayed: Configuration,
     previous: BendRates,
     /// Obstacles at the release.
     known: Vec<Obstacle>,
@@ -80,6 +82,7 @@ impl State {
             commanded: at(&record.commanded_rad)?,
             motors: at(&record.motor_rad)?,
             present: at(&record.present_rad)?,
+            delayed: at(&record.delayed_rad)?,
             previous: BendRates::from_slice(record.previous_rate_rad_s.get(..width)?)?,
             led: known.iter().map(|known| known.moved(lead_s)).collect(),
             known,
@@ -219,8 +222,8 @@ impl Computer {
             robot: &self.robot,
             at: &state.at,
             lag: Some(Lag {
-                present: &state.present,
-                lead_s: record.reference_lead_ns as f64 * 1e-9,
+                delayed: &state.delayed,
+                time_constant_s: record.motor_time_constant_ns as f64 * 1e-9,
             }),
             commanded: if obeys_positions {
                 Some(&state.commanded)

@@ -102,9 +102,10 @@ impl DrivenRobot {
         self.estimator.configuration()
     }
 
-    /// Estimated present configuration, behind [`Self::configuration`] by the lag of the motors.
-    pub(super) fn present(&self) -> Configuration {
-        self.estimator.present()
+    /// Estimated configuration at the end of the motors' delay, and their time constant \[s\].
+    pub(super) fn lag(&self) -> (Configuration, f64) {
+        let time_constant_s = self.driven.actuator.time_constant_s;
+        (self.estimator.delayed(), time_constant_s)
     }
 
     /// Configuration to which the motors are led, if it differs from that of the robot: commanded positions, or motors

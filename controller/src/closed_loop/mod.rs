@@ -218,13 +218,10 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             IDEAL_STOPPING
         };
         let (valid_periods, deceleration_rad_s2) = self.stopping.unwrap_or(default);
-        let driven = self
-            .driven
-            .as_ref()
-            .map(|driven| (driven.present(), driven.lead_s()));
-        let lag = driven.as_ref().map(|(present, lead_s)| Lag {
-            present,
-            lead_s: *lead_s,
+        let lag = self.driven.as_ref().map(|driven| driven.lag());
+        let lag = lag.as_ref().map(|(delayed, time_constant_s)| Lag {
+            delayed,
+            time_constant_s: *time_constant_s,
         });
         let situation = Situation {
             robot: &self.robot,

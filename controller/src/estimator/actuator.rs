@@ -281,6 +281,11 @@ impl ActuatorModel {
         }
     }
 
+    /// Motion of the motors from their place at the end of the delay to the commanded configuration: their lag.
+    pub(super) fn motion_after_delay(&self) -> RemainingMotion {
+        self.remaining_motion(-self.actuator.delay_s)
+    }
+
     fn back(&self, back: usize) -> &Move {
         &self.moves[(self.newest + 2 * MOVES_MAX - back) % MOVES_MAX]
     }

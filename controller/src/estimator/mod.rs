@@ -181,6 +181,12 @@ impl Estimator {
         motion.cables_at_start(&motion.start_from(self.motors()))
     }
 
+    /// Configuration of the robot at the end of the motors' delay, where the next command begins to act.
+    pub fn delayed(&self) -> Configuration {
+        let motion = self.motors.motion_after_delay();
+        motion.cables_at_start(&motion.start_from(self.motors()))
+    }
+
     /// Measured tip position minus the one from the bends (m), as learnt by [`Self::correct_tip`]: the error of the model at the tip.
     pub fn tip_offset_m(&self) -> Vector3<f64> {
         self.tip_offset.offset_m()

@@ -8,11 +8,12 @@ use super::{Limited, Limits, LimitsHit, play};
 /// Motors that lag behind their commands.
 #[derive(Debug, Clone, Copy)]
 pub struct Lag<'a> {
-    /// Present configuration.
-    pub present: &'a Configuration,
+    /// Configuration at the end of their delay, where the next command begins to act
+    /// ([`Estimator::delayed`](crate::estimator::Estimator::delayed)).
+    pub delayed: &'a Configuration,
     /// Time after which the commands so far have led the robot from there to [`Situation::at`], nearly
-    /// ([`Actuator::lead_s`](crate::estimator::Actuator::lead_s)) \[s\].
-    pub lead_s: f64,
+    /// ([`Actuator::time_constant_s`](crate::estimator::Actuator::time_constant_s)) \[s\].
+    pub time_constant_s: f64,
 }
 
 /// The inputs of the safety checks of one command.
@@ -163,7 +164,7 @@ pub struct SafeCommand {
 /// too, or if the work budget of the command is spent.
 ///
 /// Motors that lag average the commanded path, and so lead the body past its corners. Of first order, they lead
-/// it between the commanded path and the straight lines in the bends from its present configuration to the ends
+/// it between the commanded path and the straight lines in the bends, from its configuration at the end of the delay to the ends
 /// of the period and of the stopping path. At seven points of these lines each section keeps 1 mm less than D, or
 /// than its clearance where the commands so far lead, or what it keeps on the line to rest; otherwise the command
 /// is scaled down.
@@ -263,7 +264,7 @@ mod tests {
             let centre_m = Vector3::from(centre);
             let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
             let commanded = configuration(core::array::from_fn(|i| at[i] + off[i]));
-            let present = configuration(core::array::from_fn(|i| at[i] - 0.3 * off[i]));
+            let delayed = configuration(core::array::from_fn(|i| at[i] - 0.3 * off[i]));
             let (at, previous) = (configuration(at), rates(previous));
             let mut slack_m = [0.0; CABLES_MAX];
             slack_m.iter_mut().zip(taken).for_each(|(slack_m, part)| *slack_m = play_m * part);
@@ -271,7 +272,7 @@ mod tests {
             let situation = Situation {
                 robot: &robot,
                 at: &at,
-                lag: Some(Lag { present: &present, lead_s: 0.1 }),
+                lag: Some(Lag { delayed: &delayed, time_constant_s: 0.1 }),
                 commanded: Some(&commanded),
                 slack: Some(&slack),
                 previous: &previous,

@@ -16,7 +16,7 @@ const SCALES: u32 = 5;
 /// violated.
 const WORK_BUDGET: u32 = 12_000;
 
-/// The straight lines in the bends from the present body to the ends of a command: the body moves between
+/// The straight lines in the bends from the body at the end of the motors' delay to the ends of a command: the body moves between
 /// these lines and the commanded path.
 pub(super) struct LagLines<'a> {
     situation: &'a Situation<'a>,
@@ -34,14 +34,14 @@ pub(super) struct LagLines<'a> {
 impl<'a> LagLines<'a> {
     /// For commands that are not faster than `rates`. `None` without a lag, or with nothing near.
     pub(super) fn new(situation: &'a Situation<'a>, rates: &BendRates) -> Option<Self> {
-        let is_behind = |lag: &Lag<'_>| lag.lead_s > 0.0 && lag.present != situation.at;
+        let is_behind = |lag: &Lag<'_>| lag.time_constant_s > 0.0 && lag.delayed != situation.at;
         let lag = situation.lag.filter(is_behind)?;
         if situation.obstacles.is_empty() {
             return None;
         }
         let (robot, at) = (situation.robot, situation.at);
         let path = situation.stopping().path(fastest(rates));
-        let ends = [*lag.present, at.advanced(rates, path.path_s)];
+        let ends = [*lag.delayed, at.advanced(rates, path.path_s)];
         let change_rad = from_fn(|j| {
             let far = ends
                 .iter()
@@ -56,7 +56,7 @@ impl<'a> LagLines<'a> {
         let arrived = robot.body(at);
         let mut near = [0; NEAR_MAX];
         for (near, obstacle) in near.iter_mut().zip(situation.obstacles) {
-            let own_m = situation.safe_distance_m + lag.lead_s * obstacle.velocity_m_s().norm();
+            let own_m = situation.safe_distance_m + lag.time_constant_s * obstacle.velocity_m_s().norm();
             *near = arrived.sections_in_reach(obstacle, &travel_m.map(|travel_m| travel_m + own_m));
         }
         let is_any_near = near != [0; NEAR_MAX] || situation.obstacles.len() > NEAR_MAX;
@@ -105,10 +105,10 @@ impl<'a> LagLines<'a> {
     /// body passes the same share of the line to rest.
     fn is_clear(&self, rates: &BendRates, path_s: f64) -> bool {
         let end = self.situation.at.advanced(rates, path_s);
-        let bodies = bodies_between(self.situation.robot, self.lag.present, &end);
+        let bodies = bodies_between(self.situation.robot, self.lag.delayed, &end);
         let mut points = bodies.iter().enumerate();
         points.all(|(point, body)| {
-            let after_s = (share(point) - 1.0) * self.lag.lead_s;
+            let after_s = (share(point) - 1.0) * self.lag.time_constant_s;
             let near = self.near.iter().copied().chain(core::iter::repeat(u8::MAX));
             let mut obstacles = self.situation.obstacles.iter().zip(near);
             obstacles.all(|(obstacle, near)| {
@@ -140,7 +140,7 @@ impl<'a> LagLines<'a> {
         let arrived_m = self.arrived.clearance_of(section, obstacle);
         let floor_m = arrived_m.min(self.situation.safe_distance_m) - self.dip_m(obstacle);
         let Situation { robot, at, .. } = *self.situation;
-        let line = || bodies_between(robot, self.lag.present, at);
+        let line = || bodies_between(robot, self.lag.delayed, at);
         let bodies = self.resting.get_or_init(line).iter();
         let resting_m = bodies.map(|body| body.clearance_of(section, obstacle));
         resting_m.fold(floor_m, f64::min)

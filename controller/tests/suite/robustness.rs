@@ -269,7 +269,7 @@ fn motors_that_lag_lead_the_body_around_obstacles_at_the_safe_distance() {
         inside(from_m + share.min(1.0) * (to_m - from_m))
     };
     let scenes: [&[Obstacle]; 4] = [&[ball], &[bar], &[ball, bar], &[crossing]];
-    let motors = [(0.1, 0.03), (0.02, 0.0), (0.04, 0.02)];
+    let motors = [(0.1, 0.03), (0.02, 0.0), (0.1, 0.3), (0.2, 0.15)];
     for (scene, obstacles) in scenes.into_iter().enumerate() {
         let speed_m_s = obstacles[0].velocity_m_s().norm();
         for (time_constant_s, delay_s) in motors {

@@ -72,7 +72,7 @@ macro_rules! assign_all {
     ($telemetry:ident, $($field:ident = $value:expr),* $(,)?) => {
         let wire::Telemetry {
             header: _, command: _, scheduling: _, events: _, event_count: _, // in the reporter
-            obstacles: _, bend_rad: _, commanded_rad: _, present_rad: _, motor_rad: _, previous_rate_rad_s: _,
+            obstacles: _, bend_rad: _, commanded_rad: _, present_rad: _, delayed_rad: _, motor_rad: _, previous_rate_rad_s: _,
             warm_plan: _, plan: _,
             $($field: _,)*
         } = $telemetry;
@@ -109,6 +109,7 @@ pub fn fill_telemetry(
         (&record.configuration, &mut telemetry.bend_rad),
         (&record.commanded, &mut telemetry.commanded_rad),
         (&record.present, &mut telemetry.present_rad),
+        (&record.delayed, &mut telemetry.delayed_rad),
         (&record.motors, &mut telemetry.motor_rad),
     ] {
         copy(from.as_slice(), to);
@@ -184,6 +185,7 @@ pub fn fill_telemetry(
         following_lag_ns = (record.policy.following.lag_s * 1e9) as u64,
         acceleration_rad_s2 = record.policy.acceleration_rad_s2,
         reference_lead_ns = record.policy.reference_lead_ns,
+        motor_time_constant_ns = record.policy.motor_time_constant_ns(),
         play_m = record.policy.actuator.play_m,
         slack_m = record
             .slack

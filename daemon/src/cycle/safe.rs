@@ -24,8 +24,8 @@ impl Cycle {
             robot: &self.robot,
             at: self.state.configuration(),
             lag: Some(Lag {
-                present: self.state.present(),
-                lead_s: self.policy.reference_lead_ns as f64 * 1e-9,
+                delayed: self.state.delayed(),
+                time_constant_s: self.policy.motor_time_constant_ns() as f64 * 1e-9,
             }),
             commanded: self.state.commanded_motors(),
             slack: self.state.commanded_slack(),

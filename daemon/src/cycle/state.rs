@@ -27,6 +27,7 @@ pub(super) struct RobotState {
     period_ns: u64,
     pub(super) estimator: Estimator,
     present: Configuration,
+    delayed: Configuration,
     /// Commanded position: while the robot is in control, only the commanded rates change it. A robot with
     /// the position interface receives it.
     pub(super) commanded: Configuration,
@@ -78,6 +79,7 @@ impl RobotState {
             period_ns,
             estimator,
             present: initial,
+            delayed: initial,
             commanded: initial,
             drivers: 0,
             is_driver_new: false,
@@ -129,6 +131,11 @@ impl RobotState {
     /// Present configuration; behind the commanded one if the motors lag.
     pub(super) fn present(&self) -> &Configuration {
         &self.present
+    }
+
+    /// Configuration at the end of the motors' delay, where the next command begins to act.
+    pub(super) fn delayed(&self) -> &Configuration {
+        &self.delayed
     }
 
     /// The motors are estimated to have completed their commands.
@@ -332,6 +339,7 @@ impl RobotState {
         self.begins_at = None;
         self.is_driver_new = false;
         self.present = self.estimator.present();
+        self.delayed = self.estimator.delayed();
         self.common_mode.begin();
         self.trust_tip();
     }
@@ -407,6 +415,7 @@ impl RobotState {
     /// as two periods at most: a motion through the straight pose is not rest.
     pub(super) fn locate(&mut self, elapsed_ns: u64) {
         self.present = self.estimator.present();
+        self.delayed = self.estimator.delayed();
         self.straight_ns = if self.is_within(self.policy.home_tolerance_rad) {
             let seen_ns = elapsed_ns.min(2 * self.period_ns);
             self.straight_ns.saturating_add(seen_ns)

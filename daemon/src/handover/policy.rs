@@ -54,6 +54,11 @@ pub struct Policy {
 }
 
 impl Policy {
+    /// Time constant of the motors \[ns\].
+    pub fn motor_time_constant_ns(&self) -> u64 {
+        (self.actuator.time_constant_s * 1e9) as u64
+    }
+
     pub fn new(config: &Config) -> Self {
         Self {
             deceleration_rad_s2: config.motion.deceleration_rad_s2,

@@ -141,6 +141,8 @@ pub struct CycleFacts {
     pub slack: Option<Slack>,
     /// Configuration at the release.
     pub present: Configuration,
+    /// At the end of the motors' delay, where this cycle's command begins to act.
+    pub delayed: Configuration,
     pub commanded: Configuration,
     /// Following error at the last measurement.
     pub following: FollowingError,
