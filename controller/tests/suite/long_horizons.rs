@@ -10,7 +10,7 @@ use crate::{input, inside};
 mod course;
 mod foresight;
 
-use course::{Course, Curve, spiral};
+use course::{Course, Curve, Outcome, spiral};
 
 const PERIOD_S: f64 = 0.005;
 const STEPS: u32 = 20;
