@@ -13,9 +13,9 @@ use cdcr_controller::robot::BendRates;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, GREEN, GREY, Panel, Scale, of_rows, plot};
+use crate::chart::{BLUE, GREEN, GREY, Panel, Scale, of_rows};
 use crate::closed_loop::{self, End, PlanEvaluator, Scene, timed_solve};
-use crate::dataset::{Dataset, RoundTable, fixed, percent, plain, word};
+use crate::dataset::Dataset;
 use crate::experiment::{Solver, Task};
 use crate::progress::Progress;
 use crate::quantiles::{Quantiles, histogram};
@@ -28,24 +28,8 @@ pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 const AROUND_S: f64 = 3e-4;
 const WAYS: usize = 3;
 
-const EXPLANATION: &str = include_str!("budget.html");
-
-#[rustfmt::skip]
-const TABLE: RoundTable = RoundTable {
-    key: "cases",
-    file: "budget",
-    title: "How much later than its budget a solve ends, beside a loop without work",
-    columns: &[
-        word("case", "case"), plain("budget µs", "budget_us"), plain("solves", "solves"),
-        percent("ended by it %", "ended_by_budget_share", 1),
-        fixed("over p50 µs", "over_us_p50", 2), fixed("p99 µs", "over_us_p99", 2), fixed("max µs", "over_us_max", 2),
-        fixed("bare p50 µs", "bare_over_us_p50", 2), fixed("p99 µs", "bare_over_us_p99", 2), fixed("max µs", "bare_over_us_max", 2),
-        plain("worse than warm start", "worse_than_warm_start"),
-    ],
-    counts: &["solves", "ended_by_budget", "worse_than_warm_start"],
-    numbers: &[("over_p50", "µs", "over_us_p50"), ("over_p99", "µs", "over_us_p99")],
-    path: "budget/{case}/{budget_us}us",
-};
+/// The table.
+const CASES: &str = "cases";
 
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct BudgetOptions {
@@ -80,22 +64,17 @@ impl Benchmark for BudgetOptions {
         let mut cases = Vec::new();
         for (way, us) in ways.iter().flat_map(|way| BUDGETS_US.map(|us| (way, us))) {
             cases.push(Case {
-                table: TABLE.key,
+                table: CASES,
                 what: way.name.to_owned(),
                 expected_s: expected_s(us, solves),
                 measure: Box::new(move |_| Ok(vec![way.measure(us, solves)?])),
             });
         }
-        let heading = "How exactly a solve keeps its budget, offline";
-        let mut dataset = Dataset::new("budget", heading, EXPLANATION);
-        dataset.add_rounds(&TABLE, &study::run(self.rounds, &cases, progress)?);
+        let mut dataset = Dataset::new("budget", include_str!("budget.toml"));
+        dataset.add_rounds(CASES, study::run(self.rounds, &cases, progress)?.of(CASES));
         dataset.fact("rounds", self.rounds);
-        dataset.plots.push(plot(
-            "budget-overrun",
-            "How much later than its budget a solve ends, beside a loop that only waits.",
-            (2, 520),
-            &panels(dataset.rows(TABLE.key)),
-        )?);
+        let panels = panels(dataset.rows(CASES));
+        dataset.plot("budget-overrun", (2, 520), &panels)?;
         Ok(dataset)
     }
 }

@@ -1,6 +1,5 @@
 //! Plots of benchmark results, on top of `cdcr_chart`.
 
-use anyhow::Result;
 pub(crate) use cdcr_chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
     YELLOW,
@@ -9,20 +8,9 @@ use hdrhistogram::Histogram;
 use hdrhistogram::iterators::IterationValue;
 use serde_json::Value;
 
-use crate::dataset::{Plot, number};
+use crate::dataset::number;
 
 const SHORTEST_US: f64 = 0.1;
-
-/// Draws panels; `size` holds the panels per row and their height: see [`cdcr_chart::svg`].
-pub(crate) fn plot(
-    name: &'static str,
-    caption: &'static str,
-    size: (usize, u32),
-    panels: &[Panel],
-) -> Result<Plot> {
-    let svg = cdcr_chart::svg(size, panels)?;
-    Ok(Plot { name, caption, svg })
-}
 
 /// Points of one number over another, one for each row that has both.
 pub(crate) fn of_rows<'a>(

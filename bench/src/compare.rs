@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use statrs::function::factorial::binomial;
 
-use crate::dataset::{Column, Sheet, fixed, shorted, signed, word};
+use crate::dataset::Dataset;
 use crate::environment::Environment;
 use crate::metric::{Better, Metric};
 use crate::named::named;
@@ -35,18 +35,6 @@ const NAMES_MAX: usize = 12;
 const OTHER_MACHINE: &str = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
                              each run measured itself, can";
 const OTHER_OPTIONS: &str = "numbers may differ for this reason alone, ratios too";
-
-const COLUMNS: [Column; 9] = [
-    word("metric", "name"),
-    word("unit", "unit"),
-    word("", "verdict"),
-    signed("change %", "change_percent"),
-    shorted("before", "before_median"),
-    shorted("rounds", "before_range"),
-    shorted("after", "after_median"),
-    shorted("rounds", "after_range"),
-    fixed("by chance", "chance", 3),
-];
 
 named! {
     /// Classification of a number. `OneValue…`: each run has a single value, so chance cannot be estimated.
@@ -158,11 +146,9 @@ impl Comparison {
             text.push_str("\nNothing changed beyond noise.\n");
         }
         if !rows.is_empty() {
-            let title = format!(
-                "Worse or better: the rounds of the two runs are apart, and their medians differ by more than \
-                 {LEAST_CHANGE_PERCENT} %. With one value each, a change only where the number is exact"
-            );
-            write!(text, "\n{}", Sheet::of(&title, &COLUMNS, rows).text())?;
+            let mut changes = Dataset::new("compare", include_str!("compare.toml"));
+            changes.add_titled("changes", &[&LEAST_CHANGE_PERCENT.to_string()], rows);
+            write!(text, "\n{}", changes.text())?;
         }
         let counts =
             ChangeClass::ALL.map(|verdict| format!("{} {}", self.count(verdict), verdict.name()));

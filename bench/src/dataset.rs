@@ -1,64 +1,48 @@
-//! Result of a benchmark: rows under columns, plots, single numbers, raw latencies.
+//! Result of a benchmark: rows under columns, plots, metrics, raw latencies.
 //!
 //! A row is anything that serde serialises as an object. Only this module formats it as text, Markdown, CSV
 //! and JSON. A column names its value by the keys that lead to it, joined by `_`, as in CSV.
 
-mod column;
+mod declaration;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 
 use anyhow::Result;
+use cdcr_chart::Panel;
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
-use column::Show;
-pub use column::{Column, fixed, percent, plain, power, shorted, signed, word};
+pub use declaration::{Column, Declaration, Table};
 
 use crate::metric::{Better, Metric, median};
-use crate::study::Rounds;
 
 /// The result of one benchmark, for people, for programs and for comparison with the next run.
 #[derive(Default)]
 pub struct Dataset {
     pub name: &'static str,
-    pub heading: &'static str,
-    /// Method and reading guide: paragraphs of HTML.
-    pub explanation: &'static str,
+    pub declaration: Declaration,
     /// The most important remark, one sentence.
     pub note: String,
     /// Whether the note is a warning about a failure or about meaningless numbers.
     pub warns: bool,
-    /// Keys of the JSON in addition to those of the sheets.
+    /// Keys of the JSON in addition to those of the tables.
     pub facts: Map<String, Value>,
+    /// In the order of their declaration.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
     pub metrics: Vec<Metric>,
-    /// Rows of the project's targets: see [`Self::target`].
+    /// Rows of the targets that are not for a metric: see [`Self::target`].
     pub targets: Vec<Value>,
     /// All measured latencies, from which other percentiles can be computed.
     pub recordings: Vec<Recording>,
 }
 
-/// A table of what a benchmark measures in each round.
-pub struct RoundTable {
-    pub key: &'static str,
-    pub file: &'static str,
-    pub title: &'static str,
-    pub columns: &'static [Column],
-    /// Keys of counts that are added over the rounds: see [`together`].
-    pub counts: &'static [&'static str],
-    /// Name, unit and row key of each number: see [`Dataset::compare`].
-    pub numbers: &'static [(&'static str, &'static str, &'static str)],
-    /// Prefix of the names of a row's numbers: see `filled`.
-    pub path: &'static str,
-}
-
 pub struct Plot {
-    pub name: &'static str,
-    pub caption: &'static str,
+    pub name: String,
+    pub caption: String,
     pub svg: String,
 }
 
@@ -73,25 +57,29 @@ pub struct Recording {
 }
 
 impl Dataset {
-    pub fn new(name: &'static str, heading: &'static str, explanation: &'static str) -> Self {
+    /// An empty result with this declaration, a TOML text of the program.
+    pub fn new(name: &'static str, declaration: &str) -> Self {
         Self {
             name,
-            heading,
-            explanation,
+            declaration: toml::from_str(declaration).expect("a declaration"),
             ..Self::default()
         }
     }
 
-    /// Adds a number of which less is better; nothing if no round measured it.
+    pub fn heading(&self) -> &str {
+        &self.declaration.heading
+    }
+
+    /// Adds a metric of which less is better; nothing if no round measured it.
     pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
-        self.add(Metric::new(name, unit, Better::Lower, rounds));
+        self.add_metric(Metric::new(name, unit, Better::Lower, rounds));
     }
 
     pub fn higher(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
-        self.add(Metric::new(name, unit, Better::Higher, rounds));
+        self.add_metric(Metric::new(name, unit, Better::Higher, rounds));
     }
 
-    fn add(&mut self, metric: Metric) {
+    fn add_metric(&mut self, metric: Metric) {
         self.metrics
             .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
     }
@@ -112,34 +100,94 @@ impl Dataset {
         }));
     }
 
-    /// Adds numbers of the same rounds of which less is better: name, unit and row key of each. Shares with
-    /// the unit % are scaled by 100.
-    pub fn compare(&mut self, path: &str, rounds: &[Value], numbers: &[(&str, &str, &str)]) {
-        for (name, unit, key) in numbers {
-            let factor = if *unit == "%" { 100.0 } else { 1.0 };
+    /// The rows of all targets that were measured.
+    pub fn all_targets(&self) -> Vec<Value> {
+        let mut all = Self::default();
+        for target in &self.declaration.targets {
+            let (begin, end) = target
+                .metric
+                .split_once('*')
+                .unwrap_or((&target.metric, ""));
+            let found = self.metrics.iter().filter_map(|metric| {
+                let case = metric.name.strip_prefix(begin)?.strip_suffix(end)?;
+                let is_it = case.is_empty() || target.metric.contains('*');
+                is_it.then_some(())?;
+                Some((metric.median()?, json!(metric.range()), case.to_owned()))
+            });
+            let worst = found.max_by(|one, other| one.0.total_cmp(&other.0));
+            let words = [&*target.what, &target.target, &target.unit];
+            all.target(words, worst, f64::MIN..=target.most);
+        }
+        all.targets.extend_from_slice(&self.targets);
+        all.targets
+    }
+
+    fn declared(&self, table: &str) -> (usize, Table) {
+        let mut tables = self.declaration.tables.iter().enumerate();
+        let found = tables.find(|(_, declared)| declared.name == table);
+        let (place, table) = found.unwrap_or_else(|| panic!("{} declares no {table}", self.name));
+        (place, table.clone())
+    }
+
+    /// Adds the declared metrics of a row of a table from its rounds. Shares with the unit % are scaled by 100.
+    pub fn compare(&mut self, table: &str, row: &Value, rounds: &[Value]) {
+        let table = self.declared(table).1;
+        for (name, unit, key) in &table.metrics {
+            let factor = if unit == "%" { 100.0 } else { 1.0 };
             let values = each(rounds, key).map(|value| factor * value);
-            self.lower(format!("{path}/{name}"), unit, values);
+            let better = [Better::Lower, Better::Higher][usize::from(table.higher.contains(name))];
+            let name = filled(&format!("{}/{name}", table.path), row);
+            self.add_metric(Metric::new(name, unit, better, values));
         }
     }
 
-    /// Adds a table whose rows every round measured in the same order, see [`together`], and the numbers of
-    /// each row. Adds nothing without measurements.
-    pub(crate) fn add_rounds(&mut self, table: &RoundTable, found: &Rounds) {
-        let mut rows = Vec::new();
-        for of_row in by_rows(found.of(table.key)) {
-            let row = together(&of_row, table.counts);
-            self.compare(&filled(table.path, &row), &of_row, table.numbers);
-            rows.push(row);
-        }
+    /// Merges the rounds of one row of a table, see [`together`], and adds its metrics.
+    pub fn merge(&mut self, table: &str, rounds: &[Value]) -> Value {
+        let row = together(rounds, &self.declared(table).1.counts);
+        self.compare(table, &row, rounds);
+        row
+    }
+
+    /// Adds a table whose rows every round measured in the same order. Adds nothing without measurements.
+    pub(crate) fn add_rounds(&mut self, table: &str, rounds: &[Vec<Value>]) {
+        let of_rows = by_rows(rounds).into_iter();
+        let rows = of_rows.map(|rounds| self.merge(table, &rounds));
+        let rows: Vec<Value> = rows.collect();
         if !rows.is_empty() {
-            let sheet = Sheet::of(table.title, table.columns, rows);
-            self.sheets.push(sheet.key(table.key).file(table.file));
+            self.add(table, rows);
         }
     }
 
-    pub fn rows(&self, key: &str) -> &[Value] {
+    pub fn add(&mut self, table: &str, rows: Vec<Value>) {
+        self.add_titled(table, &[], rows);
+    }
+
+    /// Adds the rows of a declared table. Words replace the pairs of braces in its title.
+    pub fn add_titled(&mut self, table: &str, words: &[&str], rows: Vec<Value>) {
+        let (place, mut table) = self.declared(table);
+        for word in words {
+            table.title = table.title.replacen("{}", word, 1);
+        }
+        self.sheets.push(Sheet { place, table, rows });
+        self.sheets.sort_by_key(|sheet| sheet.place);
+    }
+
+    /// Draws panels with the declared caption; `size` holds the panels per row and their height: see
+    /// [`cdcr_chart::svg`]. Draws nothing without panels.
+    pub fn plot(&mut self, name: &str, size: (usize, u32), panels: &[Panel]) -> Result<()> {
+        if !panels.is_empty() {
+            self.plots.push(Plot {
+                name: name.to_owned(),
+                caption: self.declaration.plots[name].clone(),
+                svg: cdcr_chart::svg(size, panels)?,
+            });
+        }
+        Ok(())
+    }
+
+    pub fn rows(&self, table: &str) -> &[Value] {
         let mut sheets = self.sheets.iter();
-        let sheet = sheets.find(|sheet| sheet.key == Some(key));
+        let sheet = sheets.find(|sheet| sheet.table.name == table);
         sheet.map_or(&[], |sheet| &sheet.rows)
     }
 
@@ -149,24 +197,23 @@ impl Dataset {
 
     pub fn json(&self) -> Map<String, Value> {
         let mut json = self.facts.clone();
-        for sheet in &self.sheets {
-            if let Some(key) = sheet.key {
-                json.insert(key.to_owned(), sheet.rows.clone().into());
-            }
+        for sheet in self.sheets.iter().filter(|sheet| sheet.table.json) {
+            json.insert(sheet.table.name.clone(), sheet.rows.clone().into());
         }
         json
     }
 
     pub fn tables(&self) -> impl Iterator<Item = &Sheet> {
-        self.sheets.iter().filter(|sheet| !sheet.title.is_empty())
+        let is_shown = |sheet: &&Sheet| !sheet.table.title.is_empty();
+        self.sheets.iter().filter(is_shown)
     }
 
     pub fn text(&self) -> String {
-        self.joined(Sheet::text)
+        self.joined(|sheet| sheet.shown().text())
     }
 
     pub fn markdown(&self) -> String {
-        self.joined(Sheet::markdown)
+        self.joined(|sheet| sheet.shown().markdown())
     }
 
     fn joined(&self, form: fn(&Sheet) -> String) -> String {
@@ -175,89 +222,22 @@ impl Dataset {
         texts.join("\n")
     }
 
-    pub fn csv(&self) -> impl Iterator<Item = (&'static str, Result<String>)> {
+    /// The name and content of each CSV file.
+    pub fn csv(&self) -> impl Iterator<Item = (&str, Result<String>)> {
         let sheets = self.sheets.iter();
-        sheets.filter_map(|sheet| Some((sheet.file?, sheet.csv())))
+        sheets.filter_map(|sheet| Some((sheet.table.file.as_deref()?, sheet.csv())))
     }
 }
 
-#[derive(Debug)]
+/// The rows of a table.
+#[derive(Debug, Default)]
 pub struct Sheet {
-    key: Option<&'static str>,
-    file: Option<&'static str>,
-    title: String,
-    columns: Vec<Column>,
-    rows: Vec<Value>,
+    place: usize,
+    pub table: Table,
+    pub rows: Vec<Value>,
 }
 
 impl Sheet {
-    /// Rows for a table, unless the title is empty. The columns also begin the CSV.
-    pub fn of(title: &str, columns: &[Column], rows: Vec<Value>) -> Self {
-        Self {
-            key: None,
-            file: None,
-            title: title.to_owned(),
-            columns: columns.to_vec(),
-            rows,
-        }
-    }
-
-    #[must_use]
-    pub fn key(mut self, key: &'static str) -> Self {
-        self.key = Some(key);
-        self
-    }
-
-    #[must_use]
-    pub fn file(mut self, name: &'static str) -> Self {
-        self.file = Some(name);
-        self
-    }
-
-    fn cells(&self) -> Vec<Vec<String>> {
-        let cells = |row: &Value| {
-            let values = flat(row);
-            self.columns.iter().map(|c| c.cell(&values)).collect()
-        };
-        self.rows.iter().map(cells).collect()
-    }
-
-    pub fn text(&self) -> String {
-        let heads = self.columns.iter().map(|c| c.head.to_owned()).collect();
-        let mut lines = vec![heads];
-        lines.extend(self.cells());
-        let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max();
-        let widths: Vec<usize> = (0..self.columns.len()).filter_map(width).collect();
-        let mut text = format!("{}\n", self.title);
-        for line in &lines {
-            let mut padded = String::new();
-            for ((cell, width), column) in
-                line.iter().zip(widths.iter().copied()).zip(&self.columns)
-            {
-                let _ = match column.show {
-                    Show::Word => write!(padded, "{cell:<width$}  "),
-                    _ => write!(padded, "{cell:>width$}  "),
-                };
-            }
-            let _ = writeln!(text, "{}", padded.trim_end());
-        }
-        text
-    }
-
-    pub fn markdown(&self) -> String {
-        self.shown().markdown()
-    }
-
-    pub fn shown(&self) -> ShownTable {
-        let is_word = |column: &Column| matches!(column.show, Show::Word);
-        ShownTable {
-            title: self.title.clone(),
-            heads: self.columns.iter().map(|c| c.head.to_owned()).collect(),
-            words: self.columns.iter().map(is_word).collect(),
-            lines: self.cells(),
-        }
-    }
-
     /// Every value of the rows, beginning with the columns of the table.
     fn csv(&self) -> Result<String> {
         let rows: Vec<_> = self.rows.iter().map(flat).collect();
@@ -267,19 +247,14 @@ impl Sheet {
         let is_object = |key: &str| {
             let fields = format!("{key}_");
             keys.iter().any(|other| other.starts_with(&fields))
-                && rows
-                    .iter()
-                    .all(|row| row.get(key).is_none_or(Value::is_null))
+                && (rows.iter()).all(|row| row.get(key).is_none_or(Value::is_null))
         };
-        let known: Vec<&str> = keys
-            .iter()
-            .map(|key| key.as_str())
-            .filter(|key| !is_object(key))
-            .collect();
-        let shown = self.columns.iter().map(|column| column.key);
+        let mut known: Vec<&str> = keys.iter().map(|key| key.as_str()).collect();
+        known.retain(|key| !is_object(key));
+        let shown = self.table.columns.iter().map(|column| &*column.key);
         let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
-        let others = known.iter().filter(|key| !heads.contains(key));
-        heads.extend(others.copied().collect::<Vec<_>>());
+        known.retain(|key| !heads.contains(key));
+        heads.extend(known);
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(&heads)?;
         for row in &rows {
@@ -290,6 +265,20 @@ impl Sheet {
             }))?;
         }
         Ok(String::from_utf8(writer.into_inner()?)?)
+    }
+
+    pub fn shown(&self) -> ShownTable {
+        let columns = &self.table.columns;
+        let cells = |row: &Value| {
+            let values = flat(row);
+            columns.iter().map(|column| column.cell(&values)).collect()
+        };
+        ShownTable {
+            title: self.table.title.clone(),
+            heads: columns.iter().map(|column| column.head.clone()).collect(),
+            words: columns.iter().map(Column::is_word).collect(),
+            lines: self.rows.iter().map(cells).collect(),
+        }
     }
 }
 
@@ -305,6 +294,25 @@ pub struct ShownTable {
 }
 
 impl ShownTable {
+    pub fn text(&self) -> String {
+        let lines = || [&self.heads].into_iter().chain(&self.lines);
+        let width = |place: usize| lines().map(|line| line[place].chars().count()).max();
+        let mut text = format!("{}\n", self.title);
+        for line in lines() {
+            let mut padded = String::new();
+            for (place, cell) in line.iter().enumerate() {
+                let width = width(place).unwrap_or(0);
+                let _ = if self.words[place] {
+                    write!(padded, "{cell:<width$}  ")
+                } else {
+                    write!(padded, "{cell:>width$}  ")
+                };
+            }
+            let _ = writeln!(text, "{}", padded.trim_end());
+        }
+        text
+    }
+
     pub fn markdown(&self) -> String {
         let line = |cells: &[String]| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
         let mark = |is_word: &bool| if *is_word { "---" } else { "--:" }.to_owned();
@@ -322,12 +330,12 @@ pub(crate) fn by_rows(rounds: &[Vec<Value>]) -> Vec<Vec<Value>> {
 }
 
 /// Replaces the keys in braces in a name by the values of a row.
-pub(crate) fn filled(name: &'static str, row: &Value) -> String {
+pub(crate) fn filled(name: &str, row: &Value) -> String {
     let values = flat(row);
     let parts = name.split(['{', '}']).enumerate();
-    let part = |(place, part): (usize, &'static str)| match place % 2 {
+    let part = |(place, part): (usize, &str)| match place % 2 {
         0 => part.to_owned(),
-        _ => plain("", part).cell(&values),
+        _ => Column::new("", part, "plain").cell(&values),
     };
     parts.map(part).collect()
 }
@@ -344,8 +352,8 @@ pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> 
 /// Merges rounds into one row. Counts under the given keys are added, objects of counts field by field. Other
 /// numbers become their median, but `min…` the smallest, `max…` and `below…` the largest. Numbers and texts
 /// that are equal in all rounds stay; other texts, and lists, are left out.
-pub fn together(rounds: &[Value], counts: &[&str]) -> Value {
-    merged(rounds, &|key| counts.contains(&key))
+pub fn together(rounds: &[Value], counts: &[String]) -> Value {
+    merged(rounds, &|key| counts.iter().any(|count| count == key))
 }
 
 fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
@@ -408,61 +416,59 @@ pub(crate) fn flat(row: &Value) -> BTreeMap<String, Value> {
 mod tests {
     use super::*;
 
-    fn sheet() -> Sheet {
-        let rows = [
-            json!({ "name": "a", "good": true, "times": { "mean": 5e-9, "count": 3 }, "more": null, "ends": [1.0, 2.5] }),
-            json!({ "name": "b, c", "good": false, "times": { "mean": f64::NAN, "count": 0 }, "more": 0.5 }),
-        ];
-        let columns = [
-            word("name", "name"),
-            power("mean s", "times_mean"),
-            percent("more %", "more", 1),
-            fixed("from", "ends", 1),
-        ];
-        Sheet::of("Two", &columns, rows.into())
-    }
-
-    #[test]
-    fn csv_joins_nested_names_and_leaves_what_is_missing_empty() {
-        let expected = "name,times_mean,more,ends,good,times_count\na,5e-9,,\"[1.0,2.5]\",true,3\n\"b, c\",,0.5,,false,0\n";
-        assert_eq!(sheet().csv().expect("written"), expected);
-    }
-
-    #[test]
-    fn a_csv_has_a_column_for_what_nobody_measured() {
-        let rows = serde_json::json!([
-            {"a": null, "b": {"x": 1, "y": null}, "c": {"x": null}},
-            {"a": null, "b": null, "c": {"x": null}},
+    fn dataset() -> Dataset {
+        let mut dataset = Dataset::new(
+            "two",
+            r#"
+            heading = "Two"
+            explanation = ""
+            [[tables]]
+            name = "both"
+            title = "Two"
+            file = "both"
+            counts = ["count", "of"]
+            path = "{name}"
+            metrics = [["mean", "µs", "times_mean"], ["gone", "", "gone"]]
+            columns = [
+              ["name", "name", "word"], ["mean s", "times_mean", "power"], ["more %", "more", "percent 1"],
+              ["from", "ends", "fixed 1"],
+            ]
+            "#,
+        );
+        let rows = json!([
+            { "name": "a", "good": true, "times": { "mean": 5e-9, "count": 3 }, "more": null, "ends": [1.0, 2.5], "x": null },
+            { "name": "b, c", "good": false, "times": { "mean": f64::NAN, "count": 0 }, "more": 0.5, "x": { "y": null } },
         ]);
-        let rows = rows.as_array().expect("a list").clone();
-        let csv = Sheet::of("", &[], rows).csv().expect("written");
-        assert_eq!(csv, "a,b_x,b_y,c_x\n,1,,\n,,,\n");
+        dataset.add("both", rows.as_array().expect("a list").clone());
+        dataset
+    }
+
+    #[test]
+    fn a_value_that_was_not_measured_is_empty_in_a_csv_and_a_dash_in_every_table() {
+        let dataset = dataset();
+        let (file, csv) = dataset.csv().next().expect("a file");
+        let expected = "name,times_mean,more,ends,good,times_count,x_y\na,5e-9,,\"[1.0,2.5]\",true,3,\n\"b, c\",,0.5,,false,0,\n";
+        assert_eq!((file, &*csv.expect("written")), ("both", expected));
+        let text = "Two\nname  mean s  more %        from\na     5.0e-9       -  1.0 to 2.5\nb, c       -    50.0           -\n";
+        assert_eq!(dataset.text(), text);
+        assert!(dataset.markdown().ends_with("| b, c | - | 50.0 | - |\n"));
     }
 
     #[test]
     fn rounds_become_one_row() {
-        let rounds = [(1.0, 3, 9.0), (4.0, 4, 2.0), (2.0, 5, 5.0)].map(|(time, count, most)| {
-            json!({ "us": { "p50": time, "max": most, "min": most }, "count": count, "of": { "a": count }, "size": count, "word": "a", "none": null })
+        let rounds = [(1.0, 3, 9.0), (4.0, 4, 2.0), (2.0, 5, 5.0)].map(|(mean, count, most)| {
+            json!({ "times": { "mean": mean, "max": most, "min": most }, "count": count, "of": { "a": count }, "size": count, "name": "a", "none": null })
         });
         // A whole number is only a count if it is declared as one.
         let expected = json!({
-            "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "of": { "a": 12 }, "size": 4.0, "word": "a", "none": null,
+            "times": { "mean": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "of": { "a": 12 }, "size": 4.0, "name": "a", "none": null,
         });
-        assert_eq!(together(&rounds, &["count", "of"]), expected);
-        let mut dataset = Dataset::default();
-        dataset.compare(
-            "a",
-            &rounds,
-            &[("p50", "µs", "us_p50"), ("gone", "", "gone")],
-        );
+        let mut dataset = dataset();
+        assert_eq!(dataset.merge("both", &rounds), expected);
         assert_eq!(dataset.metrics.len(), 1);
-        assert_eq!(dataset.metrics[0].rounds, [1.0, 4.0, 2.0]);
-    }
-
-    #[test]
-    fn a_value_that_was_not_measured_is_a_dash_in_every_table() {
-        let text = "Two\nname  mean s  more %        from\na     5.0e-9       -  1.0 to 2.5\nb, c       -    50.0           -\n";
-        assert_eq!(sheet().text(), text);
-        assert!(sheet().markdown().ends_with("| b, c | - | 50.0 | - |\n"));
+        assert_eq!(
+            (&*dataset.metrics[0].name, &*dataset.metrics[0].rounds),
+            ("a/mean", &[1.0, 4.0, 2.0][..])
+        );
     }
 }

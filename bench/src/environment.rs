@@ -11,7 +11,7 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
-use crate::dataset::{Sheet, flat, word};
+use crate::dataset::flat;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 
@@ -92,11 +92,11 @@ impl Environment {
         named.collect()
     }
 
-    pub fn table(&self) -> Sheet {
+    /// A row for each property.
+    pub fn rows(&self) -> Vec<Value> {
         let rows = self.properties().into_iter();
         let rows = rows.map(|(property, value)| json!({ "property": property, "value": value }));
-        let columns = [word("property", "property"), word("value", "value")];
-        Sheet::of("The machine", &columns, rows.collect())
+        rows.collect()
     }
 
     /// Properties that differ between two machines and affect absolute times. An older file may lack a
@@ -301,8 +301,8 @@ mod tests {
         let nothing = machine(&[]);
         says(&nothing, &[("memory mb", json!(null)), ("virtual machine", json!(null))]);
         assert!(nothing.line().ends_with("real time refused."));
-        let text = nothing.table().text();
-        assert!(text.contains("privileges realtime") && text.contains("cores others"), "{text}");
+        let rows = json!(nothing.rows()).to_string();
+        assert!(rows.contains("privileges realtime") && rows.contains("cores others"), "{rows}");
 
         let cpu = "processor\t: 0\nmodel name\t: Quick 9\ncpu MHz\t: 2500.5\nflags\t: fpu hypervisor\n\nprocessor\t: 5\n";
         let cache = "sys/devices/system/cpu/cpu2/cache/index0";

@@ -7,6 +7,7 @@
 #![allow(
     missing_docs,
     clippy::missing_errors_doc,
+    clippy::missing_panics_doc,
     reason = "the library of a program: nobody reads its rustdoc, and a comment that repeats a name helps nobody"
 )]
 

@@ -8,17 +8,13 @@ use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::closed_loop::{self, Sample, Scene};
-use crate::dataset::{
-    Column, Dataset, Sheet, each, filled, fixed, joined, plain, power, together, word,
-};
+use crate::dataset::{Dataset, each, joined, together};
 use crate::experiment::{Experiment, Outcome, Solver, Task};
 use crate::interrupt;
 use crate::metric::median;
-use crate::plots::plots;
+use crate::plots;
 use crate::progress::Progress;
 use crate::quantiles::{Quantiles, histogram};
-
-const EXPLANATION: &str = include_str!("paper.html");
 
 /// The approach ends when the error first falls below this value \[mm\]. The printed constants of the circle
 /// are rounded and leave 7.2e-3 mm.
@@ -31,29 +27,6 @@ const CLEARANCE_SEEDS: u32 = 20;
 /// Approximate time per particle and step over a whole simulation \[s\], and its cycles.
 const WORK_S: f64 = 2.5e-4;
 const CYCLES: u64 = 1000;
-
-/// The simulations: name, title of the table, prefix of the names of the numbers (see [`filled`]), columns.
-#[rustfmt::skip]
-const SIMULATIONS: [(&str, &str, &str, &[Column]); 3] = [
-    ("spiral", "Simulation 1: spiral (Eq. 8)", "paper/spiral-{sections}/{coordinates}/{solver}", &[
-        plain("sections", "sections"), power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
-        power("paper's mean mm", "paper_mean_error_mm"),
-    ]),
-    ("line", "Simulation 2: line with a vertical tip (Eq. 9), 3 sections", "paper/line-{rate_limit_rad_s}rad_s/{coordinates}/{solver}", &[
-        plain("limit rad/s", "rate_limit_rad_s"), power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
-        power("paper's mean mm", "paper_mean_error_mm"), power("max |Θ| rad", "max_theta_rad"), power("max |Ψ| rad", "max_psi_rad"),
-    ]),
-    ("circle", "Simulation 3: circle around an obstacle, 1 section", "paper/circle-{safe_distance_mm}mm/{coordinates}/{solver}", &[
-        plain("D mm", "safe_distance_mm"), fixed("min clearance mm", "min_clearance_mm", 4),
-        power("mean error outside mm", "mean_error_outside_mm"), fixed("peak mm", "peak_error_mm", 2), plain("seeds", "seeds"),
-    ]),
-];
-const BEFORE: [Column; 2] = [word("solver", "solver"), word("coordinates", "coordinates")];
-#[rustfmt::skip]
-const AFTER: [Column; 4] = [
-    fixed("mean µs", "solve_us_mean", 2), fixed("p50 µs", "solve_us_p50", 2), fixed("p99 µs", "solve_us_p99", 2),
-    plain("paper's mean ms", "paper_mean_solve_ms"),
-];
 
 /// How often and how far the paper's simulations are run.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -115,28 +88,19 @@ impl Benchmark for Effort {
 }
 
 fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
-    let heading = "The paper's simulations, offline";
-    let mut dataset = Dataset::new("paper", heading, EXPLANATION);
-    dataset.plots = plots(outcomes)?;
-    // The seeds serve as rounds: results that depend on the random swarm get their spread from them.
-    let numbers = [
-        ("mean_error", "mm", "mean_error_mm"),
-        ("solve_p50", "µs", "solve_p50_us"),
-    ];
-    let columns = |own: &[Column]| [&BEFORE[..], own, &AFTER].concat();
-    for (name, title, path, own) in SIMULATIONS {
-        let of_it = outcomes
-            .iter()
-            .filter(|outcome| outcome.row["name"] == name);
-        for Outcome { row, runs, .. } in of_it.clone() {
-            dataset.compare(&filled(path, row), runs, &numbers);
+    let mut dataset = Dataset::new("paper", include_str!("paper.toml"));
+    plots::draw(&mut dataset, outcomes)?;
+    let rows = |of: &[&Outcome]| of.iter().map(|outcome| outcome.row.clone()).collect();
+    let all: Vec<&Outcome> = outcomes.iter().collect();
+    for of_table in all.chunk_by(|one, other| one.row["name"] == other.row["name"]) {
+        let name = of_table[0].experiment.task.name();
+        // The seeds serve as rounds: results that depend on the random swarm get their spread from them.
+        for Outcome { row, runs, .. } in of_table {
+            dataset.compare(name, row, runs);
         }
-        let rows = of_it.map(|outcome| outcome.row.clone()).collect();
-        dataset.sheets.push(Sheet::of(title, &columns(own), rows));
+        dataset.add(name, rows(of_table));
     }
-    let rows = outcomes.iter().map(|outcome| outcome.row.clone()).collect();
-    let sheet = Sheet::of("", &columns(SIMULATIONS[0].3), rows);
-    dataset.sheets.push(sheet.key("simulations").file("paper"));
+    dataset.add("simulations", rows(&all));
     Ok(dataset)
 }
 

@@ -8,10 +8,10 @@ use nalgebra::Vector3;
 
 use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
-    YELLOW, plot,
+    YELLOW,
 };
 use crate::closed_loop::{PERIOD_S, Sample};
-use crate::dataset::Plot;
+use crate::dataset::Dataset;
 use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Outcome, Solver, Task};
 
 /// Smallest bend with a meaningful direction \[rad\].
@@ -29,86 +29,80 @@ const ANGLE_RATE_MAX_RAD_S: f64 = 10.0;
 const CLEARANCE_MAX_MM: f64 = 2.0;
 const SHARES: f64 = 1e-3;
 
-pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+pub fn draw(dataset: &mut Dataset, outcomes: &[Outcome]) -> Result<()> {
     let tasks = Task::all().into_iter();
     let drawn = tasks.map(|task| Drawn::new(outcomes, task));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
-    let of = |name: &str| {
+    let [spirals, lines, circles] = ["spiral", "line", "circle"].map(|name| {
         let is_it = |one: &&Drawn<'_>| one.run.experiment.task.name() == name;
         drawn.iter().filter(is_it).collect::<Vec<_>>()
-    };
-    let all = [
-        of_spirals(&of("spiral")),
-        of_lines(&of("line")),
-        of_circles(&of("circle")),
-    ];
-    let all = all.into_iter().flatten();
-    all.map(|(name, caption, size, panels)| plot(name, caption, size, &panels))
-        .collect()
+    });
+    let mut plot = |name, size, panels: Vec<Panel>| dataset.plot(name, size, &panels);
+    plot("paper-spiral-path", (2, 900), spiral_paths(&spirals))?;
+    plot(
+        "paper-spiral-errors",
+        (1, 560),
+        each(&spirals, Drawn::errors),
+    )?;
+    plot(
+        "paper-spiral-solvers",
+        (1, 560),
+        each(&spirals, Drawn::distances),
+    )?;
+    plot(
+        "paper-spiral-controls",
+        (2, 620),
+        pairs(&spirals, Drawn::controls),
+    )?;
+    plot(
+        "paper-spiral-cables",
+        (1, 600),
+        each(&spirals, Drawn::cables),
+    )?;
+    plot("paper-spiral-times", (1, 560), each(&spirals, Drawn::times))?;
+    plot("paper-line-shapes", (2, 1050), pairs(&lines, Drawn::shapes))?;
+    plot("paper-line-angles", (2, 600), pairs(&lines, Drawn::angles))?;
+    plot(
+        "paper-line-controls",
+        (2, 620),
+        pairs(&lines, Drawn::controls),
+    )?;
+    let errors = [each(&lines, Drawn::errors), each(&lines, Drawn::tilt)].into_iter();
+    plot("paper-line-errors", (1, 560), errors.flatten().collect())?;
+    plot(
+        "paper-line-solvers",
+        (1, 560),
+        each(&lines, Drawn::distances),
+    )?;
+    plot("paper-line-cables", (1, 600), each(&lines, Drawn::cables))?;
+    plot("paper-line-times", (1, 560), each(&lines, Drawn::times))?;
+    let views = [(View::ABOVE, "above"), (View::SIDE, "the side")];
+    let paths = views.map(|(view, from)| circle_path(view, from, &circles));
+    plot("paper-circle-path", (2, 900), paths.into())?;
+    plot(
+        "paper-circle-errors",
+        (1, 640),
+        vec![circle_errors(&circles)],
+    )?;
+    plot(
+        "paper-circle-clearance",
+        (1, 640),
+        vec![circle_clearance(&circles)],
+    )?;
+    plot(
+        "paper-circle-cables",
+        (1, 520),
+        each(&circles, Drawn::cables),
+    )?;
+    plot("paper-circle-times", (1, 560), each(&circles, Drawn::times))
 }
 
-/// Name, caption, panels per row and their height, the panels.
-type Figure = (&'static str, &'static str, (usize, u32), Vec<Panel>);
-
-#[rustfmt::skip]
-fn of_spirals(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
-    vec![
-        ("paper-spiral-path", "Path of the tip over the reference (the paper's Fig. 3, left), and the shapes of the robots \
-          with one, two and three sections at the end.", (2, 900), spiral_paths(tasks)),
-        ("paper-spiral-errors", "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
-         (1, 560), tasks.iter().map(|one| one.errors()).collect()),
-        ("paper-spiral-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
-         (1, 560), tasks.iter().map(|one| one.distances()).collect()),
-        ("paper-spiral-controls", "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
-          commanded, right the same in the paper's angles, where a section is bent by more than 1e-3 rad, and up to 10 rad/s.",
-         (2, 620), tasks.iter().flat_map(|one| one.controls()).collect()),
-        ("paper-spiral-cables", "Lengths of the cables with kpso-refined less those at the straight robot; Lji is cable i of \
-          section j.", (1, 600), tasks.iter().map(|one| one.cables()).collect()),
-        ("paper-spiral-times", "How many cycles take longer to compute than so much (Fig. 5), and the period of the loop.",
-         (1, 560), tasks.iter().map(|one| one.times()).collect()),
-    ]
+fn each(tasks: &[&Drawn<'_>], panel: fn(&Drawn<'_>) -> Panel) -> Vec<Panel> {
+    tasks.iter().map(|task| panel(task)).collect()
 }
 
-#[rustfmt::skip]
-fn of_lines(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
-    vec![
-        ("paper-line-shapes", "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
-         (2, 1050), tasks.iter().flat_map(|one| one.shapes()).collect()),
-        ("paper-line-angles", "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
-          against them make an S. Any vertical plane will do for it.",
-         (2, 600), tasks.iter().flat_map(|one| one.angles()).collect()),
-        ("paper-line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles. In the first period the line \
-          goes down by 0.05 mm, for which the straight robot bends its middle section at 7.3 rad/s; with 2 rad/s it is late.",
-         (2, 620), tasks.iter().flat_map(|one| one.controls()).collect()),
-        ("paper-line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
-          its axis, so the first samples are late.",
-         (1, 560), tasks.iter().map(|one| one.errors()).chain(tasks.iter().map(|one| one.tilt())).collect()),
-        ("paper-line-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
-         (1, 560), tasks.iter().map(|one| one.distances()).collect()),
-        ("paper-line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
-         (1, 600), tasks.iter().map(|one| one.cables()).collect()),
-        ("paper-line-times", "How many cycles take longer to compute than so much (Fig. 11), and the period.",
-         (1, 560), tasks.iter().map(|one| one.times()).collect()),
-    ]
-}
-
-#[rustfmt::skip]
-fn of_circles(tasks: &[&Drawn<'_>]) -> Vec<Figure> {
-    vec![
-        ("paper-circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
-          the robot where it is nearest to the obstacle.", (2, 900),
-         vec![circle_path(View::ABOVE, "Simulated circle from above", tasks), circle_path(View::SIDE, "Simulated circle from the side", tasks)]),
-        ("paper-circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
-          detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
-         (1, 640), vec![circle_errors(tasks)]),
-        ("paper-circle-clearance", "Clearance between the whole body and the obstacle less the safe distance D, up to 2 mm: below 0 the body \
-          is too near.",
-         (1, 640), vec![circle_clearance(tasks)]),
-        ("paper-circle-cables", "Lengths of the cables less those at the straight robot (Fig. 13).",
-         (1, 520), tasks.iter().map(|one| one.cables()).collect()),
-        ("paper-circle-times", "How many cycles take longer to compute than so much (Fig. 14), and the period.",
-         (1, 560), tasks.iter().map(|one| one.times()).collect()),
-    ]
+fn pairs(tasks: &[&Drawn<'_>], panels: fn(&Drawn<'_>) -> [Panel; 2]) -> Vec<Panel> {
+    tasks.iter().flat_map(|task| panels(task)).collect()
 }
 
 fn path(view: View, samples: &[Sample]) -> Vec<Point> {
@@ -415,7 +409,7 @@ fn detours<'a>(tasks: &[&'a Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, 
     tasks.iter().zip(CIRCLE_DISTANCES_M).zip(COLOURS).map(with)
 }
 
-fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
+fn circle_path(view: View, from: &str, tasks: &[&Drawn<'_>]) -> Panel {
     let mut curves = Vec::new();
     for (task, distance_m, colour) in detours(tasks) {
         let (run, samples) = (task.run, task.samples());
@@ -435,7 +429,7 @@ fn circle_path(view: View, title: &str, tasks: &[&Drawn<'_>]) -> Panel {
             curves.push(Curve::line("", robot, colour).width(7));
         }
     }
-    view.panel(title, curves)
+    view.panel(format!("Simulated circle from {from}"), curves)
 }
 
 fn of_detours(

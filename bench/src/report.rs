@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::dataset::{Dataset, Sheet, plain, shorted, word};
+use crate::dataset::{Dataset, Sheet};
 use crate::environment::Environment;
 use crate::hlog;
 use crate::interrupt;
@@ -29,7 +29,6 @@ const NO_RESULTS: [&str; 5] = ["environment", "extent", "options", "tables", "to
 
 /// The benchmarks whose targets need real time and the default configuration.
 const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
-const TARGETS: &str = include_str!("report/targets.html");
 
 /// Key of the cause in the result of a failed benchmark.
 const ERROR: &str = "error";
@@ -56,12 +55,9 @@ impl Start {
     }
 
     fn machine(&self) -> Dataset {
-        Dataset {
-            name: "environment",
-            heading: "The machine",
-            sheets: vec![self.environment.table()],
-            ..Dataset::default()
-        }
+        let mut machine = Dataset::new("environment", include_str!("report/environment.toml"));
+        machine.add("machine", self.environment.rows());
+        machine
     }
 
     /// JSON text ending in a line feed.
@@ -80,7 +76,7 @@ impl Start {
         let all = [dataset, &self.machine()];
         let mut files = documents(
             dataset.name,
-            dataset.heading,
+            dataset.heading(),
             "",
             &all,
             self.json_of(dataset)?,
@@ -178,7 +174,8 @@ impl Plan {
             ))
         });
         let failed = |cause: anyhow::Error| {
-            let mut dataset = Dataset::new(name, name, "");
+            let mut dataset = Dataset::new(name, "heading = ''\nexplanation = ''");
+            name.clone_into(&mut dataset.declaration.heading);
             dataset.note = format!("{name} failed. There is no result: {cause:#}");
             dataset.warns = true;
             dataset.fact(ERROR, format!("{cause:#}"));
@@ -247,23 +244,14 @@ impl BenchReport {
     /// The project's targets and the measured values. Without rows if none was measured; with a note if the
     /// conditions of the targets were not met.
     fn targets(&self) -> Dataset {
-        let mut dataset = Dataset::new("targets", "Figures to reach", TARGETS);
+        let mut dataset = Dataset::new("targets", include_str!("report/targets.toml"));
         let mut parts = self.parts.iter();
         let has_any = parts.any(|part| JUDGED.contains(&part.dataset.name));
         let realtime = self.start.environment.is_realtime();
         let mut rows = Vec::new();
         if !has_any || (realtime && self.default_config) {
-            let targets = self.parts.iter().map(|part| &part.dataset.targets);
-            rows.extend(targets.flatten().cloned());
-            // Measured by `solver`, for several crowds of obstacles.
-            let guards = self.metrics().into_iter().filter_map(|metric| {
-                let crowd = metric.name.strip_prefix("guard/")?.strip_suffix("/p99")?;
-                Some((metric.median()?, json!(metric.range()), crowd.to_owned()))
-            });
-            let worst = guards.max_by(|one, other| one.0.total_cmp(&other.0));
-            let what = "safety checks p99, 6 sections, 64 obstacles in reach";
-            dataset.target([what, "≤ 150 µs", "µs"], worst, f64::MIN..=150.0);
-            rows.append(&mut dataset.targets);
+            let parts = self.parts.iter();
+            rows.extend(parts.flat_map(|part| part.dataset.all_targets()));
         } else {
             let why = if realtime {
                 "they are for the default configuration, and --config named another"
@@ -272,17 +260,10 @@ impl BenchReport {
             };
             dataset.note = format!("The figures to reach were not judged: {why}.");
         }
-        let columns = [
-            word("figure", "what"),
-            word("target", "target"),
-            word("of", "of"),
-            word("reached", "reached"),
-            shorted("found", "found"),
-            plain("unit", "unit"),
-            shorted("rounds", "range"),
-        ];
-        let title = if rows.is_empty() { "" } else { dataset.heading };
-        dataset.sheets = vec![Sheet::of(title, &columns, rows).key("targets")];
+        dataset.add("targets", rows);
+        if dataset.rows("targets").is_empty() {
+            dataset.sheets[0].table.title.clear();
+        }
         dataset
     }
 

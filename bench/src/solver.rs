@@ -20,9 +20,9 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, RGBColor, Scale, plot};
+use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, RGBColor, Scale};
 use crate::closed_loop::{End, PERIOD_S, Scene, timed_solve};
-use crate::dataset::{Column, Dataset, RoundTable, fixed, plain, word};
+use crate::dataset::Dataset;
 use crate::experiment::{Solver, Task};
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
@@ -46,33 +46,16 @@ const CAPSULE_LENGTH_M: f64 = 0.03;
 /// Approximate time of one size \[s\].
 const SIZE_S: f64 = 1.0;
 
-const EXPLANATION: &str = include_str!("solver/solver.html");
-
-const TABLE: RoundTable = RoundTable {
-    key: "cases",
-    file: "solver",
-    title: "Time of a solve on every path of this processor",
-    columns: &COLUMNS,
-    counts: &[],
-    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
-    path: "solver/{solver}/{path}/{curve}/{sections}-sections-{horizon}-steps-{swarm}x{iterations}-{obstacles}-obstacles",
-};
-
-#[rustfmt::skip]
-const COLUMNS: [Column; 11] = [
-    word("solver", "solver"), word("curve", "curve"), word("path", "path"), plain("sections", "sections"),
-    plain("horizon", "horizon"), plain("swarm", "swarm"), plain("iterations", "iterations"), plain("obstacles", "obstacles"),
-    fixed("p50 µs", "p50_us", 2), fixed("p99 µs", "p99_us", 2), fixed("speed-up", "speedup_vs_scalar", 1),
-];
+const CASES: &str = "cases";
 
 /// A table, its duration \[s\], and its rows; with a divisor above 1 only a part of them.
-type Measured = (&'static RoundTable, f64, fn(u64) -> Result<Vec<Value>>);
+type Measured = (&'static str, f64, fn(u64) -> Result<Vec<Value>>);
 
 const BESIDE: [Measured; 4] = [
-    (&hard::TABLE, 10.0, hard::measure),
-    (&hard::DEADLINE_TABLE, 6.0, hard::measure_by_deadlines),
-    (&guard::TABLE, 3.0, guard::measure),
-    (&estimate::TABLE, 1.0, estimate::measure),
+    ("hard", 10.0, hard::measure),
+    ("hard_deadlines", 6.0, hard::measure_by_deadlines),
+    ("guard", 3.0, guard::measure),
+    ("estimate", 1.0, estimate::measure),
 ];
 const SHORTENED: u64 = 20;
 
@@ -90,15 +73,15 @@ impl SolverOptions {
     fn cases(&self) -> Vec<Case<'static>> {
         let is_measured = |size: &Size| !self.is_short || size.task == Task::Spiral { sections: 1 };
         let of_size = |size: Size| Case {
-            table: TABLE.key,
+            table: CASES,
             what: size.solver.name().to_owned(),
             expected_s: SIZE_S,
             measure: Box::new(move |_| measure(&size)),
         };
         let divisor = if self.is_short { SHORTENED } else { 1 };
         let of_table = |(table, whole_s, measure): Measured| Case {
-            table: table.key,
-            what: table.file.to_owned(),
+            table,
+            what: table.replace('_', " "),
             expected_s: whole_s / divisor as f64,
             measure: Box::new(move |_| measure(divisor)),
         };
@@ -126,25 +109,19 @@ impl Benchmark for SolverOptions {
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         let found = study::run(self.rounds, &self.cases(), progress)?;
-        let mut dataset = Dataset::new("solver", "Time of a solve, offline", EXPLANATION);
+        let mut dataset = Dataset::new("solver", include_str!("solver/solver.toml"));
         dataset.fact("rounds", self.rounds);
-        dataset.add_rounds(&TABLE, &found);
+        dataset.add_rounds(CASES, found.of(CASES));
         for (table, ..) in BESIDE {
-            dataset.add_rounds(table, &found);
+            dataset.add_rounds(table, found.of(table));
         }
         // The paper's size is part of every series.
         let metrics = &mut dataset.metrics;
         metrics.sort_by(|one, other| one.name.cmp(&other.name));
         metrics.dedup_by(|one, other| one.name == other.name);
-        let cases = dataset.rows(TABLE.key).to_vec();
-        dataset.sheets.insert(0, growth::sheet(&cases));
-        dataset.plots.push(plot(
-            "solver-sections",
-            "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
-             6 particles, 30 iterations.",
-            (1, 700),
-            &[panel(&cases)],
-        )?);
+        let cases = dataset.rows(CASES).to_vec();
+        dataset.add("growth", growth::rows(&cases));
+        dataset.plot("solver-sections", (1, 700), &[panel(&cases)])?;
         Ok(dataset)
     }
 }

@@ -7,7 +7,6 @@
 mod report;
 mod stretch;
 mod tally;
-mod targets;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -26,7 +25,7 @@ use crate::named::named;
 use crate::progress::Progress;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use report::{Case, Cases, Key};
+use report::{Cases, Key};
 use stretch::Runner;
 
 /// Uncounted time at the beginning of a stretch, in which memory is mapped and caches fill.
@@ -174,8 +173,7 @@ impl Benchmark for DeadlineOptions {
                 })?;
                 let start_s = (start - begin).as_secs_f64();
                 let of_round = json!({ "round": round, "start_s": start_s });
-                let case = cases.entry(key).or_insert(Case::new()?);
-                case.push(key, of_round, tally)?;
+                cases.entry(key).or_default().push(key, of_round, tally);
                 progress.advance(start.elapsed().as_secs_f64());
             }
         }

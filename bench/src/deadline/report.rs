@@ -1,4 +1,4 @@
-//! Results of `deadline` as rows, plots and single numbers.
+//! Results of `deadline` as rows, plots, metrics and targets.
 
 use std::collections::BTreeMap;
 use std::slice;
@@ -9,101 +9,16 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::stretch::Subject;
 use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, empty_times, times_json};
-use super::targets::add_targets;
 use super::{DeadlineOptions, Setup};
-use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer, plot};
-use crate::dataset::{
-    Column, Dataset, Recording, Sheet, each, fixed, joined, number, percent, plain, signed,
-    together, word,
-};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer};
+use crate::dataset::{Dataset, Recording, each, joined, number};
 use crate::load::Load;
 use crate::metric::{median, range};
 use crate::quantiles::Quantiles;
 
 const SHARES: f64 = 1e-5;
-
 /// Significance level of a difference between two counts of misses.
-pub(super) const SIGNIFICANCE: f64 = 0.05;
-
-const EXPLANATION: &str = include_str!("deadline.html");
-
-const RATIOS: [Column; 11] = [
-    word("load", "load"),
-    word("set-up", "set_up"),
-    fixed("wake-up p50", "wake_p50", 2),
-    fixed("rounds", "wake_p50_range", 2),
-    fixed("wake-up p99", "wake_p99", 2),
-    fixed("rounds", "wake_p99_range", 2),
-    fixed(
-        "command less wake-up p50 µs",
-        "command_beyond_wake_p50_us",
-        1,
-    ),
-    fixed("response p99 to no load", "response_p99_to_unloaded", 2),
-    plain("own misses", "own_misses"),
-    signed("misses beyond bare per 10⁶", "misses_beyond_bare"),
-    fixed("by chance", "misses_p_value", 2),
-];
-
-const COUNTS: [Column; 18] = [
-    word("load", "load"),
-    word("set-up", "set_up"),
-    word("subject", "subject"),
-    plain("cycles", "cycles"),
-    plain("late starts", "late_starts"),
-    plain("misses", "deadline_misses"),
-    plain("skipped", "skipped_periods"),
-    plain("platform", "causes_platform"),
-    plain("load", "causes_load"),
-    plain("compute", "causes_compute"),
-    plain("fault", "causes_fault"),
-    plain("other", "causes_other"),
-    fixed("steal ms", "steal_ms", 0),
-    fixed("waited ms", "run_delay_ms", 1),
-    plain("lost records", "lost_records"),
-    plain("lost commands", "lost_commands"),
-    percent("tracking %", "tracking_share", 1),
-    plain("cut short", "budget_hits"),
-];
-
-const COUNTED: [&str; 9] = [
-    "cycles",
-    "late_starts",
-    "deadline_misses",
-    "own_misses",
-    "skipped_periods",
-    "causes",
-    "lost_records",
-    "lost_commands",
-    "budget_hits",
-];
-
-const PLOTS: [(Setup, &str, &str); 2] = [
-    (
-        Setup::Realtime,
-        "deadline-realtime",
-        "With real time: share of the cycles that started later than so much after their release, and of \
-         the commands that came later to the client. Both axes are logarithmic, and the same in all panels; the \
-         upright line is the period.",
-    ),
-    (
-        Setup::Ordinary,
-        "deadline-ordinary",
-        "The same without real time.",
-    ),
-];
-
-const TIMES: [Column; 9] = [
-    word("load", "load"),
-    word("set-up", "set_up"),
-    word("subject", "subject"),
-    word("from the release to", "to"),
-    fixed("min", "min", 1),
-    fixed("p50", "p50", 1),
-    fixed("p99", "p99", 1),
-    fixed("p99.9", "p999", 1),
-    fixed("max", "max", 1),
-];
+const SIGNIFICANCE: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
@@ -123,64 +38,62 @@ impl Key {
     }
 }
 
-/// All rounds of one subject under one load: a row and the latencies of each round, and all latencies.
+/// All rounds of one subject under one load: a row and the latencies of each round.
+#[derive(Default)]
 pub(super) struct Case {
-    pub(super) rounds: Vec<Value>,
+    rounds: Vec<Value>,
     times: Vec<Times>,
-    all: Times,
 }
 
 pub(super) type Cases = BTreeMap<Key, Case>;
 
 impl Case {
-    pub(super) fn new() -> Result<Self> {
-        let all = empty_times()?;
-        Ok(Self {
-            rounds: Vec::new(),
-            times: Vec::new(),
-            all,
-        })
-    }
-
-    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) -> Result<()> {
-        for (all, times) in self.all.iter_mut().zip(&tally.times) {
-            all.add(times)?;
-        }
-        let times = times_json(&tally.times);
+    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) {
         // cyclictest reports neither causes nor the wait for its core, and only a daemon has clients.
         let untold = json!({
             "own_misses": null, "causes": null, "run_delay_ms": null,
             "lost_records": null, "lost_commands": null, "budget_hits": null, "tracking_share": null,
         });
+        let times = times_json(&tally.times);
         let mut row = joined([untold, key.json(), of_round, tally.counts, times]);
         row["misses_per_million"] = per_million(misses(slice::from_ref(&row))).into();
         self.rounds.push(row);
         self.times.push(tally.times);
-        Ok(())
     }
 
-    pub(super) fn sum(&self, key: &str) -> Option<f64> {
+    fn sum(&self, key: &str) -> Option<f64> {
         each(&self.rounds, key).reduce(|sum, value| sum + value)
     }
 
-    fn row(&self, key: Key) -> Value {
-        let mut all = together(&self.rounds, &COUNTED);
-        for of_a_round in ["round", "start_s", "load_did"] {
-            all.as_object_mut().and_then(|all| all.remove(of_a_round));
+    fn pooled(&self) -> Result<Times> {
+        let mut all = empty_times()?;
+        for times in &self.times {
+            for (all, times) in all.iter_mut().zip(times) {
+                all.add(times)?;
+            }
         }
+        Ok(all)
+    }
+
+    fn row(&self, key: Key, merged: Value, all: &Times) -> Value {
         let names = TIME_NAMES.map(|name| format!("{name}_us"));
+        let medians = names.map(|name| (name.clone(), merged[name].clone()));
         let own = json!({
             "steal_ms": self.sum("steal_ms"),
             "run_delay_ms": self.sum("run_delay_ms"),
             "tracking_share": each(&self.rounds, "tracking_share").reduce(f64::min),
-            "median_of_rounds": Map::from_iter(names.map(|name| (name.clone(), all[name].clone()))),
+            "median_of_rounds": Map::from_iter(medians),
             "rounds": self.rounds,
         });
-        joined([all, key.json(), times_json(&self.all), own])
+        let mut row = joined([merged, key.json(), times_json(all), own]);
+        for of_a_round in ["round", "start_s", "load_did"] {
+            row.as_object_mut().and_then(|row| row.remove(of_a_round));
+        }
+        row
     }
 }
 
-fn time_rows(key: Key, times: &Times) -> Vec<Value> {
+fn time_rows(key: Key, times: &Times) -> impl Iterator<Item = Value> {
     const TO: [&str; 4] = [
         "start (wake-up)",
         "hand-over, from the start (compute)",
@@ -189,12 +102,11 @@ fn time_rows(key: Key, times: &Times) -> Vec<Value> {
     ];
     let measured = TO.into_iter().zip(times);
     let measured = measured.filter_map(|(to, times)| Some((to, Quantiles::of(times)?)));
-    let row = |(to, times)| joined([key.json(), json!({ "to": to }), json!(times)]);
-    measured.map(row).collect()
+    measured.map(move |(to, times)| joined([key.json(), json!({ "to": to }), json!(times)]))
 }
 
 /// Deadline misses, and due releases: executed and skipped cycles.
-pub(super) fn misses(rounds: &[Value]) -> (u64, u64) {
+fn misses(rounds: &[Value]) -> (u64, u64) {
     let count = |key| each(rounds, key).sum::<f64>() as u64;
     let due = count("cycles") + count("skipped_periods");
     (count("deadline_misses"), due)
@@ -207,7 +119,7 @@ fn per_million((misses, due): (u64, u64)) -> f64 {
 /// Probability that chance alone gives the daemon at least its part of the misses of both, each given as
 /// misses and due cycles. Conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31,
 /// 1940). 1 when the daemon missed nothing.
-pub(super) fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
+fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
     let (misses, due) = (ours.0 + theirs.0, ours.1 + theirs.1);
     if ours.0 == 0 || due == 0 {
         return 1.0;
@@ -226,20 +138,17 @@ fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
     pairs.filter_map(ratio).collect()
 }
 
-pub(super) fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
-    let of = |load, subject| {
+fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
+    let of = |subject, load| {
         cases.get(&Key {
             load,
             subject,
             ..key
         })
     };
-    let (daemon, bare) = (of(key.load, Subject::Daemon)?, of(key.load, Subject::Bare)?);
-    let unloaded = of(Load::None, Subject::Daemon);
+    let (daemon, bare) = (of(Subject::Daemon, key.load)?, of(Subject::Bare, key.load)?);
+    let unloaded = of(Subject::Daemon, Load::None);
     let beyond = |row: &Value| Some(number(row, "command_us_p50")? - number(row, "wake_us_p50")?);
-    let [wake_p50, wake_p99] = ["wake_us_p50", "wake_us_p99"].map(|key| over(daemon, bare, key));
-    let command: Vec<f64> = daemon.rounds.iter().filter_map(beyond).collect();
-    let response = unloaded.map(|unloaded| over(daemon, unloaded, "response_us_p99"));
     let (ours, theirs) = (misses(&daemon.rounds), misses(&bare.rounds));
     let p_value = misses_p_value(ours, theirs);
     let mut row = json!({
@@ -252,14 +161,25 @@ pub(super) fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Va
         "misses_more": p_value < SIGNIFICANCE,
         "own_misses": daemon.sum("own_misses").map(|count| count as u64),
     });
+    let response = unloaded.map(|unloaded| over(daemon, unloaded, "response_us_p99"));
     for (key_of_row, what, unit, rounds) in [
-        ("wake_p50", "wake_p50_to_bare", "", wake_p50),
-        ("wake_p99", "wake_p99_to_bare", "", wake_p99),
+        (
+            "wake_p50",
+            "wake_p50_to_bare",
+            "",
+            over(daemon, bare, "wake_us_p50"),
+        ),
+        (
+            "wake_p99",
+            "wake_p99_to_bare",
+            "",
+            over(daemon, bare, "wake_us_p99"),
+        ),
         (
             "command_beyond_wake_p50_us",
             "command_beyond_wake_p50",
             "µs",
-            command,
+            daemon.rounds.iter().filter_map(beyond).collect(),
         ),
         (
             "response_p99_to_unloaded",
@@ -276,93 +196,107 @@ pub(super) fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Va
     Some(row)
 }
 
+/// The targets for the misses under all loads together, with real time.
+fn add_targets(dataset: &mut Dataset, cases: &Cases, period_us: f64) {
+    let (mut own, mut due, mut ours, mut theirs) = (0.0, 0, (0, 0), (0, 0));
+    let is_ours = |key: &Key| (key.setup, key.subject) == (Setup::Realtime, Subject::Daemon);
+    for (key, case) in cases.iter().filter(|(key, _)| is_ours(key)) {
+        let of_case = misses(&case.rounds);
+        own += case.sum("own_misses").unwrap_or(0.0);
+        due += of_case.1;
+        // Only loads that were measured with both subjects.
+        let subject = Subject::Bare;
+        if let Some(bare) = cases.get(&Key { subject, ..*key }) {
+            let bare = misses(&bare.rounds);
+            ours = (ours.0 + of_case.0, ours.1 + of_case.1);
+            theirs = (theirs.0 + bare.0, theirs.1 + bare.1);
+        }
+    }
+    let minutes = format!("{:.1} min", due as f64 * period_us / 60e6);
+    let own = (due > 0).then_some((own, Value::Null, minutes));
+    let what = "misses with cause compute or fault, all loads";
+    dataset.target([what, "0", ""], own, 0.0..=0.0);
+    let of = format!(
+        "{} of {} against {} of {}",
+        ours.0, ours.1, theirs.0, theirs.1
+    );
+    let chance = (ours.1 > 0).then(|| (misses_p_value(ours, theirs), Value::Null, of));
+    let what = "misses beyond the bare loop's, all loads: probability by chance";
+    dataset.target([what, "not below 0.05", ""], chance, SIGNIFICANCE..=1.0);
+}
+
 pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) -> Result<Dataset> {
-    let heading = "Deadline misses and latencies, beside a bare loop";
-    let mut dataset = Dataset::new("deadline", heading, EXPLANATION);
+    let mut dataset = Dataset::new("deadline", include_str!("deadline.toml"));
     let of_daemon = cases.keys().filter(|key| key.subject == Subject::Daemon);
     let ratios = of_daemon.filter_map(|key| ratio(&mut dataset, *key, cases));
     let ratios: Vec<Value> = ratios.collect();
-    add_targets(&mut dataset, &ratios, cases, period_us);
+    add_targets(&mut dataset, cases, period_us);
     let segment_s = options.segment().as_secs_f64();
     let (mut rows, mut time_table, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
+    let mut curves = BTreeMap::<_, Vec<Curve>>::new();
     for (key, case) in cases {
-        rows.push(case.row(*key));
-        time_table.extend(time_rows(*key, &case.all));
-        rounds.extend_from_slice(&case.rounds);
-        let path = format!("deadline/{}", key.path("/"));
+        let (all, merged) = (case.pooled()?, dataset.merge("cases", &case.rounds));
         if key.subject == Subject::Daemon {
-            let misses = ("misses", "per million", "misses_per_million");
-            let numbers = [("own_misses", "", "own_misses"), misses];
-            dataset.compare(&path, &case.rounds, &numbers);
+            dataset.compare("rounds", &merged, &case.rounds);
         }
-        for time in ["wake", "response", "command"] {
-            for quantile in ["p50", "p99"] {
-                let key = format!("{time}_us_{quantile}");
-                let values = each(&case.rounds, &key);
-                dataset.lower(format!("{path}/{time}_{quantile}"), "µs", values);
-            }
-        }
+        rows.push(case.row(*key, merged, &all));
+        time_table.extend(time_rows(*key, &all));
+        rounds.extend_from_slice(&case.rounds);
         for (round, times) in case.rounds.iter().zip(&case.times) {
             let measured = TIME_NAMES.iter().zip(times);
             let measured = measured.filter(|(_, times)| !times.is_empty());
-            let recordings = measured.map(|(name, times)| Recording {
-                tag: format!("{}.{name}", key.path(".")),
-                start_s: number(round, "start_s").unwrap_or(0.0),
-                duration_s: segment_s,
-                histogram_ns: times.clone(),
-            });
-            dataset.recordings.extend(recordings);
+            dataset
+                .recordings
+                .extend(measured.map(|(name, times)| Recording {
+                    tag: format!("{}.{name}", key.path(".")),
+                    start_s: number(round, "start_s").unwrap_or(0.0),
+                    duration_s: segment_s,
+                    histogram_ns: times.clone(),
+                }));
         }
+        // The last subject is drawn first.
+        let of_load = curves.entry((key.setup, key.load)).or_default();
+        of_load.splice(..0, drawn(key.subject, &all));
     }
     dataset.fact("rounds", options.rounds);
     dataset.fact("segment_s", segment_s);
-    let count = options.rounds;
-    let of_ratios =
-        format!("The daemon over the bare loop: medians of {count} rounds, and their range");
-    let of_cases =
-        "Cycles that were late, and why (causes of late starts, misses and skipped periods)";
-    dataset.sheets = vec![
-        Sheet::of(&of_ratios, &RATIOS, ratios).key("ratios"),
-        Sheet::of(of_cases, &COUNTS, rows).key("cases"),
-        Sheet::of("Latencies of all rounds together, µs", &TIMES, time_table),
-        Sheet::of("", &COUNTS, rounds).file("deadline"),
-    ];
-    for (setup, name, caption) in PLOTS {
-        let panels = panels(cases, setup, period_us);
-        if !panels.is_empty() {
-            dataset.plots.push(plot(name, caption, (2, 520), &panels)?);
-        }
+    dataset.add_titled("ratios", &[&options.rounds.to_string()], ratios);
+    dataset.add("cases", rows);
+    dataset.add("times", time_table);
+    dataset.add("rounds", rounds);
+    let mut panels = BTreeMap::<Setup, Vec<Panel>>::new();
+    for ((setup, load), curves) in curves {
+        let of_setup = panels.entry(setup).or_default();
+        of_setup.push(panel(load, curves, period_us));
+    }
+    for (setup, panels) in panels {
+        dataset.plot(&format!("deadline-{}", setup.name()), (2, 520), &panels)?;
     }
     Ok(dataset)
 }
 
-fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
-    let keys = cases.keys().filter(|key| key.setup == setup);
-    let mut loads: Vec<Load> = keys.map(|key| key.load).collect();
-    loads.dedup();
-    let panel = |load: Load| {
-        let mut curves = Vec::new();
-        for (subject, time, label, colour) in [
-            (Subject::Daemon, COMMAND, "command at the client", GREY),
-            (Subject::Cyclictest, WAKE, "cyclictest", ORANGE),
-            (Subject::Daemon, WAKE, "daemon", BLUE),
-            (Subject::Bare, WAKE, "bare loop", GREEN),
-        ] {
-            let key = Key {
-                setup,
-                load,
-                subject,
-            };
-            let case = cases.get(&key).map(|case| longer(&case.all[time]));
-            curves.extend(case.map(|points| Curve::line(label, points, colour)));
-        }
-        // The deadline of a daemon is its period unless configured otherwise.
-        curves.push(Curve::upright("period", period_us, SHARES, DARK).width(2));
-        let axes = ["later than, µs after the release", "share of the cycles"];
-        let scale = Scale::LogLog { floor: SHARES };
-        Panel::new(format!("Load {}", load.name()), axes, scale, curves)
+/// The curves of a subject.
+fn drawn(subject: Subject, times: &Times) -> Vec<Curve> {
+    let shown: &[_] = match subject {
+        Subject::Bare => &[(WAKE, "bare loop", GREEN)],
+        Subject::Daemon => &[
+            (COMMAND, "command at the client", GREY),
+            (WAKE, "daemon", BLUE),
+        ],
+        Subject::Cyclictest => &[(WAKE, "cyclictest", ORANGE)],
     };
-    loads.into_iter().map(panel).collect()
+    let curve = |&(time, label, colour): &(usize, &str, _)| {
+        Curve::line(label, longer(&times[time]), colour)
+    };
+    shown.iter().map(curve).collect()
+}
+
+fn panel(load: Load, mut curves: Vec<Curve>, period_us: f64) -> Panel {
+    // The deadline of a daemon is its period unless configured otherwise.
+    curves.push(Curve::upright("period", period_us, SHARES, DARK).width(2));
+    let axes = ["later than, µs after the release", "share of the cycles"];
+    let scale = Scale::LogLog { floor: SHARES };
+    Panel::new(format!("Load {}", load.name()), axes, scale, curves)
 }
 
 #[cfg(test)]
@@ -375,18 +309,55 @@ mod tests {
             ((0, 1000), (9, 1000), 1.0),
             // One of one: probability 1/2.
             ((1, 1000), (0, 1000), 0.5),
-            // Five of five: (1/2)^5.
-            ((5, 1000), (0, 1000), 1.0 / 32.0),
             // At least 3 of 4: (4 + 1) / 16.
             ((3, 1000), (1, 1000), 5.0 / 16.0),
             // With twice the cycles, a miss is the daemon's with probability 2/3: at least 1 of 1.
             ((1, 2000), (0, 1000), 2.0 / 3.0),
         ] {
-            assert!(
-                (misses_p_value(ours, theirs) - expected).abs() < 1e-9,
-                "{ours:?}"
-            );
+            let found = misses_p_value(ours, theirs);
+            assert!((found - expected).abs() < 1e-9, "{ours:?}");
         }
-        assert!((per_million((1, 2000)) - 500.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn misses_are_judged_for_all_loads_together_and_ratios_by_the_worst_load() {
+        use Subject::{Bare, Cyclictest, Daemon};
+        let (mut cases, setup) = (Cases::new(), Setup::Realtime);
+        for (load, subject, misses, own, wake_us) in [
+            (Load::None, Daemon, 1, 0, 10.0),
+            (Load::None, Bare, 2, 0, 10.0),
+            (Load::Cpu, Daemon, 3, 2, 26.0),
+            (Load::Cpu, Bare, 2, 0, 20.0),
+            (Load::Cpu, Cyclictest, 9000, 0, 20.0),
+            (Load::Io, Daemon, 0, 0, 90.0),
+        ] {
+            let key = Key {
+                setup,
+                load,
+                subject,
+            };
+            let row = json!({
+                "cycles": 11_000, "skipped_periods": 1000, "deadline_misses": misses, "own_misses": own,
+                "wake_us": { "p50": wake_us },
+            });
+            let (rounds, times) = (vec![joined([key.json(), row])], Vec::new());
+            cases.insert(key, Case { rounds, times });
+        }
+        let mut dataset = Dataset::new("deadline", include_str!("deadline.toml"));
+        for key in cases.keys().filter(|key| key.subject == Daemon) {
+            ratio(&mut dataset, *key, &cases);
+        }
+        add_targets(&mut dataset, &cases, 5000.0);
+        let targets = dataset.all_targets();
+        let found = targets.iter().map(|row| {
+            ["found", "of", "reached"]
+                .map(|key| row[key].to_string())
+                .join(" ")
+        });
+        let found: Vec<_> = found.collect();
+        assert_eq!(found[0], "1.3 \"cpu\" false");
+        assert_eq!(found[1], "2.0 \"3.0 min\" false");
+        assert!(found[2].contains("4 of 24000 against 4 of 24000") && found[2].ends_with("true"));
+        assert_eq!(found.len(), 3, "{found:?}");
     }
 }

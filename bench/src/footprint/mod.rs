@@ -14,10 +14,8 @@ use cdcr_process::program;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREY, Panel, Scale, plot};
-use crate::dataset::{
-    Column, Dataset, Sheet, each, fixed, joined, number, shorted, together, word,
-};
+use crate::chart::{BLUE, Curve, GREY, Panel, Scale};
+use crate::dataset::{Dataset, each, filled, joined, number, together};
 use crate::metric::{median, range};
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
@@ -35,58 +33,32 @@ const MOST: Duration = Duration::from_secs(3600);
 
 const YES_NO: &str = "yes/no";
 
-const EXPLANATION: &str = include_str!("footprint.html");
-
-/// All quantities: description, key ending in the unit, unit, and upper limit. Those with a target come
-/// first.
+/// All quantities: description, key ending in the unit, and unit. Those with a target come first.
 #[rustfmt::skip]
-const QUANTITIES: [(&str, &str, &str, Option<f64>); 22] = [
-    ("real-time core, tracking", "core_tracking_percent", "%", Some(3.0)),
-    ("resident memory", "resident_mb", "MB", Some(64.0)),
-    ("resident memory added while tracking", "growth_kb", "kB", Some(0.0)),
-    ("page faults while tracking", "page_faults", "", Some(0.0)),
-    ("resident at the start", "resident_start_mb", "MB", None),
-    ("resident memory added without a client", "growth_idle_kb", "kB", None),
-    ("resident memory added by the first client", "growth_by_client_kb", "kB", None),
-    ("memory locked", "locked", YES_NO, None),
-    ("real-time core, idle", "core_idle_percent", "%", None),
-    ("all threads, tracking", "all_tracking_percent", "%", None),
-    ("all threads, idle", "all_idle_percent", "%", None),
-    ("most that ever was resident", "peak_mb", "MB", None),
-    ("resident: heap and stacks", "own_mb", "MB", None),
-    ("resident: shared memory", "shared_mb", "MB", None),
-    ("resident: program and libraries", "file_mb", "MB", None),
-    ("locked, by address range", "locked_mb", "MB", None),
-    ("files in shared memory", "memory_files", "", None),
-    ("shared memory in use", "memory_stored_mb", "MB", None),
-    ("files below the root folder", "root_files", "", None),
-    ("start to first release", "first_release_ms", "ms", None),
-    ("start to first good cycle (READY=1)", "ready_ms", "ms", None),
-    ("start to first record at a client", "first_record_ms", "ms", None),
+const QUANTITIES: [[&str; 3]; 22] = [
+    ["real-time core, tracking", "core_tracking_percent", "%"],
+    ["resident memory", "resident_mb", "MB"],
+    ["resident memory added while tracking", "growth_kb", "kB"],
+    ["page faults while tracking", "page_faults", ""],
+    ["resident at the start", "resident_start_mb", "MB"],
+    ["resident memory added without a client", "growth_idle_kb", "kB"],
+    ["resident memory added by the first client", "growth_by_client_kb", "kB"],
+    ["memory locked", "locked", YES_NO],
+    ["real-time core, idle", "core_idle_percent", "%"],
+    ["all threads, tracking", "all_tracking_percent", "%"],
+    ["all threads, idle", "all_idle_percent", "%"],
+    ["most that ever was resident", "peak_mb", "MB"],
+    ["resident: heap and stacks", "own_mb", "MB"],
+    ["resident: shared memory", "shared_mb", "MB"],
+    ["resident: program and libraries", "file_mb", "MB"],
+    ["locked, by address range", "locked_mb", "MB"],
+    ["files in shared memory", "memory_files", ""],
+    ["shared memory in use", "memory_stored_mb", "MB"],
+    ["files below the root folder", "root_files", ""],
+    ["start to first release", "first_release_ms", "ms"],
+    ["start to first good cycle (READY=1)", "ready_ms", "ms"],
+    ["start to first record at a client", "first_record_ms", "ms"],
 ];
-
-const COLUMNS: [Column; 7] = [
-    word("what", "what"),
-    word("unit", "unit"),
-    shorted("median", "median"),
-    shorted("least", "least"),
-    shorted("most", "most"),
-    shorted("target ≤", "target"),
-    word("reached", "reached"),
-];
-
-const THREAD_COLUMNS: [Column; 4] = [
-    word("thread", "name"),
-    fixed("idle %", "idle_percent", 3),
-    fixed("tracking %", "tracking_percent", 3),
-    fixed(
-        "µs for each cycle of 5 ms, tracking",
-        "tracking_us_per_cycle",
-        1,
-    ),
-];
-
-const PROGRAM_COLUMNS: [Column; 2] = [word("program", "name"), shorted("MB", "mb")];
 
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
@@ -149,92 +121,61 @@ impl Benchmark for FootprintOptions {
 }
 
 fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
-    let how = if realtime {
-        ""
-    } else {
-        ", without SCHED_FIFO and locked memory (not granted)"
-    };
-    let mut dataset = Dataset::new("footprint", "What a daemon takes", EXPLANATION);
+    let refused = ", without SCHED_FIFO and locked memory (not granted)";
+    let how = if realtime { "" } else { refused };
+    let mut dataset = Dataset::new("footprint", include_str!("footprint.toml"));
     dataset.fact("realtime", realtime);
-    for (_, key, unit, _) in QUANTITIES {
-        let (name, values) = (format!("footprint/{key}"), each(&rounds, key));
-        if unit == YES_NO {
-            dataset.higher(name, unit, values);
-        } else {
-            dataset.lower(name, unit, values);
-        }
-    }
-    let figures = figures(&rounds);
-    #[rustfmt::skip]
-    let targets = [
-        (["CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%"], "core_tracking_percent", "median", f64::MIN..=3.0),
-        (["resident memory", "≤ 64 MB", "MB"], "resident_mb", "median", f64::MIN..=64.0),
-        (["resident memory that tracking adds", "0", "kB"], "growth_kb", "median", f64::MIN..=0.0),
-        (["memory is locked (1: in every round)", "1", ""], "locked", "least", 1.0..=1.0),
-    ];
-    for (words, key, value, reached) in targets {
-        let row = figures.iter().find(|row| row["key"] == key);
-        let found = row.and_then(|row| {
-            Some((
-                row[value].as_f64()?,
-                json!([row["least"], row["most"]]),
-                String::new(),
-            ))
-        });
-        dataset.target(words, found, reached);
+    let mut figures = Vec::new();
+    for quantity in QUANTITIES {
+        figures.extend(figure(&mut dataset, quantity, &rounds));
     }
     let (threads, programs) = (threads(&rounds), programs());
-    for name in threads.iter().filter_map(|thread| thread["name"].as_str()) {
-        let key = format!("threads_{name}_tracking_percent");
-        let values = each(&rounds, &key);
-        dataset.lower(format!("footprint/thread/{name}/tracking"), "%", values);
+    for thread in &threads {
+        let name = filled("threads_{name}_tracking_percent", thread);
+        let values = each(&rounds, &name);
+        let name = filled("footprint/thread/{name}/tracking", thread);
+        dataset.lower(name, "%", values);
     }
     for program in &programs {
-        let name = program["name"].as_str().unwrap_or_default();
-        let size = number(program, "mb");
-        dataset.lower(format!("footprint/program/{name}"), "MB", size);
+        let name = filled("footprint/program/{name}", program);
+        dataset.lower(name, "MB", number(program, "mb"));
     }
-    dataset.plots.push(plot(
-        "footprint",
-        "Share of one core that each thread of the daemon uses at 200 Hz, tracking (blue) and idle (grey).",
-        (1, 60 * threads.len() as u32 + 260),
-        &[bars(&threads)],
-    )?);
-    let count = rounds.len();
-    let title =
-        format!("What a daemon takes at 200 Hz, three sections: medians of {count} daemons{how}");
-    let of_threads = format!("Share of a core that each thread uses{how}");
-    let of_programs = "Programs, as they were built, with line tables for backtraces";
-    dataset.sheets = vec![
-        Sheet::of(&title, &COLUMNS, figures)
-            .key("figures")
-            .file("footprint"),
-        Sheet::of(&of_threads, &THREAD_COLUMNS, threads)
-            .key("threads")
-            .file("footprint-threads"),
-        Sheet::of(of_programs, &PROGRAM_COLUMNS, programs)
-            .key("programs")
-            .file("footprint-programs"),
-        Sheet::of("", &[], rounds).key("rounds"),
-    ];
+    let height = 60 * threads.len() as u32 + 260;
+    dataset.plot("footprint", (1, height), &[bars(&threads)])?;
+    let count = rounds.len().to_string();
+    dataset.add_titled("figures", &[&count, how], figures);
+    dataset.add_titled("threads", &[how], threads);
+    dataset.add("programs", programs);
+    dataset.add("rounds", rounds);
     Ok(dataset)
 }
 
-fn figures(rounds: &[Value]) -> Vec<Value> {
-    let row = |(what, key, unit, target): (&str, &str, &str, Option<f64>)| {
-        let (middle, (least, most)) = (median(each(rounds, key))?, range(each(rounds, key))?);
-        Some(json!({
-            "what": what,
-            "key": key,
-            "unit": unit,
-            "median": middle,
-            "least": least,
-            "most": most,
-            "target": target,
-            "reached": target.map(|target| middle <= target),
-        }))
-    };
-    QUANTITIES.into_iter().filter_map(row).collect()
+/// The row of a quantity, and its metric; `None` if it was not measured.
+fn figure(dataset: &mut Dataset, [what, key, unit]: [&str; 3], rounds: &[Value]) -> Option<Value> {
+    let (middle, (least, most)) = (median(each(rounds, key))?, range(each(rounds, key))?);
+    let metric = format!("footprint/{key}");
+    let mut targets = dataset.declaration.targets.iter();
+    let limit = targets.find(|target| target.metric == metric);
+    let limit = limit.map(|target| target.most);
+    if unit == YES_NO {
+        // In every round.
+        let words = ["memory is locked (1: in every round)", "1", ""];
+        let found = (least, json!([least, most]), String::new());
+        dataset.target(words, Some(found), 1.0..=1.0);
+        dataset.higher(metric, unit, each(rounds, key));
+    } else {
+        dataset.lower(metric, unit, each(rounds, key));
+    }
+    Some(json!({
+        "what": what,
+        "key": key,
+        "unit": unit,
+        "median": middle,
+        "least": least,
+        "most": most,
+        "target": limit,
+        "reached": limit.map(|limit| middle <= limit),
+    }))
 }
 
 fn threads(rounds: &[Value]) -> Vec<Value> {
@@ -301,24 +242,34 @@ mod tests {
 
     #[test]
     fn the_median_of_the_rounds_is_what_a_target_is_for() {
-        let rounds = [(1.5, 4.096), (9.5, 4.096), (2.5, 4.096)].map(|(core, growth)| {
+        let rounds = [1.5, 9.5, 2.5].map(|core| {
             let threads = json!({ "a": { "tracking_percent": core, "idle_percent": 0.1 }, "b": { "tracking_percent": 2.0 } });
-            json!({ "core_tracking_percent": core, "growth_kb": growth, "page_faults": 0.0, "peak_mb": 1.0, "threads": threads })
+            json!({ "core_tracking_percent": core, "growth_kb": 4.096, "page_faults": 0.0, "peak_mb": 1.0, "threads": threads })
         });
-        let rows = figures(&rounds);
-        let says = |key: &str, numbers: [f64; 3], reached: Value| {
-            let row = rows.iter().find(|row| row["key"] == key).unwrap();
-            let found = ["median", "least", "most"].map(|name| row[name].as_f64().unwrap());
-            assert_eq!((found, &row["reached"]), (numbers, &reached), "{key}");
-        };
-        says("core_tracking_percent", [2.5, 1.5, 9.5], json!(true));
-        // 4096 bytes were added while tracking: the target is zero.
-        says("growth_kb", [4.096; 3], json!(false));
-        says("page_faults", [0.0; 3], json!(true));
-        says("peak_mb", [1.0; 3], json!(null));
-        assert_eq!(rows.len(), 4, "what was not measured has no row");
-        let threads = threads(&rounds);
-        assert_eq!(threads[0]["name"], "a");
-        assert_eq!(threads[0]["tracking_us_per_cycle"], 125.0);
+        let found = dataset(rounds.into(), true).unwrap();
+        // 4096 bytes were added while tracking: the target is zero. What was not measured has no row.
+        let expected = json!([
+            [2.5, 1.5, 9.5, true],
+            [4.096, 4.096, 4.096, false],
+            [0.0, 0.0, 0.0, true],
+            [1.0, 1.0, 1.0, null]
+        ]);
+        let keys = ["median", "least", "most", "reached"];
+        let figures = found.rows("figures").iter();
+        let figures: Vec<_> = figures
+            .map(|row| keys.map(|key| row[key].clone()))
+            .collect();
+        assert_eq!(json!(figures), expected);
+        let reached: Vec<_> = found
+            .all_targets()
+            .iter()
+            .map(|row| row["reached"] == true)
+            .collect();
+        assert_eq!(reached, [true, false, true]);
+        let busiest = &found.rows("threads")[0];
+        assert_eq!(
+            (&busiest["name"], &busiest["tracking_us_per_cycle"]),
+            (&json!("a"), &json!(125.0))
+        );
     }
 }

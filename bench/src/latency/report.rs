@@ -5,10 +5,8 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use super::leg::{Leg, Round};
-use crate::chart::{
-    BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer, plot,
-};
-use crate::dataset::{Column, Dataset, Sheet, each, fixed, number, plain, together, word};
+use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer};
+use crate::dataset::{Dataset, each, number, together};
 use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, pooled};
 
@@ -19,8 +17,6 @@ const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
 const SHARES: f64 = 1e-4;
 
-const EXPLANATION: &str = include_str!("latency.html");
-
 const RATIOS: [(Leg, Leg); 3] = [
     (Leg::CommandHop, Leg::BareOneWay),
     (Leg::CommandHandover, Leg::BareOneWay),
@@ -28,45 +24,6 @@ const RATIOS: [(Leg, Leg); 3] = [
 ];
 
 const BOUND: [Leg; 2] = [Leg::StopZeroHandover, Leg::StopZeroCommand];
-
-const COLUMNS: [Column; 9] = [
-    word("way", "leg"),
-    plain("samples", "samples"),
-    fixed("min µs", "latency_us_min", 2),
-    fixed("p50 µs", "latency_us_p50", 2),
-    fixed("p99 µs", "latency_us_p99", 2),
-    fixed("p99.9 µs", "latency_us_p999", 2),
-    fixed("max µs", "latency_us_max", 2),
-    fixed("median of rounds: p50 µs", "rounds_us_p50", 2),
-    fixed("p99 µs", "rounds_us_p99", 2),
-];
-
-const DEFINITIONS: [Column; 3] = [word("way", "leg"), word("from", "from"), word("to", "to")];
-
-const RATIO_COLUMNS: [Column; 4] = [
-    word("way", "leg"),
-    word("beside", "to"),
-    fixed("p50 / p50", "p50", 2),
-    fixed("rounds", "range", 2),
-];
-
-const TARGET_COLUMNS: [Column; 5] = [
-    word("way", "leg"),
-    plain("samples", "samples"),
-    fixed("p99 µs", "p99_us", 1),
-    fixed("bound µs", "limit_us", 1),
-    word("kept", "kept"),
-];
-
-const UNMEASURED_COLUMNS: [Column; 4] = [
-    plain("releases", "looks_all"),
-    plain("client awake too late", "looks_late"),
-    plain("spoilt stops, repeated", "unmeasured_spoilt_stops"),
-    plain(
-        "samples without a received command",
-        "unmeasured_without_command",
-    ),
-];
 
 #[rustfmt::skip]
 const PANELS: [(&str, &[Leg]); 4] = [
@@ -83,18 +40,17 @@ const PANELS: [(&str, &[Leg]); 4] = [
 
 pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
     let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
-    let heading = "Latency: how long messages take";
-    let mut dataset = Dataset::new("latency", heading, EXPLANATION);
+    let mut dataset = Dataset::new("latency", include_str!("latency.toml"));
     let (mut legs, mut of_rounds) = (Vec::new(), Vec::new());
     for leg in Leg::ALL {
         let each_round = round_rows(leg, rounds);
-        legs.extend(row(leg, rounds, &each_round)?);
-        if !leg.is_grid() {
-            let path = format!("latency/{}", leg.name().replace('.', "/"));
-            for (quantile, key) in [("p50", "latency_us_p50"), ("p99", "latency_us_p99")] {
-                let values = each(&each_round, key);
-                dataset.lower(format!("{path}_{quantile}"), "µs", values);
+        if let Some(row) = row(leg, rounds, &each_round)? {
+            let (way, part) = leg.name().split_once('.').unwrap_or_default();
+            if !leg.is_grid() {
+                let names = json!({ "way": way, "part": part });
+                dataset.compare("rounds", &names, &each_round);
             }
+            legs.push(row);
         }
         of_rounds.extend(each_round);
         let recordings = rounds.iter().map(|round| &round.legs[leg as usize]);
@@ -102,9 +58,8 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
         dataset.recordings.extend(measured.cloned());
     }
     let ratios = RATIOS.map(|legs| ratio(&mut dataset, legs, rounds));
-    let stops = legs
-        .iter()
-        .filter(|row| BOUND.iter().any(|leg| row["leg"] == leg.name()));
+    let is_bound = |row: &&Value| BOUND.iter().any(|leg| row["leg"] == leg.name());
+    let stops = legs.iter().filter(is_bound);
     let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
     let beyond = targets.iter().filter_map(|target| {
         let beyond_us = number(target, "p99_us")? - limit_us + STOP_MARGIN_US;
@@ -121,28 +76,13 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
     dataset.fact("setting", setting);
     dataset.fact("unmeasured", unmeasured);
-    dataset.plots.push(plot(
-        "latency",
-        "How long messages take: the share of the samples that took longer than so much. Last: to zero rates, \
-         without the ramp.",
-        (1, 700),
-        &panels(rounds, limit_us)?,
-    )?);
-    let shown = legs.iter().map(shown).collect();
-    let of_ratios = "Beside iceoryx2 alone: ratio of the medians";
-    let ratios = ratios.into_iter().flatten().collect();
-    dataset.sheets = vec![
-        Sheet::of(title, &COLUMNS, shown),
-        Sheet::of(of_ratios, &RATIO_COLUMNS, ratios).key("ratios"),
-        Sheet::of("Stops beside their bound", &TARGET_COLUMNS, targets).key("targets"),
-        Sheet::of("What was not measured", &UNMEASURED_COLUMNS, vec![counts]),
-        Sheet::of("From which stamp to which", &DEFINITIONS, legs)
-            .key("legs")
-            .file("latency"),
-        Sheet::of("", &[], of_rounds)
-            .key("rounds")
-            .file("latency-rounds"),
-    ];
+    dataset.plot("latency", (1, 700), &panels(rounds, limit_us)?)?;
+    dataset.add_titled("shown", &[title], legs.iter().map(shown).collect());
+    dataset.add("ratios", ratios.into_iter().flatten().collect());
+    dataset.add("targets", targets);
+    dataset.add("counts", vec![counts]);
+    dataset.add("legs", legs);
+    dataset.add("rounds", of_rounds);
     Ok(dataset)
 }
 
@@ -254,11 +194,10 @@ mod tests {
             let rounds = [round(1, stop_us), round(2, stop_us)];
             let setting = json!({ "period_us": 5000.0 });
             let found = dataset("", setting, &rounds).expect("a result");
-            let json = found.json();
-            let mut targets = json["targets"].as_array().into_iter().flatten();
+            let mut targets = found.rows("targets").iter();
             assert!(targets.all(|target| target["kept"] == kept));
             assert_eq!(found.targets[0]["reached"], kept);
-            let leg = &json["legs"][Leg::ReferenceCommand as usize];
+            let leg = &found.rows("legs")[Leg::ReferenceCommand as usize];
             // The medians of the rounds are 50 and 100.
             let p50_us = number(leg, "rounds_us_p50").expect("a number");
             assert!((p50_us - 75.0).abs() < 0.2, "{leg}");
@@ -268,23 +207,19 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_measured_and_percentiles_of_too_few_values_are_not_told() {
+    fn percentiles_of_too_few_values_are_not_told() {
         let leg = Leg::StopZeroHandover;
         let [both, p999, none] = [[true; 3], [false, true, false], [false; 3]];
         for (count, absent) in [(99, both), (100, p999), (1000, none)] {
-            let mut rounds = [Round::new(0).expect("bounds")];
-            for us in 1..=count {
-                rounds[0].record(leg, 1000 * us);
-            }
-            let row = row(leg, &rounds, &round_rows(leg, &rounds));
-            let row = row.expect("bounds").expect("samples");
+            let mut round = Round::new(0).expect("bounds");
+            (1..=count).for_each(|us| round.record(leg, 1000 * us));
+            let found = dataset("", json!({ "period_us": 5000.0 }), &[round]).expect("a result");
+            let [row] = found.rows("shown") else {
+                panic!("rows of legs that were not measured");
+            };
             let times = ["latency_us_p99", "latency_us_p999", "rounds_us_p99"];
-            assert_eq!(times.map(|key| number(&shown(&row), key).is_none()), absent);
-            assert_eq!(target(&row, 1.0)["kept"].is_null(), count < 100);
-            let found = dataset("", json!({ "period_us": 5000.0 }), &rounds).expect("a result");
-            assert_eq!(found.json()["legs"].as_array().map(Vec::len), Some(1));
-            let mut metrics = found.metrics.iter();
-            assert!(metrics.all(|metric| metric.name.contains("zero_handover")));
+            assert_eq!(times.map(|key| number(row, key).is_none()), absent);
+            assert_eq!(found.rows("targets")[0]["kept"].is_null(), count < 100);
         }
     }
 }

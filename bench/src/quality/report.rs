@@ -6,11 +6,8 @@ use serde_json::{Value, json};
 use super::course::Course;
 use super::restarts::{CONTENDERS, Contender, Field, STUCK_SHARE, arrives, excess_share, is_stuck};
 use super::variant::SOLVERS;
-use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, RGBColor, Scale, of_rows, plot};
-use crate::dataset::{
-    Column, Dataset, Plot, Sheet, by_rows, each, filled, fixed, number, percent, plain, power,
-    together, word,
-};
+use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, RGBColor, Scale, of_rows};
+use crate::dataset::{Dataset, by_rows, number, together};
 use crate::experiment::Solver;
 use crate::metric::median;
 use crate::study::Rounds;
@@ -23,53 +20,22 @@ const METRIC_FLOOR_MM: f64 = 1e-6;
 const ERROR_FLOOR_MM: f64 = 1e-9;
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
-const EXPLANATION: &str = include_str!("quality.html");
-
-#[rustfmt::skip]
-const STUCK: [Column; 8] = [
-    word("between", "field"), word("solver", "contender"), plain("problems", "problems"),
-    percent("stuck %", "stuck_share", 1), percent("does not arrive %", "missed_share", 1),
-    percent("cost above the best p50 %", "excess_share_p50", 1), percent("max %", "excess_share_max", 1),
-    fixed("time p50 ms", "time_ms_p50", 1),
-];
-
-/// The varied quantities: name, title of the table, and prefix of the names of its numbers.
-#[rustfmt::skip]
-const AXES: [[&str; 3]; 3] = [
-    ["budget", "What the time of a solve buys (on the clock)", "quality/budget/{course}/{solver}/{budget_us}-us"],
-    ["swarm", "What particles and iterations buy (without a budget)", "quality/swarm/{course}/{solver}/{swarm}x{iterations}"],
-    ["horizon", "What a longer horizon buys (without a budget, with the swarm of the course)",
-     "quality/horizon/{course}/{solver}/n{horizon}"],
-];
-
-#[rustfmt::skip]
-fn columns(axis: &'static str) -> [Column; 12] {
-    [
-        word("course", "course"), word("solver", "solver"), word(axis, "value"),
-        power("mean error mm", "mean_error_mm"), power("max mm", "max_error_mm"),
-        fixed("least clearance mm", "min_clearance_mm", 2), fixed("too near ms", "below_safe_ms", 0),
-        percent("guarded %", "guarded_share", 1), power("mean cost", "mean_cost"), percent("cut short %", "cut_short_share", 1),
-        fixed("solve p50 µs", "solve_p50_us", 1), fixed("p99 µs", "solve_p99_us", 1),
-    ]
-}
-
 pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
-    let mut dataset = Dataset::new("quality", "What time buys", EXPLANATION);
+    let mut dataset = Dataset::new("quality", include_str!("quality.toml"));
     let mut rows = Vec::new();
-    for [axis, title, path] in AXES {
+    for axis in ["budget", "swarm", "horizon"] {
         let mut of_axis = Vec::new();
-        for of_row in by_rows(found.of(axis)) {
-            let row = together(&of_row, &["rounds"]);
-            let path = filled(path, &row);
-            let errors_mm = each(&of_row, "mean_error_mm").map(|mm| mm.max(METRIC_FLOOR_MM));
-            dataset.lower(format!("{path}/mean_error"), "mm", errors_mm);
-            let clearances_mm = each(&of_row, "min_clearance_mm");
-            dataset.higher(format!("{path}/least_clearance"), "mm", clearances_mm);
+        for mut of_row in by_rows(found.of(axis)) {
+            let row = together(&of_row, &["rounds".to_owned()]);
+            for round in &mut of_row {
+                let mm = number(round, "mean_error_mm").unwrap_or(f64::NAN);
+                round["mean_error_mm"] = mm.max(METRIC_FLOOR_MM).into();
+            }
+            dataset.compare(axis, &row, &of_row);
             of_axis.push(row);
         }
         rows.extend_from_slice(&of_axis);
-        let table = Sheet::of(title, &columns(axis), of_axis);
-        dataset.sheets.push(table);
+        dataset.add(axis, of_axis);
     }
     let of_rounds = found.of(PROBLEMS);
     let problems = of_rounds.concat();
@@ -83,15 +49,10 @@ pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
             stuck.extend(stuck_row(&ended(&problems, field, contender)));
         }
     }
-    let title = "Random starts: how often a solver ends more than 1 % above the best plan known";
-    let restarts = Sheet::of(title, &STUCK, stuck);
-    let restarts = restarts.key("restarts").file("quality-restarts");
-    dataset.sheets.insert(1, restarts);
-    dataset.plots = plots(&rows, &problems)?;
-    let cases = Sheet::of("", &columns("budget"), rows);
-    let problems = Sheet::of("", &[], problems).key(PROBLEMS);
-    dataset.sheets.push(cases.key("cases").file("quality"));
-    dataset.sheets.push(problems.file("quality-problems"));
+    plot(&mut dataset, &rows, &problems)?;
+    dataset.add("restarts", stuck);
+    dataset.add("cases", rows);
+    dataset.add(PROBLEMS, problems);
     dataset.fact("rounds", rounds);
     dataset.fact("stuck_above_share", STUCK_SHARE);
     Ok(dataset)
@@ -121,41 +82,21 @@ fn stuck_row(rows: &[&Value]) -> Option<Value> {
     }))
 }
 
-fn plots(rows: &[Value], problems: &[Value]) -> Result<Vec<Plot>> {
+fn plot(dataset: &mut Dataset, rows: &[Value], problems: &[Value]) -> Result<()> {
     let of_courses = |y, key, scale| -> Vec<Panel> {
         let panel = |course: &Course| panel(*course, rows, y, key, scale);
         Course::ALL.iter().filter_map(panel).collect()
     };
-    let floor = ERROR_FLOOR_MM;
+    let (size, floor) = ((2, 560), ERROR_FLOOR_MM);
     let errors = of_courses("mean error [mm]", "mean_error_mm", Scale::LogLog { floor });
     let clearances = of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross);
     let fields = Field::ALL.iter();
     let excess: Vec<Panel> = fields
         .filter_map(|field| excess(*field, problems))
         .collect();
-    let all = [
-        (
-            "quality-error",
-            "Mean error against the time of a solve, median over the rounds. A swarm has as many particles and \
-             iterations as it has time for.",
-            errors,
-        ),
-        (
-            "quality-clearance",
-            "Smallest clearance of the body against the time of a solve, worst of all rounds. The guard keeps \
-             the robot from entering the safe distance by its own motion.",
-            clearances,
-        ),
-        (
-            "quality-stuck",
-            "Random starts, sorted by how far above the best known cost a solver ended. Where a curve crosses \
-             the dark line, the rest to its right is stuck.",
-            excess,
-        ),
-    ];
-    let drawn = all.into_iter().filter(|(_, _, panels)| !panels.is_empty());
-    let plots = drawn.map(|(name, caption, panels)| plot(name, caption, (2, 560), &panels));
-    plots.collect()
+    dataset.plot("quality-error", size, &errors)?;
+    dataset.plot("quality-clearance", size, &clearances)?;
+    dataset.plot("quality-stuck", size, &excess)
 }
 
 /// A number over the budget of a solve, for each solver; `None` without measurements.

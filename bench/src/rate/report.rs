@@ -5,75 +5,11 @@ use serde_json::{Value, json};
 
 use super::trial::Trial;
 use super::{Case, Shortest};
-use crate::chart::{BLUE, DARK, GREEN, ORANGE, Panel, Scale, of_rows, plot};
-use crate::dataset::{
-    Column, Dataset, Plot, Sheet, each, filled, fixed, joined, number, percent, plain, power,
-    together, word,
-};
+use crate::chart::{BLUE, DARK, GREEN, ORANGE, Panel, Scale, of_rows};
+use crate::dataset::{Dataset, each, filled, joined};
 
-const EXPLANATION: &str = include_str!("rate.html");
-
-const STEPS: [Column; 20] = [
-    plain("rate Hz", "rate_hz"),
-    word("held in rounds", "held_in"),
-    word("remarks", "remarks"),
-    fixed("wake-up p50 µs", "wake_us_p50", 1),
-    fixed("p99 µs", "wake_us_p99", 1),
-    fixed("solve p50 µs", "solve_us_p50", 1),
-    fixed("response p50 µs", "response_us_p50", 1),
-    fixed("p99 µs", "response_us_p99", 1),
-    fixed("p99.9 µs", "response_us_p999", 1),
-    percent("core %", "core_share", 1),
-    percent("cut short %", "budget_hit_share", 1),
-    percent("stale %", "stale_input_share", 1),
-    plain("own misses", "own_misses"),
-    plain("late cycles", "late_cycles"),
-    plain("beyond the period", "deadline_misses"),
-    plain("skipped", "skipped_periods"),
-    plain("of cycles", "cycles"),
-    percent("lost %", "lost_share", 3),
-    percent("followed %", "tracking_share_least", 1),
-    power("error p99 mm", "error_p99_mm"),
-];
-
-const SHORTEST: [Column; 16] = [
-    word("solver", "solver"),
-    word("what ends it", "ended_by"),
-    plain("N", "horizon_steps"),
-    plain("sections", "sections"),
-    plain("shortest ms", "shortest_period_ms"),
-    plain("held in trials", "held_in"),
-    fixed("response p50 µs", "held_response_us_p50", 1),
-    fixed("p99 µs", "held_response_us_p99", 1),
-    fixed("p99.9 µs", "held_response_us_p999", 1),
-    percent("core %", "held_core_share", 1),
-    percent("cut short %", "held_budget_hit_share", 1),
-    plain("beyond the period", "held_deadline_misses"),
-    plain("skipped", "held_skipped_periods"),
-    plain("of cycles", "held_cycles"),
-    percent("lost %", "held_lost_share", 3),
-    power("error p99 mm", "held_error_p99_mm"),
-];
-
-const COUNTS: [&str; 8] = [
-    "cycles",
-    "late_starts",
-    "deadline_misses",
-    "skipped_periods",
-    "dropped_records",
-    "causes",
-    "own_misses",
-    "late_cycles",
-];
-
-const NUMBERS: [(&str, &str, &str); 6] = [
-    ("response_p50", "µs", "response_us_p50"),
-    ("response_p99", "µs", "response_us_p99"),
-    ("response_p999", "µs", "response_us_p999"),
-    ("core", "%", "core_share"),
-    ("cut_short", "%", "budget_hit_share"),
-    ("own_misses", "", "own_misses"),
-];
+/// Panels in a row of the plot, and their height.
+const SIZE: (usize, u32) = (2, 620);
 
 pub(super) fn dataset(
     realtime: bool,
@@ -82,17 +18,14 @@ pub(super) fn dataset(
     shortest: &[Shortest],
 ) -> Result<Dataset> {
     let how = how(realtime, spin_us);
-    let mut dataset = Dataset::new("rate", "How fast the loop can go", EXPLANATION);
+    let mut dataset = Dataset::new("rate", include_str!("rate.toml"));
     dataset.fact("realtime", realtime);
     dataset.fact("spin_us", spin_us);
     let (mut default, mut rounds) = (Vec::new(), Vec::new());
     for step in &steps {
         let of_step = rows(step);
-        let row = step_row(step, &of_step);
-        let rate_hz = number(&row, "rate_hz").unwrap_or(f64::NAN);
-        let path = format!("rate/default/{rate_hz:.0}-hz");
-        dataset.compare(&path, &of_step, &NUMBERS);
-        default.push(row);
+        let merged = dataset.merge("default", &of_step);
+        default.push(step_row(step, merged, &of_step));
         rounds.extend(of_step);
     }
     let (mut found, mut trials) = (Vec::new(), Vec::new());
@@ -103,26 +36,12 @@ pub(super) fn dataset(
         found.push(row);
         trials.extend(rows(&shortest.trials));
     }
-    let default_case = shortest.iter().find(|it| it.case == Case::DEFAULT);
-    let shortest_ms = default_case.and_then(|it| Some((it.held_ms?, Value::Null, String::new())));
-    let what = "shortest period that holds, kpso-refined, 3 sections, 2 steps";
-    dataset.target([what, "≤ 0.5 ms", "ms"], shortest_ms, 0.0..=0.5);
-    dataset.plots.push(picture(&default)?);
-    let name = Case::DEFAULT.name();
-    let of_default =
-        format!("The default ({name}) with shorter and shorter periods, medians over rounds{how}");
-    let of_shortest = format!("Shortest period that holds{how}");
-    dataset.sheets = vec![
-        Sheet::of(&of_shortest, &SHORTEST, found)
-            .key("shortest")
-            .file("rate"),
-        Sheet::of(&of_default, &STEPS, default)
-            .key("default")
-            .file("rate-default"),
-        Sheet::of("", &[], [&rounds[..], &trials].concat()).file("rate-trials"),
-        Sheet::of("", &[], rounds).key("default_rounds"),
-        Sheet::of("", &[], trials).key("trials"),
-    ];
+    dataset.plot("rate", SIZE, &panels(&default))?;
+    dataset.add_titled("shortest", &[&how], found);
+    dataset.add_titled("default", &[&Case::DEFAULT.name(), &how], default);
+    dataset.add("all", [&rounds[..], &trials].concat());
+    dataset.add("default_rounds", rounds);
+    dataset.add("trials", trials);
     let trials = steps.into_iter().flatten();
     dataset.recordings = trials.filter_map(|trial| trial.responses).collect();
     Ok(dataset)
@@ -142,8 +61,12 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
     spin + refused
 }
 
-/// Plot of the default case at each rate, from the rows of its result.
-pub fn picture(rows: &[Value]) -> Result<Plot> {
+/// Plot of the default case at each rate, from the rows of its result, as SVG.
+pub fn picture(rows: &[Value]) -> Result<String> {
+    cdcr_chart::svg(SIZE, &panels(rows))
+}
+
+fn panels(rows: &[Value]) -> [Panel; 2] {
     let line = |label: &str, key: &str, colour| of_rows(label, rows, "rate_hz", key, colour);
     let panel = |title: &str, y, scale, curves| Panel::new(title, ["rate [Hz]", y], scale, curves);
     let times = vec![
@@ -156,23 +79,11 @@ pub fn picture(rows: &[Value]) -> Result<Plot> {
         line("of the core", "core_share", BLUE),
         line("solves cut short", "budget_hit_share", ORANGE),
     ];
-    let scale = Scale::LogLog { floor: 1.0 };
-    let panels = [
-        panel(
-            "Response of the default",
-            "response time [µs]",
-            scale,
-            times,
-        ),
+    let (title, scale) = ("Response of the default", Scale::LogLog { floor: 1.0 });
+    [
+        panel(title, "response time [µs]", scale, times),
         panel("What it costs", "share", Scale::LogAcross, shares),
-    ];
-    plot(
-        "rate",
-        "The default with shorter and shorter periods. The response is that of the cycles that ran: \
-         releases without a cycle are not in it.",
-        (2, 620),
-        &panels,
-    )
+    ]
 }
 
 fn shortest_row(shortest: &Shortest) -> Value {
@@ -212,10 +123,9 @@ fn held_in(trials: &[&Trial]) -> String {
     format!("{} of {}", count_held(trials), trials.len())
 }
 
-fn step_row(trials: &[Trial], rounds: &[Value]) -> Value {
+fn step_row(trials: &[Trial], all: Value, rounds: &[Value]) -> Value {
     // The first round that did not hold, otherwise the last one.
     let shown = trials.iter().find(|trial| !trial.holds()).or(trials.last());
-    let all = together(rounds, &COUNTS);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
     let due = sum(&["cycles", "skipped_periods"]).max(1.0);
     let trials: Vec<&Trial> = trials.iter().collect();

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::dataset::{Dataset, Plot, Sheet};
+use crate::dataset::{Dataset, Plot};
 
 const STYLE: &str = include_str!("page.css");
 
@@ -15,13 +15,13 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
     let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{words}</li>\n");
     let links: String = if introduction.is_empty() {
         let plots = all.iter().flat_map(|dataset| &dataset.plots);
-        let words = |plot: &Plot| (plot.name.replace('-', " "), escape(plot.caption));
-        let words = plots.map(|plot| (plot.name, words(plot)));
+        let words = |plot: &Plot| (plot.name.replace('-', " "), escape(&plot.caption));
+        let words = plots.map(|plot| (&*plot.name, words(plot)));
         words
             .map(|(name, (words, caption))| link(name, &format!("{words}</a>: {caption}")))
             .collect()
     } else {
-        let link = |dataset: &&Dataset| link(dataset.name, &(escape(dataset.heading) + "</a>"));
+        let link = |dataset: &&Dataset| link(dataset.name, &(escape(dataset.heading()) + "</a>"));
         all.iter().map(link).collect()
     };
     let contents = match links.as_str() {
@@ -34,20 +34,20 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
          <title>{heading}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{heading}</h1>\n{introduction}{contents}"
     );
     for dataset in all {
-        let (name, heading) = (dataset.name, escape(dataset.heading));
-        if dataset.heading != title {
+        let (name, heading) = (dataset.name, escape(dataset.heading()));
+        if dataset.heading() != title {
             let _ = writeln!(html, "<h2 id=\"{name}\">{heading}</h2>");
         }
-        let _ = writeln!(html, "{}", dataset.explanation);
+        let _ = writeln!(html, "{}", dataset.declaration.explanation);
         if !dataset.note.is_empty() {
             let class = ["", " class=\"failed\""][usize::from(dataset.warns)];
             let _ = writeln!(html, "<p{class}>{}</p>", escape(&dataset.note));
         }
-        for table in dataset.tables().map(Sheet::text) {
+        for table in dataset.tables().map(|sheet| sheet.shown().text()) {
             let _ = writeln!(html, "<pre>\n{}</pre>", escape(&table));
         }
         for plot in &dataset.plots {
-            let (id, svg, caption) = (plot.name, plot.svg.trim(), escape(plot.caption));
+            let (id, svg, caption) = (&plot.name, plot.svg.trim(), escape(&plot.caption));
             let caption = format!("<figcaption>{caption}</figcaption>");
             let _ = writeln!(html, "<figure id=\"{id}\">\n{svg}\n{caption}\n</figure>");
         }
@@ -70,13 +70,13 @@ mod tests {
 
     #[test]
     fn a_text_is_never_a_tag_and_a_warning_stands_in_a_box() {
-        let dataset = Dataset {
-            heading: "1 < 2 & \"more\"",
+        let mut dataset = Dataset {
             note: "<script>".to_owned(),
             warns: true,
             ..Dataset::default()
         };
-        let html = page(dataset.heading, "", &[&dataset]);
+        dataset.declaration.heading = "1 < 2 & \"more\"".to_owned();
+        let html = page(dataset.heading(), "", &[&dataset]);
         for words in [
             "<h1>1 &lt; 2 &amp; &quot;more&quot;</h1>",
             "<p class=\"failed\">&lt;script&gt;</p>",

@@ -18,36 +18,14 @@ use cdcr_controller::robot::{Obstacle, Shape};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-pub use parts::parts;
 pub use tuning::knob;
 
 use crate::benchmark::Benchmark;
-use crate::chart::{Curve, Panel, Scale, plot};
-use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
+use crate::chart::{Curve, Panel, Scale};
+use crate::dataset::{Dataset, ShownTable};
 use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Scenario};
-
-const EXPLANATION: &str = include_str!("robustness.html");
-
-#[rustfmt::skip]
-const COLUMNS: [Column; 16] = [
-    word("robot", "name"), word("plant", "plant"), word("controller", "controller"), word("interface", "interface"),
-    plain("seeds", "seeds"),
-    fixed("mean mm", "mean_error_mm", 3), fixed("rms mm", "rms_error_mm", 3), fixed("settled mm", "settled_error_mm", 3),
-    fixed("max mm", "max_error_mm", 3), fixed("at rest mm", "rest_error_mm", 3), fixed("at rest rad/s", "rest_rate_rad_s", 3),
-    fixed("rate change rms rad/s", "rate_change_rms", 4), fixed("clearance mm", "min_clearance_mm", 2),
-    fixed("following mm", "following_error_mm", 3), word("wanted", "wanted"), word("reached", "ok"),
-];
-
-/// Effect of the controller's parts, one robot per line.
-#[rustfmt::skip]
-const COMPARISON: [Column; 10] = [
-    word("robot", "name"), fixed("full", "full", 3), fixed("no actuator model", "no actuator model", 3),
-    fixed("first version", "first version", 3), fixed("no tip", "no tip", 3), fixed("open loop", "open loop", 3),
-    fixed("rate change rms rad/s", "rate_change_rms", 4), fixed("at rest", "rest_error_mm", 3),
-    word("wanted", "wanted"), word("reached", "ok"),
-];
 
 /// Tolerance for rounding of the limits of a command, as a share.
 const LIMIT_EXCESS_MAX: f64 = 1e-9;
@@ -110,8 +88,7 @@ impl Benchmark for RobustnessOptions {
         if self.sweep {
             return tuning::run(self.only.as_deref(), RUN_S, progress);
         }
-        let mut dataset =
-            Dataset::new("robustness", "Robots that are not their model", EXPLANATION);
+        let mut dataset = declared();
         let (mut rows, mut panels) = (Vec::<Value>::new(), Vec::<Panel>::new());
         let cases = self.cases();
         for (case, runs) in cases.iter().zip(self.all_runs(&cases, progress)?) {
@@ -133,18 +110,10 @@ impl Benchmark for RobustnessOptions {
             rows.push(case.row(&runs, ideal));
         }
         panels.retain(|panel| !panel.is_below(DRAWN_MM));
-        if !panels.is_empty() {
-            let caption = "Error of the tip in truth, simulated, position interface, the first seed. \
-                 Robots whose error is below 0.001 mm throughout, as the ideal one, are left out.";
-            let errors = plot("robustness-error", caption, (2, 420), &panels);
-            dataset.plots.push(errors?);
-        }
-        dataset.sheets.push(comparison(&rows));
-        dataset.sheets.push(parts(&rows));
-        let title = "Robots that are not their model, on a figure eight";
-        let sheet = Sheet::of(title, &COLUMNS, rows);
-        let sheet = sheet.key("scenarios").file("robustness");
-        dataset.sheets.push(sheet);
+        dataset.plot("robustness-error", (2, 420), &panels)?;
+        dataset.add("comparison", comparison(&rows));
+        dataset.add("parts", parts::rows(&rows));
+        dataset.add("scenarios", rows);
         Ok(dataset)
     }
 }
@@ -282,9 +251,20 @@ fn cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// The mean error of every robot with each controller behind the position interface, from the rows of a
-/// result.
-pub fn comparison(rows: &[Value]) -> Sheet {
+fn declared() -> Dataset {
+    Dataset::new("robustness", include_str!("robustness.toml"))
+}
+
+/// The tables for the documents, from the rows of a result: all robots, then the parts of the controller.
+pub fn shown(rows: &[Value]) -> [ShownTable; 2] {
+    let mut dataset = declared();
+    dataset.add("comparison", comparison(rows));
+    dataset.add("parts", parts::rows(rows));
+    [0, 1].map(|place| dataset.sheets[place].shown())
+}
+
+/// The mean error of every robot with each controller behind the position interface.
+fn comparison(rows: &[Value]) -> Vec<Value> {
     let mut robots: Vec<Value> = Vec::new();
     for row in rows.iter().filter(|row| row["interface"] == "position") {
         if row["controller"] == "full" {
@@ -294,8 +274,7 @@ pub fn comparison(rows: &[Value]) -> Sheet {
             robot[controller] = row["mean_error_mm"].clone();
         }
     }
-    let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off; of the whole controller root mean square of what the rates change by from cycle to cycle, and largest error at rest, mm";
-    Sheet::of(title, &COMPARISON, robots)
+    robots
 }
 
 /// A panel for each robot, with the error of the first run of each controller over time.

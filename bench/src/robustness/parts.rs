@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::dataset::{Column, Sheet, number, word};
+use crate::dataset::number;
 
 /// A part, the controller without it, the robot that shows its effect, the key of the number and its name.
 #[rustfmt::skip]
@@ -23,36 +23,20 @@ const SHOWN: [[&str; 5]; 11] = [
 const MEAN: &str = "mean error, mm";
 const SETTLED: &str = "settled error, mm";
 
-const COLUMNS: [Column; 5] = [
-    word("part", "part"),
-    word("robot", "robot"),
-    word("figure", "figure"),
-    word("with it", "with"),
-    word("without", "without"),
-];
-
 /// The effect of each part, from the rows of a result with the position interface; missing rows are left out.
-pub fn parts(rows: &[Value]) -> Sheet {
-    let rows = SHOWN
-        .into_iter()
-        .filter_map(|[part, without, robot, key, figure]| {
-            let of = |controller: &str| {
-                let mut rows = rows.iter().filter(|row| row["interface"] == "position");
-                let row =
-                    rows.find(|row| row["name"] == robot && row["controller"] == controller)?;
-                Some(text(number(row, key)?))
-            };
-            Some(json!({
-                "part": part,
-                "robot": robot,
-                "figure": figure,
-                "with": of("full")?,
-                "without": of(without)?,
-            }))
-        });
-    let title =
-        "What each part is for: with all that the controller does, and with that part switched off";
-    Sheet::of(title, &COLUMNS, rows.collect())
+pub(super) fn rows(rows: &[Value]) -> Vec<Value> {
+    let row = |[part, without, robot, key, figure]: [&str; 5]| {
+        let of = |controller: &str| {
+            let mut rows = rows.iter().filter(|row| row["interface"] == "position");
+            let row = rows.find(|row| row["name"] == robot && row["controller"] == controller)?;
+            Some(text(number(row, key)?))
+        };
+        let (with, without) = (of("full")?, of(without)?);
+        Some(
+            json!({ "part": part, "robot": robot, "figure": figure, "with": with, "without": without }),
+        )
+    };
+    SHOWN.into_iter().filter_map(row).collect()
 }
 
 fn text(value: f64) -> String {

@@ -7,19 +7,10 @@ use cdcr_controller::plant::Preset;
 use serde_json::{Value, json};
 
 use super::scenario::{CONTROLS, Scenario};
-use crate::chart::{BLUE, ORANGE, Panel, Scale, of_rows, plot};
-use crate::dataset::{Column, Dataset, Sheet, fixed, word};
+use crate::chart::{BLUE, ORANGE, Panel, Scale, of_rows};
+use crate::dataset::{Dataset, ShownTable};
 use crate::interrupt;
 use crate::progress::Progress;
-
-const EXPLANATION: &str = include_str!("tuning.html");
-
-#[rustfmt::skip]
-const COLUMNS: [Column; 6] = [
-    word("knob", "knob"), word("value", "turned_to"),
-    fixed("error mean mm", "mean_error_mm", 3), fixed("error max mm", "max_error_mm", 3),
-    fixed("rate change rad/s", "rate_change_rms", 4), fixed("cables only: rate change rad/s", "cables_rate_change_rms", 4),
-];
 
 /// Key, its head in a plot, and the values of each knob.
 #[rustfmt::skip]
@@ -96,16 +87,14 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
             "cables_rate_change_rms": cables.rate_change_square().sqrt(),
         }));
     }
-    let mut dataset = Dataset::new("tuning", "What the knobs do", EXPLANATION);
-    dataset.plots.push(plot(
-        "tuning",
-        "Error of the tip and change of the rates over each knob, the robot of the laboratory.",
-        (2, 420),
-        &panels(&rows),
-    )?);
-    let sheet = Sheet::of("What the knobs do", &COLUMNS, rows);
-    dataset.sheets.push(sheet.key("knobs").file("tuning"));
+    let mut dataset = declared();
+    dataset.plot("tuning", (2, 420), &panels(&rows))?;
+    dataset.add("knobs", rows);
     Ok(dataset)
+}
+
+fn declared() -> Dataset {
+    Dataset::new("tuning", include_str!("tuning.toml"))
 }
 
 fn follow(eight: &FigureEight, knobs: Turned, sensor: Sensor) -> Result<FigureEightRun> {
@@ -149,13 +138,17 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
 }
 
 /// Effect of one knob of a sweep, from the rows of its result.
-pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
-    let of = rows.iter().filter(|row| row["knob"] == knob).cloned();
-    let mut columns = COLUMNS[1..].to_vec();
+pub fn knob(knob: &str, rows: &[Value]) -> ShownTable {
+    let mut dataset = declared();
+    let of_knob = rows.iter().filter(|row| row["knob"] == knob);
+    dataset.add("knobs", of_knob.cloned().collect());
+    let table = &mut dataset.sheets[0].table;
+    table.title.clear();
+    table.columns.remove(0);
     if knob == PRESET {
-        columns[0] = word(PRESET, "turned_to");
+        PRESET.clone_into(&mut table.columns[0].head);
     }
-    Sheet::of("", &columns, of.collect())
+    dataset.sheets[0].shown()
 }
 
 #[cfg(test)]

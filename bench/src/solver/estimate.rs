@@ -12,7 +12,7 @@ use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use serde_json::{Value, json};
 
 use crate::closed_loop::{End, timed_solve};
-use crate::dataset::{RoundTable, fixed, number, plain, word};
+use crate::dataset::number;
 use crate::named::named;
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
@@ -40,21 +40,6 @@ named! {
         Play = "cables and tip, lag and play",
     }
 }
-
-#[rustfmt::skip]
-pub const TABLE: RoundTable = RoundTable {
-    key: "estimate",
-    file: "solver-estimate",
-    title: "Time of the estimate and of the solve that follows it: three sections on the figure eight",
-    columns: &[
-        word("measured", "sensed"), plain("cycles", "cycles"),
-        fixed("estimate p50 µs", "estimate_p50_us", 2), fixed("estimate p99 µs", "estimate_p99_us", 2),
-        fixed("solve p50 µs", "solve_p50_us", 2), fixed("both p50 µs", "both_p50_us", 2), fixed("more p50 µs", "more_p50_us", 2),
-    ],
-    counts: &[],
-    numbers: &[("p50", "µs", "estimate_p50_us"), ("both/p50", "µs", "both_p50_us"), ("more/p50", "µs", "more_p50_us")],
-    path: "estimate/{sensed}",
-};
 
 /// All kinds of measurement, one after the other. `more_p50_us` is the time beyond the first kind, the
 /// controller without filters and models.

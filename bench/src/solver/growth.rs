@@ -4,7 +4,7 @@
 use serde_json::{Value, json};
 use statrs::statistics::Statistics as _;
 
-use crate::dataset::{Column, Sheet, fixed, number, plain, word};
+use crate::dataset::number;
 use crate::experiment::Solver;
 
 /// A varied quantity: its name, its key in a case, and its value in the paper's size.
@@ -19,26 +19,11 @@ const QUANTITIES: [Quantity; 5] = [
     ("obstacle", "obstacles", 0.0),
 ];
 
-const COLUMNS: [Column; 8] = [
-    word("solver", "solver"),
-    word("per", "per"),
-    plain("from", "from"),
-    plain("to", "to"),
-    fixed("first µs", "p50_us_from", 2),
-    fixed("last µs", "p50_us_to", 2),
-    fixed("µs for one more", "us_per_unit", 3),
-    fixed("for twice as many", "factor_per_doubling", 2),
-];
-
 /// Each solver over each quantity that was measured more than once.
-pub fn sheet(cases: &[Value]) -> Sheet {
-    let all = Solver::ALL
-        .into_iter()
-        .flat_map(|solver| QUANTITIES.map(|per| growth(cases, solver, per)));
-    let title = "Growth of the median on the fastest path, all else as in the paper's spiral with 3 sections";
-    Sheet::of(title, &COLUMNS, all.flatten().collect())
-        .key("growth")
-        .file("solver-growth")
+pub fn rows(cases: &[Value]) -> Vec<Value> {
+    let solvers = Solver::ALL.into_iter();
+    let all = solvers.flat_map(|solver| QUANTITIES.map(|per| growth(cases, solver, per)));
+    all.flatten().collect()
 }
 
 /// The median of a solver on the fastest path over one quantity, from the cases that equal the paper's in all

@@ -9,7 +9,6 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::closed_loop::PERIOD_S;
-use crate::dataset::{RoundTable, fixed, plain, word};
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
 
@@ -36,21 +35,6 @@ const CROWDS: [Crowd; 4] = [
     ("half-capsules", true, false),
     ("half-capsules-moving", true, true),
 ];
-
-#[rustfmt::skip]
-pub const TABLE: RoundTable = RoundTable {
-    key: "guard",
-    file: "solver-guard",
-    title: "Time of the safety checks: six sections, 64 obstacles in reach",
-    columns: &[
-        word("obstacles", "crowd"), plain("moments", "moments"),
-        fixed("p50 µs", "p50_us", 1), fixed("p99 µs", "p99_us", 1), fixed("max µs", "max_us", 1),
-        fixed("changed %", "changed_percent", 1),
-    ],
-    counts: &[],
-    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
-    path: "guard/{crowd}",
-};
 
 /// Every crowd at the same moments in each round.
 pub fn measure(divisor: u64) -> Result<Vec<Value>> {

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::Size;
 use crate::closed_loop::{End, PERIOD_S, inside, timed_solve};
-use crate::dataset::{RoundTable, each, fixed, joined, plain, power, word};
+use crate::dataset::{each, joined};
 use crate::experiment::{Solver, Task};
 use crate::quantiles::{histogram, quantile_us};
 
@@ -25,39 +25,6 @@ const CYCLES_MAX: u64 = 400;
 /// Deadlines, counted in quanta \[µs\].
 const DEADLINES_US: [u32; 8] = [20, 50, 100, 200, 300, 500, 1000, 4500];
 const DEADLINE_CYCLES_MAX: u64 = 199;
-
-#[rustfmt::skip]
-pub const TABLE: RoundTable = RoundTable {
-    key: "hard",
-    file: "solver-hard",
-    title: "Long horizons by a deadline: 3 sections, 20 steps, 4.5 ms a solve, no guard",
-    columns: &[
-        word("solver", "solver"), plain("speed", "speed"), plain("obstacles", "obstacles"),
-        power("mean error mm", "mean_error_mm"), power("max error mm", "max_error_mm"),
-        fixed("clearance - D mm", "spare_clearance_mm", 3),
-        fixed("p50 µs", "p50_us", 1), fixed("p99 µs", "p99_us", 1), fixed("cut short %", "cut_short_percent", 1),
-    ],
-    counts: &[],
-    numbers: &[("p50", "µs", "p50_us"), ("p99", "µs", "p99_us")],
-    path: "hard/{solver}/{speed}-times/{obstacles}-obstacles",
-};
-
-#[rustfmt::skip]
-pub const DEADLINE_TABLE: RoundTable = RoundTable {
-    key: "hard_deadlines",
-    file: "solver-hard-deadlines",
-    title: "Mean error mm of the same by shorter deadlines, counted in work",
-    columns: &[
-        word("solver", "solver"), plain("speed", "speed"), plain("obstacles", "obstacles"),
-        power("20 µs", "error_mm_20_us"), power("50 µs", "error_mm_50_us"), power("100 µs", "error_mm_100_us"),
-        power("200 µs", "error_mm_200_us"), power("300 µs", "error_mm_300_us"), power("500 µs", "error_mm_500_us"),
-        power("1 ms", "error_mm_1000_us"), power("4.5 ms", "error_mm_4500_us"),
-        fixed("clearance - D mm", "spare_clearance_mm", 3),
-    ],
-    counts: &[],
-    numbers: &[],
-    path: "",
-};
 
 /// Every problem with the refining solvers; none in a short run.
 pub fn measure(divisor: u64) -> Result<Vec<Value>> {

@@ -79,15 +79,11 @@ fn table(file: &str, chosen: Option<&str>, document: &Value) -> ShownTable {
             let choice: Choice = serde_json::from_str(chosen).expect("a choice");
             choice.of(document)
         }
-        ("results/robustness.json", None) => {
-            robustness::comparison(&rows(document, "scenarios")).shown()
+        ("results/robustness.json", chosen) => {
+            let [all, parts] = robustness::shown(&rows(document, "scenarios"));
+            if chosen.is_some() { parts } else { all }
         }
-        ("results/robustness.json", Some("parts")) => {
-            robustness::parts(&rows(document, "scenarios")).shown()
-        }
-        ("results/tuning.json", Some(knob)) => {
-            robustness::knob(knob, &rows(document, "knobs")).shown()
-        }
+        ("results/tuning.json", Some(knob)) => robustness::knob(knob, &rows(document, "knobs")),
         other => panic!("no table is made from {other:?}"),
     }
 }
@@ -127,7 +123,7 @@ fn generates() -> bool {
 #[test]
 fn documents_hold_what_is_made_from_the_json_beside_them() {
     let picture = rows(&result("results/report.json")["rate"], "default");
-    let picture = rate::picture(&picture).expect("a picture").svg;
+    let picture = rate::picture(&picture).expect("a picture");
     for (name, contained) in [
         ("results.md", "<!-- generated from results/report.json"),
         ("robustness.md", "| 30 µm of noise |"),
