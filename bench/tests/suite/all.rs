@@ -15,7 +15,7 @@ use cdcr_scratch::Scratch;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::{list, machine, needs_nothing_else, number, program, stderr};
+use crate::{is_sound, list, machine, needs_nothing_else, number, program, stderr};
 
 fn command(folder: &Path, line: &str) -> Command {
     let mut command = program(&format!("all --quick {line} --out"));
@@ -64,27 +64,14 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         json!({ "command": "all", "only": "solver,budget", "quick": "true", "rounds": "2" });
     assert_eq!(report["options"], options);
     assert_eq!(report["failed"], json!([]));
-    let metrics = list(&report, "metrics");
-    let named: BTreeSet<_> = metrics.iter().map(|it| it["name"].as_str()).collect();
-    // A size that several series share counts once.
-    assert_eq!(named.len(), metrics.len());
-    assert!(metrics.iter().all(|it| list(it, "rounds").len() == 2));
-    for name in ["solver", "budget"] {
-        assert!(report["took_s"][name].as_f64() > Some(0.0), "{name}");
-        let own = named.iter().flatten().filter(|it| it.starts_with(name));
-        assert!(own.count() > 3, "{name}");
-    }
+    is_sound(&report, &[2]);
     for row in list(&report["solver"], "estimate") {
         let of = |key: &str| number(row, key);
-        let (both, solve) = (of("both_p50_us"), of("solve_p50_us"));
-        let (p50, p99) = (of("estimate_p50_us"), of("estimate_p99_us"));
-        assert!(0.0 < p50 && p50 <= p99 && both >= p50.max(solve), "{row}");
+        let (both, p50) = (of("both_p50_us"), of("estimate_p50_us"));
+        assert!(0.0 < p50 && both >= p50.max(of("solve_p50_us")), "{row}");
     }
     let budgets = list(&report["budget"], "cases");
     assert_budgets(budgets);
-    let csv = fs::read_to_string(folder.join("budget.csv")).expect("a table");
-    assert!(csv.starts_with("case,budget_us,solves,"), "{csv}");
-    assert_eq!(csv.lines().count(), 1 + budgets.len());
     let input = Input::read(&file).expect("a result");
     let comparison = Comparison::of(&input, &input);
     let changed = [ChangeClass::Worse, ChangeClass::Better].map(|class| comparison.count(class));
@@ -125,14 +112,11 @@ fn assert_budgets(rows: &[Value]) {
         let expected = [json!(case), json!(budget_us), json!(100), json!(0)];
         let keys = ["case", "budget_us", "solves", "worse_than_warm_start"];
         assert_eq!(keys.map(|key| row[key].clone()), expected);
-        for key in ["over_us", "bare_over_us"] {
-            let times = ["p50", "p99", "max"].map(|q| number(&row[key], q));
-            assert!(0.0 <= times[0] && times.is_sorted(), "{row}");
-        }
-        let share = number(row, "ended_by_budget_share");
         // Without any time there is always work left.
-        let least = if budget_us == 0 { 1.0 } else { 0.0 };
-        assert!((least..=1.0).contains(&share), "{row}");
+        assert!(
+            budget_us > 0 || row["ended_by_budget_share"] == 1.0,
+            "{row}"
+        );
     }
 }
 

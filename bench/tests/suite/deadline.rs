@@ -13,7 +13,7 @@ use hdrhistogram::serialization::Deserializer;
 use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
 use serde_json::Value;
 
-use crate::{list, machine, number, printed_json, program};
+use crate::{is_sound, list, machine, number, printed_json, program};
 
 /// Whether this user may have real-time threads; otherwise only a part can be measured.
 fn is_realtime() -> bool {
@@ -24,41 +24,21 @@ fn is_realtime() -> bool {
     granted
 }
 
-fn assert_quantiles(case: &Value, key: &str) {
-    let values = ["min", "p50", "p99", "p999", "max"].map(|name| number(&case[key], name));
-    let is_sound = values.is_sorted() && values[0] >= 0.0 && values[4] > 0.0;
-    assert!(is_sound, "{key} of {case}");
-}
-
-fn assert_case(case: &Value, cycles_least: f64) {
+/// All rounds of a case together: times are added, values of single rounds are left out.
+fn assert_case(case: &Value) {
     // A due release was executed or skipped, or its record was lost because the machine stalled the watcher.
     let lost = case["lost_records"].as_f64().unwrap_or_default();
     let due = number(case, "cycles") + number(case, "skipped_periods") + lost;
-    assert!(due >= cycles_least, "{case}");
-    // cyclictest reports no causes.
-    let is_told = case["subject"] != "cyclictest";
+    // 2 s of 5 ms; processes that start late on a stalled machine get a little less.
+    assert!(due >= 300.0, "{case}");
+    let (is_daemon, is_told) = (case["subject"] == "daemon", case["subject"] != "cyclictest");
     for cause in ["platform", "load", "compute", "fault", "other"] {
         assert_eq!(case["causes"][cause].is_u64(), is_told, "{case}");
     }
-    assert!(case["steal_ms"].is_number() && case["realtime"].is_boolean());
-    assert_quantiles(case, "wake_us");
-    assert_rounds(case);
-    match case["subject"].as_str().expect("a subject") {
-        "daemon" => {
-            for key in ["compute_us", "response_us", "command_us"] {
-                assert_quantiles(case, key);
-            }
-            assert!(number(case, "tracking_share") > 0.0, "{case}");
-        }
-        subject => {
-            assert!(["bare", "cyclictest"].contains(&subject));
-            assert!(case["response_us"].is_null(), "{case}");
-        }
+    for key in ["compute_us", "response_us", "command_us"] {
+        assert_eq!(case[key].is_object(), is_daemon, "{key} of {case}");
     }
-}
-
-/// All rounds together: times are added, values of single rounds are left out.
-fn assert_rounds(case: &Value) {
+    assert!(!is_daemon || number(case, "tracking_share") > 0.0, "{case}");
     let rounds = list(case, "rounds");
     assert_eq!(rounds.len(), 2);
     for key in ["cycles", "steal_ms", "run_delay_ms"] {
@@ -83,8 +63,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
 
     let cases = list(&document, "cases");
     for case in cases {
-        // 2 s of 5 ms; processes that start late on a stalled machine get a little less.
-        assert_case(case, 300.0);
+        assert_case(case);
         for round in list(case, "rounds") {
             let updates = round["load_did"]["updates"].as_u64().expect("a count");
             assert_eq!(updates > 0, case["load"] == "flood", "{case}");
@@ -101,9 +80,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
             );
         }
     }
-    let mut metrics = list(&document, "metrics").iter();
-    assert!(metrics.all(|metric| !list(metric, "rounds").is_empty()));
-    assert!(document["environment"].is_object());
+    is_sound(&document, &[1, 2]);
     for name in ["txt", "json", "csv", "html"].map(|end| format!("deadline.{end}")) {
         let text = std::fs::read_to_string(folder.path().join(&name)).expect(&name);
         assert!(text.contains("flood"), "{name}");

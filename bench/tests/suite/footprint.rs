@@ -7,7 +7,7 @@ use cdcr_test_skip::{Need, skip};
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 
-use crate::{list, machine, number, program, stderr};
+use crate::{is_sound, list, machine, number, program, stderr};
 
 #[test]
 fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
@@ -24,17 +24,15 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     assert!(output.status.success(), "{}", stderr(&output));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
 
-    let rounds = list(&document, "rounds");
-    assert_eq!(rounds.len(), 1);
-    let start = &rounds[0];
+    is_sound(&document, &[1]);
+    let start = &list(&document, "rounds")[0];
     let ms = |key: &str| number(start, key);
     // The first good cycle and the first received record come after the release.
+    let least_ms = ms("ready_ms").min(ms("first_record_ms"));
     assert!(
-        ms("first_release_ms") > 0.0 && ms("ready_ms") > ms("first_release_ms"),
+        0.0 < ms("first_release_ms") && ms("first_release_ms") < least_ms,
         "{start}"
     );
-    assert!(ms("first_record_ms") > ms("first_release_ms"), "{start}");
-
     let figure = |key: &str| {
         let row = list(&document, "figures")
             .iter()

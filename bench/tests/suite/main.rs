@@ -17,6 +17,7 @@ mod refused;
 mod results;
 mod robustness;
 
+use std::collections::BTreeSet;
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -53,6 +54,45 @@ fn needs_nothing_else(page: &str) {
     let page = page.replace("href=\"#", "");
     for word in ["src=", "href=", "url(", "<script", "@import"] {
         assert!(!page.contains(word), "{word} in a page");
+    }
+}
+
+/// What holds for the result of every benchmark: quantiles grow, shares are shares, no time is negative. Each
+/// metric has one name, and a value for each of `rounds`.
+fn is_sound(document: &Value, rounds: &[usize]) {
+    values_are_sound(document);
+    let metrics = list(document, "metrics");
+    let names: BTreeSet<_> = metrics.iter().map(|it| it["name"].as_str()).collect();
+    assert!(!metrics.is_empty() && names.len() == metrics.len());
+    let mut counts = metrics.iter().map(|it| list(it, "rounds").len());
+    assert!(counts.all(|count| rounds.contains(&count)), "{metrics:?}");
+}
+
+fn values_are_sound(value: &Value) {
+    let all = value.as_array().into_iter().flatten();
+    all.for_each(values_are_sound);
+    let fields = value.as_object().into_iter().flatten();
+    for (key, field) in fields {
+        let most = if key.ends_with("_share") {
+            1.0
+        } else {
+            f64::INFINITY
+        };
+        let is_bounded = key.ends_with("_share") || key.ends_with("_us") || key.ends_with("_ms");
+        let of_zero = ["excess", "misses", "beyond", "more_p50", "runtime"];
+        if is_bounded && !of_zero.iter().any(|word| key.contains(word)) {
+            let number = field.as_f64();
+            assert!(
+                number.is_none_or(|number| (0.0..=most).contains(&number)),
+                "{key}: {value}"
+            );
+        }
+        values_are_sound(field);
+    }
+    let quantiles = ["min", "p50", "p99", "p999", "max"].map(|name| value[name].as_f64());
+    if let [Some(min), Some(p50), Some(p99), Some(p999), Some(max)] = quantiles {
+        let all = [0.0, min, p50, p99, p999, max];
+        assert!(all.is_sorted(), "{value}");
     }
 }
 
