@@ -74,7 +74,7 @@ impl Benchmark for BudgetOptions {
         dataset.add_rounds(CASES, study::run(self.rounds, &cases, progress)?.of(CASES));
         dataset.fact("rounds", self.rounds);
         let panels = panels(dataset.rows(CASES));
-        dataset.plot("budget-overrun", (2, 520), &panels)?;
+        dataset.plot("budget-overrun", &panels)?;
         Ok(dataset)
     }
 }

@@ -172,14 +172,15 @@ impl Dataset {
         self.sheets.sort_by_key(|sheet| sheet.place);
     }
 
-    /// Draws panels with the declared caption; `size` holds the panels per row and their height: see
-    /// [`cdcr_chart::svg`]. Draws nothing without panels.
-    pub fn plot(&mut self, name: &str, size: (usize, u32), panels: &[Panel]) -> Result<()> {
-        if !panels.is_empty() {
+    /// Draws a declared plot; nothing without panels.
+    pub fn plot(&mut self, name: &str, panels: &[Panel]) -> Result<()> {
+        let mut plots = self.declaration.plots.iter();
+        let declared = plots.find(|declared| declared.name == name && !panels.is_empty());
+        if let Some(declared) = declared {
             self.plots.push(Plot {
                 name: name.to_owned(),
-                caption: self.declaration.plots[name].clone(),
-                svg: cdcr_chart::svg(size, panels)?,
+                caption: declared.caption.clone(),
+                svg: cdcr_chart::svg(declared.size, panels)?,
             });
         }
         Ok(())

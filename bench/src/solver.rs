@@ -121,7 +121,7 @@ impl Benchmark for SolverOptions {
         metrics.dedup_by(|one, other| one.name == other.name);
         let cases = dataset.rows(CASES).to_vec();
         dataset.add("growth", growth::rows(&cases));
-        dataset.plot("solver-sections", (1, 700), &[panel(&cases)])?;
+        dataset.plot("solver-sections", &[panel(&cases)])?;
         Ok(dataset)
     }
 }

@@ -16,11 +16,19 @@ pub struct Declaration {
     /// In the order in which they are shown.
     #[serde(default)]
     pub tables: Vec<Table>,
-    /// Captions by the names of the plots.
     #[serde(default)]
-    pub plots: BTreeMap<String, String>,
+    pub plots: Vec<PlotDeclaration>,
     #[serde(default)]
     pub targets: Vec<Target>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlotDeclaration {
+    pub name: String,
+    /// Panels per row, and their height: see [`cdcr_chart::svg`].
+    pub size: (usize, u32),
+    pub caption: String,
 }
 
 /// A target of the project for the median of a metric.

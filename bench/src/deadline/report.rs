@@ -270,7 +270,7 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
         of_setup.push(panel(load, curves, period_us));
     }
     for (setup, panels) in panels {
-        dataset.plot(&format!("deadline-{}", setup.name()), (2, 520), &panels)?;
+        dataset.plot(&format!("deadline-{}", setup.name()), &panels)?;
     }
     Ok(dataset)
 }

@@ -140,8 +140,7 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
         let name = filled("footprint/program/{name}", program);
         dataset.lower(name, "MB", number(program, "mb"));
     }
-    let height = 60 * threads.len() as u32 + 260;
-    dataset.plot("footprint", (1, height), &[bars(&threads)])?;
+    dataset.plot("footprint", &[bars(&threads)])?;
     let count = rounds.len().to_string();
     dataset.add_titled("figures", &[&count, how], figures);
     dataset.add_titled("threads", &[how], threads);

@@ -76,7 +76,7 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
     dataset.fact("setting", setting);
     dataset.fact("unmeasured", unmeasured);
-    dataset.plot("latency", (1, 700), &panels(rounds, limit_us)?)?;
+    dataset.plot("latency", &panels(rounds, limit_us)?)?;
     dataset.add_titled("shown", &[title], legs.iter().map(shown).collect());
     dataset.add("ratios", ratios.into_iter().flatten().collect());
     dataset.add("targets", targets);

@@ -87,16 +87,16 @@ fn plot(dataset: &mut Dataset, rows: &[Value], problems: &[Value]) -> Result<()>
         let panel = |course: &Course| panel(*course, rows, y, key, scale);
         Course::ALL.iter().filter_map(panel).collect()
     };
-    let (size, floor) = ((2, 560), ERROR_FLOOR_MM);
+    let floor = ERROR_FLOOR_MM;
     let errors = of_courses("mean error [mm]", "mean_error_mm", Scale::LogLog { floor });
     let clearances = of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross);
     let fields = Field::ALL.iter();
     let excess: Vec<Panel> = fields
         .filter_map(|field| excess(*field, problems))
         .collect();
-    dataset.plot("quality-error", size, &errors)?;
-    dataset.plot("quality-clearance", size, &clearances)?;
-    dataset.plot("quality-stuck", size, &excess)
+    dataset.plot("quality-error", &errors)?;
+    dataset.plot("quality-clearance", &clearances)?;
+    dataset.plot("quality-stuck", &excess)
 }
 
 /// A number over the budget of a solve, for each solver; `None` without measurements.

@@ -8,9 +8,6 @@ use super::{Case, Shortest};
 use crate::chart::{BLUE, DARK, GREEN, ORANGE, Panel, Scale, of_rows};
 use crate::dataset::{Dataset, each, filled, joined};
 
-/// Panels in a row of the plot, and their height.
-const SIZE: (usize, u32) = (2, 620);
-
 pub(super) fn dataset(
     realtime: bool,
     spin_us: Option<f64>,
@@ -18,7 +15,7 @@ pub(super) fn dataset(
     shortest: &[Shortest],
 ) -> Result<Dataset> {
     let how = how(realtime, spin_us);
-    let mut dataset = Dataset::new("rate", include_str!("rate.toml"));
+    let mut dataset = declared();
     dataset.fact("realtime", realtime);
     dataset.fact("spin_us", spin_us);
     let (mut default, mut rounds) = (Vec::new(), Vec::new());
@@ -36,7 +33,7 @@ pub(super) fn dataset(
         found.push(row);
         trials.extend(rows(&shortest.trials));
     }
-    dataset.plot("rate", SIZE, &panels(&default))?;
+    dataset.plot("rate", &panels(&default))?;
     dataset.add_titled("shortest", &[&how], found);
     dataset.add_titled("default", &[&Case::DEFAULT.name(), &how], default);
     dataset.add("all", [&rounds[..], &trials].concat());
@@ -45,6 +42,10 @@ pub(super) fn dataset(
     let trials = steps.into_iter().flatten();
     dataset.recordings = trials.filter_map(|trial| trial.responses).collect();
     Ok(dataset)
+}
+
+fn declared() -> Dataset {
+    Dataset::new("rate", include_str!("rate.toml"))
 }
 
 fn rows(trials: &[Trial]) -> Vec<Value> {
@@ -63,7 +64,9 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
 
 /// Plot of the default case at each rate, from the rows of its result, as SVG.
 pub fn picture(rows: &[Value]) -> Result<String> {
-    cdcr_chart::svg(SIZE, &panels(rows))
+    let mut dataset = declared();
+    dataset.plot("rate", &panels(rows))?;
+    Ok(dataset.plots.remove(0).svg)
 }
 
 fn panels(rows: &[Value]) -> [Panel; 2] {

@@ -110,7 +110,7 @@ impl Benchmark for RobustnessOptions {
             rows.push(case.row(&runs, ideal));
         }
         panels.retain(|panel| !panel.is_below(DRAWN_MM));
-        dataset.plot("robustness-error", (2, 420), &panels)?;
+        dataset.plot("robustness-error", &panels)?;
         dataset.add("comparison", comparison(&rows));
         dataset.add("parts", parts::rows(&rows));
         dataset.add("scenarios", rows);

@@ -88,7 +88,7 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
         }));
     }
     let mut dataset = declared();
-    dataset.plot("tuning", (2, 420), &panels(&rows))?;
+    dataset.plot("tuning", &panels(&rows))?;
     dataset.add("knobs", rows);
     Ok(dataset)
 }
