@@ -38,18 +38,3 @@ pub(crate) fn longer(times_ns: &Histogram<u64>) -> Vec<Point> {
     };
     times_ns.iter_recorded().map(point).collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn all_are_at_least_as_long_as_the_shortest_and_none_longer_than_the_longest() {
-        let mut times = crate::quantiles::histogram().expect("bounds");
-        for us in [10, 20, 20, 40] {
-            times.record(us * 1000).expect("within the bounds");
-        }
-        let shares: Vec<f64> = longer(&times).iter().map(|point| point.1).collect();
-        assert_eq!(shares, [1.0, 0.75, 0.25]);
-    }
-}

@@ -62,42 +62,27 @@ fn hash(file: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_scratch::Scratch;
+    use clap::Args as _;
 
     use super::*;
+    use crate::deadline::DeadlineOptions;
 
     #[test]
     fn the_options_of_a_run_are_what_it_was_asked_for() {
-        let argument = |name: &'static str| clap::Arg::new(name).long(name);
-        let load = argument("load").value_delimiter(',');
-        let load = load.action(clap::ArgAction::Append);
-        let rounds = argument("rounds").default_value("6");
-        let all = clap::Command::new("deadline").args([rounds, load, argument("config")]);
-        let command = clap::Command::new("bench").subcommand(all);
+        let deadline = DeadlineOptions::augment_args(clap::Command::new("deadline"));
+        let command = clap::Command::new("bench").subcommand(deadline);
         let of = |words: &str| {
             let words = format!("bench deadline {words}");
-            RunOptions::of(
-                &command,
-                &command.clone().get_matches_from(words.split(' ')),
-            )
+            let matches = command.clone().get_matches_from(words.split(' '));
+            RunOptions::of(&command, &matches)
         };
         let one = of("--load=none --load cpu --rounds 3");
         assert_eq!(one, of("--rounds=3 --load none,cpu"));
-        assert_eq!(
-            one.differing(&of("--load none,cpu")),
-            [("rounds", "3", "none")]
-        );
-
+        let differing = of("--load none,cpu");
+        assert_eq!(one.differing(&differing), [("rounds", "3", "none")]);
         // Configurations are compared by content, not by path.
-        let folder = Scratch::temporary().expect("a folder");
-        let with = |name: &str, text: &str| {
-            let file = folder.path().join(name);
-            std::fs::write(&file, text).expect("written");
-            of(&format!("--config {}", file.display()))
-        };
-        let one = with("a.toml", "x = 1");
-        assert_eq!(one, with("b.toml", "x = 1"));
-        assert_ne!(one, with("a.toml", "x = 2"));
-        assert!(!format!("{one:?}").contains("toml"));
+        let with = |file: &str| of(&format!("--config ../configs/{file}"));
+        assert_ne!(with("default.toml"), with("one-section.toml"));
+        assert!(!format!("{:?}", with("default.toml")).contains("toml"));
     }
 }

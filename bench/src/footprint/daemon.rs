@@ -245,29 +245,3 @@ fn files(paths: &[PathBuf]) -> (u64, u64) {
     let all = paths.iter().map(of);
     all.fold((0, 0), |sum, more| (sum.0 + more.0, sum.1 + more.1))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ready_is_a_line_of_its_own() {
-        assert!(says_ready(b"READY=1"));
-        assert!(says_ready(b"STATUS=holding\nREADY=1\nMAINPID=7"));
-        assert!(!says_ready(b"STATUS=READY=1") && !says_ready(b"READY=0"));
-    }
-
-    #[test]
-    fn memory_is_read_as_proc_says() {
-        let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\n".to_owned();
-        let page_faults = 0;
-        let of_text = Memory {
-            status,
-            page_faults,
-        };
-        assert_eq!(of_text.mb("VmRSS").unwrap(), 0.01024);
-        assert!(of_text.mb("Vm").is_err());
-        assert_eq!(faults_in("7 (a ) b) S 1 2 3 4 5 6 70 8 90 10"), Some(160));
-        assert_eq!(faults_in("7 (a"), None);
-    }
-}

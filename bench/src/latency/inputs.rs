@@ -179,12 +179,7 @@ impl Line {
                 continue;
             };
             self.recorded += 1;
-            let passage = Passage {
-                sent_ns: sent.stamp_ns,
-                gather_ns,
-                received_ns,
-            };
-            round.record_way(way, &passage);
+            round.record_way(way, &Passage::new(sent.stamp_ns, gather_ns, received_ns));
         }
         Ok(())
     }
@@ -313,19 +308,5 @@ mod tests {
             tenths.iter().all(|count| (18..=22).contains(count)),
             "{tenths:?}"
         );
-    }
-
-    #[test]
-    fn the_lead_is_that_before_the_release_that_was_slept_for() {
-        let mut record = Telemetry {
-            release_ns: 25_000_000,
-            due_ns: 5_000_000,
-            gather_ns: 4_800_000,
-            period_ns: 5_000_000,
-            ..Telemetry::default()
-        };
-        assert_eq!(lead_ns(&record), Some(200_000));
-        record.timing_flags = timing::STALE_INPUTS;
-        assert_eq!(lead_ns(&record), None);
     }
 }

@@ -174,11 +174,7 @@ fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * period_ns;
     let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
     Some(Stopped {
-        first: Passage {
-            sent_ns,
-            gather_ns: first.record.gather_ns,
-            received_ns: first.received_ns?,
-        },
+        first: Passage::new(sent_ns, first.record.gather_ns, first.received_ns?),
         zero_handover_ns: without_ramp(rest.record.handed_over_ns),
         zero_command_ns: without_ramp(rest.received_ns?),
     })
@@ -196,13 +192,7 @@ mod tests {
 
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
     fn stop() -> Vec<Seen> {
-        let speed_rad_s = |index: u64| {
-            if index < 10 {
-                0.95 - 0.1 * index as f64
-            } else {
-                0.0
-            }
-        };
+        let speed_rad_s = |index: u64| (0.95 - 0.1 * index as f64).max(0.0);
         let kept = |index: u64| {
             let release_ns = 5_000_000 * (index + 1);
             let mode = [Mode::Tracking, Mode::Stopped][usize::from(index > 0)];
@@ -244,20 +234,19 @@ mod tests {
     #[test]
     fn what_is_not_whole_is_not_judged() {
         type Change = fn(&mut Vec<Seen>);
-        let missing: [(Change, &str); 5] = [
-            (|all| _ = all.remove(4), "a record is missing"),
-            (|all| all[10].received_ns = None, "a command never came"),
-            (
-                |all| all[1].record.previous_rate_rad_s[0] = 0.15,
-                "it hardly moved",
-            ),
-            (|all| _ = all.remove(0), "nothing says what it did before"),
-            (|all| _ = all.pop(), "it does not rest"),
+        // A missing record, a command that never came, a robot that hardly moved, or what it did before is
+        // unknown, or it does not rest.
+        let missing: [Change; 5] = [
+            |all| _ = all.remove(4),
+            |all| all[10].received_ns = None,
+            |all| all[1].record.previous_rate_rad_s[0] = 0.15,
+            |all| _ = all.remove(0),
+            |all| _ = all.pop(),
         ];
-        for (change, why) in missing {
+        for change in missing {
             let mut records = stop();
             change(&mut records);
-            assert_eq!(evaluate(&records, 5_300_000), None, "{why}");
+            assert_eq!(evaluate(&records, 5_300_000), None);
         }
     }
 }

@@ -173,17 +173,4 @@ mod tests {
             assert!(off_m < 1e-5, "{course:?}: {off_m}");
         }
     }
-
-    #[test]
-    fn points_are_reached_at_their_times_and_jumps_are_jumps() {
-        let (x, y) = (Vector3::x(), Vector3::y());
-        let legs = Legs(vec![(0.0, x), (1.0, y), (1.0, x), (2.0, x), (2.0, y)]);
-        let times_s = [-1.0, 0.0, 0.5, 1.0 - 1e-9, 1.0, 1.999, 2.0, 100.0];
-        let points = [x, x, (x + y) * 0.5, y, x, x, y, y];
-        for (time_s, point) in times_s.into_iter().zip(points) {
-            let found = Vector3::from(legs.position_m(time_s));
-            assert!((found - point).norm() < 1e-9, "{time_s}: {found}");
-        }
-        assert_eq!(legs.duration_s(), 2.0);
-    }
 }

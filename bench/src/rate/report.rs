@@ -165,23 +165,14 @@ mod tests {
             failed_ms: Some(0.25),
         };
         let found = dataset(false, Some(0.0), steps, &[shortest]).unwrap();
-        let json = found.json();
-        assert_eq!(json["default"][1]["rounds_held"], 1);
-        assert_eq!(json["default"][1]["remarks"], "too short");
-        assert_eq!(json["default"][0]["cycles"], 8000);
-        let row = &json["shortest"][0];
-        assert_eq!(
-            (&row["shortest_period_ms"], &row["failed_period_ms"]),
-            (&json!(0.5), &json!(0.25))
-        );
-        assert_eq!(row["ended_by"], "0.25 ms, held in 0 of 3 trials: too short");
-        assert_eq!(row["held_in"], "1 of 2");
-        assert_eq!(json["trials"][2]["holds"], false);
         let text = found.text();
-        assert!(
-            text.contains("not granted") && text.contains("without rehearsal"),
-            "{text}"
-        );
+        for words in [
+            "not granted",
+            "without rehearsal",
+            "0.25 ms, held in 0 of 3 trials: too short",
+        ] {
+            assert!(text.contains(words), "{words} in {text}");
+        }
         for (name, rounds) in [
             ("rate/default/200-hz/response_p50", &[30.0, 30.0][..]),
             ("rate/default/10000-hz/response_p50", &[30.0]),

@@ -63,26 +63,3 @@ fn escape(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('"', "&quot;");
     text.replace('<', "&lt;").replace('>', "&gt;")
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_text_is_never_a_tag_and_a_warning_stands_in_a_box() {
-        let mut dataset = Dataset {
-            note: "<script>".to_owned(),
-            warns: true,
-            ..Dataset::default()
-        };
-        dataset.declaration.heading = "1 < 2 & \"more\"".to_owned();
-        let html = page(dataset.heading(), "", &[&dataset]);
-        for words in [
-            "<h1>1 &lt; 2 &amp; &quot;more&quot;</h1>",
-            "<p class=\"failed\">&lt;script&gt;</p>",
-        ] {
-            assert!(html.contains(words), "{html}");
-        }
-        assert!(!html.contains("<h2"), "a result alone has one heading");
-    }
-}

