@@ -8,7 +8,6 @@ use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
 
-/// Options of a benchmark; they are its command-line arguments.
 pub trait Benchmark: clap::Args + Send + 'static {
     /// Changes the defaults to the options for the report of `all`.
     fn for_report(&mut self) {}

@@ -28,7 +28,6 @@ pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 const AROUND_S: f64 = 3e-4;
 const WAYS: usize = 3;
 
-/// The table.
 const CASES: &str = "cases";
 
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -79,7 +78,6 @@ impl Benchmark for BudgetOptions {
     }
 }
 
-/// Duration of a case: twice the budget for the wait without work and the solve \[s\].
 fn expected_s(budget_us: u64, solves: u64) -> f64 {
     solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
 }
@@ -111,8 +109,6 @@ struct Way {
 }
 
 impl Way {
-    /// The cases: the default, the paper's swarm with an orientation of the tip, and many particles and steps
-    /// among obstacles.
     fn all() -> Result<Vec<Self>> {
         let refined = |task| Size::paper(task, Solver::KpsoRefined);
         let default = refined(Task::Spiral { sections: 3 });

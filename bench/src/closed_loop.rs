@@ -70,7 +70,6 @@ impl Scene {
         )
     }
 
-    /// Sample of the state that the previous cycle led to.
     pub fn sample(&self, closed: &ClosedLoop<'_>, solve_time: Duration) -> Sample {
         let configuration = *closed.configuration();
         Sample {

@@ -1,9 +1,4 @@
 //! Changes between two runs beyond the noise of their rounds.
-//!
-//! The rounds of a run alternate with its baselines, so their range shows the influence of the machine on an
-//! unchanged number. A number is classified as changed when the ranges of the two runs do not overlap and
-//! their medians differ by more than [`LEAST_CHANGE_PERCENT`]. Numbers with one value in each run are listed
-//! separately.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -124,7 +119,6 @@ impl Comparison {
     /// How many numbers may get worse by chance: half of `changed_by_chance`, rounded up, plus a margin of
     /// two.
     pub fn worse_by_chance(&self) -> usize {
-        // By chance, as many numbers get better as worse.
         (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
     }
 

@@ -19,7 +19,6 @@ pub use declaration::{Column, Declaration, Table};
 
 use crate::metric::{Better, Metric, median};
 
-/// The result of one benchmark, for people, for programs and for comparison with the next run.
 #[derive(Default)]
 pub struct Dataset {
     pub name: &'static str,
@@ -30,7 +29,6 @@ pub struct Dataset {
     pub warns: bool,
     /// Keys of the JSON in addition to those of the tables.
     pub facts: Map<String, Value>,
-    /// In the order of their declaration.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
     pub metrics: Vec<Metric>,
@@ -57,7 +55,6 @@ pub struct Recording {
 }
 
 impl Dataset {
-    /// An empty result with this declaration, a TOML text of the program.
     pub fn new(name: &'static str, declaration: &str) -> Self {
         Self {
             name,
@@ -223,14 +220,12 @@ impl Dataset {
         texts.join("\n")
     }
 
-    /// The name and content of each CSV file.
     pub fn csv(&self) -> impl Iterator<Item = (&str, Result<String>)> {
         let sheets = self.sheets.iter();
         sheets.filter_map(|sheet| Some((sheet.table.file.as_deref()?, sheet.csv())))
     }
 }
 
-/// The rows of a table.
 #[derive(Debug, Default)]
 pub struct Sheet {
     place: usize,

@@ -76,8 +76,6 @@ impl Environment {
             // Start of the run in UTC, like `2026-11-21T12:00:00Z`.
             "started_utc": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
             "cdcr_version": env!("CARGO_PKG_VERSION"),
-            // Commit of the working copy in the current folder if it is this project; `+` for uncommitted
-            // changes.
             "commit": null,
             // Built without optimisation: its times are meaningless.
             "debug_build": cfg!(debug_assertions),
@@ -96,7 +94,6 @@ impl Environment {
                 "release": kernel("osrelease").unwrap_or_default(),
                 // `PREEMPT_RT` or the word of the version, with the mode where it can be selected.
                 "preemption": root.preemption(&version),
-                // Build number and compiler.
                 "version": version,
                 // `isolcpus`, `nohz_full` and `rcu_nocbs` of the command line; the rest is left out.
                 "isolation": command_line.split_ascii_whitespace().filter(isolates).collect::<Vec<_>>(),
@@ -110,7 +107,6 @@ impl Environment {
             "memory_mb": number(root.field("proc/meminfo", "MemTotal")).map(|kib| (kib * 1024.0 / 1e6) as u64),
             // Average of the last minute before the start; 1 is one busy core.
             "load_average": number(root.read("proc/loadavg")),
-            // Threads with SCHED_FIFO, and unlimited locked memory.
             "privileges": { "realtime": realtime, "lock_memory": root.may_lock() },
             "cores": { "realtime": cores.realtime, "others": cores.others },
         });
@@ -135,7 +131,6 @@ impl Environment {
         named.collect()
     }
 
-    /// A row for each property.
     pub fn rows(&self) -> Vec<Value> {
         let rows = self.properties().into_iter();
         let rows = rows.map(|(property, value)| json!({ "property": property, "value": value }));
@@ -177,7 +172,6 @@ impl Environment {
 struct Root(PathBuf);
 
 impl Root {
-    /// Trimmed text of a file; `None` if unreadable or empty.
     fn read(&self, file: &str) -> Option<String> {
         let text = std::fs::read(self.0.join(file)).ok()?;
         // Firmware texts end with a zero byte.
@@ -186,7 +180,6 @@ impl Root {
         (!text.is_empty()).then(|| text.to_owned())
     }
 
-    /// The value of the first line `key : value`.
     fn field(&self, file: &str, key: &str) -> Option<String> {
         Some(field(&self.read(file)?, key)?.to_owned())
     }
@@ -202,7 +195,6 @@ impl Root {
         Some(mode.map_or(word.to_owned(), |mode| format!("{word} ({mode})")))
     }
 
-    /// Whether the processor reports a hypervisor; `None` for processors without such a flag.
     fn is_virtual(&self) -> Option<bool> {
         let flags = self.field("proc/cpuinfo", "flags")?;
         let mut flags = flags.split_ascii_whitespace();
@@ -252,7 +244,6 @@ fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
 fn commit() -> Option<String> {
     let git = |arguments: &str| {
         let mut git = Command::new("git");
-        // Read-only.
         git.arg("--no-optional-locks").args(arguments.split(' '));
         let output = git.output().ok()?;
         let text = String::from_utf8(output.stdout).ok()?;

@@ -109,7 +109,6 @@ impl Task {
         match self {
             Self::Spiral { .. } => base,
             Self::Line { .. } => NmpcSettings {
-                // As in the paper.
                 swarm_size: 15,
                 swarm_iterations: 70,
                 // Per rad², beside 1 per m² of position.
@@ -217,7 +216,6 @@ impl Experiment {
     }
 }
 
-/// An experiment, its row, its first run for the plots, and the results of each seed.
 pub struct Outcome {
     pub experiment: Experiment,
     pub scene: Scene,

@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 use statrs::statistics::{Data, OrderStatistics as _};
 
-/// One number that a benchmark measured once in each round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metric {
     /// Words joined by slashes, like `deadline/none/daemon/response_p99`. The same in every run.

@@ -107,7 +107,6 @@ struct Drawn<'a> {
     title: String,
     all: Vec<&'a Outcome>,
     run: &'a Outcome,
-    /// The samples of that run.
     samples: &'a [Sample],
 }
 
@@ -219,8 +218,6 @@ impl<'a> Drawn<'a> {
         )
     }
 
-    /// Share of solves that took longer than each time, for each solver, with the paper's mean and the
-    /// period.
     fn times(&self) -> Vec<Panel> {
         let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
         let at = |label, ms: f64, colour| {
@@ -274,7 +271,6 @@ impl<'a> Drawn<'a> {
         ]
     }
 
-    /// The commanded rates: of the bend vectors, and of the paper's angles.
     fn controls(&self) -> Vec<Panel> {
         let label = |names: [&str; 2], k: usize| {
             (

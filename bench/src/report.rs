@@ -33,7 +33,6 @@ const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
 /// Key of the cause in the result of a failed benchmark.
 const ERROR: &str = "error";
 
-/// File contents by name, which may contain a folder.
 pub type Files = BTreeMap<String, String>;
 
 /// Start time, machine and options of a run.
@@ -60,7 +59,6 @@ impl Start {
         machine
     }
 
-    /// JSON text ending in a line feed.
     fn json(&self, mut keys: Map<String, Value>, metrics: &[Metric]) -> Result<String> {
         keys.insert("environment".to_owned(), json!(self.environment));
         keys.insert("options".to_owned(), json!(self.options));
@@ -189,7 +187,6 @@ impl Plan {
     }
 }
 
-/// Runs benchmarks. A failed benchmark is part of the report and does not stop the others.
 pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
     let mut left_s: f64 = plans.iter().map(|plan| plan.expected_s).sum();
     let mut parts = Vec::new();
@@ -228,7 +225,6 @@ impl BenchReport {
         failed.map(|part| part.dataset.name).collect()
     }
 
-    /// Results of each benchmark under its name; a failed one has the key `error`.
     fn results(&self) -> Map<String, Value> {
         let parts = self.parts.iter().map(|part| &part.dataset);
         parts

@@ -40,7 +40,6 @@ impl RunOptions {
         Self(options)
     }
 
-    /// Names and values of the options that differ; `none` where an option was not given.
     pub fn differing<'a>(&'a self, other: &'a Self) -> Vec<(&'a str, &'a str, &'a str)> {
         let value = |options: &'a Self, name| options.0.get(name).map_or("none", String::as_str);
         let names: BTreeSet<&String> = self.0.keys().chain(other.0.keys()).collect();

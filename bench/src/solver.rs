@@ -1,9 +1,6 @@
 //! Solve time on every SIMD path of this processor, and its growth with sections, steps, particles,
 //! iterations and obstacles. Also the time of the estimate before a solve, and of the safety checks after it
 //! among many obstacles.
-//!
-//! All paths give the same bits. Therefore in each cycle every path solves the same problem, one after the
-//! other, and the speed-up is a ratio of times measured side by side.
 
 pub mod estimate;
 pub mod growth;
@@ -126,7 +123,6 @@ impl Benchmark for SolverOptions {
     }
 }
 
-/// The median of every solver on the fastest path over the number of sections.
 fn panel(cases: &[Value]) -> Panel {
     let curve = |(solver, colour): (Solver, RGBColor)| {
         let points = growth::series(cases, solver, growth::SECTION);
@@ -144,7 +140,6 @@ fn panel(cases: &[Value]) -> Panel {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
-    /// The curve and its robot.
     pub task: Task,
     pub solver: Solver,
     pub settings: NmpcSettings,
@@ -191,7 +186,6 @@ impl Size {
         self
     }
 
-    /// Many particles and steps among obstacles.
     pub(crate) fn among_obstacles(self) -> Self {
         let larger = self.with(|it| (it.swarm_size, it.horizon_steps) = (64, 20));
         Self {
@@ -233,7 +227,6 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
     Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
 }
 
-/// Runs the closed loop, in which every path solves every cycle.
 fn measure(size: &Size) -> Result<Vec<Value>> {
     let (scene, settings) = (size.scene()?, size.settings);
     let mut closed = scene.begin(settings)?;

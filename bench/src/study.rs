@@ -16,7 +16,6 @@ pub(crate) struct Case<'a> {
     pub(crate) measure: Box<dyn Fn(u32) -> Result<Vec<Value>> + 'a>,
 }
 
-/// The rows of each round, by the key of their table.
 #[derive(Default)]
 pub(crate) struct Rounds(BTreeMap<&'static str, Vec<Vec<Value>>>);
 

@@ -205,7 +205,6 @@ impl Watcher {
         newest.is_some_and(|newest| newest.cycle + 1 >= self.next)
     }
 
-    /// Takes the available commands. Returns whether the command of the watched cycle has come.
     fn receive(&mut self) -> Result<bool> {
         while let Some(command) = self.commands.try_next()? {
             let received_ns = monotonic_ns();

@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use serde_json::Value;
 
-/// A declaration; the files are part of the program.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Declaration {
@@ -36,7 +35,6 @@ pub struct PlotDeclaration {
 #[serde(deny_unknown_fields)]
 pub struct Target {
     pub what: String,
-    /// The bound in words.
     pub target: String,
     pub unit: String,
     /// Name of the metric. A star stands for the case; the worst one counts.
@@ -51,7 +49,6 @@ pub struct Table {
     /// A pair of braces stands for what is only known after the run. Without a title, the rows are only in JSON
     /// and CSV.
     pub title: String,
-    /// Its CSV file, if it has one.
     pub file: Option<String>,
     /// Whether the rows are in the JSON, under the name of the table.
     pub json: bool,

@@ -1,8 +1,4 @@
 //! Deadline misses and latencies of the daemon under named loads, next to a baseline of the machine.
-//!
-//! For every load, a round runs the bare loop, the daemon and, if installed, cyclictest, one after the other.
-//! The next round begins with another of them. Therefore disturbances of the machine affect all of them
-//! equally, and the spread of the rounds shows which differences are significant.
 
 mod report;
 mod stretch;

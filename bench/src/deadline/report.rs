@@ -196,7 +196,6 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     Some(row)
 }
 
-/// The targets for the misses under all loads together, with real time.
 fn add_targets(dataset: &mut Dataset, cases: &Cases, period_us: f64) {
     let (mut own, mut due, mut ours, mut theirs) = (0.0, 0, (0, 0), (0, 0));
     let is_ours = |key: &Key| (key.setup, key.subject) == (Setup::Realtime, Subject::Daemon);
@@ -275,7 +274,6 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     Ok(dataset)
 }
 
-/// The curves of a subject.
 fn drawn(subject: Subject, times: &Times) -> Vec<Curve> {
     let shown: &[_] = match subject {
         Subject::Bare => &[(WAKE, "bare loop", GREEN)],

@@ -42,7 +42,6 @@ named! {
 }
 
 impl Subject {
-    /// The subjects of a set-up: cyclictest only where it is installed.
     pub(super) fn of(setup: Setup) -> Vec<Self> {
         let has_cyclictest = setup == Setup::Realtime && Cyclictest::find().is_some();
         Self::ALL[..2 + usize::from(has_cyclictest)].to_vec()
@@ -58,7 +57,6 @@ pub(super) struct Runner<'a> {
 }
 
 impl<'a> Runner<'a> {
-    /// Starts a daemon once, to check the configuration and to read its period.
     pub(super) fn new(options: &'a DeadlineOptions, cores: Cores) -> Result<Self> {
         let daemon = Daemon::start(&launch(options), &cores)?;
         let connection = daemon.connect()?;

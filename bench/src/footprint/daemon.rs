@@ -28,7 +28,6 @@ const SETTLE: Duration = Duration::from_millis(500);
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
-/// Measures the start-up times of a daemon, with a client that polls for it from the start of the process.
 pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     let (daemon, begin_ns, manager) = start(launch, cores)?;
     let deadline = Instant::now() + TIMEOUT;
@@ -60,7 +59,6 @@ pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
 /// measured time.
 type Manager = JoinHandle<Result<Option<u64>>>;
 
-/// Starts a daemon under a service manager, and returns the time before the start \[ns\].
 fn start(launch: &Launch, cores: &Cores) -> Result<(Daemon, u64, Manager)> {
     let folder = Scratch::temporary().context("a folder for temporary files")?;
     let path = folder.path().join("notify");
@@ -89,7 +87,6 @@ fn late(daemon: &Daemon, missing: &str) -> String {
     format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 
-/// Time of `READY=1` \[ns\]; `None` after the time limit.
 fn hear_ready(socket: &UnixDatagram) -> Result<Option<u64>> {
     let deadline = Instant::now() + TIMEOUT;
     let mut message = [0; 4096];
@@ -104,14 +101,11 @@ fn hear_ready(socket: &UnixDatagram) -> Result<Option<u64>> {
     Ok(None)
 }
 
-/// Whether one of the lines is `READY=1` (`sd_notify(3)`).
 fn says_ready(message: &[u8]) -> bool {
     let mut lines = message.split(|byte| *byte == b'\n');
     lines.any(|line| line == b"READY=1")
 }
 
-/// Starts a daemon without clients and measures its usage: idle, then tracking. Returns the quantities by
-/// key.
 pub(super) fn usage(
     launch: &Launch,
     cores: &Cores,
@@ -178,7 +172,6 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
     }))
 }
 
-/// Share of a core used by each thread \[%\].
 type Shares = BTreeMap<String, f64>;
 
 /// `None` where the kernel does not count the time of threads.
@@ -186,7 +179,6 @@ fn sum<'a>(percents: impl Iterator<Item = &'a f64>) -> Option<f64> {
     percents.copied().reduce(|sum, percent| sum + percent)
 }
 
-/// Measures for `length`. Threads with the same name are added.
 fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
     let (before, begin) = (threads(daemon.id()), Instant::now());
     interrupt::sleep(length)?;

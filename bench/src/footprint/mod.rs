@@ -1,9 +1,4 @@
 //! Resources of a daemon: cores, memory, files, start-up time.
-//!
-//! Each round starts a daemon with its defaults (200 Hz, three sections) for the start-up times, and a second
-//! one for the usage. Memory of the second is read at `READY=1`, before any client connects. Then the daemon
-//! is measured without a client, then while it tracks. All counts are the kernel's: core time from
-//! `/proc/PID/task/TID/schedstat`, memory from `/proc/PID/status`.
 
 mod daemon;
 
@@ -149,7 +144,6 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     Ok(dataset)
 }
 
-/// The row of a quantity, and its metric; `None` if it was not measured.
 fn figure(dataset: &mut Dataset, [what, key, unit]: [&str; 3], rounds: &[Value]) -> Option<Value> {
     let (middle, (least, most)) = (median(each(rounds, key))?, range(each(rounds, key))?);
     let metric = format!("footprint/{key}");

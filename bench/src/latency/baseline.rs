@@ -79,7 +79,6 @@ fn answer(location: &Location, shares: bool, opened: &Sender<()>, ends: &AtomicB
     Ok(())
 }
 
-/// Sends messages, then requests, with a pause in between, and records those after the warm-up.
 fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> Result<()> {
     let services = Services::open(location)?;
     let there = services.there.publisher_builder().create()?;

@@ -1,7 +1,4 @@
 //! Latency from sending a message until the client receives the first command that uses it, or its answer.
-//!
-//! The exchange answers a renewal of the lease in the gather that takes it. The cycle decides a request about
-//! the mode, and the exchange answers it after the command of that cycle has left.
 
 use std::collections::HashMap;
 
@@ -285,8 +282,6 @@ pub(super) fn learn_lead_ns(watcher: &mut Watcher) -> Result<u64> {
     Ok(median(leads_ns).unwrap_or(0.0) as u64)
 }
 
-/// Time from the gather of a record's inputs to the release that its cycle slept for; `None` for stale
-/// inputs.
 fn lead_ns(record: &Telemetry) -> Option<u64> {
     let is_fresh = record.timing_flags & timing::STALE_INPUTS == 0;
     let lead_ns = record.due_ns.saturating_sub(record.gather_ns);

@@ -29,8 +29,6 @@ macro_rules! legs {
     };
 }
 
-// `bare` is iceoryx2 alone between two threads. `grid` is the wait for the grid, `machinery` the rest. The
-// exchange answers a renewal of the lease, the cycle a request to track.
 legs! {
     BareOneWay = "bare.one_way": "stamp in the answer, read before it is sent" => "answer received";
     BareRoundTrip = "bare.round_trip": "before a message is sent" => "answer received";
@@ -99,7 +97,6 @@ impl Passage {
 }
 
 impl Round {
-    /// An empty round of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
     pub(super) fn new(began_ns: u64) -> Result<Self> {
         let empty = |leg: Leg| {
             Ok(Recording {

@@ -2,10 +2,6 @@
 //!
 //! `baseline` measures iceoryx2 alone between two threads; `inputs` the time from a message or request to
 //! its effect; `stops` that from a stop to zero rates. [`Leg`] defines the stamps of each leg.
-//!
-//! Every message waits for the next gather, shortly before a release: half a period on average, by design.
-//! Therefore each latency is reported as a whole and in two parts: `grid`, until the gather that takes the
-//! message begins, and `machinery`, the rest.
 
 mod baseline;
 mod inputs;
@@ -171,7 +167,6 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// Measures a daemon from the client's core, with priority over ordinary threads if the system grants it.
     fn with_daemon(&self, link: &str, round: &mut Round, told: &mut OfDaemon) -> Result<()> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;

@@ -100,7 +100,6 @@ fn round_rows(leg: Leg, rounds: &[Round]) -> Vec<Value> {
     rounds.iter().enumerate().filter_map(row).collect()
 }
 
-/// The row of all rounds together; `None` without samples.
 fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
     let (all, (from, to)) = (of_all(leg, rounds)?, leg.definition());
     let row = json!({

@@ -73,7 +73,6 @@ pub(super) fn measure(
     Ok(())
 }
 
-/// Sends a request and waits for the answer: accepted, or rejected for the `expected` reason.
 fn ask(watcher: &mut Watcher, kind: RequestKind, expected: Outcome) -> Result<Outcome> {
     watcher.ask(kind)?;
     while watcher.waits_for_answer() {
@@ -87,7 +86,6 @@ fn ask(watcher: &mut Watcher, kind: RequestKind, expected: Outcome) -> Result<Ou
     Ok(Outcome::Accepted)
 }
 
-/// The records up to the next command.
 fn release(watcher: &mut Watcher) -> Result<Vec<Seen>> {
     watcher.watch_release()?;
     let seen = std::mem::take(&mut watcher.seen);
@@ -98,7 +96,6 @@ fn release(watcher: &mut Watcher) -> Result<Vec<Seen>> {
     Ok(seen)
 }
 
-/// Waits until the robot is at speed, stops it at a time within the next period, and waits until it rests.
 fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
     let robot = &watcher.status.robot;
     let sections = robot.section[..robot.sections as usize].iter();

@@ -1,8 +1,5 @@
 //! Effect of computing time: tracking error, clearance and cost of plans over the solve time, the swarm and
 //! the horizon. Also how often a solver gets stuck.
-//!
-//! Each variant of solver, budget, swarm and horizon drives a [`course`]. In `restarts`, solvers search for
-//! the best plan from a random start. Everything is deterministic except runs with a budget in time.
 
 pub mod course;
 mod report;
@@ -49,7 +46,6 @@ pub struct QualityOptions {
 }
 
 impl QualityOptions {
-    /// All variants of a course, in the order of execution.
     fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
         let budgets = self.budgets_us.iter();
         let mut varied: Vec<_> = budgets
@@ -71,7 +67,6 @@ impl QualityOptions {
         varied.into_iter().flat_map(of).collect()
     }
 
-    /// The cases of each round. `iteration_us`: duration of a swarm iteration on a course \[µs\].
     fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {
         let mut cases = Vec::new();
         let (cycles_max, restarts) = (self.cycles_max, self.restarts);

@@ -127,7 +127,6 @@ struct Problem {
 }
 
 impl Problem {
-    /// The problem of this seed, equal on every machine.
     fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
@@ -154,7 +153,6 @@ impl Problem {
         bail!("{name}: none of {DRAWS_MAX} random problems is clear; make the obstacles smaller")
     }
 
-    /// Distance of the tip from the target at the end of a plan \[mm\].
     fn end_error_mm(&self, robot: &Robot, plan: &[f64]) -> f64 {
         let width = robot.coordinate_count();
         let horizon = Horizon::new(&settings(Solver::GaussNewton), width);
@@ -186,7 +184,6 @@ fn settings(solver: Solver) -> NmpcSettings {
     })
 }
 
-/// Solves the problem of this seed with every contender: a row for each.
 pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
     let problem = Problem::draw(field, &robot, seed)?;

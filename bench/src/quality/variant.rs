@@ -84,7 +84,6 @@ impl Variant {
         }
     }
 
-    /// Name of the varied quantity, and its value in words.
     pub(super) fn axis(&self) -> (&'static str, String) {
         match self.varied {
             Varied::Budget(us, _) => ("budget", format!("{us} µs")),
@@ -95,7 +94,6 @@ impl Variant {
         }
     }
 
-    /// Budget of a solve \[µs\]; `None`: unlimited.
     fn budget_us(&self) -> Option<u64> {
         match self.varied {
             Varied::Budget(us, _) => Some(us),
@@ -107,7 +105,6 @@ impl Variant {
         [self.course.name(), self.solver.name(), &self.axis().1].join(", ")
     }
 
-    /// Expected duration of a run of `cycles` cycles, with all work around it \[s\].
     pub(super) fn expected_s(&self, cycles: u64) -> f64 {
         let limited_us = self.budget_us().map(|us| AROUND_US + us as f64);
         1e-6 * limited_us.unwrap_or(UNLIMITED_US) * cycles as f64
@@ -203,7 +200,6 @@ pub(super) fn iteration_us(course: Course) -> Result<f64> {
 mod tests {
     use super::*;
 
-    /// The numbers of a run by their keys; NaN if missing.
     fn drive(variant: Variant, cycles: u64, seed: u64) -> impl Fn(&str) -> f64 {
         let scene = variant.course.scene().unwrap().at_most(cycles);
         let row = variant.drive(&scene, seed).unwrap();

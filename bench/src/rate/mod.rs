@@ -104,8 +104,6 @@ impl Benchmark for RateOptions {
         f64::from(self.rounds) * round_s + self.cases.len() as f64 * self.search_s()
     }
 
-    /// Measures the default case with each of its periods in rounds, then searches for the shortest period
-    /// of each case.
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         let stage = Stage::new(self.spin_us)?;
         let mut trial = |case: Case, period_ms: f64, more_s: f64| {
@@ -222,7 +220,6 @@ impl Stage {
         }
     }
 
-    /// Requested spin time before a release with this period \[µs\].
     fn spin_within_us(&self, period_ms: f64) -> Option<f64> {
         let most_us = SPIN_SHARE * period_ms * 1e3;
         self.spin_us.map(|spin_us| spin_us.min(most_us))

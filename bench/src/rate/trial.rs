@@ -124,7 +124,6 @@ impl Trial {
             "period_ms": period_ms,
             "period_us": 1e3 * period_ms,
             "rate_hz": 1e3 / period_ms,
-            // Requested spin time before each release; null: the daemon's default.
             "spin_us": spin_us,
             "holds": outcome == TrialOutcome::Holds,
             "remarks": remarks,
@@ -168,13 +167,11 @@ struct Observed {
     duration_s: f64,
     counted: Statistics,
     core_shares: [f64; 2],
-    /// Share of tracking cycles among those whose record was received.
     tracking_share: f64,
     /// Distance of the tip from its reference in the received records: median and 99th percentile \[mm\].
     error_mm: [f64; 2],
 }
 
-/// Observes a tracking daemon: its statistics, and the response times in the received records.
 fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed, Recording)> {
     let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
     let connection = daemon.connect()?;
@@ -237,7 +234,6 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed
 }
 
 impl Observed {
-    /// Whether the period held, and if not, the cause.
     fn outcome(&self, period_ms: f64) -> TrialOutcome {
         // Duration of the work of a release with the usual wake-up latency of the machine.
         let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;

@@ -130,7 +130,6 @@ impl RobustnessOptions {
         only.is_none_or(|only| scenario.name.contains(only))
     }
 
-    /// Each scenario with its controllers, behind both interfaces.
     fn cases(&self) -> Vec<Case> {
         let is_wanted = |scenario: &Scenario| scenario.plant == "ideal" || self.names(scenario);
         let mut cases = Vec::new();
@@ -201,8 +200,6 @@ impl Case {
         }
     }
 
-    /// The row over all seeds. `ideal_change`: root mean square of the rate changes of the ideal robot
-    /// \[rad/s\].
     fn row(&self, Runs { rounds, rests }: &Runs, ideal_change: Option<f64>) -> Value {
         type Of = fn(&FigureEightRun) -> f64;
         let average = |of: Of| rounds.iter().map(of).sum::<f64>() / rounds.len() as f64;
@@ -243,7 +240,6 @@ impl Case {
 #[derive(Default)]
 struct Runs {
     rounds: Vec<FigureEightRun>,
-    /// Results at rest; empty without a target for them.
     rests: Vec<FigureEightRest>,
 }
 
@@ -263,7 +259,6 @@ pub fn shown(rows: &[Value]) -> [ShownTable; 2] {
     [0, 1].map(|place| dataset.sheets[place].shown())
 }
 
-/// The mean error of every robot with each controller behind the position interface.
 fn comparison(rows: &[Value]) -> Vec<Value> {
     let mut robots: Vec<Value> = Vec::new();
     for row in rows.iter().filter(|row| row["interface"] == "position") {
@@ -277,7 +272,6 @@ fn comparison(rows: &[Value]) -> Vec<Value> {
     robots
 }
 
-/// A panel for each robot, with the error of the first run of each controller over time.
 fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: &Control, run: &FigureEightRun) {
     if control.is_full() {
         let axes = ["time [s]", "error of the tip [mm]"];

@@ -23,7 +23,6 @@ const SHOWN: [[&str; 5]; 11] = [
 const MEAN: &str = "mean error, mm";
 const SETTLED: &str = "settled error, mm";
 
-/// The effect of each part, from the rows of a result with the position interface; missing rows are left out.
 pub(super) fn rows(rows: &[Value]) -> Vec<Value> {
     let row = |[part, without, robot, key, figure]: [&str; 5]| {
         let of = |controller: &str| {

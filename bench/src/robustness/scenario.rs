@@ -61,12 +61,10 @@ impl Control {
         ![NO_RATE_WEIGHT, FIRST].contains(&self.name)
     }
 
-    /// Whether the results at rest are reported with this controller.
     pub(super) fn rests(&self) -> bool {
         self.is_full() || !self.weighs_rates()
     }
 
-    /// The way of a robot with the solver settings of this controller.
     pub(super) fn eight(&self, way: Way) -> Result<FigureEight, FigureEightError> {
         let eight = way()?;
         if self.weighs_rates() {
@@ -79,7 +77,6 @@ impl Control {
     }
 }
 
-/// A way of the tip, and the robot whose tip it is.
 type Way = fn() -> Result<FigureEight, FigureEightError>;
 
 #[derive(Debug, Clone)]

@@ -39,7 +39,6 @@ const PRESET: &str = "preset";
 /// One row: its knob, what that is turned to, its value if it is a number, and all knobs.
 type Turn = (&'static str, String, Option<f64>, Turned);
 
-/// The presets, and every value of the knobs with `only` in their key.
 fn turns(only: Option<&str>) -> Vec<Turn> {
     let presets = PRESETS.map(|(name, knobs)| (PRESET, name.to_owned(), None, knobs));
     let mut turns = Vec::from(presets);
@@ -137,7 +136,6 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
     panels
 }
 
-/// Effect of one knob of a sweep, from the rows of its result.
 pub fn knob(knob: &str, rows: &[Value]) -> ShownTable {
     let mut dataset = declared();
     let of_knob = rows.iter().filter(|row| row["knob"] == knob);
@@ -156,7 +154,6 @@ mod tests {
     use super::*;
     use crate::subject::daemon::Launch;
 
-    /// The daemon's value of a key with this preset.
     fn in_force(preset: &str, key: &str) -> f64 {
         let mut command = Launch::default().command("config").unwrap();
         command.args(["explain", key, "--set", "link.simulated=laboratory"]);

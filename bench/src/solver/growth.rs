@@ -19,7 +19,6 @@ const QUANTITIES: [Quantity; 5] = [
     ("obstacle", "obstacles", 0.0),
 ];
 
-/// Each solver over each quantity that was measured more than once.
 pub fn rows(cases: &[Value]) -> Vec<Value> {
     let solvers = Solver::ALL.into_iter();
     let all = solvers.flat_map(|solver| QUANTITIES.map(|per| growth(cases, solver, per)));
