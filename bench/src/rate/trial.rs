@@ -28,9 +28,9 @@ const EASY_MS: f64 = 2.0;
 /// Restarts of a trial in which the daemon sent nothing for a second; such a trial does not rate its period.
 const HELD_UP_MAX: usize = 2;
 /// Share of a core beyond which the system may throttle real-time threads: Linux allows 95 %.
-const FULL: f64 = 0.93;
+const FULL_PERCENT: f64 = 93.0;
 /// Share of shortened solves or stale inputs from which on they are remarked.
-const WORTH_A_REMARK: f64 = 0.01;
+const WORTH_A_REMARK_PERCENT: f64 = 1.0;
 /// Largest share of releases without a cycle in time for a period that holds.
 const LOST_MAX: f64 = 1e-3;
 
@@ -84,30 +84,23 @@ impl Trial {
             }
         }
         interrupt::check()?;
+        let trial = |outcome, remarks: &str, row| {
+            Self::new(case, period_ms, spin_us, outcome, remarks, row)
+        };
         match found {
             Err(error) if period_ms < EASY_MS && did_not_follow(&error) => {
                 let why = format!("did not follow: {error:#}");
-                let (why, outcome) = (why.lines().next(), TrialOutcome::NotFollowed);
-                let why = why.unwrap_or_default();
-                Ok(Self::new(
-                    case,
-                    period_ms,
-                    spin_us,
-                    outcome,
-                    why,
-                    Value::Null,
-                ))
+                let why = why.lines().next().unwrap_or_default();
+                Ok(trial(TrialOutcome::NotFollowed, why, Value::Null))
             }
             found => {
                 let (observed, mut responses) = found?;
                 let (outcome, remarks) = (observed.outcome(period_ms), observed.remarks(period_ms));
-                let solver = case.solver.name();
-                responses.tag = format!("{solver}.{:.0}-hz.response", 1e3 / period_ms);
-                let row = observed.row();
-                Ok(Self {
-                    responses: Some(responses),
-                    ..Self::new(case, period_ms, spin_us, outcome, &remarks, row)
-                })
+                let mut trial = trial(outcome, &remarks, observed.row());
+                responses.tag =
+                    format!("{}.{:.0}-hz.response", case.solver.name(), 1e3 / period_ms);
+                trial.responses = Some(responses);
+                Ok(trial)
             }
         }
     }
@@ -166,6 +159,7 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
 struct Observed {
     duration_s: f64,
     counted: Statistics,
+    /// Of the cycle thread and of the exchange thread.
     core_shares: [f64; 2],
     tracking_share: f64,
     /// Distance of the tip from its reference in the received records: median and 99th percentile \[mm\].
@@ -212,11 +206,9 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed
     let counted = status.since_reset;
     ensure!(counted.response.count > 0, "the daemon ran no cycle");
     let duration_s = (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9;
+    let share = |name| core_share(&before, &after, name, passed);
     let tracking_share = errors_m.len() as f64 / received.max(1) as f64;
-    let (share, mut errors_m) = (
-        |name| core_share(&before, &after, name, passed),
-        Data::new(errors_m),
-    );
+    let mut errors_m = Data::new(errors_m);
     let observed = Observed {
         duration_s,
         counted,
@@ -237,19 +229,16 @@ impl Observed {
     fn outcome(&self, period_ms: f64) -> TrialOutcome {
         // Duration of the work of a release with the usual wake-up latency of the machine.
         let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;
-        if self.causes().own() > 0 {
+        let causes = Causes::reported(&self.counted);
+        if causes.own() > 0 {
             TrialOutcome::Own
         } else if self.lost_share() <= LOST_MAX {
             TrialOutcome::Holds
-        } else if self.causes().all() > 0 && work_ns as f64 <= period_ms * 1e6 {
+        } else if causes.all() > 0 && work_ns as f64 <= period_ms * 1e6 {
             TrialOutcome::Machine
         } else {
             TrialOutcome::Slow
         }
-    }
-
-    fn causes(&self) -> Causes {
-        Causes::reported(&self.counted)
     }
 
     fn share_of_cycles(&self, count: u64) -> f64 {
@@ -264,7 +253,7 @@ impl Observed {
     }
 
     fn row(&self) -> Value {
-        let (counted, causes) = (&self.counted, self.causes());
+        let (counted, causes) = (&self.counted, Causes::reported(&self.counted));
         json!({
             "duration_s": self.duration_s,
             "cycles": counted.cycles,
@@ -292,32 +281,33 @@ impl Observed {
     }
 
     fn remarks(&self, period_ms: f64) -> String {
-        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-        let (counted, causes) = (&self.counted, self.causes());
+        let (counted, causes) = (&self.counted, Causes::reported(&self.counted));
         let is_excused = self.outcome(period_ms) == TrialOutcome::Machine;
         let whose = if is_excused { "the machine: " } else { "" };
         let (late, skipped) = (counted.deadline_misses, counted.skipped_periods);
-        let words = match causes.words() {
-            words if words.is_empty() => words,
-            words => format!(" ({words})"),
-        };
-        let (own, core) = (causes.own(), self.core_shares.iter().sum());
-        let cut = self.share_of_cycles(counted.budget_hits);
-        let stale = self.share_of_cycles(counted.stale_inputs);
-        let (dropped, followed) = (counted.dropped_records, 100.0 * self.tracking_share);
+        let words = Some(causes.words()).filter(|words| !words.is_empty());
+        let words = words.map_or(String::new(), |words| format!(" ({words})"));
+        let own = causes.own();
+        let percent = |share: f64| 100.0 * share;
+        let core = percent(self.core_shares.iter().sum());
+        let cut = percent(self.share_of_cycles(counted.budget_hits));
+        let stale = percent(self.share_of_cycles(counted.stale_inputs));
+        let (dropped, followed) = (counted.dropped_records, percent(self.tracking_share));
         #[rustfmt::skip]
         let remarks = [
             (own > 0, count_of(own, "own miss")),
             (self.lost_share() > LOST_MAX, format!("{whose}{late} late, {skipped} skipped{words}")),
-            (core >= FULL, format!("core full ({}): the system halts its threads", percent(core))),
-            (cut >= WORTH_A_REMARK, format!("{} of the solves cut short", percent(cut))),
-            (stale >= WORTH_A_REMARK, format!("{} stale inputs", percent(stale))),
+            (core >= FULL_PERCENT, format!("core full ({core:.0} %): the system halts its threads")),
+            (cut >= WORTH_A_REMARK_PERCENT, format!("{cut:.0} % of the solves cut short")),
+            (stale >= WORTH_A_REMARK_PERCENT, format!("{stale:.0} % stale inputs")),
             (dropped > 0, count_of(dropped, "record") + " dropped"),
-            (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
+            (followed < 100.0, format!("followed in {followed:.1} %")),
         ];
         let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
-        let notable: Vec<_> = notable.map(|(_, words)| words).collect();
-        notable.join("; ")
+        notable
+            .map(|(_, words)| words)
+            .collect::<Vec<_>>()
+            .join("; ")
     }
 }
 
