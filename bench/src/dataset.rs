@@ -119,7 +119,7 @@ impl Dataset {
         all.targets
     }
 
-    fn declared(&self, table: &str) -> (usize, Table) {
+    pub(crate) fn declared(&self, table: &str) -> (usize, Table) {
         let mut tables = self.declaration.tables.iter().enumerate();
         let found = tables.find(|(_, declared)| declared.name == table);
         let (place, table) = found.unwrap_or_else(|| panic!("{} declares no {table}", self.name));

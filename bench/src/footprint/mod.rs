@@ -28,33 +28,6 @@ const MOST: Duration = Duration::from_secs(3600);
 
 const YES_NO: &str = "yes/no";
 
-/// All quantities: description, key ending in the unit, and unit. Those with a target come first.
-#[rustfmt::skip]
-const QUANTITIES: [[&str; 3]; 22] = [
-    ["real-time core, tracking", "core_tracking_percent", "%"],
-    ["resident memory", "resident_mb", "MB"],
-    ["resident memory added while tracking", "growth_kb", "kB"],
-    ["page faults while tracking", "page_faults", ""],
-    ["resident at the start", "resident_start_mb", "MB"],
-    ["resident memory added without a client", "growth_idle_kb", "kB"],
-    ["resident memory added by the first client", "growth_by_client_kb", "kB"],
-    ["memory locked", "locked", YES_NO],
-    ["real-time core, idle", "core_idle_percent", "%"],
-    ["all threads, tracking", "all_tracking_percent", "%"],
-    ["all threads, idle", "all_idle_percent", "%"],
-    ["most that ever was resident", "peak_mb", "MB"],
-    ["resident: heap and stacks", "own_mb", "MB"],
-    ["resident: shared memory", "shared_mb", "MB"],
-    ["resident: program and libraries", "file_mb", "MB"],
-    ["locked, by address range", "locked_mb", "MB"],
-    ["files in shared memory", "memory_files", ""],
-    ["shared memory in use", "memory_stored_mb", "MB"],
-    ["files below the root folder", "root_files", ""],
-    ["start to first release", "first_release_ms", "ms"],
-    ["start to first good cycle (READY=1)", "ready_ms", "ms"],
-    ["start to first record at a client", "first_record_ms", "ms"],
-];
-
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
     /// Number of daemons, measured one after the other, 1 to 100.
@@ -121,8 +94,8 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     let mut dataset = Dataset::new("footprint", include_str!("footprint.toml"));
     dataset.fact("realtime", realtime);
     let mut figures = Vec::new();
-    for quantity in QUANTITIES {
-        figures.extend(figure(&mut dataset, quantity, &rounds));
+    for (what, unit, key) in dataset.declared("figures").1.metrics {
+        figures.extend(figure(&mut dataset, [&what, &key, &unit], &rounds));
     }
     let (threads, programs) = (threads(&rounds), programs());
     for thread in &threads {

@@ -99,9 +99,10 @@ impl Benchmark for RobustnessOptions {
                 draw(&mut panels, scenario, control, &runs.rounds[0]);
             }
             // Without noise, all runs are equal.
-            let is_noisy = scenario.flaws.noise_m + scenario.flaws.tip_noise_m > 0.0;
+            let flaws = scenario.flaws();
+            let is_noisy = flaws.noise_m + flaws.tip_noise_m > 0.0;
             if control.is_full() && is_noisy {
-                let (robot, interface) = (scenario.name, case.interface());
+                let (robot, interface) = (&scenario.name, case.interface());
                 let name = format!("robustness/{robot}/{interface}/mean_error");
                 dataset.lower(name, "mm", runs.rounds.iter().map(FigureEightRun::mean_mm));
             }
@@ -131,7 +132,7 @@ impl RobustnessOptions {
     }
 
     fn cases(&self) -> Vec<Case> {
-        let is_wanted = |scenario: &Scenario| scenario.plant == "ideal" || self.names(scenario);
+        let is_wanted = |scenario: &Scenario| scenario.plant() == "ideal" || self.names(scenario);
         let mut cases = Vec::new();
         for scenario in Scenario::all().into_iter().filter(is_wanted) {
             for control in scenario.controls() {
@@ -174,7 +175,7 @@ impl RobustnessOptions {
 impl Case {
     fn runs(&self, seeds: u32) -> Result<Runs> {
         let scenario = &self.scenario;
-        let eight = self.control.eight(scenario.way)?;
+        let eight = self.control.eight(scenario)?;
         let ball = |x_m| {
             let centre_m = Vector3::new(x_m, 0.0, 0.7);
             Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros())
@@ -209,7 +210,7 @@ impl Case {
         let limit_excess = largest(FigureEightRun::limit_excess);
         let mut row = json!({
             "name": self.scenario.name,
-            "plant": self.scenario.plant,
+            "plant": self.scenario.plant(),
             "controller": self.control.name,
             "interface": self.interface(),
             "seeds": rounds.len(),
@@ -276,7 +277,7 @@ fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: &Control, run: &F
     if control.is_full() {
         let axes = ["time [s]", "error of the tip [mm]"];
         let scale = Scale::Log { floor: DRAWN_MM };
-        panels.push(Panel::new(scenario.name, axes, scale, Vec::new()));
+        panels.push(Panel::new(&*scenario.name, axes, scale, Vec::new()));
     }
     let parts = run.errors_mm().chunks(DRAWN_CYCLES).enumerate();
     let point = |(part, errors_mm): (usize, &[f64])| {

@@ -1,9 +1,8 @@
 //! Effect of each setting between precision and quiet motors, on the robot of the laboratory.
 
-use anyhow::Result;
-use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun, Sensor};
+use anyhow::{Context, Result};
+use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun};
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::plant::Preset;
 use serde_json::{Value, json};
 
 use super::scenario::{CONTROLS, Scenario};
@@ -73,8 +72,8 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
     for (knob, turned_to, value, knobs) in turns(only) {
         interrupt::check()?;
         progress.begin(knob);
-        let both = follow(&eight, knobs, Sensor::CablesAndTip { every: 2 })?;
-        let cables = follow(&eight, knobs, Sensor::Cables)?;
+        let both = follow(&eight, knobs, "both 2")?;
+        let cables = follow(&eight, knobs, "cables")?;
         progress.advance(2.0 * run_s);
         rows.push(json!({
             "knob": knob,
@@ -96,14 +95,18 @@ fn declared() -> Dataset {
     Dataset::new("tuning", include_str!("tuning.toml"))
 }
 
-fn follow(eight: &FigureEight, knobs: Turned, sensor: Sensor) -> Result<FigureEightRun> {
+fn follow(eight: &FigureEight, knobs: Turned, sensor: &str) -> Result<FigureEightRun> {
     let [rate_weight, rate_change_weight, time_constant_ms] = knobs;
     let settings = NmpcSettings {
         rate_weight: rate_weight.into(),
         rate_change_weight,
         ..NmpcSettings::default()
     };
-    let robot = Scenario::preset("laboratory", Preset::Laboratory).sensor(sensor);
+    let laboratory = Scenario::all()
+        .into_iter()
+        .find(|robot| robot.name == "laboratory");
+    let mut robot = laboratory.context("no robot of the laboratory")?;
+    sensor.clone_into(&mut robot.sensor);
     let driven = Driven {
         time_constant_s: 1e-3 * time_constant_ms,
         ..robot.driven(&CONTROLS[0], true, 1)
