@@ -7,7 +7,6 @@ use serde::Deserialize;
 use serde_json::Value;
 
 #[derive(Debug, Clone, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Declaration {
     pub heading: String,
     /// Method and reading guide: paragraphs of HTML.

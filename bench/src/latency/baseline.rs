@@ -15,7 +15,7 @@ use cdcr_process::Place;
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
-use super::leg::{Leg, Round};
+use super::leg::Round;
 use crate::interrupt;
 use crate::subject::TIMEOUT;
 use crate::system::cores::Cores;
@@ -84,25 +84,26 @@ fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> 
     let there = services.there.publisher_builder().create()?;
     let back = services.back.subscriber_builder().create()?;
     let control = services.control.client_builder().create()?;
-    let mut repeat = |once: &dyn Fn(Header) -> Result<Vec<(Leg, u64, u64)>>| -> Result<()> {
-        for index in 0..WARM_UP + samples {
-            let sent_ns = monotonic_ns();
-            let times = once(Header {
-                sender_id: 1,
-                sequence: index as u64,
-                sent_ns,
-            })?;
-            for (leg, from_ns, to_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
-                round.record(leg, to_ns - from_ns);
+    let mut repeat =
+        |once: &dyn Fn(Header) -> Result<Vec<(&'static str, u64, u64)>>| -> Result<()> {
+            for index in 0..WARM_UP + samples {
+                let sent_ns = monotonic_ns();
+                let times = once(Header {
+                    sender_id: 1,
+                    sequence: index as u64,
+                    sent_ns,
+                })?;
+                for (leg, from_ns, to_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
+                    round.record(leg, to_ns - from_ns)?;
+                }
+                // Without a sleep, like a thread that is awake when a message comes.
+                while monotonic_ns() < sent_ns + GAP_NS {
+                    pause(shares);
+                    interrupt::check()?;
+                }
             }
-            // Without a sleep, like a thread that is awake when a message comes.
-            while monotonic_ns() < sent_ns + GAP_NS {
-                pause(shares);
-                interrupt::check()?;
-            }
-        }
-        Ok(())
-    };
+            Ok(())
+        };
     repeat(&|header| {
         there.send_copy(Command {
             header,
@@ -112,8 +113,8 @@ fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> 
             Ok(back.receive()?.map(|sample| sample.header.sent_ns))
         })?;
         Ok(vec![
-            (Leg::BareRoundTrip, header.sent_ns, received_ns),
-            (Leg::BareOneWay, stamp_ns, received_ns),
+            ("bare.round_trip", header.sent_ns, received_ns),
+            ("bare.one_way", stamp_ns, received_ns),
         ])
     })?;
     repeat(&|header| {
@@ -122,7 +123,7 @@ fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> 
             ..Request::default()
         })?;
         let (_, received_ns) = poll(shares, || Ok(pending.receive()?))?;
-        Ok(vec![(Leg::BareRequest, header.sent_ns, received_ns)])
+        Ok(vec![("bare.request", header.sent_ns, received_ns)])
     })
 }
 

@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::{
 };
 use cdcr_shared_types::{Measurement, Obstacle, Telemetry};
 
-use super::leg::{Leg, Passage, Round};
+use super::leg::{Passage, Round};
 use super::{early_ns, scene};
 use crate::metric::median;
 use crate::watcher::{Seen, Watcher};
@@ -44,13 +44,13 @@ pub(super) enum Source {
 }
 
 impl Source {
-    fn way(&self) -> Leg {
+    fn way(&self) -> &'static str {
         match self {
-            Self::Reference(_) => Leg::ReferenceCommand,
-            Self::Obstacle(_) => Leg::ObstacleCommand,
-            Self::Measurement(_) => Leg::MeasurementCommand,
-            Self::Request(RequestKind::Track) => Leg::TrackAnswer,
-            Self::Request(_) => Leg::LeaseAnswer,
+            Self::Reference(_) => "reference.command",
+            Self::Obstacle(_) => "obstacle.command",
+            Self::Measurement(_) => "measurement.command",
+            Self::Request(RequestKind::Track) => "track.answer",
+            Self::Request(_) => "lease.answer",
         }
     }
 
@@ -153,7 +153,7 @@ impl Line {
             ensure!(
                 outcome == Outcome::Accepted.code(),
                 "the daemon rejected a message of the benchmark ({}): {}",
-                way.name(),
+                way,
                 Outcome::text_of(outcome)
             );
             if !sent.counts {
@@ -176,7 +176,8 @@ impl Line {
                 continue;
             };
             self.recorded += 1;
-            round.record_way(way, &Passage::new(sent.stamp_ns, gather_ns, received_ns));
+            let passage = Passage::new(sent.stamp_ns, gather_ns, received_ns);
+            round.record_way(way, &passage)?;
         }
         Ok(())
     }
@@ -250,25 +251,26 @@ fn take(
         }
         let is_warm = lines.iter().all(|line| line.count > WARM_UP);
         if is_simulated && is_warm && seen.is_in(Mode::Tracking) {
-            record_command(&seen, round);
+            record_command(&seen, round)?;
         }
     }
     Ok(())
 }
 
-fn record_command(cycle: &Seen, round: &mut Round) {
+fn record_command(cycle: &Seen, round: &mut Round) -> Result<()> {
     let Some(received_ns) = cycle.received_ns else {
         round.without_command += 1;
-        return;
+        return Ok(());
     };
     let record = &cycle.record;
     for (leg, from_ns) in [
-        (Leg::CommandRelease, record.due_ns),
-        (Leg::CommandHandover, record.handed_over_ns),
-        (Leg::CommandHop, record.command.header.sent_ns),
+        ("command.release", record.due_ns),
+        ("command.handover", record.handed_over_ns),
+        ("command.hop", record.command.header.sent_ns),
     ] {
-        round.record(leg, received_ns.saturating_sub(from_ns));
+        round.record(leg, received_ns.saturating_sub(from_ns))?;
     }
+    Ok(())
 }
 
 /// Estimates the lead of the gather from records, because the status does not contain it. The median, because

@@ -1,7 +1,7 @@
 //! Latency of messages into the daemon, through it and back to a client.
 //!
 //! `baseline` measures iceoryx2 alone between two threads; `inputs` the time from a message or request to
-//! its effect; `stops` that from a stop to zero rates. [`Leg`] defines the stamps of each leg.
+//! its effect; `stops` that from a stop to zero rates. `latency.toml` defines the stamps of each leg.
 
 mod baseline;
 mod inputs;
@@ -27,8 +27,10 @@ use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 use crate::watcher::{Looks, Watcher, on_client_core};
 use inputs::Source;
-pub use leg::Leg;
 use leg::Round;
+pub use leg::declared;
+
+const DECLARATION: &str = include_str!("latency.toml");
 
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
 const STOP_S: f64 = 0.25;
@@ -123,7 +125,7 @@ impl Benchmark for LatencyOptions {
         let began_ns = monotonic_ns();
         let (mut rounds, mut daemon) = (Vec::new(), OfDaemon::default());
         for number in 1..=self.rounds {
-            let mut round = Round::new(began_ns)?;
+            let mut round = Round::new(began_ns);
             for (part, seconds) in PARTS.into_iter().zip(seconds(self)) {
                 progress.begin(&format!("round {number} of {}, {part}", self.rounds));
                 match part {

@@ -4,9 +4,9 @@ use anyhow::Result;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
-use super::leg::{Leg, Round};
+use super::leg::{Round, declared};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer};
-use crate::dataset::{Dataset, each, number, together};
+use crate::dataset::{Dataset, each, joined, number, together};
 use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, pooled};
 
@@ -17,48 +17,35 @@ const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
 const SHARES: f64 = 1e-4;
 
-const RATIOS: [(Leg, Leg); 3] = [
-    (Leg::CommandHop, Leg::BareOneWay),
-    (Leg::CommandHandover, Leg::BareOneWay),
-    (Leg::LeaseMachinery, Leg::BareRequest),
+const RATIOS: [[&str; 2]; 3] = [
+    ["command.hop", "bare.one_way"],
+    ["command.handover", "bare.one_way"],
+    ["lease.machinery", "bare.request"],
 ];
 
-const BOUND: [Leg; 2] = [Leg::StopZeroHandover, Leg::StopZeroCommand];
-
-#[rustfmt::skip]
-const PANELS: [(&str, &[Leg]); 4] = [
-    ("Commands beside iceoryx2 alone",
-        &[Leg::BareOneWay, Leg::BareRoundTrip, Leg::CommandHop, Leg::CommandHandover, Leg::CommandRelease]),
-    ("Sent → first command that uses it: whole, and without the wait for the grid",
-        &[Leg::ReferenceCommand, Leg::ReferenceMachinery, Leg::ObstacleCommand, Leg::ObstacleMachinery,
-            Leg::MeasurementCommand, Leg::MeasurementMachinery]),
-    ("Request → answer beside iceoryx2 alone",
-        &[Leg::BareRequest, Leg::LeaseMachinery, Leg::LeaseAnswer, Leg::TrackMachinery, Leg::TrackAnswer]),
-    ("Stop → zero rates, without the ramp",
-        &[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid]),
-];
+const BOUND: [&str; 2] = ["stop.zero_handover", "stop.zero_command"];
 
 pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
     let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
-    let mut dataset = Dataset::new("latency", include_str!("latency.toml"));
+    let mut dataset = Dataset::new("latency", super::DECLARATION);
     let (mut legs, mut of_rounds) = (Vec::new(), Vec::new());
-    for leg in Leg::ALL {
-        let each_round = round_rows(leg, rounds);
-        if let Some(row) = row(leg, rounds, &each_round)? {
-            let (way, part) = leg.name().split_once('.').unwrap_or_default();
-            if !leg.is_grid() {
-                let names = json!({ "way": way, "part": part });
-                dataset.compare("rounds", &names, &each_round);
-            }
-            legs.push(row);
+    for [leg, from, to] in declared().legs {
+        let each_round = round_rows(&leg, rounds);
+        let stamps = json!({ "leg": leg, "from": from, "to": to });
+        let row = row(&leg, rounds, &each_round)?;
+        legs.extend(row.map(|row| joined([stamps, row])));
+        // The wait for the grid is spread evenly over a period by design, so two runs cannot differ in it.
+        let (way, part) = leg.split_once('.').unwrap_or_default();
+        if part != "grid" {
+            let names = json!({ "way": way, "part": part });
+            dataset.compare("rounds", &names, &each_round);
         }
         of_rounds.extend(each_round);
-        let recordings = rounds.iter().map(|round| &round.legs[leg as usize]);
-        let measured = recordings.filter(|recording| !recording.histogram_ns.is_empty());
-        dataset.recordings.extend(measured.cloned());
+        let recordings = rounds.iter().filter_map(|round| round.legs.get(&leg));
+        dataset.recordings.extend(recordings.cloned());
     }
     let ratios = RATIOS.map(|legs| ratio(&mut dataset, legs, rounds));
-    let is_bound = |row: &&Value| BOUND.iter().any(|leg| row["leg"] == leg.name());
+    let is_bound = |row: &&Value| BOUND.iter().any(|leg| row["leg"] == *leg);
     let stops = legs.iter().filter(is_bound);
     let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
     let beyond = targets.iter().filter_map(|target| {
@@ -86,26 +73,20 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     Ok(dataset)
 }
 
-fn quantiles(leg: Leg, round: &Round) -> Option<Quantiles> {
-    Quantiles::of(&round.legs[leg as usize].histogram_ns)
-}
-
-fn round_rows(leg: Leg, rounds: &[Round]) -> Vec<Value> {
+fn round_rows(leg: &str, rounds: &[Round]) -> Vec<Value> {
     let row = |(index, round): (usize, &Round)| {
-        let samples = round.legs[leg as usize].histogram_ns.len();
-        let latency_us = quantiles(leg, round)?;
-        let round = index + 1;
-        Some(json!({ "round": round, "leg": leg, "samples": samples, "latency_us": latency_us }))
+        let times = &round.legs.get(leg)?.histogram_ns;
+        let (round, latency_us) = (index + 1, Quantiles::of(times));
+        Some(
+            json!({ "round": round, "leg": leg, "samples": times.len(), "latency_us": latency_us }),
+        )
     };
     rounds.iter().enumerate().filter_map(row).collect()
 }
 
-fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
-    let (all, (from, to)) = (of_all(leg, rounds)?, leg.definition());
+fn row(leg: &str, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
+    let all = of_all(leg, rounds)?;
     let row = json!({
-        "leg": leg,
-        "from": from,
-        "to": to,
         "samples": all.len(),
         "samples_of_round_least": each(each_round, "samples").reduce(f64::min),
         "latency_us": Quantiles::of(&all),
@@ -114,20 +95,19 @@ fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>
     Ok((!all.is_empty()).then_some(row))
 }
 
-fn of_all(leg: Leg, rounds: &[Round]) -> Result<Histogram<u64>> {
-    pooled(
-        rounds
-            .iter()
-            .map(|round| &round.legs[leg as usize].histogram_ns),
-    )
+fn of_all(leg: &str, rounds: &[Round]) -> Result<Histogram<u64>> {
+    let recordings = rounds.iter().filter_map(|round| round.legs.get(leg));
+    pooled(recordings.map(|recording| &recording.histogram_ns))
 }
 
-fn ratio(dataset: &mut Dataset, (leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
-    let of_round = |round: &Round| Some(quantiles(leg, round)?.p50 / quantiles(to, round)?.p50);
+fn ratio(dataset: &mut Dataset, legs: [&str; 2], rounds: &[Round]) -> Option<Value> {
+    let p50 = |round: &Round, leg| Some(Quantiles::of(&round.legs.get(leg)?.histogram_ns)?.p50);
+    let of_round = |round: &Round| Some(p50(round, legs[0])? / p50(round, legs[1])?);
     let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
-    let [name, to_name] = [leg, to].map(|leg| leg.name().replace('.', "_"));
     let (p50, range) = (median(values.clone())?, range(values.clone()));
-    let row = json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values });
+    let row =
+        json!({ "leg": legs[0], "to": legs[1], "p50": p50, "range": range, "rounds": values });
+    let [name, to_name] = legs.map(|leg| leg.replace('.', "_"));
     dataset.lower(format!("latency/{name}_per_{to_name}_p50"), "", values);
     Some(row)
 }
@@ -155,33 +135,36 @@ fn target(row: &Value, limit_us: f64) -> Value {
 }
 
 fn panels(rounds: &[Round], limit_us: f64) -> Result<Vec<Panel>> {
-    let panel = |(title, legs): (&str, &[Leg])| {
+    let panel = |(title, legs): (String, Vec<String>)| {
         let mut curves = Vec::new();
         for (leg, colour) in legs.iter().zip([BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE]) {
-            let times = longer(&of_all(*leg, rounds)?);
-            curves.push(Curve::line(leg.name(), times, colour));
+            curves.push(Curve::line(leg, longer(&of_all(leg, rounds)?), colour));
         }
-        if legs.contains(&BOUND[0]) {
+        if legs[0] == BOUND[0] {
             curves.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
         }
         let axes = ["longer than, µs", "share of the samples"];
         let scale = Scale::LogLog { floor: SHARES };
         Ok(Panel::new(title, axes, scale, curves))
     };
-    PANELS.into_iter().map(panel).collect()
+    declared().panels.into_iter().map(panel).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::leg::Passage;
     use super::*;
 
-    /// A round in which every leg takes 1 to 100 µs times `factor`, and every stop `stop_us`.
+    /// A round in which a reference takes 1 to 100 µs times `factor`, and every stop `stop_us`.
     fn round(factor: u64, stop_us: u64) -> Round {
-        let mut round = Round::new(0).expect("bounds");
-        for leg in Leg::ALL {
-            for us in 1..=100 {
-                let is_stop = BOUND.contains(&leg);
-                round.record(leg, 1000 * if is_stop { stop_us } else { factor * us });
+        let mut round = Round::new(0);
+        for us in 1..=100 {
+            let passage = Passage::new(0, 0, 1000 * factor * us);
+            round
+                .record_way("reference.command", &passage)
+                .expect("bounds");
+            for leg in BOUND {
+                round.record(leg, 1000 * stop_us).expect("bounds");
             }
         }
         round
@@ -196,22 +179,27 @@ mod tests {
             let mut targets = found.rows("targets").iter();
             assert!(targets.all(|target| target["kept"] == kept));
             assert_eq!(found.targets[0]["reached"], kept);
-            let leg = &found.rows("legs")[Leg::ReferenceCommand as usize];
             // The medians of the rounds are 50 and 100.
-            let p50_us = number(leg, "rounds_us_p50").expect("a number");
-            assert!((p50_us - 75.0).abs() < 0.2, "{leg}");
-            let mut metrics = found.metrics.iter();
-            assert!(metrics.all(|metric| !metric.name.contains("grid")));
+            let p50_us = number(&found.rows("legs")[0], "rounds_us_p50").expect("a number");
+            assert!((p50_us - 75.0).abs() < 0.2, "{p50_us}");
+            let names = found.metrics.iter().map(|metric| &*metric.name);
+            let names: Vec<&str> = names.filter(|name| name.ends_with("p50")).collect();
+            let expected = [
+                "reference/command",
+                "reference/machinery",
+                "stop/zero_handover",
+                "stop/zero_command",
+            ];
+            assert_eq!(names, expected.map(|name| format!("latency/{name}_p50")));
         }
     }
 
     #[test]
     fn percentiles_of_too_few_values_are_not_told() {
-        let leg = Leg::StopZeroHandover;
         let [both, p999, none] = [[true; 3], [false, true, false], [false; 3]];
         for (count, absent) in [(99, both), (100, p999), (1000, none)] {
-            let mut round = Round::new(0).expect("bounds");
-            (1..=count).for_each(|us| round.record(leg, 1000 * us));
+            let mut round = Round::new(0);
+            (1..=count).for_each(|us| round.record(BOUND[0], 1000 * us).expect("bounds"));
             let found = dataset("", json!({ "period_us": 5000.0 }), &[round]).expect("a result");
             let [row] = found.rows("shown") else {
                 panic!("rows of legs that were not measured");
@@ -219,6 +207,28 @@ mod tests {
             let times = ["latency_us_p99", "latency_us_p999", "rounds_us_p99"];
             assert_eq!(times.map(|key| number(row, key).is_none()), absent);
             assert_eq!(found.rows("targets")[0]["kept"].is_null(), count < 100);
+        }
+    }
+
+    #[test]
+    fn every_way_is_made_of_a_wait_for_the_grid_and_machinery_that_are_declared() {
+        let legs: Vec<String> = declared().legs.into_iter().map(|[leg, ..]| leg).collect();
+        for grid in legs.iter().filter(|leg| leg.ends_with(".grid")) {
+            let (mut round, at) = (Round::new(0), legs.iter().position(|leg| leg == grid));
+            let whole = &legs[at.expect("it is there") - 1];
+            round
+                .record_way(whole, &Passage::new(100, 400, 1000))
+                .expect("bounds");
+            let way = [
+                whole.clone(),
+                grid.clone(),
+                grid.replace("grid", "machinery"),
+            ];
+            assert!(way.iter().all(|leg| legs.contains(leg)));
+            assert_eq!(
+                way.map(|leg| round.legs[&leg].histogram_ns.max()),
+                [900, 300, 600]
+            );
         }
     }
 }

@@ -11,7 +11,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
 use super::inputs::Phases;
-use super::leg::{Leg, Passage, Round};
+use super::leg::{Passage, Round};
 use super::{early_ns, scene};
 use crate::watcher::{Seen, Watcher};
 
@@ -54,7 +54,7 @@ pub(super) fn measure(
         match stop(watcher, &mut phases)? {
             Some(stopped) if number >= WARM_UP => {
                 recorded += 1;
-                stopped.record(round);
+                stopped.record(round)?;
             }
             Some(_) => {}
             None => {
@@ -137,10 +137,10 @@ struct Stopped {
 }
 
 impl Stopped {
-    fn record(&self, round: &mut Round) {
-        round.record_way(Leg::StopCommand, &self.first);
-        round.record(Leg::StopZeroHandover, self.zero_handover_ns);
-        round.record(Leg::StopZeroCommand, self.zero_command_ns);
+    fn record(&self, round: &mut Round) -> Result<()> {
+        round.record_way("stop.command", &self.first)?;
+        round.record("stop.zero_handover", self.zero_handover_ns)?;
+        round.record("stop.zero_command", self.zero_command_ns)
     }
 }
 
