@@ -261,67 +261,7 @@ fn commit() -> Option<String> {
 mod tests {
     use std::fs;
 
-    use cdcr_scratch::Scratch;
-
     use super::*;
-
-    fn machine(files: &[(&str, &str)]) -> Environment {
-        let folder = Scratch::temporary().expect("a folder");
-        for (name, text) in files {
-            let file = folder.path().join(name);
-            fs::create_dir_all(file.parent().expect("a folder above")).expect("made");
-            fs::write(file, text).expect("written");
-        }
-        let mut cores = Cores::find().expect("cores");
-        cores.realtime = 2;
-        Environment::of(&Root(folder.path().to_owned()), &cores, false)
-    }
-
-    #[test]
-    #[rustfmt::skip]
-    fn a_machine_that_tells_is_understood_and_one_that_tells_nothing_is_described_all_the_same() {
-        let says = |machine: &Environment, properties: &[(&str, Value)]| {
-            for (property, value) in properties {
-                assert_eq!(machine.value(property), *value, "{property}");
-            }
-        };
-        let nothing = machine(&[]);
-        says(&nothing, &[("memory mb", json!(null)), ("virtual machine", json!(null))]);
-        assert!(nothing.line().ends_with("real time refused."));
-        let cache = "sys/devices/system/cpu/cpu2/cache/index0";
-        let cloud = machine(&[
-            ("proc/meminfo", "MemTotal:        8000000 kB\nMemFree: 1 kB\n"),
-            ("proc/self/status", "Name:\tx\nCapEff:\t0000000000004000\n"),
-            ("proc/sys/kernel/version", "#1 SMP PREEMPT_DYNAMIC @0\n"),
-            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
-            ("proc/cmdline", "root=/dev/sda1 isolcpus=1 quiet rcu_nocbs=1\n"),
-            ("sys/kernel/debug/sched/preempt", "none voluntary (full)\n"),
-            ("sys/kernel/mm/transparent_hugepage/enabled", "always [madvise] never\n"),
-            ("proc/cpuinfo", "processor\t: 0\ncpu MHz\t: 2500.5\nflags\t: fpu hypervisor\n\nprocessor\t: 5\n"),
-            (&format!("{cache}/level"), "1\n"),
-            (&format!("{cache}/type"), "Data\n"),
-            (&format!("{cache}/size"), "32K\n"),
-            ("sys/class/dmi/id/sys_vendor", "Cloud\n"),
-            ("sys/class/dmi/id/product_name", "large\n"),
-        ]);
-        says(&cloud, &[
-            ("memory mb", json!(8192)),
-            ("privileges lock memory", json!(true)),
-            ("kernel preemption", json!("PREEMPT_DYNAMIC (full)")),
-            ("kernel rt runtime us", json!(-1)),
-            // No other options of the command line.
-            ("kernel isolation", json!(["isolcpus=1", "rcu_nocbs=1"])),
-            ("kernel huge pages", json!("madvise")),
-            ("processor cores", json!(2)),
-            ("processor caches", json!(["L1 Data 32K"])),
-            ("processor frequency mhz", json!(2500.5)),
-            ("hypervisor", json!("Cloud large")),
-        ]);
-        let real = machine(&[
-            ("proc/cpuinfo", "flags : fpu avx\n"), ("sys/class/dmi/id/sys_vendor", "Maker\n"), ("sys/kernel/realtime", "1\n"),
-        ]);
-        says(&real, &[("hypervisor", json!(null)), ("kernel preemption", json!("PREEMPT_RT"))]);
-    }
 
     #[test]
     fn what_was_written_is_read_again_and_names_neither_the_machine_nor_a_folder() {
