@@ -112,7 +112,7 @@ impl Dataset {
                 Some((metric.median()?, json!(metric.range()), case.to_owned()))
             });
             let worst = found.max_by(|one, other| one.0.total_cmp(&other.0));
-            let words = [&*target.what, &target.target, &target.unit];
+            let words = [&*target.what, &target.bound, &target.unit];
             all.target(words, worst, f64::MIN..=target.most);
         }
         all.targets.extend_from_slice(&self.targets);

@@ -34,7 +34,8 @@ pub struct PlotDeclaration {
 #[serde(deny_unknown_fields)]
 pub struct Target {
     pub what: String,
-    pub target: String,
+    #[serde(rename = "target")]
+    pub bound: String,
     pub unit: String,
     /// Name of the metric. A star stands for the case; the worst one counts.
     pub metric: String,

@@ -11,7 +11,6 @@ use cdcr_bench::report::Start;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_controller::nmpc::Coordinates;
 use cdcr_scratch::Scratch;
-use serde_json::Value;
 
 use crate::{is_sound, needs_nothing_else, number};
 
