@@ -56,7 +56,8 @@ impl<'a> LagLines<'a> {
         let arrived = robot.body(at);
         let mut near = [0; NEAR_MAX];
         for (near, obstacle) in near.iter_mut().zip(situation.obstacles) {
-            let own_m = situation.safe_distance_m + lag.time_constant_s * obstacle.velocity_m_s().norm();
+            let own_m =
+                situation.safe_distance_m + lag.time_constant_s * obstacle.velocity_m_s().norm();
             *near = arrived.sections_in_reach(obstacle, &travel_m.map(|travel_m| travel_m + own_m));
         }
         let is_any_near = near != [0; NEAR_MAX] || situation.obstacles.len() > NEAR_MAX;

@@ -80,14 +80,8 @@ macro_rules! assign_all {
     };
 }
 
-/// Same as [`telemetry`] in a message that held another cycle of `robot`, or none: fields common to both are
-/// not written again.
-pub fn fill_telemetry(
-    telemetry: &mut wire::Telemetry,
-    record: &CycleRecord,
-    robot: &Robot,
-    period_ns: u64,
-) {
+/// The arrays of which a cycle uses a part: what the cycle before used of them, and this one does not, is cleared.
+fn fill_arrays(telemetry: &mut wire::Telemetry, record: &CycleRecord) {
     let left_over = telemetry.obstacles[..telemetry.obstacle_count as usize].iter_mut();
     for gone in left_over.skip(record.obstacles.count()) {
         *gone = wire::Obstacle::default();
@@ -118,6 +112,17 @@ pub fn fill_telemetry(
         record.previous_rates.as_slice(),
         &mut telemetry.previous_rate_rad_s,
     );
+}
+
+/// Same as [`telemetry`] in a message that held another cycle of `robot`, or none: fields common to both are
+/// not written again.
+pub fn fill_telemetry(
+    telemetry: &mut wire::Telemetry,
+    record: &CycleRecord,
+    robot: &Robot,
+    period_ns: u64,
+) {
+    fill_arrays(telemetry, record);
     let mut measurement = wire::Measurement::default();
     if let Some(timed) = &record.measurement {
         measurement = measurement_to_wire(timed, robot);

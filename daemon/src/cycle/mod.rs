@@ -244,7 +244,6 @@ impl Cycle {
         self.begin_control(mode_before.is_latched());
 
         let (configuration, present) = (*self.state.configuration(), *self.state.present());
-        let delayed = *self.state.delayed();
         let solve_start_ns = clock.now_ns();
         self.rest_if_run_out_by(solve_start_ns, &release, elapsed_ns);
         let previous_rates = self.rates;
@@ -308,7 +307,7 @@ impl Cycle {
             tip_margin_m: self.state.tip_margin_m(),
             tip: self.state.tip(),
             present,
-            delayed,
+            delayed: *self.state.delayed(),
             motors: *self.state.motors(),
             slack: self.state.commanded_slack().copied(),
             configuration,
