@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x31f02e0843722cd1)
+#define CDCR_LAYOUT UINT64_C(0x6278999626f38afb)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -841,7 +841,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v7, 15344 bytes. */
+/* cdcr.Telemetry.v8, 15448 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -997,24 +997,29 @@ typedef struct CdcrTelemetry {
     /* 15072: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 15080: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 15080: Time constant of the motors [ns]: reference_lead_ns less their delay. */
+    uint64_t motor_time_constant_ns;
+    /* 15088: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
+     * command begins to act. */
+    double delayed_rad[12];
+    /* 15184: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 15176: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15280: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 15320: Play of the cables [m]; 0: none. */
+    /* 15424: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15328: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15432: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15336: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15440: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15340: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15444: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15344);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15448);
 
-/* cdcr.Incident.v6, 15384 bytes. */
+/* cdcr.Incident.v7, 15488 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1028,6 +1033,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15384);
+CDCR_ASSERT_SIZE(CdcrIncident, 15488);
 
 #endif

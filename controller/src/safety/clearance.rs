@@ -18,6 +18,7 @@ use body_pose::BodyPose;
 pub(super) use near::{NEAR_MAX, dip_m, thinnest_m};
 use near::{NearObstacles, Violation};
 use relinearised::{LINEARISATIONS, Linearisation, SLOW_LINEARISATION};
+pub(super) use watched::clearance_cost;
 
 /// Corrections of one command before it is scaled down instead.
 const CORRECTIONS: usize = 12;

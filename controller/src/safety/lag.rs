@@ -4,7 +4,7 @@
 use core::array::from_fn;
 use core::cell::{Cell, OnceCell};
 
-use super::clearance::{NEAR_MAX, dip_m, fastest, scaled_by, thinnest_m};
+use super::clearance::{NEAR_MAX, clearance_cost, dip_m, fastest, scaled_by, thinnest_m};
 use super::{Lag, SafeCommand, Situation};
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
@@ -12,9 +12,11 @@ use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot, SECTIONS_MAX
 const POINTS: usize = 7;
 /// Bisection steps of the scaling.
 const SCALES: u32 = 5;
-/// Work budget of one command, in sections compared with an obstacle. When it is spent, a line counts as
+/// Work budget of one command, in exact clearances of a section from a sphere. When it is spent, a line counts as
 /// violated.
 const WORK_BUDGET: u32 = 12_000;
+/// Share of the clearance guard's dip that is used at the points: between them the body may be nearer.
+const DIP_SHARE: f64 = 0.9;
 
 /// The straight lines in the bends from the body at the end of the motors' delay to the ends of a command: the body moves between
 /// these lines and the commanded path.
@@ -91,7 +93,7 @@ impl<'a> LagLines<'a> {
             .repaired(&safe, &scaled, |rates| self.holds(rates))
     }
 
-    /// Whether each section keeps the floor of [`Self::floor_m`] at the points of the lines.
+    /// Whether each section keeps the floor of [`Self::keeps_floor`] at the points of the lines.
     pub(super) fn holds(&self, rates: &BendRates) -> bool {
         if fastest(rates) == 0.0 {
             return true;
@@ -120,35 +122,48 @@ impl<'a> LagLines<'a> {
 
     /// Whether the `near` sections of the body at a point keep their floors from an obstacle at that time.
     fn keeps(&self, body: &Body, obstacle: &Obstacle, near: u8) -> bool {
-        let work_left = self.work_left.get().checked_sub(near.count_ones());
-        self.work_left.set(work_left.unwrap_or(0));
         let enough_m = self.situation.safe_distance_m - self.dip_m(obstacle);
         let reach_m: [f64; SECTIONS_MAX] = from_fn(|j| match near >> j & 1 {
             1 => enough_m,
             _ => f64::NEG_INFINITY,
         });
+        if !self.spend(near.count_ones()) {
+            return false;
+        }
         let clearances_m = body.clearances_below(obstacle, &reach_m, enough_m);
         let mut sections = clearances_m.iter().enumerate();
-        work_left.is_some()
-            && sections.all(|(section, clearance_m)| {
-                *clearance_m >= enough_m || *clearance_m >= self.floor_m(section, obstacle)
-            })
+        sections.all(|(section, clearance_m)| {
+            *clearance_m >= enough_m || self.keeps_floor(section, obstacle, *clearance_m)
+        })
     }
 
-    /// The clearance that a section keeps on the lines: D, or that of the robot at its commands, less a dip; or, if
-    /// it is less, that on the line to rest \[m\].
-    fn floor_m(&self, section: usize, obstacle: &Obstacle) -> f64 {
-        let arrived_m = self.arrived.clearance_of(section, obstacle);
-        let floor_m = arrived_m.min(self.situation.safe_distance_m) - self.dip_m(obstacle);
+    /// Whether a clearance (m) is no less than the one that a section keeps on the lines: D, or that of the robot at its
+    /// commands, less a dip; or, if it is less, that on the line to rest.
+    fn keeps_floor(&self, section: usize, obstacle: &Obstacle, clearance_m: f64) -> bool {
+        let cost = clearance_cost(obstacle);
+        // Its own clearance and that of the robot at its commands.
+        if !self.spend(2 * cost) {
+            return false;
+        }
         let Situation { robot, at, .. } = *self.situation;
+        let arrived_m = self.arrived.clearance_of(section, obstacle);
+        if clearance_m >= arrived_m - self.dip_m(obstacle) {
+            return true;
+        }
         let line = || bodies_between(robot, self.lag.delayed, at);
-        let bodies = self.resting.get_or_init(line).iter();
-        let resting_m = bodies.map(|body| body.clearance_of(section, obstacle));
-        resting_m.fold(floor_m, f64::min)
+        let mut bodies = self.resting.get_or_init(line).iter();
+        bodies.any(|body| self.spend(cost) && body.clearance_of(section, obstacle) <= clearance_m)
+    }
+
+    /// False when the work budget is spent.
+    fn spend(&self, work: u32) -> bool {
+        let work_left = self.work_left.get().checked_sub(work);
+        self.work_left.set(work_left.unwrap_or(0));
+        work_left.is_some()
     }
 
     fn dip_m(&self, obstacle: &Obstacle) -> f64 {
-        dip_m(self.situation.safe_distance_m, self.thinnest_m, obstacle)
+        DIP_SHARE * dip_m(self.situation.safe_distance_m, self.thinnest_m, obstacle)
     }
 }
 

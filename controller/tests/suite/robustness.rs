@@ -275,7 +275,7 @@ fn motors_that_lag_lead_the_body_around_obstacles_at_the_safe_distance() {
         for (time_constant_s, delay_s) in motors {
             // 1 mm less, and half of the motion of an obstacle while the motors follow.
             let motion_m = speed_m_s * (time_constant_s + delay_s);
-            let kept_m = settings.safe_distance_m - 1.01e-3 - 0.5 * motion_m;
+            let kept_m = settings.safe_distance_m - 1e-3 - 0.5 * motion_m;
             for obeys_positions in [true, false] {
                 let motors = actuator(delay_s, time_constant_s);
                 let lagging = lagging(motors, obeys_positions);

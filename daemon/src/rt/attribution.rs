@@ -78,7 +78,7 @@ pub struct Timing {
 /// Checks of the clock are a few microseconds apart; a longer gap than this is a stall of the processor
 /// \[ns\].
 const STALL_NS: u64 = 100_000;
-/// Limits and clearance guard take at most 0.4 ms, with 64 obstacles around six sections; a longer time than
+/// Limits, clearance guard and lag rule take at most 0.5 ms, with 64 obstacles around six sections; a longer time than
 /// this is a stall of the processor \[ns\].
 const STALL_AFTER_SOLVE_NS: u64 = 600_000;
 

@@ -7,6 +7,15 @@ use crate::robot::{Obstacle, SECTIONS_MAX, Shape};
 /// Cost of one exact clearance from a capsule, in units of the work budget.
 pub(super) const CAPSULE_COST: u32 = 7;
 
+fn is_sphere(obstacle: &Obstacle) -> bool {
+    matches!(obstacle.shape(), Shape::Sphere { .. })
+}
+
+/// Cost of one exact clearance.
+pub(in crate::safety) fn clearance_cost(obstacle: &Obstacle) -> u32 {
+    if is_sphere(obstacle) { 1 } else { CAPSULE_COST }
+}
+
 #[derive(Clone, Copy)]
 pub(super) struct WatchedObstacle<'a> {
     pub(super) obstacle: &'a Obstacle,
@@ -59,12 +68,12 @@ impl WatchedObstacle<'_> {
     }
 
     pub(super) fn is_sphere(&self) -> bool {
-        matches!(self.obstacle.shape(), Shape::Sphere { .. })
+        is_sphere(&self.obstacle)
     }
 
     /// Cost of one exact clearance.
     pub(super) fn cost(&self) -> u32 {
-        if self.is_sphere() { 1 } else { CAPSULE_COST }
+        clearance_cost(&self.obstacle)
     }
 
     /// The sections that can reach it.
