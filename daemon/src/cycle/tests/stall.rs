@@ -33,7 +33,7 @@ fn rates_grow_from_rest() {
         for stall in STALLS {
             let mut trial = moving(interface);
             // Within its validity, the last command continues.
-            assert!(fastest(&trial.cycle(1).rates) > 1.5);
+            assert!(fastest(&trial.late_turn(1).rates) > 1.5);
             let record = trial.cycle(stall);
             assert!(matches!(record.mode, Mode::Tracking { .. }));
             assert_eq!(
@@ -56,7 +56,7 @@ fn rates_of_positions_that_stood_grow_from_rest() {
         trial.turns(3);
         trial.begin_tracking();
         assert!(fastest(&trial.turns(12).rates) > 1.5);
-        assert!(fastest(&trial.cycle(1).rates) > 1.5);
+        assert!(fastest(&trial.late_turn(1).rates) > 1.5);
         let record = trial.cycle(stall);
         assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
     }

@@ -206,6 +206,14 @@ impl Trial {
         self.cycle(0)
     }
 
+    /// A cycle with a gather of its own, after `skipped` releases without one.
+    pub(super) fn late_turn(&mut self, skipped: u32) -> CycleRecord {
+        self.next += u64::from(skipped);
+        self.gather(BEGIN_NS + self.next * PERIOD_NS);
+        self.next -= u64::from(skipped);
+        self.cycle(skipped)
+    }
+
     /// Rehearses the next cycle, `before_ns` before its release.
     fn rehearse(&mut self, before_ns: u64) {
         if !self.rehearses {
