@@ -172,8 +172,10 @@ impl Dataset {
     /// Draws a declared plot; nothing without panels.
     pub fn plot(&mut self, name: &str, panels: &[Panel]) -> Result<()> {
         let mut plots = self.declaration.plots.iter();
-        let declared = plots.find(|declared| declared.name == name && !panels.is_empty());
-        if let Some(declared) = declared {
+        let declared = plots
+            .find(|declared| declared.name == name)
+            .unwrap_or_else(|| panic!("{} declares no plot {name}", self.name));
+        if !panels.is_empty() {
             self.plots.push(Plot {
                 name: name.to_owned(),
                 caption: declared.caption.clone(),

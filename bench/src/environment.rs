@@ -282,4 +282,34 @@ mod tests {
         );
         assert!(!json.contains(&*folder.to_string_lossy()), "{json}");
     }
+
+    #[test]
+    fn other_machines_are_understood_and_nothing_private_is_kept() {
+        let folder = cdcr_scratch::Scratch::temporary().expect("a folder");
+        for (name, text) in [
+            ("proc/cpuinfo", "flags : fpu avx\n"),
+            ("sys/class/dmi/id/sys_vendor", "Maker\n"),
+            ("sys/kernel/realtime", "1\n"),
+            ("proc/cmdline", "root=/dev/sda1 isolcpus=1 quiet\n"),
+            (
+                "sys/kernel/mm/transparent_hugepage/enabled",
+                "always [madvise] never\n",
+            ),
+        ] {
+            let file = folder.path().join(name);
+            fs::create_dir_all(file.parent().expect("a folder above")).expect("made");
+            fs::write(file, text).expect("written");
+        }
+        let root = Root(folder.path().to_owned());
+        let machine = Environment::of(&root, &Cores::find().expect("cores"), false);
+        for (name, value) in [
+            ("hypervisor", json!(null)),
+            ("kernel preemption", json!("PREEMPT_RT")),
+            ("kernel isolation", json!(["isolcpus=1"])),
+            ("kernel huge pages", json!("madvise")),
+            ("memory mb", json!(null)),
+        ] {
+            assert_eq!(machine.value(name), value, "{name}");
+        }
+    }
 }

@@ -82,6 +82,7 @@ mod tests {
         // Configurations are compared by content, not by path.
         let with = |file: &str| of(&format!("--config ../configs/{file}"));
         assert_ne!(with("default.toml"), with("one-section.toml"));
+        assert_eq!(with("default.toml"), with("../configs/default.toml"));
         assert!(!format!("{:?}", with("default.toml")).contains("toml"));
     }
 }

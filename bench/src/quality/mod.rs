@@ -133,3 +133,18 @@ impl Benchmark for QualityOptions {
         report::dataset(self.rounds, &study::run(self.rounds, &cases, progress)?)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_variant_has_legal_settings() {
+        let options: QualityOptions = crate::benchmark::defaults();
+        for course in Course::ALL {
+            for variant in options.variants(course, 2.0) {
+                assert_eq!(variant.settings.validate(), Ok(()), "{variant:?}");
+            }
+        }
+    }
+}

@@ -28,8 +28,9 @@ pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
         for mut of_row in by_rows(found.of(axis)) {
             let row = together(&of_row, &["rounds".to_owned()]);
             for round in &mut of_row {
-                let mm = number(round, "mean_error_mm").unwrap_or(f64::NAN);
-                round["mean_error_mm"] = mm.max(METRIC_FLOOR_MM).into();
+                if let Some(mm) = number(round, "mean_error_mm") {
+                    round["mean_error_mm"] = mm.max(METRIC_FLOOR_MM).into();
+                }
             }
             dataset.compare(axis, &row, &of_row);
             of_axis.push(row);

@@ -340,4 +340,17 @@ mod tests {
             assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
         }
     }
+
+    #[test]
+    fn the_daemon_accepts_every_robot_with_every_period() {
+        // `None`: the default spin time.
+        for (case, period_ms, spin_us) in [(0, 5.0, Some(1e3)), (1, 0.5, Some(0.0)), (2, 0.1, None)]
+        {
+            let stage = Stage::new(spin_us).unwrap();
+            let launch = stage.launch(&Case::all()[case], period_ms);
+            let output = launch.command("check").unwrap().output().unwrap();
+            let errors = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{errors}");
+        }
+    }
 }

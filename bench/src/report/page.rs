@@ -63,3 +63,18 @@ fn escape(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('"', "&quot;");
     text.replace('<', "&lt;").replace('>', "&gt;")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_is_never_a_tag_and_a_warning_stands_in_a_box() {
+        let mut dataset = Dataset::new("x", "heading = '1 < 2'\nexplanation = ''");
+        (dataset.note, dataset.warns) = ("<script>".to_owned(), true);
+        let html = page("", "", &[&dataset]);
+        for words in ["1 &lt; 2</h2>", "<p class=\"failed\">&lt;script&gt;</p>"] {
+            assert!(html.contains(words), "{html}");
+        }
+    }
+}

@@ -152,7 +152,11 @@ impl Scenario {
     }
 
     fn targets(&self) -> Vec<Target> {
-        declared().targets.remove(&self.targets).unwrap_or_default()
+        if self.targets.is_empty() {
+            return Vec::new();
+        }
+        let mut targets = declared().targets;
+        targets.remove(&self.targets).expect("declared targets")
     }
 
     /// Whether a row reaches all targets; targets that were not measured count as reached. `ideal_change`:

@@ -420,7 +420,13 @@ fn slack_of(record: &Telemetry) -> Option<Slack> {
 
 /// The next rates of the ramp to rest.
 fn ramp(record: &Telemetry, state: &State) -> BendRates {
-    ramp_to_zero(&state.previous, record.deceleration_rad_s2, state.period_s)
+    let rest = BendRates::zero(state.previous.section_count());
+    let previous = if ran_out_while_solving(record) {
+        &rest
+    } else {
+        &state.previous
+    };
+    ramp_to_zero(previous, record.deceleration_rad_s2, state.period_s)
 }
 
 /// The last command ran out in a stall before the end of the solve: rates grow from zero, whatever the solver knew.

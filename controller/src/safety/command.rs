@@ -165,7 +165,7 @@ pub struct SafeCommand {
 ///
 /// Motors that lag average the commanded path, and so lead the body past its corners. Of first order, they lead
 /// it between the commanded path and the straight lines in the bends, from its configuration at the end of the delay to the ends
-/// of the period and of the stopping path. At seven points of these lines each section keeps 1 mm less than D, or
+/// of the period and of the stopping path. At seven points of these lines each section keeps 0.9 mm less than D, or
 /// than its clearance where the commands so far lead, or what it keeps on the line to rest; otherwise the command
 /// is scaled down.
 ///

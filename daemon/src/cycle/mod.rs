@@ -74,7 +74,7 @@ pub struct Cycle {
     latched_ns: u64,
     /// Duration of the current series of cycles without new inputs \[ns\].
     stale_ns: u64,
-    /// The robot left a latched mode and has not come to rest since.
+    /// The robot left a latched mode, and control has not begun since.
     control_begins: bool,
     /// Suspend count of the machine at the last cycle.
     suspends: u64,
@@ -254,14 +254,14 @@ impl Cycle {
             self.desired_rates(&release, inputs, elapsed_ns, costs, clock);
         let comes_to_rest =
             self.modes.mode().comes_to_rest() && self.way_to_begin(inputs).is_none();
-        if report.status == SolveStatus::NonFinite {
-            // The solve found a fault.
-            desired_rates = self.ramp();
-        }
         let solve_end_ns = clock.now_ns();
-        // A solve that overruns its end cannot be cut short: the excess counts as time after the solver.
+        // The excess of a solve that overruns its end counts as time after the solver.
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
         self.rest_if_run_out_by(solve_end_ns, &release, elapsed_ns);
+        // The solve may have found a fault, and a ramp does not begin again after a stall.
+        if comes_to_rest || report.status == SolveStatus::NonFinite {
+            desired_rates = self.ramp();
+        }
         let safe = self.make_safe(&desired_rates, comes_to_rest);
         self.note_latch(mode_before, &release);
         self.clearance_m = self.present_clearance_m(safe.clearance_m);
@@ -371,6 +371,7 @@ impl Cycle {
             return;
         }
         if self.is_at_rest() && self.state.has_arrived() {
+            self.state.end_way_beside();
             if self.state.is_commanded_elsewhere() {
                 // From the next cycle on, whose record states that control begins.
                 if !was_latched {

@@ -210,6 +210,9 @@ impl RobotState {
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);
+        if !is_first && self.is_accepted() {
+            self.is_driver_new = false;
+        }
         if is_first {
             // A tip offset measured earlier was relative to assumed bends.
             self.estimator.forget_tip_offset();
@@ -344,16 +347,35 @@ impl RobotState {
         self.trust_tip();
     }
 
+    /// A new driver accepts its first position beside the measured bends, and obeys from then on. (The driver's own limit,
+    /// 0.05 rad along the bend and along each cable, is not reached.)
+    fn is_accepted(&self) -> bool {
+        const ACCEPTED_RAD: f64 = 0.035;
+        let measured = self.measured.as_ref();
+        measured.is_some_and(|at| !is_apart(&self.commanded, at, ACCEPTED_RAD))
+    }
+
     /// Control may begin after a latched mode only when the commanded position has moved to the robot.
     pub(super) fn is_commanded_elsewhere(&self) -> bool {
         self.obeys_positions()
             && match &self.begins_at {
                 Some(begins_at) => is_apart(&self.commanded, begins_at, HOME_EXACT_RAD),
-                // One measurement may be noise, and the average is late.
-                None => [self.estimator.motors_measured(), self.estimator.motors()]
-                    .iter()
-                    .all(|at| is_apart(&self.commanded, at, BESIDE_RAD)),
+                None => !self.is_commanded_here(),
             }
+    }
+
+    /// The commanded position is beside the robot: one measurement may be noise, and the average is late.
+    fn is_commanded_here(&self) -> bool {
+        [self.estimator.motors_measured(), self.estimator.motors()]
+            .iter()
+            .any(|at| !is_apart(&self.commanded, at, BESIDE_RAD))
+    }
+
+    /// The way ends, too, where the robot has come to its commanded position.
+    pub(super) fn end_way_beside(&mut self) {
+        if self.is_commanded_here() {
+            self.begins_at = None;
+        }
     }
 
     /// Sets where control begins to the present place of the robot, for the whole way there: a measurement

@@ -136,6 +136,12 @@ impl TipError {
     /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`; without a limit, if the
     /// last one exceeds [`ENDED_OFF_M`].
     pub(crate) fn print(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
+        self.show()?;
+        limit_m.map_or_else(|| self.check_end(), |limit_m| self.check(limit_m))
+    }
+
+    /// Prints the error.
+    pub(crate) fn show(&self) -> anyhow::Result<()> {
         if self.approach_cycles > 0 {
             let seconds = (self.approach_cycles * self.period_ns) as f64 * 1e-9;
             writeln!(
@@ -172,7 +178,7 @@ impl TipError {
                 "measured by the tip sensor: mean {mean:.3}, max {max:.3} mm in {count} measurements, noise included"
             )?;
         }
-        limit_m.map_or_else(|| self.check_end(), |limit_m| self.check(limit_m))
+        Ok(())
     }
 
     fn check_end(&self) -> anyhow::Result<()> {

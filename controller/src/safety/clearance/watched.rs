@@ -68,12 +68,12 @@ impl WatchedObstacle<'_> {
     }
 
     pub(super) fn is_sphere(&self) -> bool {
-        is_sphere(&self.obstacle)
+        is_sphere(self.obstacle)
     }
 
     /// Cost of one exact clearance.
     pub(super) fn cost(&self) -> u32 {
-        clearance_cost(&self.obstacle)
+        clearance_cost(self.obstacle)
     }
 
     /// The sections that can reach it.

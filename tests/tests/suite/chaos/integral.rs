@@ -149,13 +149,17 @@ impl Integral {
         } else {
             valid_ns
         };
-        let runs_out = record.elapsed_ns >= valid_ns || record.elapsed_ns > rests_after_ns;
-        let has_stalled = record.elapsed_ns > record.period_ns && runs_out;
-        let must_rest = has_stalled || waits && stale_ns > valid_ns;
+        let runs_out = |since_ns: u64| since_ns >= valid_ns || since_ns > rests_after_ns;
+        let has_stalled = record.elapsed_ns > record.period_ns && runs_out(record.elapsed_ns);
+        let late_ns = record.solve_start_ns.saturating_sub(record.release_ns);
+        let is_late = late_ns > record.period_ns && runs_out(record.elapsed_ns + late_ns);
+        // The first command after rest may not have left.
+        let may_stand = waits && before.previous_rate_rad_s == [0.0; COORDINATES_MAX];
+        let must_rest = has_stalled || is_late || waits && stale_ns > valid_ns;
         let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
         let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
-        let runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns;
-        let may_rest = must_rest || waits && self.sent.is_some_and(runs_out);
+        let sent_runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns;
+        let may_rest = must_rest || may_stand || waits && self.sent.is_some_and(sent_runs_out);
         ensure(rests && may_rest || goes_on && !must_rest, || {
             "the previous rates are not those of the command before".to_owned()
         })

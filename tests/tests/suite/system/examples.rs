@@ -97,6 +97,12 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     if line.starts_with("cdcrctl reset") {
         place.cdcrctl(&["stop"]);
     }
+    if line.starts_with("cdcrctl obstacle remove") {
+        for id in ["1", "2"] {
+            let far = ["--at", "0.9,0.9,0.1", "--radius", "0.01"];
+            place.cdcrctl(&[&["obstacle", "add", "--id", id][..], &far].concat());
+        }
+    }
     let goes_on = ["--watch", "--follow", "telemetry --rate", "--udp"];
     let mut program = if goes_on.iter().any(|option| line.contains(option)) {
         let program = shell(place, &format!("exec {line}"));

@@ -76,7 +76,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
     )?;
     source.recording.warn_of_cut();
     if done == Done::Good {
-        player.error.print(None)?;
+        player.error.show()?;
     }
     Ok(done)
 }
