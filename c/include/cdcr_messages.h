@@ -70,7 +70,7 @@
 /* Input events reported in one telemetry record: as many as one gather and its cycle can bring. */
 #define CDCR_EVENTS_MAX 24
 
-/* Bad cycles that are kept whole for whoever asks: 0.9 MB. */
+/* Bad cycles that are kept whole for whoever asks: 1 MB. */
 #define CDCR_INCIDENTS_MAX 64
 
 /* Time for which a first tip of a driver awaits bends or cables [ms]. After it, the driver measures the tip
