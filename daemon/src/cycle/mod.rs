@@ -255,7 +255,6 @@ impl Cycle {
         let comes_to_rest =
             self.modes.mode().comes_to_rest() && self.way_to_begin(inputs).is_none();
         let solve_end_ns = clock.now_ns();
-        // The excess of a solve that overruns its end counts as time after the solver.
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
         self.rest_if_run_out_by(solve_end_ns, &release, elapsed_ns);
         // The solve may have found a fault, and a ramp does not begin again after a stall.

@@ -141,24 +141,19 @@ impl Integral {
         let Some(stale_ns) = self.stale_ns else {
             return Ok(());
         };
-        let valid_ns = valid_ns(record);
         let waits = stale_ns > 0 && is_by_driver(record);
-        let obeys_positions = record.command.interface == Interface::Position.code();
-        let rests_after_ns = if obeys_positions {
-            valid_ns.min(2 * record.period_ns)
-        } else {
-            valid_ns
-        };
-        let runs_out = |since_ns: u64| since_ns >= valid_ns || since_ns > rests_after_ns;
-        let has_stalled = record.elapsed_ns > record.period_ns && runs_out(record.elapsed_ns);
-        let late_ns = record.solve_start_ns.saturating_sub(record.release_ns);
-        let is_late = late_ns > record.period_ns && runs_out(record.elapsed_ns + late_ns);
+        let has_stalled =
+            record.elapsed_ns > record.period_ns && runs_out(record, record.elapsed_ns);
+        let is_late = runs_out_in_cycle(record, record.solve_start_ns);
         // The first command after rest may not have left.
-        let may_stand = waits && before.previous_rate_rad_s == [0.0; COORDINATES_MAX];
-        let must_rest = has_stalled || is_late || waits && stale_ns > valid_ns;
+        let is_first = before.previous_rate_rad_s == [0.0; COORDINATES_MAX]
+            || runs_out_in_cycle(before, before.solve_end_ns);
+        let may_stand = waits && is_first;
+        let must_rest = has_stalled || is_late || waits && stale_ns > valid_ns(record);
         let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
         let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
-        let sent_runs_out = |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns;
+        let sent_runs_out =
+            |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns(record);
         let may_rest = must_rest || may_stand || waits && self.sent.is_some_and(sent_runs_out);
         ensure(rests && may_rest || goes_on && !must_rest, || {
             "the previous rates are not those of the command before".to_owned()
@@ -169,6 +164,28 @@ impl Integral {
 /// Time for which a command is valid \[ns\].
 fn valid_ns(record: &Telemetry) -> u64 {
     record.command.valid_until_ns - record.command.release_ns
+}
+
+/// Time since a command after which the robot rests, if no other follows \[ns\].
+fn rests_after_ns(record: &Telemetry) -> u64 {
+    let obeys_positions = record.command.interface == Interface::Position.code();
+    let at_target_ns = if obeys_positions {
+        2 * record.period_ns
+    } else {
+        u64::MAX
+    };
+    valid_ns(record).min(at_target_ns)
+}
+
+/// Whether the robot has come to rest by itself when the next command comes `since_ns` after the last one.
+fn runs_out(record: &Telemetry, since_ns: u64) -> bool {
+    since_ns >= valid_ns(record) || since_ns > rests_after_ns(record)
+}
+
+/// The same at `now_ns`, after a stall inside the cycle of a record.
+pub(crate) fn runs_out_in_cycle(record: &Telemetry, now_ns: u64) -> bool {
+    let late_ns = now_ns.saturating_sub(record.release_ns);
+    late_ns > record.period_ns && runs_out(record, record.elapsed_ns + late_ns)
 }
 
 /// The simulated robot is measured in the cycle itself.

@@ -2,8 +2,10 @@
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, guard, timing};
+use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_tests::record::largest;
 
+use crate::chaos::integral::runs_out_in_cycle;
 use crate::chaos::{CheckResult, ensure};
 
 /// Rounding error of a rate \[rad/s\].
@@ -17,10 +19,15 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     if matches!(mode, Mode::Tracking | Mode::Homing) || may_move_to_begin(record) {
         return Ok(());
     }
-    let fastest = largest(&record.previous_rate_rad_s);
+    let previous = if runs_out_in_cycle(record, record.solve_end_ns) {
+        [0.0; COORDINATES_MAX]
+    } else {
+        record.previous_rate_rad_s
+    };
+    let fastest = largest(&previous);
     let left = (fastest - record.deceleration_rad_s2 * period_s).max(0.0);
     let shrink = if fastest > 0.0 { left / fastest } else { 0.0 };
-    let ramp = record.previous_rate_rad_s.map(|rate| rate * shrink);
+    let ramp = previous.map(|rate| rate * shrink);
     let rates = &record.command.bend_rate_rad_s;
     ensure(fastest > 0.0 || largest(rates) == 0.0, || {
         format!("{mode}: at rest, and the rates are {rates:?}")
