@@ -55,7 +55,7 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Keys of counts that are added over the rounds: see [`super::together`].
     pub counts: Vec<String>,
-    /// Prefix of the names of a row's metrics: see [`super::filled`].
+    /// Prefix of the names of a row's metrics: see `super::filled`.
     pub path: String,
     /// Metrics of the rounds of each row: name, unit and key.
     pub metrics: Vec<(String, String, String)>,
