@@ -145,19 +145,14 @@ impl Integral {
         let has_stalled =
             record.elapsed_ns > record.period_ns && runs_out(record, record.elapsed_ns);
         let is_late = runs_out_in_cycle(record, record.solve_start_ns);
-        // The first command after rest may not have left.
-        let is_first = before.previous_rate_rad_s == [0.0; COORDINATES_MAX]
-            || runs_out_in_cycle(before, before.solve_end_ns);
-        let may_stand = waits && is_first;
         let must_rest = has_stalled || is_late || waits && stale_ns > valid_ns(record);
         let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
         let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
-        let sent_runs_out =
-            |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns(record);
-        let may_rest = must_rest || may_stand || waits && self.sent.is_some_and(sent_runs_out);
-        ensure(rests && may_rest || goes_on && !must_rest, || {
-            "the previous rates are not those of the command before".to_owned()
-        })
+        // While the exchange is held up, the command before may have run out, or not have left.
+        ensure(
+            rests && (must_rest || waits) || goes_on && !must_rest,
+            || "the previous rates are not those of the command before".to_owned(),
+        )
     }
 }
 
