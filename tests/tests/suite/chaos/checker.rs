@@ -79,7 +79,12 @@ impl<'a> Checker<'a> {
             statuses: connection.statuses().unwrap(),
             connection,
             view,
-            records: Records::new(robot_of(&status.robot), status.period_ns, status.origin_ns),
+            records: Records::new(
+                robot_of(&status.robot),
+                status.link,
+                status.period_ns,
+                status.origin_ns,
+            ),
             command: None,
             status,
         }

@@ -10,7 +10,9 @@
 //!   the robot obeyed the last command before.
 
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Interface, MeasurementKind, MeasurementState, Mode, timing};
+use cdcr_shared_types::codes::{
+    Interface, MeasurementKind, MeasurementState, Mode, RobotLink, timing,
+};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_tests::record::{largest, robot_of};
 
@@ -45,8 +47,10 @@ impl Obeyed {
 }
 
 /// The commanded position over consecutive records.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct Integral {
+    /// Commands pass the exchange to a driver; a simulated robot is measured and commanded in the cycle itself.
+    has_driver: bool,
     /// Time for which the inputs have been stale \[ns\]; `None`: records of that time are lost.
     stale_ns: Option<u64>,
     /// The last command that left the daemon.
@@ -56,6 +60,16 @@ pub(crate) struct Integral {
 }
 
 impl Integral {
+    /// Of a daemon with this kind of robot ([`Status::link`](cdcr_shared_types::Status::link)).
+    pub(crate) fn new(link: u32) -> Self {
+        Self {
+            has_driver: link == RobotLink::Driver.code(),
+            stale_ns: None,
+            sent: None,
+            has_begun: false,
+        }
+    }
+
     /// Checks the next record. `before`: the previous one, if nothing was lost in between.
     pub(crate) fn check(&mut self, before: Option<&Telemetry>, record: &Telemetry) -> CheckResult {
         let target = Obeyed {
@@ -113,7 +127,7 @@ impl Integral {
             (true, Some(_)) => self.stale_ns.map(|stale_ns| stale_ns + record.period_ns),
         };
         let (stale_ns, before) = (self.stale_ns?, before?);
-        let is_unsent = stale_ns > record.period_ns && is_by_driver(record);
+        let is_unsent = stale_ns > record.period_ns && self.has_driver;
         if stale_ns == record.period_ns {
             self.sent = Some(Obeyed::new(before));
         }
@@ -141,18 +155,26 @@ impl Integral {
         let Some(stale_ns) = self.stale_ns else {
             return Ok(());
         };
-        let waits = stale_ns > 0 && is_by_driver(record);
         let has_stalled =
             record.elapsed_ns > record.period_ns && runs_out(record, record.elapsed_ns);
         let is_late = runs_out_in_cycle(record, record.solve_start_ns);
-        let must_rest = has_stalled || is_late || waits && stale_ns > valid_ns(record);
-        let rests = record.previous_rate_rad_s == [0.0; COORDINATES_MAX];
-        let goes_on = record.previous_rate_rad_s == before.command.bend_rate_rad_s;
-        // While the exchange is held up, the command before may have run out, or not have left.
-        ensure(
-            rests && (must_rest || waits) || goes_on && !must_rest,
-            || "the previous rates are not those of the command before".to_owned(),
-        )
+        // Nothing leaves without a gather: by the next release the last command sent will have run out, or the
+        // first command after rest may not have left.
+        let waits = stale_ns > 0 && self.has_driver;
+        let sent_runs_out =
+            |sent: Obeyed| sent.elapsed_ns + record.period_ns > rests_after_ns(record);
+        let is_first = before.previous_rate_rad_s == [0.0; COORDINATES_MAX]
+            || runs_out_in_cycle(before, before.solve_end_ns);
+        let rests =
+            has_stalled || is_late || waits && (is_first || self.sent.is_some_and(sent_runs_out));
+        let from = if rests {
+            [0.0; COORDINATES_MAX]
+        } else {
+            before.command.bend_rate_rad_s
+        };
+        ensure(record.previous_rate_rad_s == from, || {
+            format!("the rates count from others than {from:?}")
+        })
     }
 }
 
@@ -181,11 +203,6 @@ fn runs_out(record: &Telemetry, since_ns: u64) -> bool {
 pub(crate) fn runs_out_in_cycle(record: &Telemetry, now_ns: u64) -> bool {
     let late_ns = now_ns.saturating_sub(record.release_ns);
     late_ns > record.period_ns && runs_out(record, record.elapsed_ns + late_ns)
-}
-
-/// The simulated robot is measured in the cycle itself.
-fn is_by_driver(record: &Telemetry) -> bool {
-    record.measurement.measured_ns < record.gather_ns + record.period_ns
 }
 
 /// Checks that control begins at the known position of the motors: the measured one if the robot holds.
@@ -237,7 +254,6 @@ mod tests {
                 mode: Mode::Holding.code(),
                 period_ns: T_NS,
                 elapsed_ns: T_NS,
-                gather_ns: T_NS,
                 measurement_state: MeasurementState::Used.code(),
                 ..Telemetry::default()
             };
@@ -245,9 +261,18 @@ mod tests {
             last.command.valid_until_ns = 3 * T_NS;
             let integral = Integral {
                 stale_ns: Some(0),
-                ..Integral::default()
+                ..Integral::new(RobotLink::Driver.code())
             };
             Self { integral, last }
+        }
+
+        /// At 0 with 1 rad/s, and not for the first time.
+        fn moving(interface: Interface) -> Self {
+            let mut line = Self::new(interface);
+            line.last.commanded_rad[0] = -(5e6 * 1e-9);
+            line.last.command.bend_rate_rad_s[0] = 1.0;
+            assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
+            line
         }
 
         /// The next record: commanded position at its release, rates from then on, other changes.
@@ -354,10 +379,22 @@ mod tests {
             (Interface::Velocity, [5e6, 10e6, 15e6].map(|ns| ns * 1e-9)),
         ];
         let hold_up = |interface, led_rad: [f64; 3]| {
-            let mut line = Line::new(interface);
-            assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
+            let mut line = Line::moving(interface);
+            // By the release after this one the command has run out.
+            let last = if interface == Interface::Position {
+                1
+            } else {
+                2
+            };
             for (i, led_rad) in led_rad.into_iter().enumerate() {
-                let change = if i == 2 { rests } else { stale };
+                let [change, other] = if i < last {
+                    [stale, rests]
+                } else {
+                    [rests, stale]
+                };
+                let (integral, before) = (line.integral.clone(), line.last);
+                assert!(line.next(led_rad, 1.0, other).is_err());
+                (line.integral, line.last) = (integral, before);
                 assert_eq!(line.next(led_rad, 1.0, change), Ok(()));
             }
             (line, led_rad[2])
@@ -371,17 +408,18 @@ mod tests {
             assert!(line.next(end_rad + 0.005, 0.5, rests).is_err());
         }
         // A robot that is commanded to rest meanwhile returns there; a simulated one was measured meanwhile.
+        let mut line = Line::moving(Interface::Position);
+        assert_eq!(line.next(0.005, 1.0, stale), Ok(()));
+        for _ in 0..3 {
+            assert_eq!(line.next(0.005, 0.0, rests), Ok(()));
+        }
+        // The first command after rest may not have left.
         let mut line = Line::new(Interface::Position);
         assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
-        for rate_rad_s in [1.0, 0.0, 0.0, 0.0] {
-            assert_eq!(line.next(0.005, rate_rad_s, stale), Ok(()));
-        }
+        assert!(line.next(0.005, 1.0, stale).is_err());
         let (mut line, at_rad) = hold_up(obeyed[0].0, obeyed[0].1);
-        let simulated = |record: &mut Telemetry| {
-            stale(record);
-            record.measurement.measured_ns = 9 * T_NS;
-        };
-        assert_eq!(line.next(at_rad + 0.005, 1.0, simulated), Ok(()));
+        line.integral.has_driver = false;
+        assert_eq!(line.next(at_rad + 0.005, 1.0, stale), Ok(()));
     }
 
     #[test]

@@ -112,14 +112,15 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    pub(crate) fn new(robot: Robot, period_ns: u64, origin_ns: u64) -> Self {
+    /// `link`: the kind of robot of the daemon, as in its status.
+    pub(crate) fn new(robot: Robot, link: u32, period_ns: u64, origin_ns: u64) -> Self {
         Self {
             robot,
             period_s: period_ns as f64 * 1e-9,
             origin_ns,
             has_play: false,
             before: None,
-            integral: Integral::default(),
+            integral: Integral::new(link),
             modes: ModeWatch::default(),
             seen: Seen::default(),
         }

@@ -61,7 +61,7 @@ impl Trail {
             stream: connection.telemetry().unwrap(),
             read: VecDeque::new(),
             before: None,
-            integral: Integral::default(),
+            integral: Integral::new(connection.status(TIMEOUT).unwrap().link),
             history: History::default(),
             _calm: None,
         }

@@ -15,7 +15,9 @@ use cdcr_daemon::link::RobotLink;
 use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
-use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{
+    EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind, RobotLink as Link,
+};
 use cdcr_shared_types::{Command, Header, InputEvent, Telemetry};
 use cdcr_tests::record::largest;
 use nalgebra::Vector3;
@@ -82,7 +84,7 @@ impl World {
             kind_of_answer: None,
             stop_asked: false,
             sequence: 0,
-            records: Records::new(robot.clone(), period_ns, ORIGIN_NS)
+            records: Records::new(robot.clone(), Link::Driver.code(), period_ns, ORIGIN_NS)
                 .with_play(config.actuator.play_m > 0.0),
             dice,
         }
