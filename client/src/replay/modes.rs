@@ -71,13 +71,17 @@ impl Before {
         if is_now(Mode::Stopped, Reason::Shutdown) {
             machine.shut_down();
         }
-        // A reset may arrive in the same cycle.
-        let is_stopped_before =
-            is_now(Mode::Stopped, Reason::StoppedBefore) || is_now(Mode::Holding, Reason::Request);
+        // A reset may arrive in the same cycle, and so may a hold of a robot that was not stopped before.
+        let is_reset = |event: &InputEvent| event.detail == RequestKind::Reset.code();
+        let is_stopped_before = is_now(Mode::Stopped, Reason::StoppedBefore)
+            || is_now(Mode::Holding, Reason::Request) && requests.iter().any(is_reset);
         if is_stopped_before && machine.mode() == safety::Mode::Starting {
             machine = ModeMachine::stopped_before();
         }
-        let seen = self.observation(record);
+        let mut seen = self.observation(record);
+        // On the way home it is accepted only on arrival.
+        let is_track = |event: &InputEvent| event.detail == RequestKind::Track.code();
+        seen.at_home |= requests.iter().any(is_track) && machine.mode() == safety::Mode::Homing;
         machine.observe(&seen);
         let mut requests = requests
             .iter()
