@@ -841,7 +841,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v8, 15448 bytes. */
+/* cdcr.Telemetry.v9, 15552 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -1009,17 +1009,25 @@ typedef struct CdcrTelemetry {
     double slack_m[18];
     /* 15424: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15432: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15432: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
+     * a reset [rad], while moves_to_begin is set: the rates wanted are those of homing from there. */
+    double way_rad[12];
+    /* 15528: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15440: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15536: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15444: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15540: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    uint32_t moves_to_begin;
+    /* 15544: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+     * rest, the solve from previous_rate_rad_s. */
+    uint32_t ran_out_in_solve;
+    /* 15548: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15448);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15552);
 
-/* cdcr.Incident.v7, 15488 bytes. */
+/* cdcr.Incident.v8, 15592 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1033,6 +1041,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15488);
+CDCR_ASSERT_SIZE(CdcrIncident, 15592);
 
 #endif

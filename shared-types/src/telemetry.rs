@@ -122,7 +122,7 @@ message! {
     ///
     /// It holds every input of the cycle except the reference. That is reproduced from the clients' chunks in the order
     /// of the events of the records; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v8" {
+    pub struct Telemetry "cdcr.Telemetry.v9" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -288,10 +288,18 @@ message! {
         slack_m: [f64; CABLES_MAX] [used 3 command.sections],
         /// Play of the cables \[m\]; 0: none.
         play_m: f64,
+        /// Commanded position minus the place of the robot where control begins after a reset \[rad\], while `moves_to_begin` is set: the
+        /// rates wanted are those of homing from there.
+        way_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// A reference farther from the tip than this is not approached \[m\]; infinite: it is, from anywhere.
         approach_distance_m: f64,
         /// 1 where a latched mode was left and control has not begun since: a following error is no fault then.
         control_begins: u32 [yes],
+        /// 1 while the commanded position moves to where control begins after a reset.
+        moves_to_begin: u32 [yes],
+        /// 1 where the last command had run out when the solve ended: limits and ramp count from rest, the solve from
+        /// `previous_rate_rad_s`.
+        ran_out_in_solve: u32 [yes],
         /// Number of the reference lease: counted as leases are acquired. Tracking ends where it changes.
         lease_number: u32,
     }

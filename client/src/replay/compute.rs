@@ -58,7 +58,12 @@ struct State {
     present: Configuration,
     /// At the end of the motors' delay.
     delayed: Configuration,
+    /// What the solver and the way home began with.
     previous: BendRates,
+    /// What limits and ramp began with.
+    limited_from: BendRates,
+    /// Commanded position, seen from where control begins, while it moves there.
+    way: Option<Configuration>,
     /// Obstacles at the release.
     known: Vec<Obstacle>,
     /// Obstacles at the time when the robot reaches its commanded position.
@@ -77,13 +82,24 @@ impl State {
             .iter()
             .map(obstacle_of)
             .collect::<Option<_>>()?;
+        let previous = BendRates::from_slice(record.previous_rate_rad_s.get(..width)?)?;
         Some(Self {
             at: at(&record.bend_rad)?,
             commanded: at(&record.commanded_rad)?,
             motors: at(&record.motor_rad)?,
             present: at(&record.present_rad)?,
             delayed: at(&record.delayed_rad)?,
-            previous: BendRates::from_slice(record.previous_rate_rad_s.get(..width)?)?,
+            limited_from: if record.ran_out_in_solve == 0 {
+                previous
+            } else {
+                BendRates::zero(robot.section_count())
+            },
+            previous,
+            way: if record.moves_to_begin == 0 {
+                None
+            } else {
+                Some(at(&record.way_rad)?)
+            },
             led: known.iter().map(|known| known.moved(lead_s)).collect(),
             known,
             tip_offset_m: record.tip_offset_m.into(),
@@ -119,34 +135,18 @@ impl Computer {
         check.same("period_ns", record.period_ns, self.period_ns);
         let state = State::of(record, &self.robot).ok_or(ReplayError::Shape)?;
         let solved = record.plan_length > 0;
-        let is_finite = record.report.status != SolverStatus::NonFinite.code();
-        let desired = if solved {
+        let is_homing = record.mode == Mode::Homing.code();
+        let home_from = if is_homing { Some(state.at) } else { state.way };
+        let planned = if solved {
             let rates = self.solve(record, &state, reference, &mut check)?;
-            if is_finite {
-                rates
-            } else {
-                ramp(record, &state)
-            }
-        } else if record.mode == Mode::Homing.code() {
-            homing_rates(
-                &self.robot,
-                &state.at,
-                &state.previous,
-                record.home_rate_rad_s,
-                record.acceleration_rad_s2 * state.period_s,
-                state.period_s,
-            )
-        } else if may_move_to_begin(record) {
-            let width = self.robot.coordinate_count();
-            let recorded = BendRates::from_slice(&record.command.bend_rate_rad_s[..width]);
-            recorded.ok_or(ReplayError::Shape)?
+            let is_finite = record.report.status != SolverStatus::NonFinite.code();
+            is_finite.then_some(rates)
         } else {
-            ramp(record, &state)
+            home_from.map(|from| self.rates_home(record, &state, &from))
         };
-        let moves = solved && is_finite
-            || record.mode == Mode::Homing.code()
-            || may_move_to_begin(record) && desired != ramp(record, &state);
-        let [guarded, by_play] = self.make_safe(record, &state, &desired, !moves, &mut check);
+        let desired = planned.unwrap_or_else(|| ramp(record, &state));
+        let [guarded, by_play] =
+            self.make_safe(record, &state, &desired, planned.is_none(), &mut check);
         Ok(check.first().map_or(
             Outcome::Reproduced(Made {
                 solved,
@@ -195,6 +195,18 @@ impl Computer {
         Ok(rates)
     }
 
+    /// The next rates on the straight line from `from` to zero.
+    fn rates_home(&self, record: &Telemetry, state: &State, from: &Configuration) -> BendRates {
+        homing_rates(
+            &self.robot,
+            from,
+            &state.previous,
+            record.home_rate_rad_s,
+            record.acceleration_rad_s2 * state.period_s,
+            state.period_s,
+        )
+    }
+
     /// Applies limits and guard to the desired rates. With `slack`, the guard includes the play of the
     /// cables.
     fn safe(
@@ -213,11 +225,6 @@ impl Computer {
             until_ns.saturating_sub(record.release_ns)
         };
         let motors = Some(&state.motors).filter(|motors| **motors != state.at);
-        let previous = if ran_out_while_solving(record) {
-            BendRates::zero(self.robot.section_count())
-        } else {
-            state.previous
-        };
         let situation = Situation {
             robot: &self.robot,
             at: &state.at,
@@ -231,7 +238,7 @@ impl Computer {
                 motors
             },
             slack,
-            previous: &previous,
+            previous: &state.limited_from,
             obstacles: &state.led,
             safe_distance_m: record.settings.safe_distance_m,
             tip_offset_m: state.tip_margin_m,
@@ -302,9 +309,7 @@ impl Computer {
             ),
             ("non-finite", guard::NON_FINITE, safe.limits_hit.non_finite),
         ];
-        // The recorded rates were changed before.
-        let flags = flags.iter().filter(|_| !may_move_to_begin(record));
-        for &(name, bit, hit) in flags {
+        for (name, bit, hit) in flags {
             let flagged = record.guard_flags & bit != 0;
             check.same(&format!("guard_flags ({name})"), flagged, hit);
         }
@@ -420,34 +425,11 @@ fn slack_of(record: &Telemetry) -> Option<Slack> {
 
 /// The next rates of the ramp to rest.
 fn ramp(record: &Telemetry, state: &State) -> BendRates {
-    let rest = BendRates::zero(state.previous.section_count());
-    let previous = if ran_out_while_solving(record) {
-        &rest
-    } else {
-        &state.previous
-    };
-    ramp_to_zero(previous, record.deceleration_rad_s2, state.period_s)
-}
-
-/// The last command ran out in a stall before the end of the solve: rates grow from zero, whatever the solver knew.
-fn ran_out_while_solving(record: &Telemetry) -> bool {
-    let valid_ns = (record.command.valid_until_ns).saturating_sub(record.release_ns);
-    let rests_after_ns = if record.command.interface == Interface::Position.code() {
-        valid_ns.min(2 * record.period_ns)
-    } else {
-        valid_ns
-    };
-    let late_ns = record.solve_end_ns.saturating_sub(record.release_ns);
-    let since_ns = record.elapsed_ns.saturating_add(late_ns);
-    late_ns > record.period_ns && (since_ns >= valid_ns || since_ns > rests_after_ns)
-}
-
-/// Whether a commanded position may be on its way to the robot, where control begins. The record does not state where
-/// that is, so only limits and guard are recomputed, for the recorded rates.
-fn may_move_to_begin(record: &Telemetry) -> bool {
-    record.mode == Mode::Holding.code()
-        && record.control_begins != 0
-        && record.command.interface == Interface::Position.code()
+    ramp_to_zero(
+        &state.limited_from,
+        record.deceleration_rad_s2,
+        state.period_s,
+    )
 }
 
 fn approach_of(approach: &cdcr_shared_types::Approach) -> Approach {

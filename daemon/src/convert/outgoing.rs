@@ -3,7 +3,7 @@
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::{SolveReport, SolveStatus};
 use cdcr_controller::reference::{Approach, Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{CABLES_MAX, Robot, Shape, quaternion_xyzw};
+use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot, Shape, quaternion_xyzw};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, LateCause};
 use nalgebra::Vector3;
@@ -72,7 +72,7 @@ macro_rules! assign_all {
     ($telemetry:ident, $($field:ident = $value:expr),* $(,)?) => {
         let wire::Telemetry {
             header: _, command: _, scheduling: _, events: _, event_count: _, // in the reporter
-            obstacles: _, bend_rad: _, commanded_rad: _, present_rad: _, delayed_rad: _, motor_rad: _, previous_rate_rad_s: _,
+            obstacles: _, bend_rad: _, commanded_rad: _, present_rad: _, delayed_rad: _, motor_rad: _, way_rad: _, previous_rate_rad_s: _,
             warm_plan: _, plan: _,
             $($field: _,)*
         } = $telemetry;
@@ -99,7 +99,11 @@ fn fill_arrays(telemetry: &mut wire::Telemetry, record: &CycleRecord) {
         copy(&from[..length], to);
         to[left_over.clone()].fill(0.0);
     }
+    let way = record.way.unwrap_or(Configuration::straight(
+        record.configuration.section_count(),
+    ));
     for (from, to) in [
+        (&way, &mut telemetry.way_rad),
         (&record.configuration, &mut telemetry.bend_rad),
         (&record.commanded, &mut telemetry.commanded_rad),
         (&record.present, &mut telemetry.present_rad),
@@ -197,6 +201,8 @@ pub fn fill_telemetry(
             .map_or([0.0; CABLES_MAX], |slack| *slack.slack_m()),
         approach_distance_m = record.policy.approach_distance_m,
         control_begins = u32::from(record.control_begins),
+        moves_to_begin = u32::from(record.way.is_some()),
+        ran_out_in_solve = u32::from(record.ran_out_in_solve),
         obstacle_count = record.obstacles.count() as u32,
         measurement = measurement,
         tip_measured_m = tip_measured_m,

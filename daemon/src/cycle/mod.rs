@@ -250,13 +250,13 @@ impl Cycle {
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         let costs = self.costs(inputs);
         self.solve_until_ns = 0;
+        let way = self.way_to_begin(inputs);
         let (mut desired_rates, report) =
-            self.desired_rates(&release, inputs, elapsed_ns, costs, clock);
-        let comes_to_rest =
-            self.modes.mode().comes_to_rest() && self.way_to_begin(inputs).is_none();
+            self.desired_rates(&release, inputs, way.as_ref(), elapsed_ns, costs, clock);
+        let comes_to_rest = self.modes.mode().comes_to_rest() && way.is_none();
         let solve_end_ns = clock.now_ns();
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
-        self.rest_if_run_out_by(solve_end_ns, &release, elapsed_ns);
+        let ran_out_in_solve = self.rest_if_run_out_by(solve_end_ns, &release, elapsed_ns);
         // The solve may have found a fault, and a ramp does not begin again after a stall.
         if comes_to_rest || report.status == SolveStatus::NonFinite {
             desired_rates = self.ramp();
@@ -313,6 +313,8 @@ impl Cycle {
             commanded: *self.state.commanded(),
             following: *self.state.following().error(),
             previous_rates,
+            ran_out_in_solve,
+            way,
             reference,
             approach: *self.followed.approach(),
             settings: self.settings(),
@@ -403,6 +405,7 @@ impl Cycle {
         &mut self,
         release: &Release,
         inputs: &CycleInputs,
+        way: Option<&Configuration>,
         elapsed_ns: u64,
         costs: Costs,
         clock: &impl Clock,
@@ -411,8 +414,7 @@ impl Cycle {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, costs, clock),
             Mode::Homing => self.rates_home(self.state.configuration()),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {
-                let way = self.way_to_begin(inputs);
-                way.map_or_else(|| self.ramp(), |way| self.rates_home(&way))
+                way.map_or_else(|| self.ramp(), |way| self.rates_home(way))
             }
         };
         self.nmpc.forget_plan();

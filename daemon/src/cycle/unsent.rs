@@ -113,12 +113,19 @@ impl Cycle {
         }
     }
 
-    /// The same at `now_ns`, after a stall inside the cycle of `release`.
-    pub(super) fn rest_if_run_out_by(&mut self, now_ns: u64, release: &Release, elapsed_ns: u64) {
+    /// The same at `now_ns`, after a stall inside the cycle of `release`; true if the command has run out by then.
+    pub(super) fn rest_if_run_out_by(
+        &mut self,
+        now_ns: u64,
+        release: &Release,
+        elapsed_ns: u64,
+    ) -> bool {
         let late_ns = now_ns.saturating_sub(release.release_ns);
-        if late_ns > self.period_ns && self.runs_out(elapsed_ns + late_ns) {
+        let has_run_out = late_ns > self.period_ns && self.runs_out(elapsed_ns + late_ns);
+        if has_run_out {
             self.forget_rates();
         }
+        has_run_out
     }
 
     /// At the end of the validity the driver stops, and the next command arrives after that.

@@ -149,6 +149,10 @@ pub struct CycleFacts {
     /// Tip at the release.
     pub tip: Pose,
     pub previous_rates: BendRates,
+    /// The last command ran out during the solve: limits and ramp count from rest.
+    pub ran_out_in_solve: bool,
+    /// Commanded position, seen from where control begins, while it moves there.
+    pub way: Option<Configuration>,
     /// Reference at the release.
     pub reference: ReferenceSample,
     /// Approach to the reference, as the plan followed it.

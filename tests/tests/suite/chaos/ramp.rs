@@ -16,10 +16,18 @@ const TOLERANCE_RAD_S: f64 = 1e-9;
 /// further; no component grows.
 pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     let mode = Mode::try_from(record.mode).map_err(|unknown| unknown.to_string())?;
-    if matches!(mode, Mode::Tracking | Mode::Homing) || may_move_to_begin(record) {
+    let runs_out = runs_out_in_cycle(record, record.solve_end_ns);
+    ensure(runs_out == (record.ran_out_in_solve != 0), || {
+        format!("the last command runs out by the end of the solve: {runs_out}")
+    })?;
+    let moves = record.moves_to_begin != 0;
+    ensure(!moves || may_move_to_begin(record), || {
+        format!("{mode}: the commanded position moves to where control begins")
+    })?;
+    if moves || matches!(mode, Mode::Tracking | Mode::Homing) {
         return Ok(());
     }
-    let previous = if runs_out_in_cycle(record, record.solve_end_ns) {
+    let previous = if runs_out {
         [0.0; COORDINATES_MAX]
     } else {
         record.previous_rate_rad_s

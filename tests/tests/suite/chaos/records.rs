@@ -220,7 +220,7 @@ fn change(from: Mode, to: Mode, reason: Reason) -> String {
 }
 
 /// The parts of a record that explain a broken invariant; the whole record fills many pages.
-fn describe(record: &Telemetry) -> String {
+pub(crate) fn describe(record: &Telemetry) -> String {
     let width = 2 * record.robot.sections as usize;
     format!(
         "cycle {}, record {}, {} ({}), limits hit: {:#b}\nbend     {:?}\nbefore   {:?}\nrates    {:?}\n\

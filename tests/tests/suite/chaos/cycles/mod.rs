@@ -12,7 +12,7 @@ use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::asked;
 
 use crate::chaos::records::Seen;
-use world::World;
+use world::{ReplayCounts, World};
 
 /// Cycles of a run: one and a half seconds at 5 ms.
 const CYCLES: u32 = 300;
@@ -31,10 +31,14 @@ struct Sum {
     modes: BTreeMap<&'static str, u64>,
     changes: BTreeMap<String, u64>,
     limited: BTreeMap<&'static str, u64>,
+    replayed: ReplayCounts,
 }
 
 impl Sum {
-    fn add(&mut self, seen: Seen, is_mild: bool) {
+    fn add(&mut self, (seen, replayed): (Seen, ReplayCounts), is_mild: bool) {
+        for (kind, count) in replayed {
+            *self.replayed.entry(kind).or_default() += count;
+        }
         self.records += seen.records;
         if is_mild {
             self.mild_records += seen.records;
@@ -90,6 +94,7 @@ impl Sum {
         assert!(self.with_tip_beside > self.mild_records / 10);
         assert!(self.with_obstacles > self.records / 5);
         assert!(self.guarded > 0 && self.skipped_periods > 0);
+        assert!(self.replayed.values().all(|count| *count > 0));
     }
 }
 

@@ -1,10 +1,12 @@
 //! One run: a controller, the robot behind its driver, the clients, and the work of the exchange.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use cdcr_client::replay::{Outcome as Replayed, ReplayedCycle, Replayer};
 use cdcr_controller::nmpc::SolverKind;
-use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
+use cdcr_controller::reference::Trajectory;
 use cdcr_controller::robot::Robot;
 use cdcr_controller::safety::LeaseState;
 use cdcr_daemon::config::{Config, Validated, ns};
@@ -16,21 +18,29 @@ use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{
-    EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind, RobotLink as Link,
+    ChunkMode, EventKind, Interface, Interpolation, MeasurementKind, Mode, Outcome, RequestKind,
+    RobotLink as Link,
 };
-use cdcr_shared_types::{Command, Header, InputEvent, Telemetry};
+use cdcr_shared_types::{Command, Header, InputEvent, ReferenceChunk, Telemetry};
 use cdcr_tests::record::largest;
 use nalgebra::Vector3;
 
 use super::driver::Driver;
 use crate::chaos::dice::Dice;
-use crate::chaos::records::{Records, Seen};
+use crate::chaos::integral::runs_out_in_cycle;
+use crate::chaos::records::{Records, Seen, describe};
 use crate::chaos::{CheckResult, obstacles};
 
 /// Release of cycle 0 \[ns\].
 const ORIGIN_NS: u64 = 10_000_000_000;
 /// Time from the gather to the release \[ns\].
 const LEAD_NS: u64 = 200_000;
+
+/// The last command ran out in a stall inside the cycle, before the solve or in it.
+const STALLED_BEFORE: &str = "stalled before";
+const STALLED_IN: &str = "stalled in";
+/// The commanded position moves to where control begins.
+const ON_THE_WAY: &str = "on the way";
 
 pub(super) struct World {
     dice: Dice,
@@ -54,8 +64,16 @@ pub(super) struct World {
     kind_of_answer: Option<RequestKind>,
     stop_asked: bool,
     sequence: u64,
+    /// The chunk of the reference that the next cycle takes, and the number of chunks so far.
+    fed: Option<Header>,
+    chunks: u64,
     records: Records,
+    replayer: Replayer,
+    replayed: ReplayCounts,
 }
+
+/// Numbers of cycles that were computed again, by what is special in them.
+pub(super) type ReplayCounts = BTreeMap<String, u64>;
 
 impl World {
     pub(super) fn new(seed: u64) -> Self {
@@ -84,6 +102,10 @@ impl World {
             kind_of_answer: None,
             stop_asked: false,
             sequence: 0,
+            fed: None,
+            chunks: 0,
+            replayer: Replayer::default(),
+            replayed: ReplayCounts::default(),
             records: Records::new(robot.clone(), Link::Driver.code(), period_ns, ORIGIN_NS)
                 .with_play(config.actuator.play_m > 0.0),
             dice,
@@ -96,12 +118,42 @@ impl World {
     }
 
     /// Runs `cycles` cycles and returns the counts.
-    pub(super) fn live(mut self, cycles: u32) -> Result<Seen, String> {
+    pub(super) fn live(mut self, cycles: u32) -> Result<(Seen, ReplayCounts), String> {
         for _ in 0..cycles {
             self.turn()?;
         }
         self.records.finish()?;
-        Ok(self.records.seen)
+        while let Some(cycle) = self.replayer.finish_one().unwrap() {
+            self.count(&cycle)?;
+        }
+        Ok((self.records.seen, self.replayed))
+    }
+
+    /// Each cycle is computed again from its record, bit for bit.
+    fn count(&mut self, cycle: &ReplayedCycle) -> CheckResult {
+        let Replayed::Reproduced(made) = &cycle.outcome else {
+            return Err(format!(
+                "replay: {:?}\n{}",
+                cycle.outcome,
+                describe(&cycle.record)
+            ));
+        };
+        let record = &cycle.record;
+        let knew = largest(&record.previous_rate_rad_s) > 0.0;
+        for (kind, is_one) in [
+            (
+                STALLED_BEFORE,
+                runs_out_in_cycle(record, record.solve_start_ns),
+            ),
+            (STALLED_IN, knew && record.ran_out_in_solve != 0),
+        ] {
+            let mode = if made.solved { "solve" } else { "no solve" };
+            let kind = format!("{kind}, {mode}, {}", self.interface);
+            *self.replayed.entry(kind).or_default() += u64::from(is_one);
+        }
+        *self.replayed.entry(ON_THE_WAY.to_owned()).or_default() +=
+            u64::from(record.moves_to_begin);
+        Ok(())
     }
 
     fn turn(&mut self) -> CheckResult {
@@ -160,9 +212,13 @@ impl World {
         };
         self.next += 1;
         self.clock.now_ns.set(start_ns);
-        self.clock
-            .step_ns
-            .set(self.dice.pick(&[20_000, 50_000, 200_000, 1_000_000]));
+        // Each reading of the clock takes so long; two in a hundred cycles stall.
+        let steps_ns = if self.dice.chance(2) {
+            [3_000_000, 6_000_000, 11_000_000, 20_000_000]
+        } else {
+            [20_000, 50_000, 200_000, 1_000_000]
+        };
+        self.clock.step_ns.set(self.dice.pick(&steps_ns));
         let asked = self.asked.take();
         let mut request = asked.and_then(|kind| convert::mode_request(kind, 0));
         let next_request = || {
@@ -170,7 +226,7 @@ impl World {
             Some(CycleRequest {
                 ticket: 1,
                 request,
-                asked_ns: start_ns,
+                asked_ns: release_ns - LEAD_NS,
                 stops: 0,
             })
         };
@@ -182,7 +238,9 @@ impl World {
         if record.measurement.is_some() {
             self.unsent = Some(telemetry.command);
         }
-        self.records.check(&telemetry)
+        self.records.check(&telemetry)?;
+        let replayed = self.replayer.take_record(&telemetry).unwrap();
+        replayed.map_or(Ok(()), |cycle| self.count(&cycle))
     }
 
     /// The telemetry that the reporter would publish.
@@ -204,12 +262,26 @@ impl World {
             .filter(|a| a.outcome.is_ok());
         let stop = core::mem::take(&mut self.stop_asked).then_some(RequestKind::Stop);
         let kinds = accepted.filter_map(|_| self.kind_of_answer).chain(stop);
-        for (event, kind) in telemetry.events.iter_mut().zip(kinds) {
-            *event = InputEvent {
-                kind: EventKind::Request.code(),
+        let requests = kinds.map(|kind| InputEvent {
+            kind: EventKind::Request.code(),
+            detail: kind.code(),
+            judged_ns: record.handed_over_ns,
+            ..InputEvent::default()
+        });
+        let fed = self.fed.take().map(|header| InputEvent {
+            sender_id: header.sender_id,
+            sequence: header.sequence,
+            kind: EventKind::Reference.code(),
+            ..InputEvent::default()
+        });
+        for (place, event) in telemetry
+            .events
+            .iter_mut()
+            .zip(fed.into_iter().chain(requests))
+        {
+            *place = InputEvent {
                 outcome: Outcome::Accepted.code(),
-                detail: kind.code(),
-                ..InputEvent::default()
+                ..event
             };
             telemetry.event_count += 1;
         }
@@ -311,7 +383,7 @@ impl World {
         self.kind_of_answer = self.asked;
     }
 
-    /// A curve around a random position, within reach or not.
+    /// A curve around a random position, along the end of the reach where it leaves it.
     fn feed(&mut self) {
         self.inputs.lease = LeaseState::Held;
         let dice = &mut self.dice;
@@ -322,17 +394,31 @@ impl World {
         let interpolation = dice.pick(&[Interpolation::Linear, Interpolation::Cubic]);
         let gap_ns = dice.duration_ms(5, 50).as_nanos() as u64;
         let begin_ns = ORIGIN_NS + (self.next + 1) * self.period_ns;
-        let points = (0..u64::from(2 + dice.below(60))).map(|k| {
+        self.chunks += 1;
+        let mut chunk = ReferenceChunk {
+            header: Header {
+                sender_id: 1,
+                sequence: self.chunks,
+                ..Header::default()
+            },
+            mode: ChunkMode::Replace.code(),
+            interpolation: interpolation.code(),
+            count: 2 + dice.below(60),
+            ..ReferenceChunk::default()
+        };
+        for (point, k) in chunk.points.iter_mut().zip(0..u64::from(chunk.count)) {
             let (sin, cos) = (rate_rad_s * (k * gap_ns) as f64 * 1e-9).sin_cos();
-            ReferencePoint {
-                time_ns: begin_ns + k * gap_ns,
-                position_m: centre + Vector3::new(cos, sin, 0.3 * sin) * radius_m,
-                orientation: Orientation::Free,
-                interpolation,
-            }
-        });
-        // A curve out of reach is rejected, as by the exchange.
-        let _ = self.trajectory.replace(points);
+            point.time_ns = begin_ns + k * gap_ns;
+            let position_m = centre + Vector3::new(cos, sin, 0.3 * sin) * radius_m;
+            // The exchange refuses what is out of reach.
+            point.position_m = position_m.cap_magnitude(reach_m).into();
+        }
+        if let Ok(points) = convert::reference_points(&chunk, &self.robot, ORIGIN_NS)
+            && self.trajectory.replace(points).is_ok()
+        {
+            self.replayer.take_chunk(&chunk);
+            self.fed = Some(chunk.header);
+        }
     }
 
     fn place_obstacle(&mut self) {
