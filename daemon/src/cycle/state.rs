@@ -210,15 +210,14 @@ impl RobotState {
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);
-        if !is_first && self.is_accepted() {
-            self.is_driver_new = false;
-        }
         if is_first {
             // A tip offset measured earlier was relative to assumed bends.
             self.estimator.forget_tip_offset();
             // No command has been sent.
             self.is_driver_new = true;
             self.take_control();
+        } else if self.is_driver_new && self.is_accepted() {
+            self.is_driver_new = false;
         }
         if let Some(measured) = &self.measured {
             self.following.measured(&self.robot, measured);

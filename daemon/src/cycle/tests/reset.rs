@@ -16,12 +16,16 @@ fn apart(a: &[f64], b: &[f64]) -> f64 {
     pairs.fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }
 
-/// Tracks until the encoder of a cable jumps by `wrong_m`, and rests in the fault.
-fn faulted(wrong_m: f64) -> Trial {
+fn tracking() -> Trial {
     let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     trial.begin_tracking();
     trial.turns(400);
+    trial
+}
+
+/// The encoder of a cable jumps by `wrong_m`, and the robot rests in the fault.
+fn faulted(mut trial: Trial, wrong_m: f64) -> Trial {
     trial.cable_error_m[0] = wrong_m;
     let reason = trial.turns(3).mode.reason();
     assert_eq!(reason, Reason::MeasurementJump);
@@ -32,7 +36,7 @@ fn faulted(wrong_m: f64) -> Trial {
 /// The commanded position goes on from the last one to the measured one, inside rates and acceleration.
 #[test]
 fn after_a_wrong_measurement_the_set_point_makes_no_step() {
-    let mut trial = faulted(WRONG_M);
+    let mut trial = faulted(tracking(), WRONG_M);
     let (stood_at, measured) = (trial.target_rad.clone(), trial.measured());
     let (mut before, mut rate_rad_s) = (stood_at.clone(), vec![0.0_f64; 6]);
     for turn in 0..300 {
@@ -75,7 +79,7 @@ fn after_a_wrong_measurement_the_set_point_makes_no_step() {
 /// A sensor that measures right again: no command moves the robot, to the bit.
 #[test]
 fn after_a_wrong_measurement_that_passed_a_reset_moves_nothing() {
-    let mut trial = faulted(WRONG_M);
+    let mut trial = faulted(tracking(), WRONG_M);
     trial.cable_error_m = [0.0; CABLES_MAX];
     trial.turns(100);
     let target_rad = bits(&trial.target_rad);
@@ -87,10 +91,44 @@ fn after_a_wrong_measurement_that_passed_a_reset_moves_nothing() {
     assert!(matches!(trial.turns(100).mode, Mode::Tracking { .. }));
 }
 
+/// A driver that is started again during a motion obeys from its first position on: a reset is no step, either.
+#[test]
+fn after_a_wrong_measurement_the_set_point_of_a_new_driver_makes_no_step() {
+    let mut trial = tracking();
+    trial.inputs.drivers += 1;
+    trial.turns(2);
+    let mut trial = faulted(trial, WRONG_M);
+    let stood_at = trial.target_rad.clone();
+    trial.ask(Request::Reset);
+    let first = trial.turn();
+    assert!(first.way.is_some());
+    assert!(apart(&trial.target_rad, &stood_at) < MOST_RAD_S2 * PERIOD_S * PERIOD_S * 1.01);
+}
+
+/// While the way waits for a source of obstacles, the robot comes back to its commanded position: nothing moves
+/// any more.
+#[test]
+fn the_way_ends_where_the_robot_has_come_back() {
+    let mut trial = faulted(tracking(), WRONG_M);
+    trial.ask(Request::Reset);
+    assert!(trial.turns(10).way.is_some());
+    trial.inputs.obstacle_source_silent = true;
+    assert!(trial.turns(20).way.is_none());
+    let target_rad = bits(&trial.target_rad);
+    for percent in (0..100).rev() {
+        trial.cable_error_m[0] = WRONG_M * 0.01 * f64::from(percent);
+        trial.turn();
+    }
+    trial.inputs.obstacle_source_silent = false;
+    trial.turns(100);
+    assert_eq!(bits(&trial.target_rad), target_rad);
+    trial.begin_tracking();
+}
+
 /// A stop on the way ends it, and the next reset goes on from there.
 #[test]
 fn a_stop_ends_the_way_to_the_robot() {
-    let mut trial = faulted(WRONG_M);
+    let mut trial = faulted(tracking(), WRONG_M);
     trial.ask(Request::Reset);
     trial.turns(20);
     trial.ask(Request::Stop);
