@@ -113,15 +113,18 @@ fn a_ramp_does_not_begin_again() {
     }
 }
 
-/// A stall inside the cycle, before the solver or in it. Each reading of the clock advances it.
+/// Stalls inside a cycle: the time \[ms\] that each reading of the clock takes, and whether the last command has run
+/// out before the solver begins.
+const INSIDE: [(Interface, u64, bool); 4] = [
+    (Interface::Position, 11, true),
+    (Interface::Velocity, 11, true),
+    (Interface::Position, 3, false),
+    (Interface::Velocity, 6, false),
+];
+
 #[test]
 fn rates_grow_from_rest_after_a_stall_inside_the_cycle() {
-    for (interface, reading_ms, knows) in [
-        (Interface::Position, 11, true),
-        (Interface::Velocity, 11, true),
-        (Interface::Position, 3, false),
-        (Interface::Velocity, 6, false),
-    ] {
+    for (interface, reading_ms, knows) in INSIDE {
         let mut trial = moving(interface);
         trial.clock.step_ns.set(reading_ms * 1_000_000);
         let record = trial.turn();
@@ -130,6 +133,20 @@ fn rates_grow_from_rest_after_a_stall_inside_the_cycle() {
         let told = fastest(&record.previous_rates);
         assert_eq!(told == 0.0, knows, "{interface:?}, {reading_ms}: {told}");
         assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
+    }
+}
+
+#[test]
+fn a_ramp_does_not_begin_again_after_a_stall_inside_the_cycle() {
+    for (interface, reading_ms, knows) in INSIDE {
+        let mut trial = moving(interface);
+        assert!(!is_at_rest(&trial.ask(Request::Stop)));
+        trial.clock.step_ns.set(reading_ms * 1_000_000);
+        let record = trial.turn();
+        let told = fastest(&record.previous_rates);
+        assert_eq!(told == 0.0, knows, "{interface:?}, {reading_ms}: {told}");
+        assert!(record.ran_out_in_solve);
+        assert!(is_at_rest(&record), "{interface:?}, {reading_ms}");
     }
 }
 
