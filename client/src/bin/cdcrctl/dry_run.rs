@@ -356,23 +356,19 @@ impl fmt::Display for Demands {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_controller::robot::RobotParameters;
+
     use super::*;
 
     #[test]
     fn an_obstacle_in_the_way_is_named() {
-        let mut demands = Demands {
-            distance_m: 0.1,
-            before: Motion::NONE,
-            along: Motion::NONE,
-            cycles: 1,
-            error_sum_m: 0.0989,
-            error_max_m: 0.0989,
-            error_end_m: 0.0989,
-            farthest: (0.0, [0.0; 3]),
-            end_m: [0.0; 3],
-            stroke_max_m: 0.1,
+        let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+        let settings = NmpcSettings {
             safe_distance_m: 0.03,
+            ..NmpcSettings::default()
         };
+        let mut demands = Demands::new(&robot, &settings, 0.1);
+        demands.note_error(0.0, [0.0; 3], 0.0989);
         let text = |demands: &Demands| demands.check_end(1e-3).unwrap_err().to_string();
         assert!(!text(&demands).contains("obstacle"));
         demands.along.clearance_m = 0.2;
