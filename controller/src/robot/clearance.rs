@@ -183,6 +183,8 @@ impl Body {
 
     /// Clearance of one section, from 0 (m).
     pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
+        #[cfg(test)]
+        EXACT.set(EXACT.get() + 1);
         self.closest_of(section, obstacle).clearance_m
     }
 
@@ -428,6 +430,12 @@ impl Robot {
         }
         displacement_m
     }
+}
+
+#[cfg(test)]
+thread_local! {
+    /// Number of exact clearances of a section, for tests of budgets.
+    pub(crate) static EXACT: core::cell::Cell<u32> = const { core::cell::Cell::new(0) };
 }
 
 #[cfg(test)]

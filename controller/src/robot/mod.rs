@@ -50,6 +50,8 @@ mod wide;
 
 pub use body_motion::BodyMotion;
 pub(crate) use clearance::Closest;
+#[cfg(test)]
+pub(crate) use clearance::EXACT;
 pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
 pub use jacobian::Jacobian;

@@ -182,3 +182,69 @@ fn bodies_between(robot: &Robot, from: &Configuration, to: &Configuration) -> [B
         robot.body(&between)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::robot::{EXACT, RobotParameters, Shape};
+
+    /// Sixty capsules beside all sections of a robot that was led away from them: each section would be compared
+    /// with several others at each point.
+    #[test]
+    fn exact_clearances_from_capsules_stay_within_the_budget() {
+        const CAPSULE_COST: u32 = 7;
+        const CALLS: u32 = 5;
+        let robot = Robot::new(&RobotParameters::paper(6)).unwrap();
+        let at = Configuration::straight(6);
+        let beside_m = robot.sections()[0].body_radius_m + 0.01;
+        let capsules: Vec<_> = (0..60)
+            .map(|turn| {
+                let x_m = beside_m + 1e-5 * f64::from(turn);
+                let [start_m, end_m] =
+                    [0.0, robot.reach_m()].map(|z_m| Vector3::new(x_m, 0.0, z_m));
+                let shape = Shape::Capsule { start_m, end_m };
+                Obstacle::new(shape, 0.005, Vector3::zeros()).unwrap()
+            })
+            .collect();
+        let spent = [-1.0, 1.0].map(|turn| {
+            let bends: Vec<_> = (0..12)
+                .map(|i| 0.02 * turn * f64::from(1 - i % 2))
+                .collect();
+            let delayed = Configuration::from_slice(&bends).unwrap();
+            let rates: Vec<_> = bends.iter().map(|bend| -10.0 * bend).collect();
+            let rates = BendRates::from_slice(&rates).unwrap();
+            let situation = Situation {
+                robot: &robot,
+                at: &at,
+                lag: Some(Lag {
+                    delayed: &delayed,
+                    time_constant_s: 0.1,
+                }),
+                commanded: None,
+                slack: None,
+                previous: &rates,
+                obstacles: &capsules,
+                safe_distance_m: 0.01,
+                tip_offset_m: 0.0,
+                acceleration_rad_s2: 40.0,
+                period_s: 0.005,
+                moving_s: 0.015,
+                deceleration_rad_s2: 40.0,
+                comes_to_rest: false,
+            };
+            let lines = LagLines::new(&situation, &rates).expect("capsules near");
+            EXACT.set(0);
+            for _ in 0..CALLS {
+                lines.holds(&rates);
+            }
+            let (exact, is_spent) = (EXACT.get(), lines.work_left.get() == 0);
+            println!("{turn}: {exact} exact clearances, all work spent: {is_spent}");
+            // Those of one body are computed before they are charged.
+            assert!(exact < WORK_BUDGET / CAPSULE_COST + CALLS * SECTIONS_MAX as u32);
+            is_spent
+        });
+        assert!(spent.contains(&true));
+    }
+}
