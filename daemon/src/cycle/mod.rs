@@ -226,7 +226,6 @@ impl Cycle {
         let measurement = self.link.measure(release.release_ns, inputs);
         self.state.count_silence(measurement, inputs);
         self.move_on(elapsed_ns);
-        self.rest_if_run_out(elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
         let sensors = inputs.tip_sensors;
@@ -264,8 +263,7 @@ impl Cycle {
         let safe = self.make_safe(&desired_rates, comes_to_rest);
         self.note_latch(mode_before, &release);
         self.clearance_m = self.present_clearance_m(safe.clearance_m);
-        self.last_sent.is_first = self.is_at_rest();
-        self.rates = safe.rates;
+        self.command(safe.rates);
         self.link
             .command(release.release_ns, &safe.rates, self.state.commanded());
         let handed_over_ns = clock.now_ns();

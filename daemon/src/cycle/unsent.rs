@@ -18,7 +18,7 @@ pub(super) struct LastSent {
     rates: BendRates,
     elapsed_ns: u64,
     /// That command was the first after rest. While the exchange is held up, it may not have left.
-    pub(super) is_first: bool,
+    is_first: bool,
     estimator: Estimator,
     commanded: Configuration,
     following: FollowingWatch,
@@ -91,6 +91,13 @@ impl Cycle {
         } else {
             self.state.move_on(&self.rates, elapsed_ns);
         }
+        self.rest_if_run_out(elapsed_ns);
+    }
+
+    /// The next command.
+    pub(super) fn command(&mut self, rates: BendRates) {
+        self.last_sent.is_first = self.is_at_rest();
+        self.rates = rates;
     }
 
     /// Inputs and commands pass the exchange; a simulated robot is measured and commanded in the cycle.
@@ -100,7 +107,7 @@ impl Cycle {
 
     /// After a stall, or while the exchange is held up, the robot has come to rest by itself before this
     /// command arrives, or has not begun to move: rates grow from zero, and no ramp begins again.
-    pub(super) fn rest_if_run_out(&mut self, elapsed_ns: u64) {
+    fn rest_if_run_out(&mut self, elapsed_ns: u64) {
         let rests_after_ns = self.policy.rests_after_ns(self.period_ns);
         let has_stalled = elapsed_ns > self.period_ns && self.runs_out(elapsed_ns);
         // A command that waits for the exchange leaves before the next release.
