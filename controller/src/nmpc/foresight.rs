@@ -78,7 +78,7 @@ impl Foresight {
             return;
         }
         if !budget.begin_quantum() {
-            report.budget_spent = true;
+            report.budget_spent = budget.is_whole_spent();
             return;
         }
         if !extrapolate_reference(context.input.reference, known, longer, &mut self.reference) {
@@ -177,7 +177,7 @@ impl Solver {
                 .count_evaluations(self.alternative.evaluations() as usize);
         }
         report.quanta = budget.quanta();
-        report.budget_spent = budget.is_spent();
+        report.budget_spent = budget.is_whole_spent();
         report.evaluations = self.incumbent.evaluations();
     }
 
@@ -236,7 +236,7 @@ impl Solver {
                 &self.incumbent,
                 task.settings,
                 &refinement,
-                budget.is_spent(),
+                budget.is_whole_spent(),
             );
         }
     }

@@ -317,9 +317,19 @@ impl Nmpc {
             settings: &self.settings,
             seed: input.seed,
         };
-        let mut report = self.solver.solve(&task, &self.warm_plan, budget);
-        self.foresight
-            .improve(&mut self.solver, &task, &context, budget, &mut report);
+        let end = task.quanta_max();
+        let solve_end = if task.continues(&self.warm_plan) {
+            end
+        } else {
+            u32::MAX
+        };
+        let mut report = budget.until(solve_end, |budget| {
+            self.solver.solve(&task, &self.warm_plan, budget)
+        });
+        budget.until(end, |budget| {
+            self.foresight
+                .improve(&mut self.solver, &task, &context, budget, &mut report);
+        });
         self.plan.copy_from_slice(self.solver.best());
         if !self.solver.is_evaluated() {
             self.horizon

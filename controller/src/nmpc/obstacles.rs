@@ -174,8 +174,13 @@ impl Obstacles {
         }
     }
 
+    /// Number of obstacles within reach.
+    pub(super) fn count(&self) -> u32 {
+        self.reachable.len() as u32
+    }
+
     pub(super) fn any_reachable(&self) -> bool {
-        !self.reachable.is_empty()
+        self.count() > 0
     }
 
     /// Whether all obstacles within reach are at rest.

@@ -96,6 +96,10 @@ impl<'a> TrackingProblem<'a> {
         self.obstacles.any_reachable()
     }
 
+    pub(super) fn reachable_obstacles(&self) -> u32 {
+        self.obstacles.count()
+    }
+
     /// Whether no obstacle and no limit is within reach.
     pub(super) fn is_free(&self) -> bool {
         !self.limits.any_reachable() && !self.obstacles.any_reachable()

@@ -27,7 +27,7 @@ pub enum SolveStatus {
     Converged,
     /// The budget ended the solve; the incumbent is used.
     BudgetSpent,
-    /// All iterations were used.
+    /// All iterations were used, or all work that a long plan may take.
     IterationsSpent,
     /// The best plan violates a constraint within the horizon, and no better plan was found.
     /// [`safety`](crate::safety) still checks the command.

@@ -13,6 +13,10 @@ pub struct Budget<'a> {
     spent: bool,
     /// Work since the last check \[ns\].
     meter_ns: u32,
+    /// Number of quanta at which the present part of the work ends.
+    part_end: u32,
+    /// Whether only the part is spent.
+    is_part_spent: bool,
 }
 
 /// End condition of a budget.
@@ -58,7 +62,22 @@ impl<'a> Budget<'a> {
             quanta: 0,
             spent: false,
             meter_ns: 0,
+            part_end: u32::MAX,
+            is_part_spent: false,
         }
+    }
+
+    /// Does a part of the work, which ends when the whole has `quanta` quanta. The rest of the budget is left to what
+    /// follows.
+    pub fn until<R>(&mut self, quanta: u32, part: impl FnOnce(&mut Self) -> R) -> R {
+        let whole_end = self.part_end;
+        self.part_end = whole_end.min(quanta);
+        let result = part(self);
+        self.part_end = whole_end;
+        if self.is_part_spent {
+            (self.spent, self.is_part_spent) = (false, false);
+        }
+        result
     }
 
     /// Announces a piece of work of about `work_ns`, at most a quantum. Returns whether it may be done.
@@ -74,6 +93,9 @@ impl<'a> Budget<'a> {
     /// Begins a new quantum if the budget is not spent. Returns whether it did.
     pub fn begin_quantum(&mut self) -> bool {
         self.meter_ns = 0;
+        if !self.spent && self.quanta >= self.part_end {
+            (self.spent, self.is_part_spent) = (true, true);
+        }
         if !self.spent {
             self.spent = match &mut self.end {
                 End::Never => false,
@@ -90,9 +112,14 @@ impl<'a> Budget<'a> {
         self.quanta
     }
 
-    /// Whether the budget ended the work.
+    /// Whether no more work may be done, in the whole or in the present part ([`Self::until`]).
     pub fn is_spent(&self) -> bool {
         self.spent
+    }
+
+    /// Whether the whole budget is spent.
+    pub fn is_whole_spent(&self) -> bool {
+        self.spent && !self.is_part_spent
     }
 }
 
@@ -124,5 +151,17 @@ mod tests {
         );
         assert_eq!((budget.quanta(), budget.is_spent()), (2, true));
         assert!(Budget::unlimited().begin_quantum());
+    }
+    #[test]
+    fn a_part_ends_before_the_whole_and_leaves_the_rest() {
+        let mut budget = Budget::from_quanta(3);
+        let ends = |budget: &mut Budget<'_>| {
+            while budget.begin_quantum() {}
+            (budget.quanta(), budget.is_spent(), budget.is_whole_spent())
+        };
+        assert_eq!(budget.until(2, ends), (2, true, false));
+        assert!(!budget.is_spent());
+        assert_eq!(budget.until(9, ends), (3, true, true));
+        assert!(budget.is_whole_spent() && !budget.until(9, |budget| budget.begin_quantum()));
     }
 }

@@ -131,7 +131,7 @@ impl Course {
         let mut nmpc = Nmpc::new(self.robot.clone(), PERIOD_S, self.settings).unwrap();
         let (mut at, mut previous_rates) = (self.at, BendRates::zero(3));
         let (mut sum_m, mut last_m, mut least_m) = (0.0, 0.0, f64::INFINITY);
-        let (mut first_cost, mut work) = (None, 0);
+        let (mut first_cost, mut work, mut largest_work) = (None, 0, 0);
         for cycle in 0..self.cycles {
             let at_s = |step: u32| self.speed * f64::from(cycle + step) * PERIOD_S;
             let window: Vec<_> = (1..=self.settings.horizon_steps)
@@ -146,6 +146,7 @@ impl Course {
             assert!(report.cost <= report.warm_cost, "{report:?}");
             first_cost.get_or_insert(report.cost);
             work += report.quanta;
+            largest_work = largest_work.max(report.quanta);
             at = at.advanced(&rates, PERIOD_S);
             previous_rates = rates;
             last_m = (self.robot.tip_position(&at) - window[0].position_m).norm();
@@ -160,6 +161,7 @@ impl Course {
             spare_m: least_m,
             first_cost: first_cost.unwrap(),
             work,
+            largest_work,
             tip_m: self.robot.tip_position(&at),
         }
     }
@@ -175,6 +177,8 @@ pub(super) struct Outcome {
     pub(super) first_cost: f64,
     /// Quanta of all cycles.
     pub(super) work: u32,
+    /// Quanta of the cycle with the most of them.
+    pub(super) largest_work: u32,
     /// Position of the tip at the end.
     pub(super) tip_m: Vector3<f64>,
 }
