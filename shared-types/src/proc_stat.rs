@@ -1,4 +1,7 @@
-//! Core times from `/proc/stat`: the one reader for daemon, client and measurements.
+//! Core times from `/proc/stat`, and fields of the `stat` of a process or thread: the one reader for daemon, client
+//! and measurements.
+
+use core::str::FromStr;
 
 /// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform on which Linux runs user programs.
 pub const TICK_NS: u64 = 10_000_000;
@@ -37,6 +40,20 @@ pub fn core_ticks(stat: &str) -> impl Iterator<Item = (Option<usize>, CoreTicks)
     })
 }
 
+/// A field of the `stat` of a process or thread, from number 3 on (`proc_pid_stat(5)`). The name in field 2 may
+/// contain any character, so fields are counted from its closing parenthesis.
+pub fn stat_field<T: FromStr>(stat: &[u8], number: usize) -> Option<T> {
+    let end = stat.iter().rposition(|byte| *byte == b')')?;
+    let rest = core::str::from_utf8(&stat[end + 1..]).ok()?;
+    let mut fields = rest.split_ascii_whitespace();
+    fields.nth(number.checked_sub(3)?)?.parse().ok()
+}
+
+/// Minor and major page faults since the start of a process or thread, from its `stat`.
+pub fn page_faults(stat: &[u8]) -> Option<u64> {
+    Some(stat_field::<u64>(stat, 10)? + stat_field::<u64>(stat, 12)?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -55,5 +72,15 @@ mod tests {
         };
         assert_eq!(read[1].1, expected);
         assert_eq!(read[0].1.steal, 997);
+    }
+
+    #[test]
+    fn fields_of_a_process_are_counted_from_the_end_of_its_name() {
+        let stat = b"18911 (a) b (c) R 18908 18908 18103 0 -1 4194304 123 0 4 0 0 0 0 0 20";
+        assert_eq!(stat_field(stat, 3), Some('R'));
+        assert_eq!(stat_field::<char>(stat, 2), None);
+        assert_eq!(page_faults(stat), Some(127));
+        assert_eq!(page_faults(b"18911 (cat) R 1"), None);
+        assert_eq!(page_faults(&[0xff, b')', 0xfe]), None);
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks};
+use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks, stat_field};
 
 use super::core_set::CoreSet;
 use super::finding::{Assessed, unreadable};
@@ -134,14 +134,9 @@ pub(super) fn allowed_cores(system: &System, folder: &str) -> CoreSet {
 const PF_KTHREAD: u64 = 0x0020_0000;
 const SCHED_DEADLINE: u64 = 6;
 
-/// Parses a thread's `stat`. The name is in parentheses, and may contain any character, including
-/// parentheses.
 fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
-    let (head, rest) = stat.rsplit_once(')')?;
-    let (_, name) = head.split_once('(')?;
-    let fields: Vec<&str> = rest.split_whitespace().collect();
-    // proc(5) counts from 1, and the state after the name is field 3.
-    let number = |field: usize| fields.get(field - 3)?.parse::<u64>().ok();
+    let (_, name) = stat.rsplit_once(')')?.0.split_once('(')?;
+    let number = |field| stat_field::<u64>(stat.as_bytes(), field);
     Some(Thread {
         process,
         id,

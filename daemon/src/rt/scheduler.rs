@@ -3,6 +3,8 @@
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 
+use cdcr_shared_types::proc_stat::page_faults;
+
 use super::attribution::{SchedulerCounts, Scheduling};
 
 /// Reads the counts of one thread from files that stay open, without allocation. `schedstat` is fast; for
@@ -103,18 +105,6 @@ fn schedstat(text: &[u8]) -> Option<[u64; 3]> {
     Some([next()?, next()?, next()?])
 }
 
-/// Minor and major faults: fields 10 and 12 of `stat` (proc(5)). The name in field 2 may contain any
-/// character, so fields are counted from its closing parenthesis.
-fn page_faults(text: &[u8]) -> Option<u64> {
-    let end = text.iter().rposition(|byte| *byte == b')')?;
-    let rest = core::str::from_utf8(&text[end + 1..]).ok()?;
-    // The first field after the name is number 3.
-    let mut fields = rest.split_ascii_whitespace().skip(7);
-    let minor: u64 = fields.next()?.parse().ok()?;
-    let major: u64 = fields.nth(1)?.parse().ok()?;
-    Some(minor + major)
-}
-
 #[cfg(test)]
 mod tests {
     use cdcr_test_skip::{Need, skip};
@@ -125,10 +115,6 @@ mod tests {
     fn the_files_are_read_as_proc_says() {
         assert_eq!(schedstat(b"540966 7 3\n"), Some([540_966, 7, 3]));
         assert_eq!(schedstat(b"540966 7"), None);
-        let stat = b"18911 (a) b (c) R 18908 18908 18103 0 -1 4194304 123 0 4 0 0 0 0 0 20";
-        assert_eq!(page_faults(stat), Some(127));
-        assert_eq!(page_faults(b"18911 (cat) R 1"), None);
-        assert_eq!(page_faults(&[0xff, b')', 0xfe]), None);
     }
 
     #[test]

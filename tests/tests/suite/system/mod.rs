@@ -34,6 +34,7 @@ mod view;
 
 use std::time::Duration;
 
+use cdcr_shared_types::proc_stat::stat_field;
 use cdcr_tests::{Daemon, wait_until};
 use rustix::process::Signal;
 
@@ -41,9 +42,8 @@ use rustix::process::Signal;
 fn freeze(daemon: &Daemon, duration: Duration) {
     let stat = format!("/proc/{}/stat", daemon.id());
     let stands = || {
-        let stat = std::fs::read_to_string(&stat).unwrap();
-        let state = stat.rsplit(')').next().unwrap();
-        state.trim_start().starts_with('T')
+        let stat = std::fs::read(&stat).unwrap();
+        stat_field(&stat, 3) == Some('T')
     };
     daemon.signal(Signal::STOP);
     // On a stalled machine, the signal may be handled late; a pending one is cancelled by the next one.

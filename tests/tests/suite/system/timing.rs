@@ -6,6 +6,7 @@ use std::time::Duration;
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::{LateCause, Mode, realtime, timing};
 use cdcr_shared_types::limits::INCIDENTS_MAX;
+use cdcr_shared_types::proc_stat::stat_field;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
@@ -209,15 +210,10 @@ fn a_thread_that_spins_starts_more_punctually() {
     );
 }
 
-/// Scheduling policy and real-time priority of a thread: fields 41 and 40 of `stat` (proc(5)).
+/// Scheduling policy and real-time priority of a thread: fields 41 and 40 of `stat`.
 fn policy_and_priority(stat: &str) -> (u32, u32) {
-    // The name in field 2 may contain anything; field 3 follows its closing parenthesis.
-    let (_, rest) = stat.rsplit_once(')').unwrap();
-    let fields: Vec<&str> = rest.split_ascii_whitespace().collect();
-    (
-        fields[41 - 3].parse().unwrap(),
-        fields[40 - 3].parse().unwrap(),
-    )
+    let [policy, priority] = [41, 40].map(|field| stat_field(stat.as_bytes(), field).unwrap());
+    (policy, priority)
 }
 
 #[test]
