@@ -1,10 +1,7 @@
 //! Resources of one daemon from start to end: start-up times, then usage idle and tracking.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::os::unix::fs::MetadataExt as _;
 use std::os::unix::net::UnixDatagram;
-use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -14,16 +11,16 @@ use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::realtime;
 use serde_json::{Value, json};
 
-use crate::environment::{field, first_number};
 use crate::interrupt;
-use crate::subject::ROBOT;
-use crate::subject::TIMEOUT;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
+use crate::subject::{ROBOT, TIMEOUT};
 use crate::system::cores::Cores;
-use crate::system::counts::{core_share, threads};
+use crate::system::counts::{core_share, files, page_faults, status, threads};
 
 pub(super) const MB: f64 = 1e6;
+/// What the kernel reports of the memory of a process, in units of 1024 bytes (proc(5)).
+const MEMORY: [&str; 6] = ["VmRSS", "VmHWM", "RssAnon", "RssShmem", "RssFile", "VmLck"];
 const SETTLE: Duration = Duration::from_millis(500);
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
@@ -119,26 +116,27 @@ pub(super) fn usage(
 }
 
 fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Value> {
-    let memory = || Memory::of(daemon.id());
-    let after_start = memory()?;
+    let memory = || {
+        let kib = status(daemon.id(), MEMORY)?;
+        anyhow::Ok(kib.map(|kib| kib as f64 * 1024.0 / MB))
+    };
+    let [start_mb, ..] = memory()?;
     interrupt::sleep(SETTLE)?;
     let idle = watch(daemon, idle)?;
-    let before_client = memory()?;
+    let [before_client_mb, ..] = memory()?;
 
     let client = Tracking::start(daemon.location(), cores.client())?;
     interrupt::sleep(SETTLE)?;
-    let before_tracking = memory()?;
+    let ([before_mb, ..], faults_before) = (memory()?, page_faults(daemon.id())?);
     let tracking = watch(daemon, tracking)?;
-    let after_tracking = memory()?;
+    let [resident_mb, peak_mb, own_mb, shared_mb, file_mb, locked_mb] = memory()?;
+    let faults = page_faults(daemon.id())? - faults_before;
     // Includes the files of the tracking client.
     let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
     let (root_files, _) = files(&[daemon.location().root().to_owned()]);
-    let status = daemon.connect()?.status(TIMEOUT)?;
+    let missing = daemon.connect()?.status(TIMEOUT)?.realtime_missing;
     client.stop()?;
 
-    let mb = |key| after_tracking.mb(key);
-    let growth_kb =
-        |from: &Memory, to: &Memory| anyhow::Ok(1e3 * (to.mb("VmRSS")? - from.mb("VmRSS")?));
     let core = |shares: &Shares| sum(CORE_THREADS.iter().filter_map(|name| shares.get(*name)));
     let all = |shares: &Shares| sum(shares.values());
     let mut threads = json!({});
@@ -147,24 +145,24 @@ fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -
         threads[name] = json!({ "idle_percent": idle_percent, "tracking_percent": percent });
     }
     // A daemon with real time switched off does not request locked memory.
-    let is_locked = status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0;
+    let is_locked = missing & (realtime::LOCKED | realtime::OFF) == 0;
     Ok(json!({
         "core_tracking_percent": core(&tracking),
-        "resident_mb": mb("VmRSS")?,
-        "growth_kb": growth_kb(&before_tracking, &after_tracking)?,
-        "page_faults": (after_tracking.page_faults - before_tracking.page_faults) as f64,
-        "resident_start_mb": after_start.mb("VmRSS")?,
-        "growth_idle_kb": growth_kb(&after_start, &before_client)?,
-        "growth_by_client_kb": growth_kb(&before_client, &before_tracking)?,
+        "resident_mb": resident_mb,
+        "growth_kb": 1e3 * (resident_mb - before_mb),
+        "page_faults": faults as f64,
+        "resident_start_mb": start_mb,
+        "growth_idle_kb": 1e3 * (before_client_mb - start_mb),
+        "growth_by_client_kb": 1e3 * (before_mb - before_client_mb),
         "locked": f64::from(is_locked),
         "core_idle_percent": core(&idle),
         "all_tracking_percent": all(&tracking),
         "all_idle_percent": all(&idle),
-        "peak_mb": mb("VmHWM")?,
-        "own_mb": mb("RssAnon")?,
-        "shared_mb": mb("RssShmem")?,
-        "file_mb": mb("RssFile")?,
-        "locked_mb": mb("VmLck")?,
+        "peak_mb": peak_mb,
+        "own_mb": own_mb,
+        "shared_mb": shared_mb,
+        "file_mb": file_mb,
+        "locked_mb": locked_mb,
         "memory_files": memory_files as f64,
         "memory_stored_mb": stored_bytes as f64 / MB,
         "root_files": root_files as f64,
@@ -186,54 +184,4 @@ fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
     let percent = |name: &str| 100.0 * core_share(&before, &after, name, passed);
     let names = after.iter().map(|thread| thread.name.clone());
     Ok(names.map(|name| (name.clone(), percent(&name))).collect())
-}
-
-struct Memory {
-    /// `/proc/PID/status`. `VmLck` counts address ranges: more than the resident memory.
-    status: String,
-    page_faults: u64,
-}
-
-impl Memory {
-    fn of(process: u32) -> Result<Self> {
-        let read = |name: &str| {
-            let file = format!("/proc/{process}/{name}");
-            fs::read_to_string(&file).with_context(|| format!("cannot read {file}"))
-        };
-        Ok(Self {
-            status: read("status")?,
-            page_faults: faults_in(&read("stat")?).context("/proc/PID/stat has no faults")?,
-        })
-    }
-
-    /// A value that the kernel reports in units of 1024 bytes (proc(5)).
-    fn mb(&self, key: &str) -> Result<f64> {
-        let kib = first_number(field(&self.status, key).unwrap_or_default());
-        let kib = kib.with_context(|| format!("/proc/PID/status has no {key}"))?;
-        Ok(kib * 1024.0 / MB)
-    }
-}
-
-/// Sum of fields 10 and 12 of `/proc/PID/stat`: minor and major faults. Field 2 is a name in brackets with
-/// arbitrary characters.
-fn faults_in(stat: &str) -> Option<u64> {
-    let behind_name = &stat[stat.rfind(')')? + 1..];
-    let mut numbers = behind_name.split_ascii_whitespace().skip(7).step_by(2);
-    let mut next = || numbers.next()?.parse::<u64>().ok();
-    Some(next()? + next()?)
-}
-
-/// Number of files, folders searched, and their size in memory \[bytes\]; untouched pages take none.
-fn files(paths: &[PathBuf]) -> (u64, u64) {
-    let within = |path: &Path| {
-        let entries = fs::read_dir(path).into_iter().flatten().flatten();
-        entries.map(|entry| entry.path()).collect::<Vec<_>>()
-    };
-    let of = |path: &PathBuf| match fs::symlink_metadata(path) {
-        Ok(metadata) if metadata.is_dir() => files(&within(path)),
-        Ok(metadata) => (1, metadata.blocks() * 512),
-        Err(_) => (0, 0),
-    };
-    let all = paths.iter().map(of);
-    all.fold((0, 0), |sum, more| (sum.0 + more.0, sum.1 + more.1))
 }

@@ -1,10 +1,13 @@
-//! Counts of the kernel: time of threads on the core and waiting for it, time taken by the hypervisor.
+//! Counts of the kernel: time of threads on the core and waiting for it, time taken by the hypervisor, memory and
+//! files of a process.
 
 use std::fs;
-use std::path::Path;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use cdcr_shared_types::proc_stat::{TICK_NS, core_ticks};
+use anyhow::{Context as _, Result};
+use cdcr_shared_types::proc_stat::{self, TICK_NS, core_ticks};
 
 /// Kernel counts of one thread since its start.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -67,6 +70,42 @@ pub fn steal_ms(core: usize) -> Option<f64> {
     let stat = fs::read_to_string("/proc/stat").ok()?;
     let (_, ticks) = core_ticks(&stat).find(|(of, _)| *of == Some(core))?;
     Some((ticks.steal * TICK_NS) as f64 * 1e-6)
+}
+
+/// Numbers of `/proc/PID/status` at one moment, like the kilobytes of `VmRSS`. `VmLck` counts address ranges: more
+/// than the resident memory.
+pub fn status<const N: usize>(process: u32, keys: [&str; N]) -> Result<[u64; N]> {
+    let text = fs::read_to_string(format!("/proc/{process}/status"))?;
+    let mut numbers = [0; N];
+    for (number, key) in numbers.iter_mut().zip(keys) {
+        let mut lines = text.lines().filter_map(|line| line.strip_prefix(key));
+        let found = lines.find_map(|rest| rest.strip_prefix(':')?.split_ascii_whitespace().next());
+        *number = found
+            .with_context(|| format!("/proc/{process}/status has no {key}"))?
+            .parse()?;
+    }
+    Ok(numbers)
+}
+
+/// Minor and major page faults of a process since its start.
+pub fn page_faults(process: u32) -> Result<u64> {
+    let stat = fs::read(format!("/proc/{process}/stat"))?;
+    proc_stat::page_faults(&stat).context("/proc/PID/stat has no faults")
+}
+
+/// Number of files, folders searched, and their size in memory \[bytes\]; untouched pages take none.
+pub fn files(paths: &[PathBuf]) -> (u64, u64) {
+    let within = |path: &Path| {
+        let entries = fs::read_dir(path).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect::<Vec<_>>()
+    };
+    let of = |path: &PathBuf| match fs::symlink_metadata(path) {
+        Ok(metadata) if metadata.is_dir() => files(&within(path)),
+        Ok(metadata) => (1, metadata.blocks() * 512),
+        Err(_) => (0, 0),
+    };
+    let all = paths.iter().map(of);
+    all.fold((0, 0), |sum, more| (sum.0 + more.0, sum.1 + more.1))
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::Connection;
 use cdcr_shared_types::{Service, ipc};
+use cdcr_testbed::system::counts::{files, status};
 use cdcr_tests::load::{self, Busy, Done};
 use cdcr_tests::{Daemon, EndWhenDropped, Place, TIMEOUT, asked, wait_until};
 
@@ -199,18 +200,19 @@ fn mappings(daemon: &Daemon) -> usize {
 
 impl Sample {
     fn take(daemon: &Daemon, connection: &Connection, time_s: f64) -> Self {
-        let text = fs::read_to_string(format!("/proc/{}/status", daemon.id())).unwrap();
+        let keys = ["VmRSS", "VmLck", "VmHWM", "VmData", "Threads"];
+        let [rss_kb, locked_kb, peak_kb, data_kb, threads] = status(daemon.id(), keys).unwrap();
         let place = daemon.place();
         let (shm_files, shm_bytes) = shared_memory(place);
         let [living, dead] = nodes(place);
         let values = [
-            field(&text, "VmRSS"),
-            field(&text, "VmLck"),
-            field(&text, "VmHWM"),
-            field(&text, "VmData"),
+            rss_kb,
+            locked_kb,
+            peak_kb,
+            data_kb,
             descriptors(daemon) as u64,
             mappings(daemon) as u64,
-            field(&text, "Threads"),
+            threads,
             shm_files,
             shm_bytes / 1024,
             files_below(place.location().root()),
@@ -222,13 +224,6 @@ impl Sample {
     }
 }
 
-/// A number of `/proc/<id>/status`.
-fn field(text: &str, key: &str) -> u64 {
-    let line = text.lines().find_map(|line| line.strip_prefix(key));
-    let number = line.and_then(|rest| rest[1..].split_whitespace().next());
-    number.unwrap().parse().unwrap()
-}
-
 fn shared_memory(place: &Place) -> (u64, u64) {
     let names = place.memory_files();
     let sizes = names.iter().filter_map(|path| fs::metadata(path).ok());
@@ -237,13 +232,7 @@ fn shared_memory(place: &Place) -> (u64, u64) {
 
 /// Number of files, without folders.
 pub(crate) fn files_below(folder: &Path) -> u64 {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    entries
-        .map(|entry| match entry.file_type() {
-            Ok(kind) if kind.is_dir() => files_below(&entry.path()),
-            _ => 1,
-        })
-        .sum()
+    files(&[folder.to_owned()]).0
 }
 
 /// Numbers of living and dead iceoryx2 nodes here.
