@@ -1,6 +1,6 @@
 //! The interface of a benchmark: options, expected duration, and a run that returns a dataset.
 
-use std::path::PathBuf;
+use std::ffi::OsString;
 
 use anyhow::Result;
 
@@ -9,43 +9,33 @@ use crate::progress::Progress;
 use crate::subject::daemon::Launch;
 
 pub trait Benchmark: clap::Args + Send + 'static {
+    /// Whether it measures a daemon with a configuration of the user.
+    const HAS_CONFIG: bool = false;
+
     /// Changes the defaults to the options for the report of `all`.
     fn for_report(&mut self) {}
 
     /// Changes the options to a short run, whose numbers prove little.
     fn quicken(&mut self);
 
-    fn is_quick(&self) -> bool {
-        false
-    }
-
-    /// The options for the report of `all`.
-    fn of_report(quick: bool) -> Self {
+    /// The options for the report of `all`, changed by these arguments.
+    fn of_report(quick: bool, given: &[OsString]) -> Self {
         let mut options: Self = defaults();
         if quick {
             options.quicken();
         } else {
             options.for_report();
         }
-        options
+        let command = Self::augment_args_for_update(clap::Command::new("report"));
+        // What is not given stays as it is.
+        let command = command.mut_args(|argument| argument.default_value(None::<&str>));
+        let matches = command.no_binary_name(true).get_matches_from(given);
+        let updated = options.update_from_arg_matches(&matches);
+        updated.map_or_else(|error| error.exit(), |()| options)
     }
 
     fn check(&self) -> Result<()> {
         Ok(())
-    }
-
-    fn resolved(mut self) -> Result<Self> {
-        self.check()?;
-        if self.is_quick() {
-            self.quicken();
-        }
-        Ok(self)
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32;
-
-    fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
-        None
     }
 
     fn expected_s(&self) -> f64;

@@ -49,10 +49,6 @@ impl Benchmark for BudgetOptions {
         self.solves = 50;
     }
 
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
-    }
-
     fn expected_s(&self) -> f64 {
         let of_way_s = BUDGETS_US.map(|us| expected_s(us, self.solves));
         f64::from(self.rounds) * WAYS as f64 * of_way_s.iter().sum::<f64>()

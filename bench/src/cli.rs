@@ -125,9 +125,15 @@ struct Measure<B: Benchmark> {
     output: Output,
 }
 
-/// How to print a result, and where to keep it.
+/// Options that set the extent of a benchmark, which `--quick` sets, too.
+const EXTENT: [&str; 5] = ["duration", "rounds", "samples", "seeds", "solves"];
+
+/// Whether to measure at all, how to print a result, and where to keep it.
 #[derive(Debug, Clone, clap::Args)]
 struct Output {
+    /// Run a small part in some seconds, to see that everything runs; not a measurement.
+    #[arg(long)]
+    quick: bool,
     /// Output format.
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
@@ -206,10 +212,16 @@ pub(crate) fn run() -> Result<()> {
 impl Output {
     /// Runs one benchmark with its progress and writes its result. The folder is checked before the
     /// measurement, and Ctrl-C ends the measurement in order.
-    fn measure(&self, asked: impl Benchmark, start: &Start) -> Result<()> {
+    fn measure(&self, mut options: impl Benchmark, start: &Start) -> Result<()> {
         interrupt::catch()?;
         self.out.as_deref().map_or(Ok(()), output_folder)?;
-        let options = asked.resolved()?;
+        options.check()?;
+        if self.quick {
+            let given = EXTENT.iter().find(|name| start.options.has(name));
+            let given = given.copied().unwrap_or_default();
+            ensure!(given.is_empty(), "--quick cannot be used with --{given}");
+            options.quicken();
+        }
         let mut progress = Progress::new(options.expected_s());
         let dataset = options.run(&mut progress)?;
         drop(progress);

@@ -33,7 +33,7 @@ const CYCLES: u64 = 1000;
 pub struct Effort {
     /// Runs per solver, each with its own seed, 1 to 1000. kpso-refined runs the circle at least 20
     /// times.
-    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, alias = "rounds", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
     #[arg(skip = u64::MAX)]
     pub cycles_max: u64,
@@ -63,10 +63,6 @@ impl Benchmark for Effort {
     /// The errors of such a short run are meaningless.
     fn quicken(&mut self) {
         (self.seeds, self.cycles_max) = (1, 50);
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.seeds
     }
 
     fn expected_s(&self) -> f64 {

@@ -3,6 +3,7 @@
 mod page;
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -146,13 +147,12 @@ pub struct Plan {
 
 impl Plan {
     pub fn new<B: Benchmark>(name: &'static str, extent: Extent, config: Option<&PathBuf>) -> Self {
-        let mut options = B::of_report(extent.quick);
-        if let Some(rounds) = extent.rounds {
-            *options.rounds_mut() = rounds;
+        let rounds = extent.rounds.map(|rounds| format!("--rounds={rounds}"));
+        let mut given = Vec::from_iter(rounds.map(OsString::from));
+        if let Some(config) = config.filter(|_| B::HAS_CONFIG) {
+            given.extend(["--config".into(), config.into()]);
         }
-        if let Some(of_daemon) = options.config_mut() {
-            *of_daemon = config.cloned();
-        }
+        let options = B::of_report(extent.quick, &given);
         Self {
             name,
             expected_s: options.expected_s(),

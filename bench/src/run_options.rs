@@ -40,6 +40,10 @@ impl RunOptions {
         Self(options)
     }
 
+    pub fn has(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
     pub fn differing<'a>(&'a self, other: &'a Self) -> Vec<(&'a str, &'a str, &'a str)> {
         let value = |options: &'a Self, name| options.0.get(name).map_or("none", String::as_str);
         let names: BTreeSet<&String> = self.0.keys().chain(other.0.keys()).collect();

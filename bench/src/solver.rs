@@ -96,10 +96,6 @@ impl Benchmark for SolverOptions {
         self.is_short = true;
     }
 
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
-    }
-
     fn expected_s(&self) -> f64 {
         study::expected_s(self.rounds, &self.cases())
     }

@@ -111,16 +111,10 @@ impl DeadlineOptions {
 }
 
 impl Benchmark for DeadlineOptions {
+    const HAS_CONFIG: bool = true;
+
     fn quicken(&mut self) {
         (self.duration, self.rounds, self.quick) = (Duration::from_secs(4), 2, true);
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
-    }
-
-    fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
-        Some(&mut self.config)
     }
 
     fn check(&self) -> Result<()> {

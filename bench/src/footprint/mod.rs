@@ -36,9 +36,6 @@ pub struct FootprintOptions {
     /// Tracking time per daemon, 100ms to 1h; without a client it is measured for 2/5 of that.
     #[arg(long, default_value = "10s", value_parser = humantime::parse_duration)]
     duration: Duration,
-    /// Run two daemons for two seconds each; not a measurement.
-    #[arg(long, conflicts_with_all = ["rounds", "duration"])]
-    quick: bool,
 }
 
 impl FootprintOptions {
@@ -50,14 +47,6 @@ impl FootprintOptions {
 impl Benchmark for FootprintOptions {
     fn quicken(&mut self) {
         (self.rounds, self.duration) = (2, Duration::from_secs(2));
-    }
-
-    fn is_quick(&self) -> bool {
-        self.quick
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
     }
 
     fn check(&self) -> Result<()> {

@@ -55,9 +55,6 @@ pub struct LatencyOptions {
     /// Configuration of the daemon [default: three sections].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Run 2 rounds of 40 samples; not a measurement.
-    #[arg(long, conflicts_with_all = ["rounds", "samples"])]
-    pub quick: bool,
 }
 
 impl LatencyOptions {
@@ -96,20 +93,10 @@ impl LatencyOptions {
 }
 
 impl Benchmark for LatencyOptions {
+    const HAS_CONFIG: bool = true;
+
     fn quicken(&mut self) {
         (self.rounds, self.samples) = (2, 40);
-    }
-
-    fn is_quick(&self) -> bool {
-        self.quick
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
-    }
-
-    fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
-        Some(&mut self.config)
     }
 
     fn expected_s(&self) -> f64 {
@@ -290,7 +277,7 @@ mod tests {
     #[test]
     fn who_waits_for_a_robot_leaves_the_core_to_the_daemon_that_is_waited_for() {
         let cores = Cores::find().expect("cores");
-        let launch = LatencyOptions::of_report(true).launch("driver", &cores, false);
+        let launch = LatencyOptions::of_report(true, &[]).launch("driver", &cores, false);
         let daemon = Daemon::start(&launch, &cores).expect("a daemon");
         let mut watcher = Watcher::open(daemon.location(), EARLY_NS).expect("a client");
         // Without a first measurement there is no command.

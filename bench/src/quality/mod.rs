@@ -26,9 +26,6 @@ pub struct QualityOptions {
     /// Runs per variant, each with its own seed, 1 to 100.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// Run one round of a part, in some seconds; not a measurement.
-    #[arg(long, conflicts_with = "rounds")]
-    pub quick: bool,
     #[arg(skip = Course::ALL)]
     pub courses: Vec<Course>,
     #[arg(skip = u64::MAX)]
@@ -104,7 +101,6 @@ impl Benchmark for QualityOptions {
     fn quicken(&mut self) {
         *self = Self {
             rounds: 1,
-            quick: true,
             courses: vec![Course::Spiral, Course::Gap, Course::Crossing],
             cycles_max: 200,
             budgets_us: vec![20, 200, 2000],
@@ -112,14 +108,6 @@ impl Benchmark for QualityOptions {
             horizons: vec![2, 8],
             restarts: 2,
         };
-    }
-
-    fn is_quick(&self) -> bool {
-        self.quick
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
     }
 
     fn expected_s(&self) -> f64 {

@@ -41,10 +41,6 @@ pub struct RateOptions {
     /// runs once.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// Run only the default and its solvers in short trials: half a minute instead of
-    /// five minutes; not a measurement.
-    #[arg(long, conflicts_with = "rounds")]
-    pub quick: bool,
     /// Let the daemon wake up this long before each release and spin, 0 (no rehearsal) to 1000 µs; at most a quarter
     /// of the period [default: as the daemon].
     #[arg(long = "spin", value_name = "US", value_parser = spin_us)]
@@ -89,14 +85,6 @@ impl Benchmark for RateOptions {
         (self.rounds, self.length) = (1, (0.5, 400.0));
         let is_default = |case: &Case| (case.sections, case.horizon_steps) == (3, 2);
         self.cases.retain(is_default);
-    }
-
-    fn is_quick(&self) -> bool {
-        self.quick
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.rounds
     }
 
     fn expected_s(&self) -> f64 {

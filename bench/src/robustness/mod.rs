@@ -39,7 +39,7 @@ const RUN_S: f64 = 0.12;
 #[derive(Debug, Clone, clap::Args)]
 pub struct RobustnessOptions {
     /// Runs of each robot with each controller, each with its own noise, 1 to 1000.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, alias = "rounds", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
     /// Run only the ideal robot, the basis of comparison, and robots with TEXT in their name; with --sweep, only the
     /// presets and the keys that contain TEXT ("preset": only the presets).
@@ -57,10 +57,6 @@ impl Benchmark for RobustnessOptions {
 
     fn quicken(&mut self) {
         self.seeds = 1;
-    }
-
-    fn rounds_mut(&mut self) -> &mut u32 {
-        &mut self.seeds
     }
 
     fn check(&self) -> Result<()> {

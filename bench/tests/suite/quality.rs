@@ -14,7 +14,6 @@ use crate::{is_sound, number};
 fn small() -> QualityOptions {
     QualityOptions {
         rounds: 2,
-        quick: true,
         courses: vec![Course::Line, Course::Crossing],
         cycles_max: 25,
         budgets_us: vec![20, 500],

@@ -22,7 +22,7 @@ fn the_border_lies_between_what_held_and_what_failed() {
         cases: vec![case],
         periods_ms: vec![5.0, 2.0],
         steps_ms: vec![5.0],
-        ..RateOptions::of_report(true)
+        ..RateOptions::of_report(true, &[])
     };
     let found = options.run(&mut Progress::silent()).unwrap();
     assert!(!found.recordings[0].histogram_ns.is_empty());

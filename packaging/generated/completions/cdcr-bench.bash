@@ -100,7 +100,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__budget)
-            opts="-h --rounds --solves --format --out --help"
+            opts="-h --rounds --solves --quick --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -148,7 +148,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__deadline)
-            opts="-h --duration --load --rounds --period --config --setup --format --out --help"
+            opts="-h --duration --load --rounds --period --config --setup --quick --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -262,7 +262,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__paper)
-            opts="-h --seeds --format --out --help"
+            opts="-h --seeds --quick --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -314,7 +314,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__rate)
-            opts="-h --rounds --quick --spin --format --out --help"
+            opts="-h --rounds --spin --quick --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -344,7 +344,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__robustness)
-            opts="-h --seeds --only --sweep --format --out --help"
+            opts="-h --seeds --only --sweep --quick --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -374,7 +374,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__solver)
-            opts="-h --rounds --format --out --help"
+            opts="-h --rounds --quick --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

@@ -72,6 +72,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l rounds -d 'Rounds, 1 to 1000: each measures everything once' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l samples -d 'Samples per kind and round, 5 to 10000; 2/5 of that for stops, 8 times that for iceoryx2 alone' -r
@@ -82,7 +83,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l quick -d 'Run 2 rounds of 40 samples; not a measurement'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l rounds -d 'Measurements of the default at each of its periods, 1 to 100. The search for the shortest periods runs once' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l spin -d 'Let the daemon wake up this long before each release and spin, 0 (no rehearsal) to 1000 µs; at most a quarter of the period [default: as the daemon]' -r
@@ -91,7 +92,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l quick -d 'Run only the default and its solvers in short trials: half a minute instead of five minutes; not a measurement'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l rounds -d 'Number of daemons, measured one after the other, 1 to 100' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l duration -d 'Tracking time per daemon, 100ms to 1h; without a client it is measured for 2/5 of that' -r
@@ -100,7 +101,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l quick -d 'Run two daemons for two seconds each; not a measurement'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l rounds -d 'Runs per variant, each with its own seed, 1 to 100' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l format -d 'Output format' -r -f -a "text\t'Text table'
@@ -108,7 +109,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l quick -d 'Run one round of a part, in some seconds; not a measurement'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l seeds -d 'Runs of each robot with each controller, each with its own noise, 1 to 1000' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l only -d 'Run only the ideal robot, the basis of comparison, and robots with TEXT in their name; with --sweep, only the presets and the keys that contain TEXT ("preset": only the presets)' -r
@@ -118,6 +119,7 @@ json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l sweep -d 'Vary one configuration key at a time on the laboratory robot instead: the tables and the plot of docs/tuning.md'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l seeds -d 'Runs per solver, each with its own seed, 1 to 1000. kpso-refined runs the circle at least 20 times' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l format -d 'Output format' -r -f -a "text\t'Text table'
@@ -125,6 +127,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l rounds -d 'Rounds over all sizes, 1 to 100; results are medians' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l format -d 'Output format' -r -f -a "text\t'Text table'
@@ -132,6 +135,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l rounds -d 'Rounds over all budgets, 1 to 100; a time is the median over the rounds, a maximum that of all' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l solves -d 'Solves per case and budget in a round, 1 to 1000000' -r
@@ -140,6 +144,7 @@ markdown\t'Markdown table'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l format -d 'Output format' -r -f -a "text\t'Changes, as text'
 json\t'One JSON object with every number'"
