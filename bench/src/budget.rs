@@ -117,11 +117,12 @@ impl Way {
         let way = |(name, size): (_, Size)| {
             let (scene, settings) = (size.scene()?, size.settings);
             let samples = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
+            let commands = samples.into_iter().map(|sample| sample.rates).collect();
             Ok(Self {
                 name,
                 scene,
                 settings,
-                commands: samples.into_iter().map(|sample| sample.rates).collect(),
+                commands,
             })
         };
         cases.into_iter().map(way).collect()
@@ -157,13 +158,10 @@ impl Way {
                 closed = self.scene.begin(self.settings)?;
             }
         }
-        let name = self.name;
-        ensure!(
-            worse == 0,
-            "{name}, {budget_us} µs: {worse} of {solves} plans cost more than the warm start"
-        );
+        let what = format!("{worse} of {solves} plans cost more than the warm start");
+        ensure!(worse == 0, "{}, {budget_us} µs: {what}", self.name);
         Ok(json!({
-            "case": name,
+            "case": self.name,
             "budget_us": budget_us,
             "solves": solves,
             "ended_by_budget": ended_by_budget,

@@ -90,9 +90,8 @@ pub struct Comparison {
 impl Comparison {
     pub fn of(before: &Input, after: &Input) -> Self {
         let (old, new) = (before.named(), after.named());
-        let both = old
-            .iter()
-            .filter_map(|(key, old)| Change::of(old, new.get(key)?));
+        let both = old.iter();
+        let both = both.filter_map(|(key, old)| Change::of(old, new.get(key)?));
         let mut metrics: Vec<Change> = both.collect();
         // From zero, every change is large.
         let size = |change: &Change| change.percent.map_or(f64::INFINITY, f64::abs);
@@ -144,8 +143,8 @@ impl Comparison {
             changes.add_titled("changes", &[&LEAST_CHANGE_PERCENT.to_string()], rows);
             write!(text, "\n{}", changes.text())?;
         }
-        let counts =
-            ChangeClass::ALL.map(|verdict| format!("{} {}", self.count(verdict), verdict.name()));
+        let count = |class| format!("{} {}", self.count(class), class.name());
+        let counts = ChangeClass::ALL.map(count);
         writeln!(
             text,
             "\n{}.\nWithout any change up to {:.1} of these would be called worse or better, by chance alone; more \
@@ -170,11 +169,11 @@ fn warnings(before: &Input, after: &Input) -> Vec<String> {
     match (&before.options, &after.options) {
         (Some(old), Some(new)) => {
             let differing = old.differing(new);
-            for (name, old, new) in &differing {
-                warnings.push(format!(
-                    "another value of {name}: {old} before, {new} after"
-                ));
-            }
+            let another = differing.iter();
+            let another = another.map(|(name, old, new)| {
+                format!("another value of {name}: {old} before, {new} after")
+            });
+            warnings.extend(another);
             warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
         }
         (None, None) => {}

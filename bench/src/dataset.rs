@@ -77,8 +77,8 @@ impl Dataset {
     }
 
     fn add_metric(&mut self, metric: Metric) {
-        self.metrics
-            .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
+        let measured = Some(metric).filter(|metric| !metric.rounds.is_empty());
+        self.metrics.extend(measured);
     }
 
     /// Adds a target of the project: description, target in words and unit; the value, the range of its rounds, and
@@ -101,10 +101,8 @@ impl Dataset {
     pub fn all_targets(&self) -> Vec<Value> {
         let mut all = Self::default();
         for target in &self.declaration.targets {
-            let (begin, end) = target
-                .metric
-                .split_once('*')
-                .unwrap_or((&target.metric, ""));
+            let split = target.metric.split_once('*');
+            let (begin, end) = split.unwrap_or((&target.metric, ""));
             let found = self.metrics.iter().filter_map(|metric| {
                 let case = metric.name.strip_prefix(begin)?.strip_suffix(end)?;
                 let is_it = case.is_empty() || target.metric.contains('*');
@@ -172,9 +170,8 @@ impl Dataset {
     /// Draws a declared plot; nothing without panels.
     pub fn plot(&mut self, name: &str, panels: &[Panel]) -> Result<()> {
         let mut plots = self.declaration.plots.iter();
-        let declared = plots
-            .find(|declared| declared.name == name)
-            .unwrap_or_else(|| panic!("{} declares no plot {name}", self.name));
+        let declared = plots.find(|declared| declared.name == name);
+        let declared = declared.unwrap_or_else(|| panic!("{} declares no plot {name}", self.name));
         if !panels.is_empty() {
             self.plots.push(Plot {
                 name: name.to_owned(),
@@ -361,19 +358,15 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
         let values = objects.iter().filter_map(|row| row.get(key)).cloned();
         let values: Vec<Value> = values.filter(|value| !value.is_null()).collect();
         let numbers = || values.iter().filter_map(Value::as_f64);
+        let is = |starts: &[&str]| starts.iter().any(|start| key.starts_with(start));
+        let is_equal = || values.iter().all(|value| *value == values[0]);
         let value = match values.first() {
             Some(Value::Object(_)) if is_count(key) => merged(&values, &|_| true),
             Some(Value::Object(_)) => merged(&values, is_count),
-            Some(Value::Number(_)) if is_count(key) => {
-                values.iter().filter_map(Value::as_u64).sum::<u64>().into()
-            }
-            Some(Value::Number(_) | Value::String(_)) if values.iter().all(|v| *v == values[0]) => {
-                values[0].clone()
-            }
-            Some(Value::Number(_)) if key.starts_with("min") => numbers().reduce(f64::min).into(),
-            Some(Value::Number(_)) if key.starts_with("max") || key.starts_with("below") => {
-                numbers().reduce(f64::max).into()
-            }
+            Some(Value::Number(_)) if is_count(key) => (numbers().sum::<f64>() as u64).into(),
+            Some(Value::Number(_) | Value::String(_)) if is_equal() => values[0].clone(),
+            Some(Value::Number(_)) if is(&["min"]) => numbers().reduce(f64::min).into(),
+            Some(Value::Number(_)) if is(&["max", "below"]) => numbers().reduce(f64::max).into(),
             Some(Value::Number(_)) => median(numbers()).into(),
             Some(_) => return None,
             None => Value::Null,
@@ -463,10 +456,8 @@ mod tests {
         });
         let mut dataset = dataset();
         assert_eq!(dataset.merge("both", &rounds), expected);
-        assert_eq!(dataset.metrics.len(), 1);
-        assert_eq!(
-            (&*dataset.metrics[0].name, &*dataset.metrics[0].rounds),
-            ("a/mean", &[1.0, 4.0, 2.0][..])
-        );
+        let metrics = dataset.metrics.into_iter();
+        let metrics: Vec<_> = metrics.map(|metric| (metric.name, metric.rounds)).collect();
+        assert_eq!(metrics, [("a/mean".to_owned(), vec![1.0, 4.0, 2.0])]);
     }
 }

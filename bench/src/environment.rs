@@ -47,24 +47,18 @@ impl Environment {
     }
 
     fn of(root: &Root, cores: &Cores, realtime: bool) -> Self {
-        let number = |text: Option<String>| first_number(&text?);
+        let number = |text: Option<String>| -> Option<f64> {
+            text?.split_ascii_whitespace().next()?.parse().ok()
+        };
         let cpuinfo = |key| root.field("proc/cpuinfo", key);
         let kernel = |name: &str| root.read(&format!("proc/sys/kernel/{name}"));
-        let core = |name: &str| {
-            root.read(&format!(
-                "sys/devices/system/cpu/cpu{}/{name}",
-                cores.realtime
-            ))
-        };
+        let folder = format!("sys/devices/system/cpu/cpu{}", cores.realtime);
+        let core = |name: &str| root.read(&format!("{folder}/{name}"));
         // Caches of the measured core, like `L1 Data 32K`.
         let cache = |index: usize| {
             let read = |name| core(&format!("cache/index{index}/{name}"));
-            Some(format!(
-                "L{} {} {}",
-                read("level")?,
-                read("type")?,
-                read("size")?
-            ))
+            let (level, kind, size) = (read("level")?, read("type")?, read("size")?);
+            Some(format!("L{level} {kind} {size}"))
         };
         let model = cpuinfo("model name").or_else(|| cpuinfo("Model"));
         let model = model.or_else(|| root.read("proc/device-tree/model"));
@@ -180,8 +174,12 @@ impl Root {
         (!text.is_empty()).then(|| text.to_owned())
     }
 
+    /// The value of the first line `key : value`, unless empty.
     fn field(&self, file: &str, key: &str) -> Option<String> {
-        Some(field(&self.read(file)?, key)?.to_owned())
+        let text = self.read(file)?;
+        let mut lines = text.lines().filter_map(|line| line.split_once(':'));
+        let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
+        Some(value.trim().to_owned()).filter(|value| !value.is_empty())
     }
 
     fn preemption(&self, version: &str) -> Option<String> {
@@ -221,17 +219,6 @@ impl Root {
         bits.is_some_and(|bits| bits >> CAP_IPC_LOCK & 1 == 1)
             || getrlimit(Resource::Memlock).current.is_none()
     }
-}
-
-/// The value of the first line `key : value`, unless empty.
-pub(crate) fn field<'a>(text: &'a str, key: &str) -> Option<&'a str> {
-    let mut lines = text.lines().filter_map(|line| line.split_once(':'));
-    let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
-    Some(value.trim()).filter(|value| !value.is_empty())
-}
-
-pub(crate) fn first_number(text: &str) -> Option<f64> {
-    text.split_ascii_whitespace().next()?.parse().ok()
 }
 
 fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
@@ -276,25 +263,21 @@ mod tests {
         let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let folder = std::env::current_dir().expect("a folder");
         // Skipped if the host name is a word of the description.
-        assert!(
-            host.trim().len() <= 4 || !json.contains(host.trim()),
-            "{json}"
-        );
+        let host = host.trim();
+        assert!(host.len() <= 4 || !json.contains(host), "{json}");
         assert!(!json.contains(&*folder.to_string_lossy()), "{json}");
     }
 
     #[test]
     fn other_machines_are_understood_and_nothing_private_is_kept() {
         let folder = cdcr_scratch::Scratch::temporary().expect("a folder");
+        let huge_pages = "sys/kernel/mm/transparent_hugepage/enabled";
         for (name, text) in [
             ("proc/cpuinfo", "flags : fpu avx\n"),
             ("sys/class/dmi/id/sys_vendor", "Maker\n"),
             ("sys/kernel/realtime", "1\n"),
             ("proc/cmdline", "root=/dev/sda1 isolcpus=1 quiet\n"),
-            (
-                "sys/kernel/mm/transparent_hugepage/enabled",
-                "always [madvise] never\n",
-            ),
+            (huge_pages, "always [madvise] never\n"),
         ] {
             let file = folder.path().join(name);
             fs::create_dir_all(file.parent().expect("a folder above")).expect("made");

@@ -8,7 +8,6 @@ use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
-use serde::Serialize;
 use serde_json::Value;
 
 use crate::closed_loop::{Sample, Scene};
@@ -132,25 +131,16 @@ impl Task {
         }
     }
 
-    pub fn paper(&self) -> PaperMetrics {
-        let (mean_error_mm, mean_solve_ms) = match self {
+    /// The paper's mean error \[mm\], if it gives one, and mean time of a solve \[ms\].
+    pub fn paper(&self) -> (Option<f64>, f64) {
+        match self {
             Self::Spiral { sections: 1 } => (Some(5e-9), 4.0),
             Self::Spiral { sections: 2 } => (Some(7e-4), 5.0),
             Self::Spiral { .. } => (Some(5e-3), 23.0),
             Self::Line { .. } => (Some(0.016), 68.0),
             Self::Circle { .. } => (None, 2.6),
-        };
-        PaperMetrics {
-            mean_error_mm,
-            mean_solve_ms,
         }
     }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PaperMetrics {
-    pub mean_error_mm: Option<f64>,
-    pub mean_solve_ms: f64,
 }
 
 named! {
@@ -165,14 +155,11 @@ named! {
 impl Solver {
     #[must_use]
     pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
-        let velocity_rule = match self {
-            Self::KpsoVerbatim => VelocityRule::Verbatim,
-            _ => settings.velocity_rule,
-        };
-        let solver = match self {
-            Self::Kpso | Self::KpsoVerbatim => SolverKind::Kpso,
-            Self::GaussNewton => SolverKind::GaussNewton,
-            Self::KpsoRefined => SolverKind::KpsoRefined,
+        let (solver, velocity_rule) = match self {
+            Self::Kpso => (SolverKind::Kpso, settings.velocity_rule),
+            Self::KpsoVerbatim => (SolverKind::Kpso, VelocityRule::Verbatim),
+            Self::GaussNewton => (SolverKind::GaussNewton, settings.velocity_rule),
+            Self::KpsoRefined => (SolverKind::KpsoRefined, settings.velocity_rule),
         };
         NmpcSettings {
             solver,
@@ -193,11 +180,9 @@ impl Experiment {
     /// All experiments. The circle only in bend vectors: it starts straight, where bend angles have no
     /// direction, and its twenty steps have many local minima in angles.
     pub fn all() -> Vec<Self> {
-        let both = [Coordinates::BendVector, Coordinates::BendAngles];
         let mut all = Vec::new();
         for task in Task::all() {
-            let is_circle = matches!(task, Task::Circle { .. });
-            for coordinates in both.into_iter().take(if is_circle { 1 } else { 2 }) {
+            for coordinates in [Coordinates::BendVector, Coordinates::BendAngles] {
                 all.extend(Solver::ALL.map(|solver| Self {
                     task,
                     solver,
@@ -205,6 +190,8 @@ impl Experiment {
                 }));
             }
         }
+        let is_circle = |one: &Self| matches!(one.task, Task::Circle { .. });
+        all.retain(|one| !is_circle(one) || one.coordinates == Coordinates::BendVector);
         all
     }
 

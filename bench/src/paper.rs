@@ -132,6 +132,7 @@ fn run_row(experiment: &Experiment, scene: &Scene, samples: &[Sample]) -> Value 
     let most = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).fold(0.0, f64::max);
     let sum_mm: f64 = samples.iter().map(Sample::error_mm).sum();
     let times_us = samples.iter().map(|sample| sample.solve_ns as f64 * 1e-3);
+    let (paper_error_mm, paper_solve_ms) = task.paper();
     let common = json!({
         "name": task.name(),
         "sections": scene.robot.section_count(),
@@ -141,7 +142,7 @@ fn run_row(experiment: &Experiment, scene: &Scene, samples: &[Sample]) -> Value 
         "swarm": settings.swarm_size,
         "iterations": settings.swarm_iterations,
         "samples": scene.cycles,
-        "paper": task.paper(),
+        "paper": { "mean_error_mm": paper_error_mm, "mean_solve_ms": paper_solve_ms },
         "mean_error_mm": sum_mm / samples.len() as f64,
         "max_error_mm": most(&Sample::error_mm),
         "solve_p50_us": median(times_us),
@@ -180,13 +181,11 @@ fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
         // Null if a run has no such sample.
         let of_all = |key| {
             let known: Vec<f64> = each(runs, key).collect();
-            (known.len() == runs.len()).then_some(known)
+            Some(known).filter(|known| known.len() == runs.len())
         };
-        let peaks_mm = of_all("peak_error_mm");
-        let peak_mm = peaks_mm.and_then(|all| all.into_iter().reduce(f64::max));
-        row["peak_error_mm"] = peak_mm.into();
-        let outside_mm = of_all("mean_error_outside_mm").and_then(median);
-        row["mean_error_outside_mm"] = outside_mm.into();
+        let peak = |all: Vec<f64>| all.into_iter().reduce(f64::max);
+        row["peak_error_mm"] = of_all("peak_error_mm").and_then(peak).into();
+        row["mean_error_outside_mm"] = of_all("mean_error_outside_mm").and_then(median).into();
     }
     let mean = json!({ "mean": solve_ns.mean() * 1e-3 });
     row["solve_us"] = joined([mean, json!(Quantiles::of(solve_ns))]);

@@ -92,10 +92,8 @@ fn exceeded(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     values.retain(|value| *value > 0.0);
     values.sort_unstable_by(f64::total_cmp);
     let count = values.len() as f64;
-    let points = values.into_iter().enumerate();
-    points
-        .map(|(k, value)| (value, 1.0 - k as f64 / count))
-        .collect()
+    let point = |(k, value)| (value, 1.0 - k as f64 / count);
+    values.into_iter().enumerate().map(point).collect()
 }
 
 fn timed(title: String, y: &'static str, scale: Scale, curves: Vec<Curve>) -> Panel {
@@ -191,7 +189,7 @@ impl<'a> Drawn<'a> {
         let labels = ["x", "y", "z"].map(|axis| format!("|{axis} error|"));
         let labels = labels.into_iter().zip(COLOURS[0]);
         let mut curves = self.series(labels, |s, axis| s.offset_mm()[axis].abs());
-        let mean_mm = self.run.experiment.task.paper().mean_error_mm;
+        let (mean_mm, _) = self.run.experiment.task.paper();
         curves.extend(mean_mm.map(|mm| self.level(format!("paper's mean {mm:e} mm"), mm, DARK)));
         vec![timed(self.title.clone(), "error [mm]", ERRORS, curves)]
     }
@@ -210,16 +208,12 @@ impl<'a> Drawn<'a> {
 
     fn distances(&self) -> Vec<Panel> {
         // The first curve is broad, because the next one often covers it.
-        self.shares(
-            "error is larger than [mm]",
-            [9, 3, 3, 3],
-            Sample::error_mm,
-            [],
-        )
+        let widths = [9, 3, 3, 3];
+        self.shares("error is larger than [mm]", widths, Sample::error_mm, [])
     }
 
     fn times(&self) -> Vec<Panel> {
-        let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
+        let (_, mean_ms) = self.run.experiment.task.paper();
         let at = |label, ms: f64, colour| {
             Curve::upright(format!("{label} {ms} ms"), 1e3 * ms, SHARES, colour)
         };
@@ -246,19 +240,13 @@ impl<'a> Drawn<'a> {
             Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
         };
         let curves = self.all.iter().zip(styles).map(curve).chain(beside);
-        let (title, scale) = (self.title.clone(), Scale::LogLog { floor: SHARES });
-        vec![Panel::new(
-            title,
-            [x, "share of the cycles"],
-            scale,
-            curves.collect(),
-        )]
+        let (axes, scale) = ([x, "share of the cycles"], Scale::LogLog { floor: SHARES });
+        vec![Panel::new(&*self.title, axes, scale, curves.collect())]
     }
 
     fn angles(&self) -> Vec<Panel> {
-        let labels = self
-            .sections()
-            .map(|j| (format!("θ{}", j + 1), COLOURS[0][j % 3]));
+        let label = |j: usize| (format!("θ{}", j + 1), COLOURS[0][j % 3]);
+        let labels = self.sections().map(label);
         let bends = self.series(labels, |s, j| s.configuration.bend_rad(j));
         let direction = |j: usize| {
             let points = unwrapped(self.samples, j);
@@ -273,10 +261,8 @@ impl<'a> Drawn<'a> {
 
     fn controls(&self) -> Vec<Panel> {
         let label = |names: [&str; 2], k: usize| {
-            (
-                format!("{}{}", names[k % 2], k / 2 + 1),
-                COLOURS[k % 2][k / 2 % 3],
-            )
+            let colour = COLOURS[k % 2][k / 2 % 3];
+            (format!("{}{}", names[k % 2], k / 2 + 1), colour)
         };
         let count = 0..2 * self.sections().end;
         let vectors = count.clone().map(|k| label(["u̇", "v̇"], k));
@@ -297,10 +283,9 @@ impl<'a> Drawn<'a> {
         let robot = &self.run.scene.robot;
         let from_m = robot.cable_lengths(&Configuration::straight(robot.section_count()));
         let label = |i: usize| {
-            (
-                format!("L{}{}", i / 3 + 1, i % 3 + 1),
-                COLOURS[i / 3 % 3][i % 3],
-            )
+            let (section, cable) = (i / 3, i % 3);
+            let colour = COLOURS[section % 3][cable];
+            (format!("L{}{}", section + 1, cable + 1), colour)
         };
         let curves = self.series((0..robot.cable_count()).map(label), |s, i| {
             1e3 * (robot.cable_lengths(&s.configuration)[i] - from_m[i])
@@ -312,32 +297,22 @@ impl<'a> Drawn<'a> {
         let last = self.samples.len().saturating_sub(1);
         let panel = |(view, from): (View, &str)| {
             let mut curves = vec![Curve::line("line", self.reference(view), ORANGE).width(8)];
-            for i in 0..SHAPES {
-                let Some(sample) = self.samples.get(i * last / (SHAPES - 1)) else {
-                    continue;
-                };
+            let shown = (0..SHAPES).map(|i| (i, self.samples.get(i * last / (SHAPES - 1))));
+            for (i, sample) in shown.filter_map(|(i, sample)| Some((i, sample?))) {
                 let is_end = [0, SHAPES - 1].contains(&i);
-                let label = if is_end {
-                    format!("{:.2} s", sample.time_s)
-                } else {
-                    String::new()
-                };
+                let time = format!("{:.2} s", sample.time_s);
+                let label = if is_end { time } else { String::new() };
                 let colour = between(GREY, BLUE, i);
                 curves.push(Curve::line(label, self.backbone(view, sample), colour).width(5));
             }
             view.panel(format!("{}, {from}", self.title), curves)
         };
-        [(View::SIDE, "side"), (View::FRONT, "front")]
-            .map(panel)
-            .into()
+        Vec::from([(View::SIDE, "side"), (View::FRONT, "front")].map(panel))
     }
 
     fn path(&self, view: View) -> Vec<Point> {
-        view.line(
-            self.samples
-                .iter()
-                .map(|sample| sample.tip.position_m.into()),
-        )
+        let samples = self.samples.iter();
+        view.line(samples.map(|sample| sample.tip.position_m.into()))
     }
 
     fn reference(&self, view: View) -> Vec<Point> {
@@ -359,10 +334,8 @@ fn between(from: RGBColor, to: RGBColor, index: usize) -> RGBColor {
 fn angle_rates(sample: &Sample, j: usize) -> [f64; 2] {
     let ([u, v], [du, dv]) = (sample.configuration.section(j), sample.rates.section(j));
     let square = (u * u + v * v).max(f64::MIN_POSITIVE);
-    [
-        (u * du + v * dv) / square.sqrt(),
-        (u * dv - v * du) / square,
-    ]
+    let (along, across) = (u * du + v * dv, u * dv - v * du);
+    [along / square.sqrt(), across / square]
 }
 
 fn unwrapped(samples: &[Sample], j: usize) -> Vec<Point> {
@@ -399,11 +372,8 @@ fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
 
 fn detours<'a>(tasks: &[&'a Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, f64, RGBColor)> {
     let with = |((task, distance_m), colour): ((&&'a Drawn<'a>, _), _)| (*task, distance_m, colour);
-    tasks
-        .iter()
-        .zip(CIRCLE_DISTANCES_M)
-        .zip(COLOURS[0])
-        .map(with)
+    let tasks = tasks.iter().zip(CIRCLE_DISTANCES_M).zip(COLOURS[0]);
+    tasks.map(with)
 }
 
 fn circle_path(view: View, from: &str, tasks: &[&Drawn<'_>]) -> Panel {

@@ -73,13 +73,8 @@ impl Start {
 
     pub fn files_of(&self, dataset: &Dataset) -> Result<Files> {
         let all = [dataset, &self.machine()];
-        let mut files = documents(
-            dataset.name,
-            dataset.heading(),
-            "",
-            &all,
-            self.json_of(dataset)?,
-        );
+        let (name, json) = (dataset.name, self.json_of(dataset)?);
+        let mut files = documents(name, dataset.heading(), "", &all, json);
         add_data(&mut files, self.time, dataset)?;
         Ok(files)
     }
@@ -163,14 +158,11 @@ impl Plan {
     /// Runs in a separate thread, whose core and priority settings end with it. The result of a benchmark that
     /// fails is its cause.
     fn carry_out(self, progress: &mut Progress) -> Part {
-        let (started, begin, name) = (SystemTime::now(), Instant::now(), self.name);
-        let run = self.run;
+        let (started, begin) = (SystemTime::now(), Instant::now());
+        let Self { name, run, .. } = self;
         let result = thread::scope(|scope| scope.spawn(|| run(progress)).join());
-        let result = result.unwrap_or_else(|_| {
-            Err(anyhow!(
-                "the benchmark panicked; what it said is on the standard error"
-            ))
-        });
+        let panicked = "the benchmark panicked; what it said is on the standard error";
+        let result = result.unwrap_or_else(|_| Err(anyhow!(panicked)));
         let failed = |cause: anyhow::Error| {
             let mut dataset = Dataset::new(name, "heading = ''\nexplanation = ''");
             name.clone_into(&mut dataset.declaration.heading);
@@ -225,29 +217,19 @@ impl BenchReport {
         failed.map(|part| part.dataset.name).collect()
     }
 
-    fn results(&self) -> Map<String, Value> {
-        let parts = self.parts.iter().map(|part| &part.dataset);
-        parts
-            .map(|dataset| (dataset.name.to_owned(), dataset.json().into()))
-            .collect()
-    }
-
-    fn metrics(&self) -> Vec<Metric> {
-        let metrics = self.parts.iter().flat_map(|part| &part.dataset.metrics);
-        metrics.cloned().collect()
+    fn datasets(&self) -> impl Iterator<Item = &Dataset> {
+        self.parts.iter().map(|part| &part.dataset)
     }
 
     /// The project's targets and the measured values. Without rows if none was measured; with a note if the
     /// conditions of the targets were not met.
     fn targets(&self) -> Dataset {
         let mut dataset = Dataset::new("targets", include_str!("report/targets.toml"));
-        let mut parts = self.parts.iter();
-        let has_any = parts.any(|part| JUDGED.contains(&part.dataset.name));
+        let has_any = self.datasets().any(|of| JUDGED.contains(&of.name));
         let realtime = self.start.environment.is_realtime();
         let mut rows = Vec::new();
         if !has_any || (realtime && self.default_config) {
-            let parts = self.parts.iter();
-            rows.extend(parts.flat_map(|part| part.dataset.all_targets()));
+            rows.extend(self.datasets().flat_map(Dataset::all_targets));
         } else {
             let why = if realtime {
                 "they are for the default configuration, and --config named another"
@@ -276,46 +258,35 @@ impl BenchReport {
     pub fn summary(&self) -> String {
         let failed = self.parts.iter().filter(|part| part.has_failed());
         let failed = failed.map(|part| part.dataset.text());
-        let texts: Vec<String> = self
-            .front()
-            .iter()
-            .map(Dataset::text)
-            .chain(failed)
-            .collect();
+        let front = self.front();
+        let texts: Vec<String> = front.iter().map(Dataset::text).chain(failed).collect();
         texts.join("\n")
     }
 
     fn json(&self) -> Result<String> {
-        let took = self
-            .parts
-            .iter()
-            .map(|part| (part.dataset.name, part.took_s));
+        let shown =
+            |dataset: &Dataset| json!(dataset.tables().map(Sheet::shown).collect::<Vec<_>>());
         let targets = self.targets();
-        let mut all = self.results();
-        all.extend(targets.json());
-        let shown = |dataset: &Dataset| {
-            let tables: Vec<_> = dataset.tables().map(Sheet::shown).collect();
-            (dataset.name, tables)
-        };
-        let datasets = self.parts.iter().map(|part| &part.dataset);
-        let tables = datasets.chain([&targets]).map(shown);
-        all.insert(
-            "tables".to_owned(),
-            json!(tables.collect::<BTreeMap<_, _>>()),
-        );
-        all.insert("extent".to_owned(), json!(self.extent));
-        all.insert("failed".to_owned(), json!(self.failed()));
-        all.insert("took_s".to_owned(), json!(took.collect::<BTreeMap<_, _>>()));
-        if !targets.note.is_empty() {
-            all.insert("targets_not_judged".to_owned(), targets.note.into());
+        let mut all = targets.json();
+        let (mut tables, mut took_s) = (json!({ "targets": shown(&targets) }), json!({}));
+        for part in &self.parts {
+            let name = part.dataset.name;
+            all.insert(name.to_owned(), part.dataset.json().into());
+            (tables[name], took_s[name]) = (shown(&part.dataset), part.took_s.into());
         }
-        self.start.json(all, &self.metrics())
+        let (extent, failed) = (self.extent, self.failed());
+        let own = json!({ "tables": tables, "extent": extent, "failed": failed, "took_s": took_s });
+        all.extend(own.as_object().cloned().unwrap_or_default());
+        if !targets.note.is_empty() {
+            all.insert("targets_not_judged".to_owned(), targets.note.clone().into());
+        }
+        let metrics = self.datasets().map(|dataset| &dataset.metrics[..]);
+        self.start.json(all, &metrics.collect::<Vec<_>>().concat())
     }
 
     pub fn files(&self) -> Result<Files> {
         let front = self.front();
-        let parts = self.parts.iter().map(|part| &part.dataset);
-        let all: Vec<&Dataset> = front.iter().chain(parts).collect();
+        let all: Vec<&Dataset> = front.iter().chain(self.datasets()).collect();
         let title = "What cdcr reaches, measured";
         let mut files = documents("report", title, page::INTRODUCTION, &all, self.json()?);
         for part in &self.parts {
@@ -335,11 +306,8 @@ impl BenchReport {
                 && value.get(ERROR).is_none()
                 && !here.clone().any(|part| part.dataset.name == name.as_str())
         };
-        let mut lost: Vec<String> = older
-            .iter()
-            .filter(is_lost)
-            .map(|(name, _)| name.clone())
-            .collect();
+        let lost = older.iter().filter(is_lost);
+        let mut lost: Vec<String> = lost.map(|(name, _)| name.clone()).collect();
         // The order of JSON keys depends on the features of other crates in the build.
         lost.sort_unstable();
         lost

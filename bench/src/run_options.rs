@@ -47,9 +47,8 @@ impl RunOptions {
     pub fn differing<'a>(&'a self, other: &'a Self) -> Vec<(&'a str, &'a str, &'a str)> {
         let value = |options: &'a Self, name| options.0.get(name).map_or("none", String::as_str);
         let names: BTreeSet<&String> = self.0.keys().chain(other.0.keys()).collect();
-        let all = names
-            .into_iter()
-            .map(|name| (name.as_str(), value(self, name), value(other, name)));
+        let both = |name: &'a String| (name.as_str(), value(self, name), value(other, name));
+        let all = names.into_iter().map(both);
         all.filter(|(_, ours, theirs)| ours != theirs).collect()
     }
 }

@@ -126,12 +126,11 @@ fn panel(cases: &[Value]) -> Panel {
     };
     let solvers = Solver::ALL.into_iter().zip([PURPLE, GREEN, BLUE, ORANGE]);
     let curves = solvers.map(curve).filter(|curve| !curve.is_empty());
-    Panel::new(
+    let (title, scale) = (
         "Median of a solve on the fastest path",
-        ["sections", "time [µs]"],
         Scale::Log { floor: 0.1 },
-        curves.collect(),
-    )
+    );
+    Panel::new(title, ["sections", "time [µs]"], scale, curves.collect())
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -149,19 +148,15 @@ pub fn sizes() -> Vec<Size> {
     let newton = Size::paper(base.task, Solver::GaussNewton);
     let mut sizes = Vec::new();
     for size in [base, refined, newton] {
-        let of = |sections| Size {
-            task: Task::Spiral { sections },
-            ..size
-        };
-        sizes.extend((1..=6).map(of));
+        let tasks = (1..=6).map(|sections| Task::Spiral { sections });
+        sizes.extend(tasks.map(|task| Size { task, ..size }));
         sizes.extend([1, 5, 10, 20, 50].map(|steps| size.with(|it| it.horizon_steps = steps)));
         sizes.extend([1, 4, 16, 64].map(|obstacles| Size { obstacles, ..size }));
     }
     sizes.extend([16, 64, 256, 512].map(|count| base.with(|it| it.swarm_size = count)));
     sizes.extend([10, 100].map(|count| base.with(|it| it.swarm_iterations = count)));
-    let line = Task::Line {
-        rate_limit_rad_s: 2.0,
-    };
+    let rate_limit_rad_s = 2.0;
+    let line = Task::Line { rate_limit_rad_s };
     sizes.push(Size::paper(line, Solver::KpsoRefined));
     sizes.push(refined.among_obstacles());
     sizes
@@ -182,22 +177,18 @@ impl Size {
         self
     }
 
-    pub(crate) fn among_obstacles(self) -> Self {
-        let larger = self.with(|it| (it.swarm_size, it.horizon_steps) = (64, 20));
-        Self {
-            obstacles: 16,
-            ..larger
-        }
+    pub(crate) fn among_obstacles(mut self) -> Self {
+        (self.settings.swarm_size, self.settings.horizon_steps) = (64, 20);
+        self.obstacles = 16;
+        self
     }
 
     pub(crate) fn scene(&self) -> Result<Scene> {
         let mut scene = self.task.scene()?;
         let safe_m = self.settings.safe_distance_m;
         scene.obstacles = obstacles(&scene.robot, safe_m, self.obstacles)?;
-        Ok(scene.at_most(match self.obstacles {
-            0 => CYCLES_MAX,
-            _ => OBSTACLE_CYCLES_MAX,
-        }))
+        let cycles_max = [CYCLES_MAX, OBSTACLE_CYCLES_MAX][usize::from(self.obstacles > 0)];
+        Ok(scene.at_most(cycles_max))
     }
 }
 

@@ -15,9 +15,8 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
 use crate::interrupt;
-use crate::subject::ROBOT;
-use crate::subject::TIMEOUT;
 use crate::subject::asker::{Answer, Asker};
+use crate::subject::{ROBOT, TIMEOUT};
 use crate::system::cores::Cores;
 use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
 
@@ -154,10 +153,10 @@ impl Watcher {
         }
         self.read_records()?;
         let silent_ns = monotonic_ns().saturating_sub(self.last_record_ns);
+        let silent_s = silent_ns / 1_000_000_000;
         ensure!(
             silent_ns < SILENCE_NS,
-            "the daemon has sent no record for {} s",
-            silent_ns / 1_000_000_000
+            "the daemon has sent no record for {silent_s} s"
         );
         self.go_on();
         Ok(true)

@@ -13,7 +13,7 @@ use super::{DeadlineOptions, Setup};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer};
 use crate::dataset::{Dataset, Recording, each, joined, number};
 use crate::load::Load;
-use crate::metric::{median, range};
+use crate::metric::range;
 use crate::quantiles::Quantiles;
 
 const SHARES: f64 = 1e-5;
@@ -129,31 +129,42 @@ fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
     Binomial::new(share, misses).map_or(1.0, |all| all.sf(ours.0 - 1))
 }
 
-/// Ratio of one number in each round of `above` to that in the same round of `below`, if both have it. Both
-/// subjects wake up early and spin until the release (`realtime.spin_us`). Starts within a microsecond of the
-/// release count as one microsecond, so that no ratio depends on a clock reading.
-fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
-    let pairs = above.rounds.iter().zip(&below.rounds);
-    let ratio = |(above, below)| Some(number(above, key)?.max(1.0) / number(below, key)?.max(1.0));
-    pairs.filter_map(ratio).collect()
-}
-
+/// The daemon beside the bare loop in each round. Both wake up early and spin until the release
+/// (`realtime.spin_us`): starts within a microsecond of the release count as one microsecond, so that no ratio
+/// depends on a clock reading.
 fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     let of = |subject, load| {
+        let Key { setup, .. } = key;
         cases.get(&Key {
+            setup,
             load,
             subject,
-            ..key
         })
     };
     let (daemon, bare) = (of(Subject::Daemon, key.load)?, of(Subject::Bare, key.load)?);
     let unloaded = of(Subject::Daemon, Load::None);
-    let beyond = |row: &Value| Some(number(row, "command_us_p50")? - number(row, "wake_us_p50")?);
+    let of_round = |round: usize| {
+        let at = |case: &Case, name| number(case.rounds.get(round)?, name);
+        let over = |below, name| Some(at(daemon, name)?.max(1.0) / at(below, name)?.max(1.0));
+        let wake_us = at(daemon, "wake_us_p50");
+        let command = at(daemon, "command_us_p50").zip(wake_us);
+        json!({
+            "load": key.load,
+            "set_up": key.setup,
+            "wake_p50": over(bare, "wake_us_p50"),
+            "wake_p99": over(bare, "wake_us_p99"),
+            "command_beyond_wake_p50_us": command.map(|(command_us, wake_us)| command_us - wake_us),
+            "response_p99_to_unloaded": unloaded.and_then(|below| over(below, "response_us_p99")),
+        })
+    };
+    let rounds: Vec<Value> = (0..daemon.rounds.len()).map(of_round).collect();
+    let mut row = dataset.merge("ratios", &rounds);
+    for (_, _, name) in dataset.declared("ratios").1.metrics {
+        row[format!("{name}_range")] = json!(range(each(&rounds, &name)));
+    }
     let (ours, theirs) = (misses(&daemon.rounds), misses(&bare.rounds));
     let p_value = misses_p_value(ours, theirs);
-    let mut row = json!({
-        "load": key.load,
-        "set_up": key.setup,
+    let of_all = json!({
         "realtime": key.setup == Setup::Realtime,
         // Per million due cycles; negative when the daemon missed less often.
         "misses_beyond_bare": per_million(ours) - per_million(theirs),
@@ -161,39 +172,7 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
         "misses_more": p_value < SIGNIFICANCE,
         "own_misses": daemon.sum("own_misses").map(|count| count as u64),
     });
-    let response = unloaded.map(|unloaded| over(daemon, unloaded, "response_us_p99"));
-    for (key_of_row, what, unit, rounds) in [
-        (
-            "wake_p50",
-            "wake_p50_to_bare",
-            "",
-            over(daemon, bare, "wake_us_p50"),
-        ),
-        (
-            "wake_p99",
-            "wake_p99_to_bare",
-            "",
-            over(daemon, bare, "wake_us_p99"),
-        ),
-        (
-            "command_beyond_wake_p50_us",
-            "command_beyond_wake_p50",
-            "µs",
-            daemon.rounds.iter().filter_map(beyond).collect(),
-        ),
-        (
-            "response_p99_to_unloaded",
-            "response_p99_to_unloaded",
-            "",
-            response.unwrap_or_default(),
-        ),
-    ] {
-        row[key_of_row] = median(rounds.iter().copied()).into();
-        row[format!("{key_of_row}_range")] = json!(range(rounds.iter().copied()));
-        let (load, setup) = (key.load.name(), key.setup.name());
-        dataset.lower(format!("deadline/{load}/{setup}/{what}"), unit, rounds);
-    }
-    Some(row)
+    Some(joined([row, of_all]))
 }
 
 fn add_targets(dataset: &mut Dataset, cases: &Cases, period_us: f64) {
@@ -215,10 +194,8 @@ fn add_targets(dataset: &mut Dataset, cases: &Cases, period_us: f64) {
     let own = (due > 0).then_some((own, Value::Null, minutes));
     let what = "misses with cause compute or fault, all loads";
     dataset.target([what, "0", ""], own, 0.0..=0.0);
-    let of = format!(
-        "{} of {} against {} of {}",
-        ours.0, ours.1, theirs.0, theirs.1
-    );
+    let ((our_misses, our_due), (their_misses, their_due)) = (ours, theirs);
+    let of = format!("{our_misses} of {our_due} against {their_misses} of {their_due}");
     let chance = (ours.1 > 0).then(|| (misses_p_value(ours, theirs), Value::Null, of));
     let what = "misses beyond the bare loop's, all loads: probability by chance";
     dataset.target([what, "not below 0.05", ""], chance, SIGNIFICANCE..=1.0);
@@ -244,14 +221,13 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
         for (round, times) in case.rounds.iter().zip(&case.times) {
             let measured = TIME_NAMES.iter().zip(times);
             let measured = measured.filter(|(_, times)| !times.is_empty());
-            dataset
-                .recordings
-                .extend(measured.map(|(name, times)| Recording {
-                    tag: format!("{}.{name}", key.path(".")),
-                    start_s: number(round, "start_s").unwrap_or(0.0),
-                    duration_s: segment_s,
-                    histogram_ns: times.clone(),
-                }));
+            let recordings = measured.map(|(name, times)| Recording {
+                tag: format!("{}.{name}", key.path(".")),
+                start_s: number(round, "start_s").unwrap_or(0.0),
+                duration_s: segment_s,
+                histogram_ns: times.clone(),
+            });
+            dataset.recordings.extend(recordings);
         }
         // The last subject is drawn first.
         let of_load = curves.entry((key.setup, key.load)).or_default();
@@ -347,11 +323,9 @@ mod tests {
         }
         add_targets(&mut dataset, &cases, 5000.0);
         let targets = dataset.all_targets();
-        let found = targets.iter().map(|row| {
-            ["found", "of", "reached"]
-                .map(|key| row[key].to_string())
-                .join(" ")
-        });
+        let keys = ["found", "of", "reached"];
+        let found = targets.iter();
+        let found = found.map(|row| keys.map(|key| row[key].to_string()).join(" "));
         let found: Vec<_> = found.collect();
         assert_eq!(found[0], "1.3 \"cpu\" false");
         assert_eq!(found[1], "2.0 \"3.0 min\" false");

@@ -90,12 +90,8 @@ impl<'a> Runner<'a> {
     /// Measures the subject under the load. The counts of the load include the warm-up. A load with clients
     /// needs a daemon: if the subject is none, the load gets a decoy daemon off the measured core.
     pub(super) fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Tally> {
-        let decoy = || {
-            Daemon::start(
-                &self.launch(Setup::Ordinary),
-                &self.cores.without_realtime(),
-            )
-        };
+        let others = self.cores.without_realtime();
+        let decoy = || Daemon::start(&self.launch(Setup::Ordinary), &others);
         let daemon = match subject {
             Subject::Daemon => Some(Daemon::start(&self.launch(setup), &self.cores)?),
             _ => load.needs_daemon().then(decoy).transpose()?,

@@ -18,6 +18,8 @@ const RESPONSE: usize = 2;
 pub(super) const COMMAND: usize = 3;
 pub(super) const TIME_NAMES: [&str; 4] = ["wake", "compute", "response", "command"];
 
+const OWN: [LateCause; 2] = [LateCause::Compute, LateCause::PageFault];
+
 pub(super) type Times = [Histogram<u64>; 4];
 
 pub(super) fn empty_times() -> Result<Times> {
@@ -60,9 +62,7 @@ impl Tally {
             "cycles": cycles.len(),
             "late_starts": count(|cycle| cycle.late_start),
             "deadline_misses": count(|cycle| cycle.deadline_miss),
-            "own_misses": count(|cycle| {
-                cycle.deadline_miss && matches!(cycle.cause, LateCause::Compute | LateCause::PageFault)
-            }),
+            "own_misses": count(|cycle| cycle.deadline_miss && OWN.contains(&cycle.cause)),
             "skipped_periods": sum(|cycle| cycle.skipped_periods.into()),
             "causes": causes,
             // Time that the thread was ready while another one had the core.
@@ -71,18 +71,14 @@ impl Tally {
         Ok(Self { counts, times })
     }
 
-    pub(super) fn of_cyclictest(
-        latencies: &Latencies,
-        deadline_ns: u64,
-        late_ns: u64,
-    ) -> Result<Self> {
+    pub(super) fn of_cyclictest(of: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
         let mut times = empty_times()?;
-        times[WAKE].add(&latencies.histogram_ns)?;
+        times[WAKE].add(&of.histogram_ns)?;
         let counts = json!({
-            "cycles": latencies.cycles,
-            "late_starts": latencies.later_than(late_ns),
-            "deadline_misses": latencies.later_than(deadline_ns),
-            "skipped_periods": latencies.skipped_periods,
+            "cycles": of.cycles,
+            "late_starts": of.later_than(late_ns),
+            "deadline_misses": of.later_than(deadline_ns),
+            "skipped_periods": of.skipped_periods,
         });
         Ok(Self { counts, times })
     }

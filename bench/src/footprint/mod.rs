@@ -27,6 +27,9 @@ const LEAST: Duration = Duration::from_millis(100);
 const MOST: Duration = Duration::from_secs(3600);
 
 const YES_NO: &str = "yes/no";
+/// Heights of the plot without its bars, and of a pair of bars with its line of the legend.
+const FRAME: u32 = 200;
+const BARS: u32 = 80;
 
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
@@ -97,6 +100,7 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
         let name = filled("footprint/program/{name}", program);
         dataset.lower(name, "MB", number(program, "mb"));
     }
+    dataset.declaration.plots[0].size.1 = FRAME + BARS * threads.len() as u32;
     dataset.plot("footprint", &[bars(&threads)])?;
     let count = rounds.len().to_string();
     dataset.add_titled("figures", &[&count, how], figures);
@@ -144,12 +148,8 @@ fn threads(rounds: &[Value]) -> Vec<Value> {
             "tracking_us_per_cycle": 50.0 * percent,
         })
     };
-    let mut threads: Vec<Value> = all["threads"]
-        .as_object()
-        .into_iter()
-        .flatten()
-        .map(row)
-        .collect();
+    let threads = all["threads"].as_object().into_iter().flatten();
+    let mut threads: Vec<Value> = threads.map(row).collect();
     let percent = |row: &Value| number(row, "tracking_percent").unwrap_or(0.0);
     threads.sort_by(|one, other| percent(other).total_cmp(&percent(one)));
     threads
@@ -160,35 +160,27 @@ fn programs() -> Vec<Value> {
         let bytes = std::fs::metadata(program(name).ok()?).ok()?.len();
         Some(json!({ "name": name, "bytes": bytes, "mb": bytes as f64 / MB }))
     };
-    ["cdcrd", "cdcrctl", "cdcr-bench"]
-        .into_iter()
-        .filter_map(row)
-        .collect()
+    let programs = ["cdcrd", "cdcrctl", "cdcr-bench"].into_iter();
+    programs.filter_map(row).collect()
 }
 
 /// One pair of bars for each thread, the busiest on top.
 fn bars(threads: &[Value]) -> Panel {
     let mut curves = Vec::new();
     for (row, line) in threads.iter().zip((1..=threads.len()).rev()) {
-        let [tracking, idle] =
-            ["tracking_percent", "idle_percent"].map(|key| number(row, key).unwrap_or(0.0));
+        let percent = |key| number(row, key).unwrap_or(0.0);
+        let (tracking, idle) = (percent("tracking_percent"), percent("idle_percent"));
         let name = row["name"].as_str().unwrap_or_default();
         let label = format!("{line}: {name} {tracking:.3} %, idle {idle:.3} %");
-        for (y, percent, label, colour) in [
-            (0.15, tracking, label, BLUE),
-            (-0.15, idle, String::new(), GREY),
-        ] {
-            let y = line as f64 + y;
-            curves
-                .push(Curve::line(label, vec![(0.0, y), (percent.max(0.0), y)], colour).width(12));
-        }
+        let mut bar = |label, percent: f64, above, colour| {
+            let ends = [0.0, percent.max(0.0)].map(|x| (x, line as f64 + above));
+            curves.push(Curve::line(label, ends.into(), colour).width(12));
+        };
+        bar(label, tracking, 0.15, BLUE);
+        bar(String::new(), idle, -0.15, GREY);
     }
-    Panel::new(
-        "Share of a core",
-        ["share of a core [%]", "thread"],
-        Scale::Linear,
-        curves,
-    )
+    let axes = ["share of a core [%]", "thread"];
+    Panel::new("Share of a core", axes, Scale::Linear, curves)
 }
 
 #[cfg(test)]
@@ -203,28 +195,20 @@ mod tests {
         });
         let found = dataset(rounds.into(), true).unwrap();
         // 4096 bytes were added while tracking: the target is zero. What was not measured has no row.
-        let expected = json!([
-            [2.5, 1.5, 9.5, true],
-            [4.096, 4.096, 4.096, false],
-            [0.0, 0.0, 0.0, true],
-            [1.0, 1.0, 1.0, null]
-        ]);
-        let keys = ["median", "least", "most", "reached"];
-        let figures = found.rows("figures").iter();
-        let figures: Vec<_> = figures
-            .map(|row| keys.map(|key| row[key].clone()))
-            .collect();
-        assert_eq!(json!(figures), expected);
-        let reached: Vec<_> = found
-            .all_targets()
-            .iter()
-            .map(|row| row["reached"] == true)
-            .collect();
-        assert_eq!(reached, [true, false, true]);
-        let busiest = &found.rows("threads")[0];
-        assert_eq!(
-            (&busiest["name"], &busiest["tracking_us_per_cycle"]),
-            (&json!("a"), &json!(125.0))
+        let of = |rows: &[Value], keys: &[&str]| {
+            let row = |row: &Value| keys.iter().map(|key| row[*key].clone()).collect();
+            json!(rows.iter().map(row).collect::<Vec<Vec<_>>>())
+        };
+        let figures = of(
+            found.rows("figures"),
+            &["median", "least", "most", "reached"],
         );
+        let expected =
+            "[[2.5,1.5,9.5,true],[4.096,4.096,4.096,false],[0.0,0.0,0.0,true],[1.0,1.0,1.0,null]]";
+        assert_eq!(figures.to_string(), expected);
+        let reached = of(&found.all_targets(), &["reached"]);
+        assert_eq!(reached, json!([[true], [false], [true]]));
+        let threads = of(found.rows("threads"), &["name", "tracking_us_per_cycle"]);
+        assert_eq!(threads[0], json!(["a", 125.0]));
     }
 }

@@ -79,39 +79,40 @@ fn answer(location: &Location, shares: bool, opened: &Sender<()>, ends: &AtomicB
     Ok(())
 }
 
+/// Sends a message and returns the legs of its way, each with begin and end \[ns\].
+type Once<'a> = &'a dyn Fn(Header) -> Result<Vec<(&'static str, u64, u64)>>;
+
 fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> Result<()> {
     let services = Services::open(location)?;
     let there = services.there.publisher_builder().create()?;
     let back = services.back.subscriber_builder().create()?;
     let control = services.control.client_builder().create()?;
-    let mut repeat =
-        |once: &dyn Fn(Header) -> Result<Vec<(&'static str, u64, u64)>>| -> Result<()> {
-            for index in 0..WARM_UP + samples {
-                let sent_ns = monotonic_ns();
-                let times = once(Header {
-                    sender_id: 1,
-                    sequence: index as u64,
-                    sent_ns,
-                })?;
-                for (leg, from_ns, to_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
-                    round.record(leg, to_ns - from_ns)?;
-                }
-                // Without a sleep, like a thread that is awake when a message comes.
-                while monotonic_ns() < sent_ns + GAP_NS {
-                    pause(shares);
-                    interrupt::check()?;
-                }
+    let mut repeat = |once: Once<'_>| -> Result<()> {
+        for index in 0..WARM_UP + samples {
+            let sent_ns = monotonic_ns();
+            let times = once(Header {
+                sender_id: 1,
+                sequence: index as u64,
+                sent_ns,
+            })?;
+            for (leg, from_ns, to_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
+                round.record(leg, to_ns - from_ns)?;
             }
-            Ok(())
-        };
+            // Without a sleep, like a thread that is awake when a message comes.
+            while monotonic_ns() < sent_ns + GAP_NS {
+                pause(shares);
+                interrupt::check()?;
+            }
+        }
+        Ok(())
+    };
     repeat(&|header| {
         there.send_copy(Command {
             header,
             ..Command::default()
         })?;
-        let (stamp_ns, received_ns) = poll(shares, || {
-            Ok(back.receive()?.map(|sample| sample.header.sent_ns))
-        })?;
+        let look = || Ok(back.receive()?.map(|sample| sample.header.sent_ns));
+        let (stamp_ns, received_ns) = poll(shares, look)?;
         Ok(vec![
             ("bare.round_trip", header.sent_ns, received_ns),
             ("bare.one_way", stamp_ns, received_ns),

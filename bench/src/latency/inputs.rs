@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::{
 };
 use cdcr_shared_types::{Measurement, Obstacle, Telemetry};
 
-use super::leg::{Passage, Round};
+use super::leg::Round;
 use super::{early_ns, scene};
 use crate::metric::median;
 use crate::watcher::{Seen, Watcher};
@@ -107,12 +107,8 @@ impl Source {
                 && request.is_none_or(|request| event.detail == request.code())
         });
         let taken = ours.map(|event| {
-            let gathers_ns = [event.judged_ns, record.gather_ns];
-            (
-                event.sequence,
-                gathers_ns[usize::from(is_of_cycle)],
-                event.outcome,
-            )
+            let gather_ns = [event.judged_ns, record.gather_ns][usize::from(is_of_cycle)];
+            (event.sequence, gather_ns, event.outcome)
         });
         taken.collect()
     }
@@ -135,12 +131,15 @@ impl Line {
     fn send(&mut self, watcher: &mut Watcher) -> Result<()> {
         let (key, stamp_ns) = self.source.send(self.count, watcher)?;
         self.count += 1;
-        let sent = Sent {
-            stamp_ns,
-            counts: self.count > WARM_UP,
-            answered_ns: None,
-        };
-        self.sent.insert(key, sent);
+        let (counts, answered_ns) = (self.count > WARM_UP, None);
+        self.sent.insert(
+            key,
+            Sent {
+                stamp_ns,
+                counts,
+                answered_ns,
+            },
+        );
         Ok(())
     }
 
@@ -150,34 +149,31 @@ impl Line {
                 continue;
             };
             let way = self.source.way();
-            ensure!(
+            let (is_accepted, why) = (
                 outcome == Outcome::Accepted.code(),
-                "the daemon rejected a message of the benchmark ({}): {}",
-                way,
-                Outcome::text_of(outcome)
+                Outcome::text_of(outcome),
+            );
+            ensure!(
+                is_accepted,
+                "the daemon rejected a message of the benchmark ({way}): {why}"
             );
             if !sent.counts {
                 continue;
             }
-            ensure!(
+            let (follows, why) = (
                 cycle.is_in(Mode::Tracking),
-                "the robot no longer follows its reference: {}",
-                Reason::text_of(cycle.record.reason)
+                Reason::text_of(cycle.record.reason),
             );
+            ensure!(follows, "the robot no longer follows its reference: {why}");
             let is_request = self.source.is_request();
-            let received_ns = if is_request {
-                sent.answered_ns
-            } else {
-                cycle.received_ns
-            };
+            let received_ns = [cycle.received_ns, sent.answered_ns][usize::from(is_request)];
             // Without its command, because the client was away too long, there is no latency.
             let Some(received_ns) = received_ns else {
                 round.without_command += u64::from(!is_request);
                 continue;
             };
             self.recorded += 1;
-            let passage = Passage::new(sent.stamp_ns, gather_ns, received_ns);
-            round.record_way(way, &passage)?;
+            round.record_way(way, [sent.stamp_ns, gather_ns, received_ns])?;
         }
         Ok(())
     }
@@ -197,9 +193,8 @@ pub(super) fn measure(
         // An answer may come right after the gather.
         watcher.before_ns += lead_ns;
     }
-    let is_simulated = sources
-        .iter()
-        .all(|source| matches!(source, Source::Reference(_) | Source::Obstacle(_)));
+    let is_sent = |source: &Source| matches!(source, Source::Reference(_) | Source::Obstacle(_));
+    let is_simulated = sources.iter().all(is_sent);
     // Periods between two messages: each source sends in every second period; an answer takes two.
     let gap = if is_simulated { 1 } else { 2 };
     let line = |source| Line {
@@ -301,9 +296,7 @@ mod tests {
         for _ in 0..200 {
             tenths[phases.next_ns(10) as usize] += 1;
         }
-        assert!(
-            tenths.iter().all(|count| (18..=22).contains(count)),
-            "{tenths:?}"
-        );
+        let is_fair = |count| (18..=22).contains(count);
+        assert!(tenths.iter().all(is_fair), "{tenths:?}");
     }
 }

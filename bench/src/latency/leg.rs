@@ -31,23 +31,7 @@ pub(super) struct Round {
 }
 
 /// Times at which a message was sent, gathered and answered \[ns, `CLOCK_MONOTONIC`\].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
-pub(super) struct Passage {
-    pub(super) sent_ns: u64,
-    pub(super) gather_ns: u64,
-    pub(super) received_ns: u64,
-}
-
-impl Passage {
-    pub(super) fn new(sent_ns: u64, gather_ns: u64, received_ns: u64) -> Self {
-        Self {
-            sent_ns,
-            gather_ns,
-            received_ns,
-        }
-    }
-}
+pub(super) type Passage = [u64; 3];
 
 impl Round {
     pub(super) fn new(began_ns: u64) -> Self {
@@ -77,10 +61,10 @@ impl Round {
 
     /// Adds a whole leg, its wait for the grid, and the machinery. A message that came during its gather did
     /// not wait.
-    pub(super) fn record_way(&mut self, whole: &str, passage: &Passage) -> Result<()> {
-        let whole_ns = passage.received_ns.saturating_sub(passage.sent_ns);
-        let grid_ns = passage.gather_ns.saturating_sub(passage.sent_ns);
-        let grid_ns = grid_ns.min(whole_ns);
+    pub(super) fn record_way(&mut self, whole: &str, passage: Passage) -> Result<()> {
+        let [sent_ns, gather_ns, received_ns] = passage;
+        let whole_ns = received_ns.saturating_sub(sent_ns);
+        let grid_ns = gather_ns.saturating_sub(sent_ns).min(whole_ns);
         let way = whole.split('.').next().unwrap_or_default();
         self.record(whole, whole_ns)?;
         self.record(&format!("{way}.grid"), grid_ns)?;

@@ -72,6 +72,7 @@ impl LatencyOptions {
     }
 
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
+        let deceleration = format!("{:.1}", stops::DECELERATION_RAD_S2);
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
             // A stall of the machine is not a sensor failure. The driver measures the target of its newest
@@ -80,10 +81,7 @@ impl LatencyOptions {
             .with("safety.measurement_jump_rad", "1000.0")
             .with("safety.measurement_frozen_rad", "1000.0")
             .with("safety.following_fault_rad", "1000.0")
-            .with(
-                "motion.deceleration_rad_s2",
-                format!("{:.1}", stops::DECELERATION_RAD_S2),
-            )
+            .with("motion.deceleration_rad_s2", deceleration)
             .placed(cores, may_be_realtime);
         match self.period {
             Some(period) => launch.with("cycle.period_ms", period.as_secs_f64() * 1e3),
@@ -200,13 +198,8 @@ impl Bench<'_> {
         let driver = watcher.connection.driver(Interface::Velocity)?;
         let measurement = Source::Measurement(Box::new(driver));
         let _feed = scene::follow(watcher, Some(&measurement))?;
-        inputs::measure(
-            watcher,
-            lead_ns,
-            vec![measurement],
-            self.options.samples(),
-            round,
-        )
+        let samples = self.options.samples();
+        inputs::measure(watcher, lead_ns, vec![measurement], samples, round)
     }
 
     fn title(&self, daemon: &OfDaemon) -> String {
@@ -216,9 +209,8 @@ impl Bench<'_> {
             (true, _) => "no real-time threads: not granted",
         };
         let (period_ms, lead_us) = (daemon.period_us * 1e-3, daemon.gather_lead_us);
-        format!(
-            "Latencies of messages, period {period_ms:.1} ms, gather {lead_us:.0} µs before the release, {threads}"
-        )
+        let gather = format!("gather {lead_us:.0} µs before the release");
+        format!("Latencies of messages, period {period_ms:.1} ms, {gather}, {threads}")
     }
 
     fn setting(&self, daemon: &OfDaemon) -> Value {

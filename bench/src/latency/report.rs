@@ -76,10 +76,8 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
 fn round_rows(leg: &str, rounds: &[Round]) -> Vec<Value> {
     let row = |(index, round): (usize, &Round)| {
         let times = &round.legs.get(leg)?.histogram_ns;
-        let (round, latency_us) = (index + 1, Quantiles::of(times));
-        Some(
-            json!({ "round": round, "leg": leg, "samples": times.len(), "latency_us": latency_us }),
-        )
+        let (samples, us) = (times.len(), Quantiles::of(times));
+        Some(json!({ "round": index + 1, "leg": leg, "samples": samples, "latency_us": us }))
     };
     rounds.iter().enumerate().filter_map(row).collect()
 }
@@ -104,9 +102,8 @@ fn ratio(dataset: &mut Dataset, legs: [&str; 2], rounds: &[Round]) -> Option<Val
     let p50 = |round: &Round, leg| Some(Quantiles::of(&round.legs.get(leg)?.histogram_ns)?.p50);
     let of_round = |round: &Round| Some(p50(round, legs[0])? / p50(round, legs[1])?);
     let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
-    let (p50, range) = (median(values.clone())?, range(values.clone()));
-    let row =
-        json!({ "leg": legs[0], "to": legs[1], "p50": p50, "range": range, "rounds": values });
+    let (p50, range, [leg, to]) = (median(values.clone())?, range(values.clone()), legs);
+    let row = json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values });
     let [name, to_name] = legs.map(|leg| leg.replace('.', "_"));
     dataset.lower(format!("latency/{name}_per_{to_name}_p50"), "", values);
     Some(row)
@@ -152,17 +149,14 @@ fn panels(rounds: &[Round], limit_us: f64) -> Result<Vec<Panel>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::leg::Passage;
     use super::*;
 
     /// A round in which a reference takes 1 to 100 µs times `factor`, and every stop `stop_us`.
     fn round(factor: u64, stop_us: u64) -> Round {
         let mut round = Round::new(0);
         for us in 1..=100 {
-            let passage = Passage::new(0, 0, 1000 * factor * us);
-            round
-                .record_way("reference.command", &passage)
-                .expect("bounds");
+            let worked = round.record_way("reference.command", [0, 0, 1000 * factor * us]);
+            worked.expect("bounds");
             for leg in BOUND {
                 round.record(leg, 1000 * stop_us).expect("bounds");
             }
@@ -184,13 +178,13 @@ mod tests {
             assert!((p50_us - 75.0).abs() < 0.2, "{p50_us}");
             let names = found.metrics.iter().map(|metric| &*metric.name);
             let names: Vec<&str> = names.filter(|name| name.ends_with("p50")).collect();
-            let expected = [
-                "reference/command",
-                "reference/machinery",
-                "stop/zero_handover",
-                "stop/zero_command",
+            let ways = [
+                ("reference", ["command", "machinery"]),
+                ("stop", ["zero_handover", "zero_command"]),
             ];
-            assert_eq!(names, expected.map(|name| format!("latency/{name}_p50")));
+            let expected =
+                ways.map(|(way, parts)| parts.map(|part| format!("latency/{way}/{part}_p50")));
+            assert_eq!(names, expected.concat());
         }
     }
 
@@ -216,19 +210,12 @@ mod tests {
         for grid in legs.iter().filter(|leg| leg.contains(".grid")) {
             let (mut round, at) = (Round::new(0), legs.iter().position(|leg| leg == grid));
             let whole = &legs[at.expect("it is there") - 1];
-            round
-                .record_way(whole, &Passage::new(100, 400, 1000))
-                .expect("bounds");
-            let way = [
-                whole.clone(),
-                grid.clone(),
-                grid.replace("grid", "machinery"),
-            ];
+            round.record_way(whole, [100, 400, 1000]).expect("bounds");
+            let machinery = &grid.replace("grid", "machinery");
+            let way = [whole, grid, machinery];
             assert!(way.iter().all(|leg| legs.contains(leg)));
-            assert_eq!(
-                way.map(|leg| round.legs[&leg].histogram_ns.max()),
-                [900, 300, 600]
-            );
+            let longest_ns = way.map(|leg| round.legs[leg].histogram_ns.max());
+            assert_eq!(longest_ns, [900, 300, 600]);
         }
     }
 }

@@ -138,7 +138,7 @@ struct Stopped {
 
 impl Stopped {
     fn record(&self, round: &mut Round) -> Result<()> {
-        round.record_way("stop.command", &self.first)?;
+        round.record_way("stop.command", self.first)?;
         round.record("stop.zero_handover", self.zero_handover_ns)?;
         round.record("stop.zero_command", self.zero_command_ns)
     }
@@ -171,16 +171,15 @@ fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
     let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * period_ns;
     let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
     Some(Stopped {
-        first: Passage::new(sent_ns, first.record.gather_ns, first.received_ns?),
+        first: [sent_ns, first.record.gather_ns, first.received_ns?],
         zero_handover_ns: without_ramp(rest.record.handed_over_ns),
         zero_command_ns: without_ramp(rest.received_ns?),
     })
 }
 
 fn largest(rates_rad_s: &[f64]) -> f64 {
-    rates_rad_s
-        .iter()
-        .fold(0.0, |most, rate| rate.abs().max(most))
+    let sizes = rates_rad_s.iter().map(|rate| rate.abs());
+    sizes.fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -216,8 +215,7 @@ mod tests {
     fn a_stop_is_counted_without_its_ramp_and_with_a_period_that_was_lost_on_the_way() {
         let (sent_ns, mut records) = (5_300_000, stop());
         let stopped = evaluate(&records, sent_ns).expect("all records are there");
-        assert_eq!(stopped.first.gather_ns, 9_800_000);
-        assert_eq!(stopped.first.received_ns, 10_060_000);
+        assert_eq!(stopped.first, [sent_ns, 9_800_000, 10_060_000]);
         // Ten steps: zero in the tenth stopped command, nine periods after the first.
         assert_eq!(stopped.zero_handover_ns, 10_050_000 - sent_ns);
         assert_eq!(stopped.zero_command_ns, 10_060_000 - sent_ns);

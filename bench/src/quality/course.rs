@@ -69,28 +69,23 @@ impl Course {
         });
         let tip_m = robot.tip_pose(&start).position_m;
         let far_m = tip_m + at(-0.1, 0.1, -0.05);
+        let within = [(0.3, at(0.19, 0.0, 0.83)), (1.0, at(0.34, 0.0, 0.74))];
+        let aside = (1.6, at(0.42, -0.12, 0.64));
         let (way, cycles) = match self {
-            Self::Gap => (
-                vec![
-                    (0.3, at(0.19, 0.0, 0.83)),
-                    (1.0, at(0.34, 0.0, 0.74)),
-                    (1.6, at(0.42, -0.12, 0.64)),
-                ],
-                340,
-            ),
+            Self::Gap => ([&within[..], &[aside]].concat(), 340),
             Self::Crossing => (vec![(1.6, at(0.4, 0.0, 0.7))], 300),
             _ => (
                 vec![(0.2, tip_m), (0.2, far_m), (0.7, far_m), (0.7, tip_m)],
                 240,
             ),
         };
-        let mut knots = vec![(0.0, tip_m)];
-        knots.extend(way);
+        let curve = Box::new(Legs([vec![(0.0, tip_m)], way].concat()));
+        let obstacles = self.obstacles()?;
         Ok(Scene {
             robot,
             start,
-            curve: Box::new(Legs(knots)),
-            obstacles: self.obstacles()?,
+            curve,
+            obstacles,
             cycles,
         })
     }
@@ -163,10 +158,8 @@ mod tests {
             settings.validate().unwrap();
             let clearance_m = scene.robot.body(&scene.start);
             let clearance_m = clearance_m.least_clearance_m(scene.obstacles.iter().copied());
-            assert!(
-                clearance_m > settings.safe_distance_m,
-                "{course:?}: {clearance_m}"
-            );
+            let is_clear = clearance_m > settings.safe_distance_m;
+            assert!(is_clear, "{course:?}: {clearance_m}");
             // The constants of the paper's circle are rounded.
             let tip_m = scene.robot.tip_pose(&scene.start).position_m;
             let off_m = (tip_m - scene.point_m(0)).norm();

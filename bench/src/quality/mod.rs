@@ -45,23 +45,18 @@ pub struct QualityOptions {
 impl QualityOptions {
     fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
         let budgets = self.budgets_us.iter();
-        let mut varied: Vec<_> = budgets
-            .map(|us| Varied::Budget(*us, iteration_us))
-            .collect();
-        varied.extend(
-            self.swarms
-                .iter()
-                .map(|swarm| Varied::Swarm(swarm.0, swarm.1)),
-        );
-        varied.extend(self.horizons.iter().map(|steps| Varied::Horizon(*steps)));
-        let of = |varied| {
-            let has_swarm = |solver: &Solver| *solver != Solver::GaussNewton;
-            let is_for =
-                move |solver: &Solver| has_swarm(solver) || !matches!(varied, Varied::Swarm(..));
-            let solvers = SOLVERS.into_iter().filter(is_for);
-            solvers.map(move |solver| Variant::new(course, solver, varied))
+        let budgets = budgets.map(|us| Varied::Budget(*us, iteration_us));
+        let swarms = self.swarms.iter();
+        let swarms = swarms.map(|(particles, iterations)| Varied::Swarm(*particles, *iterations));
+        let horizons = self.horizons.iter().map(|steps| Varied::Horizon(*steps));
+        let varied = budgets.chain(swarms).chain(horizons);
+        let all = varied.flat_map(|varied| SOLVERS.map(|solver| (varied, solver)));
+        let has_effect = |(varied, solver): &(Varied, Solver)| {
+            !matches!((varied, solver), (Varied::Swarm(..), Solver::GaussNewton))
         };
-        varied.into_iter().flat_map(of).collect()
+        all.filter(has_effect)
+            .map(|(varied, solver)| Variant::new(course, solver, varied))
+            .collect()
     }
 
     fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {

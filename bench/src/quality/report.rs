@@ -91,10 +91,8 @@ fn plot(dataset: &mut Dataset, rows: &[Value], problems: &[Value]) -> Result<()>
     let floor = ERROR_FLOOR_MM;
     let errors = of_courses("mean error [mm]", "mean_error_mm", Scale::LogLog { floor });
     let clearances = of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross);
-    let fields = Field::ALL.iter();
-    let excess: Vec<Panel> = fields
-        .filter_map(|field| excess(*field, problems))
-        .collect();
+    let excess = |field| excess(field, problems);
+    let excess: Vec<Panel> = Field::ALL.into_iter().filter_map(excess).collect();
     dataset.plot("quality-error", &errors)?;
     dataset.plot("quality-clearance", &clearances)?;
     dataset.plot("quality-stuck", &excess)

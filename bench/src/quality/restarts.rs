@@ -135,16 +135,15 @@ impl Problem {
             let way = |share| from_m + share * (to_m - from_m);
             let obstacles = field.obstacles(way, &mut numbers)?;
             let is_clear = |shape| {
-                let clearance_m = robot
-                    .body(shape)
-                    .least_clearance_m(obstacles.iter().copied());
-                clearance_m > CLEAR_M
+                let body = robot.body(shape);
+                body.least_clearance_m(obstacles.iter().copied()) > CLEAR_M
             };
             let is_apart = APART_M.contains(&(to_m - from_m).norm());
             if is_apart && is_clear(&start) && is_clear(&end) {
+                let target_m = to_m;
                 return Ok(Self {
                     start,
-                    target_m: to_m,
+                    target_m,
                     obstacles,
                 });
             }

@@ -87,9 +87,7 @@ impl Variant {
     pub(super) fn axis(&self) -> (&'static str, String) {
         match self.varied {
             Varied::Budget(us, _) => ("budget", format!("{us} µs")),
-            Varied::Swarm(particles, iterations) => {
-                ("swarm", format!("{particles} x {iterations}"))
-            }
+            Varied::Swarm(count, iterations) => ("swarm", format!("{count} x {iterations}")),
             Varied::Horizon(steps) => ("horizon", format!("{steps} steps")),
         }
     }
@@ -141,10 +139,7 @@ impl Variant {
         let below_safe_ms = 1e3 * PERIOD_S * below_safe.count() as f64;
         let least_m = clearances_m().fold(f64::INFINITY, f64::min);
         let has_obstacles = !scene.obstacles.is_empty();
-        let swarm = match self.solver {
-            Solver::GaussNewton => 0,
-            _ => settings.swarm_size,
-        };
+        let has_swarm = self.solver != Solver::GaussNewton;
         let (axis, value) = self.axis();
         Ok(json!({
             "axis": axis,
@@ -153,7 +148,7 @@ impl Variant {
             "value": value,
             "rounds": 1,
             "budget_us": self.budget_us(),
-            "swarm": swarm,
+            "swarm": if has_swarm { settings.swarm_size } else { 0 },
             "iterations": settings.swarm_iterations,
             "refinements": settings.refinement_steps,
             "horizon": settings.horizon_steps,

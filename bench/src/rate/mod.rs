@@ -247,13 +247,11 @@ fn search(
         if trials.iter().any(|trial| trial.period_ms == *period_ms) {
             break;
         }
-        let mut outcome = TrialOutcome::Slow;
-        for count in 1.. {
-            trials.push(trial(*period_ms)?);
-            outcome = trials[trials.len() - 1].outcome;
-            if count >= outcome.trials() {
-                break;
-            }
+        let (mut outcome, mut count) = (TrialOutcome::Machine, 0);
+        while count < outcome.trials() {
+            let tried = trial(*period_ms)?;
+            (outcome, count) = (tried.outcome, count + 1);
+            trials.push(tried);
         }
         index = match outcome {
             TrialOutcome::Holds => index + 1,
@@ -275,19 +273,19 @@ fn search(
 
 #[cfg(test)]
 mod tests {
-    use serde_json::Value;
+    use serde_json::{Value, json};
 
     use super::*;
     use TrialOutcome::{Holds, Machine, NotFollowed, Own, Slow};
 
     pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
-        let row = match outcome {
-            Holds => {
-                serde_json::json!({ "cycles": 4000, "response_us": { "p50": 30.0 }, "core_share": 0.2 })
-            }
-            _ => Value::Null,
+        let (remarks, row) = match outcome {
+            Holds => (
+                "",
+                json!({ "cycles": 4000, "response_us": { "p50": 30.0 }, "core_share": 0.2 }),
+            ),
+            _ => ("too short", Value::Null),
         };
-        let remarks = if outcome == Holds { "" } else { "too short" };
         Trial::new(Case::DEFAULT, period_ms, None, outcome, remarks, row)
     }
 

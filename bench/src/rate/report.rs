@@ -95,10 +95,9 @@ fn shortest_row(shortest: &Shortest) -> Value {
     } = *shortest;
     let [held, failed] = [held_ms, failed_ms].map(|ms| shortest.trials_with(ms));
     let remarks = failed.last().map(|trial| trial.remarks());
+    let failed_in = held_in(&failed);
     let ended_by = match (failed_ms, remarks) {
-        (Some(ms), Some(remarks)) => {
-            format!("{ms} ms, held in {} trials: {remarks}", held_in(&failed))
-        }
+        (Some(ms), Some(remarks)) => format!("{ms} ms, held in {failed_in} trials: {remarks}"),
         _ if held.is_empty() => String::new(),
         _ => "nothing: no shorter one was tried".to_owned(),
     };
@@ -166,11 +165,8 @@ mod tests {
         };
         let found = dataset(false, Some(0.0), steps, &[shortest]).unwrap();
         let text = found.text();
-        for words in [
-            "not granted",
-            "without rehearsal",
-            "0.25 ms, held in 0 of 3 trials: too short",
-        ] {
+        let ended = "0.25 ms, held in 0 of 3 trials: too short";
+        for words in ["not granted", "without rehearsal", ended] {
             assert!(text.contains(words), "{words} in {text}");
         }
         for (name, rounds) in [

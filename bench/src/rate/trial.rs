@@ -84,25 +84,22 @@ impl Trial {
             }
         }
         interrupt::check()?;
-        let trial = |outcome, remarks: &str, row| {
-            Self::new(case, period_ms, spin_us, outcome, remarks, row)
-        };
-        match found {
+        let (outcome, remarks, row, responses) = match found {
             Err(error) if period_ms < EASY_MS && did_not_follow(&error) => {
                 let why = format!("did not follow: {error:#}");
-                let why = why.lines().next().unwrap_or_default();
-                Ok(trial(TrialOutcome::NotFollowed, why, Value::Null))
+                let why = why.lines().next().unwrap_or_default().to_owned();
+                (TrialOutcome::NotFollowed, why, Value::Null, None)
             }
             found => {
                 let (observed, mut responses) = found?;
                 let (outcome, remarks) = (observed.outcome(period_ms), observed.remarks(period_ms));
-                let mut trial = trial(outcome, &remarks, observed.row());
-                responses.tag =
-                    format!("{}.{:.0}-hz.response", case.solver.name(), 1e3 / period_ms);
-                trial.responses = Some(responses);
-                Ok(trial)
+                let (solver, hz) = (case.solver.name(), 1e3 / period_ms);
+                responses.tag = format!("{solver}.{hz:.0}-hz.response");
+                (outcome, remarks, observed.row(), Some(responses))
             }
-        }
+        };
+        let trial = Self::new(case, period_ms, spin_us, outcome, &remarks, row);
+        Ok(Self { responses, ..trial })
     }
 
     pub(super) fn new(
@@ -304,10 +301,8 @@ impl Observed {
             (followed < 100.0, format!("followed in {followed:.1} %")),
         ];
         let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
-        notable
-            .map(|(_, words)| words)
-            .collect::<Vec<_>>()
-            .join("; ")
+        let words: Vec<String> = notable.map(|(_, words)| words).collect();
+        words.join("; ")
     }
 }
 

@@ -61,15 +61,20 @@ impl Benchmark for RobustnessOptions {
 
     fn check(&self) -> Result<()> {
         let only = self.only.as_deref();
-        let (is_any, what, place) = if self.sweep {
+        let words = only.unwrap_or_default();
+        if self.sweep {
             let is_any = tuning::is_any(only);
-            (is_any, "swept key", "docs/tuning.md for the keys")
+            ensure!(
+                is_any,
+                "no swept key contains {words:?}: see docs/tuning.md for the keys"
+            );
         } else {
             let is_any = Scenario::all().iter().any(|scenario| self.names(scenario));
-            (is_any, "robot name", "docs/robustness.md for the names")
-        };
-        let words = only.unwrap_or_default();
-        ensure!(is_any, "no {what} contains {words:?}: see {place}");
+            ensure!(
+                is_any,
+                "no robot name contains {words:?}: see docs/robustness.md for the names"
+            );
+        }
         Ok(())
     }
 
@@ -88,9 +93,7 @@ impl Benchmark for RobustnessOptions {
         let (mut rows, mut panels) = (Vec::<Value>::new(), Vec::<Panel>::new());
         let cases = self.cases();
         for (case, runs) in cases.iter().zip(self.all_runs(&cases, progress)?) {
-            let Case {
-                scenario, control, ..
-            } = case;
+            let (scenario, control) = (&case.scenario, case.control);
             if case.obeys_positions {
                 draw(&mut panels, scenario, control, &runs.rounds[0]);
             }
@@ -190,11 +193,7 @@ impl Case {
     }
 
     fn interface(&self) -> &'static str {
-        if self.obeys_positions {
-            "position"
-        } else {
-            "velocity"
-        }
+        ["velocity", "position"][usize::from(self.obeys_positions)]
     }
 
     fn row(&self, Runs { rounds, rests }: &Runs, ideal_change: Option<f64>) -> Value {
@@ -277,11 +276,8 @@ fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: &Control, run: &F
     }
     let parts = run.errors_mm().chunks(DRAWN_CYCLES).enumerate();
     let point = |(part, errors_mm): (usize, &[f64])| {
-        let most_mm = errors_mm.iter().copied().fold(0.0, f64::max);
-        (
-            (part * DRAWN_CYCLES) as f64 * FigureEight::PERIOD_S,
-            most_mm,
-        )
+        let time_s = (part * DRAWN_CYCLES) as f64 * FigureEight::PERIOD_S;
+        (time_s, errors_mm.iter().copied().fold(0.0, f64::max))
     };
     let curve = Curve::line(control.name, parts.map(point).collect(), control.colour);
     if let Some(panel) = panels.last_mut() {

@@ -121,9 +121,8 @@ impl Scenario {
     }
 
     pub(super) fn flaws(&self) -> Flaws {
-        let plant = Preset::ALL
-            .into_iter()
-            .find(|preset| preset.name() == self.plant());
+        let mut presets = Preset::ALL.into_iter();
+        let plant = presets.find(|preset| preset.name() == self.plant());
         let flaws = plant.map(Preset::flaws).unwrap_or_default();
         with(flaws, &self.flaws)
     }
@@ -176,19 +175,16 @@ impl Scenario {
     }
 
     pub(super) fn wanted(&self) -> String {
-        let words = self
-            .targets()
-            .into_iter()
-            .map(|(key, name, bound)| match &*key {
-                CLEARANCE => format!("{name} ≥ {bound} mm"),
-                RATE_CHANGE => format!("{name} ≤ {bound} × ideal"),
-                _ => format!("{name} ≤ {bound} mm"),
-            });
-        let words: Vec<String> = words.collect();
-        if words.is_empty() {
-            return "within limits".to_owned();
+        let words = |(key, name, bound): Target| match &*key {
+            CLEARANCE => format!("{name} ≥ {bound} mm"),
+            RATE_CHANGE => format!("{name} ≤ {bound} × ideal"),
+            _ => format!("{name} ≤ {bound} mm"),
+        };
+        let words: Vec<String> = self.targets().into_iter().map(words).collect();
+        match &words[..] {
+            [] => "within limits".to_owned(),
+            words => words.join(", "),
         }
-        words.join(", ")
     }
 
     pub(super) fn controls(&self) -> impl Iterator<Item = &'static Control> {
@@ -212,10 +208,8 @@ impl Scenario {
 
 fn with(flaws: Flaws, named: &BTreeMap<String, f64>) -> Flaws {
     let set = |flaws: Flaws, (name, value): (&String, &f64)| flaws.with(name, *value);
-    named
-        .iter()
-        .try_fold(flaws, set)
-        .expect("a flaw that is declared")
+    let flaws = named.iter().try_fold(flaws, set);
+    flaws.expect("a flaw that is declared")
 }
 
 #[cfg(test)]

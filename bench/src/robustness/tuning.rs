@@ -44,11 +44,12 @@ fn turns(only: Option<&str>) -> Vec<Turn> {
     for (place, (key, _, values)) in KNOBS.into_iter().enumerate() {
         if only.is_none_or(|only| key.contains(only)) {
             turns.extend(values.iter().map(|&value| {
-                let is_small = value > 0.0 && value < 1e-3;
-                let short = is_small.then(|| format!("{value:e}"));
                 let mut knobs = PRECISE;
                 knobs[place] = value;
-                let text = short.unwrap_or_else(|| value.to_string());
+                let text = match value {
+                    0.0 | 1e-3.. => value.to_string(),
+                    _ => format!("{value:e}"),
+                };
                 (key, text, Some(value), knobs)
             }));
         }
@@ -102,9 +103,8 @@ fn follow(eight: &FigureEight, knobs: Turned, sensor: &str) -> Result<FigureEigh
         rate_change_weight,
         ..NmpcSettings::default()
     };
-    let laboratory = Scenario::all()
-        .into_iter()
-        .find(|robot| robot.name == "laboratory");
+    let mut robots = Scenario::all().into_iter();
+    let laboratory = robots.find(|robot| robot.name == "laboratory");
     let mut robot = laboratory.context("no robot of the laboratory")?;
     sensor.clone_into(&mut robot.sensor);
     let driven = Driven {

@@ -74,14 +74,14 @@ impl Sensed {
         let mut estimator = self.estimator(&robot, truth);
         let mut rates = BendRates::zero(SECTIONS);
         let mut numbers = Numbers::new(1);
-        let [mut estimates, mut solves, mut both] = [histogram()?, histogram()?, histogram()?];
+        let mut times = [histogram()?, histogram()?, histogram()?];
         for cycle in 0..WARM_UP + cycles {
             truth = truth.advanced(&rates, FigureEight::PERIOD_S);
             let mut noise_m = |most_m: f64| numbers.between(-most_m, most_m);
-            let lengths_m = robot.cable_lengths(&truth);
-            let lengths_m = lengths_m.map(|m| m + noise_m(CABLE_NOISE_M));
-            let tip_m = robot.tip_position(&truth);
-            let tip_m = tip_m.map(|m| m + noise_m(TIP_NOISE_M));
+            let lengths_m = robot
+                .cable_lengths(&truth)
+                .map(|m| m + noise_m(CABLE_NOISE_M));
+            let tip_m = robot.tip_position(&truth).map(|m| m + noise_m(TIP_NOISE_M));
             let first = match self {
                 Self::Tip => Measurement::TipPosition(tip_m),
                 _ => Measurement::CableLengths(lengths_m),
@@ -109,15 +109,13 @@ impl Sensed {
             let (next, _, solve_time) = timed_solve(&mut nmpc, &input, End::Never);
             rates = next;
             if cycle >= WARM_UP {
-                for (times, time) in [
-                    (&mut estimates, estimate_time),
-                    (&mut solves, solve_time),
-                    (&mut both, estimate_time + solve_time),
-                ] {
+                let whole = [estimate_time, solve_time, estimate_time + solve_time];
+                for (times, time) in times.iter_mut().zip(whole) {
                     times.saturating_record(time.as_nanos() as u64);
                 }
             }
         }
+        let [estimates, solves, both] = times;
         Ok(json!({
             "sensed": self,
             "cycles": cycles,

@@ -38,10 +38,9 @@ pub fn series(cases: &[Value], solver: Solver, (_, per, _): Quantity) -> Vec<(f6
             && case["curve"] == "spiral"
             && QUANTITIES.iter().all(|quantity| is_like(case, quantity))
     };
+    let point = |case: &Value| Some((number(case, per)?, number(case, "p50_us")?));
     let ours = cases.iter().filter(is_ours);
-    let mut points: Vec<_> = ours
-        .filter_map(|case| Some((number(case, per)?, number(case, "p50_us")?)))
-        .collect();
+    let mut points: Vec<_> = ours.filter_map(point).collect();
     points.sort_by(|one, other| one.0.total_cmp(&other.0));
     points.dedup_by_key(|point| point.0);
     points

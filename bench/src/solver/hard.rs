@@ -28,9 +28,8 @@ const DEADLINE_CYCLES_MAX: u64 = 199;
 
 /// Every problem with the refining solvers; none in a short run.
 pub fn measure(divisor: u64) -> Result<Vec<Value>> {
-    every(divisor, |problem| {
-        follow(problem, CYCLES_MAX, End::After(BUDGET))
-    })
+    let end = End::After(BUDGET);
+    every(divisor, |problem| follow(problem, CYCLES_MAX, end))
 }
 
 /// Mean errors of the same problems with shorter deadlines.

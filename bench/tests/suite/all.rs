@@ -44,10 +44,8 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let folder = place.path().join("report");
     let found = all(&folder, "--only solver,budget --rounds 2");
     let errors = stderr(&found);
-    assert!(
-        found.status.success() && errors.contains("written to"),
-        "{errors}"
-    );
+    let is_written = found.status.success() && errors.contains("written to");
+    assert!(is_written, "{errors}");
     assert!(found.stdout.starts_with(b"The machine"));
     let expected = "budget-overrun.svg budget.csv report.html report.json report.txt solver-estimate.csv \
                     solver-growth.csv solver-guard.csv solver-sections.svg solver.csv";
@@ -113,10 +111,8 @@ fn assert_budgets(rows: &[Value]) {
         let keys = ["case", "budget_us", "solves", "worse_than_warm_start"];
         assert_eq!(keys.map(|key| row[key].clone()), expected);
         // Without any time there is always work left.
-        assert!(
-            budget_us > 0 || row["ended_by_budget_share"] == 1.0,
-            "{row}"
-        );
+        let has_time = budget_us > 0;
+        assert!(has_time || row["ended_by_budget_share"] == 1.0, "{row}");
     }
 }
 
@@ -134,11 +130,8 @@ fn ctrl_c_leaves_nothing_in_the_folder() {
     thread::sleep(Duration::from_millis(100));
     kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
     errors.read_to_string(&mut told).expect("the rest");
-    let status = child.wait().expect("it ends");
-    assert!(
-        status.code() == Some(1) && told.contains("interrupted"),
-        "{told}"
-    );
+    let code = child.wait().expect("it ends").code();
+    assert!(code == Some(1) && told.contains("interrupted"), "{told}");
     assert!(names(place.path()).is_empty());
 }
 
@@ -175,10 +168,8 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
     let output = child.wait_with_output().expect("it ends");
     let errors = stderr(&output);
     assert!(!folders.is_empty(), "{errors}");
-    assert!(
-        !output.status.success() && errors.contains("interrupted"),
-        "{errors}"
-    );
+    let is_told = !output.status.success() && errors.contains("interrupted");
+    assert!(is_told, "{errors}");
     assert!(!has_daemon(&own) && in_public_memory(&own).is_empty());
     assert!(names(place.path()).is_empty());
 }
@@ -192,10 +183,8 @@ fn a_benchmark_that_fails_does_not_lose_the_others() {
     let found = all(&folder, &line);
     let errors = stderr(&found);
     let words = "1 of 2 benchmarks failed: deadline";
-    assert!(
-        found.status.code() == Some(1) && errors.contains(words),
-        "{errors}"
-    );
+    let has_failed = found.status.code() == Some(1) && errors.contains(words);
+    assert!(has_failed, "{errors}");
     let report = json_in(&folder.join("report.json"));
     assert_eq!(report["failed"], json!(["deadline"]));
     let cause = report["deadline"]["error"].as_str().expect("why");

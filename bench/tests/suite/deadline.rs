@@ -58,8 +58,8 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
     let setup = if is_realtime() { "both" } else { "ordinary" };
     let folder = Scratch::temporary().expect("a folder");
     let line = "deadline --duration=2s --rounds=2 --load=flood --format=json";
-    let document =
-        printed_json(program(&format!("{line} --setup {setup} --out")).arg(folder.path()));
+    let mut program = program(&format!("{line} --setup {setup} --out"));
+    let document = printed_json(program.arg(folder.path()));
 
     let cases = list(&document, "cases");
     for case in cases {
@@ -74,10 +74,8 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
         let ratio = list(&document, "ratios").iter().find(is_it);
         assert_eq!(ratio.is_some(), !realtime || setup == "both");
         for key in ["wake_p50", "wake_p99", "misses_beyond_bare"] {
-            assert!(
-                ratio.is_none_or(|ratio| ratio[key].is_number()),
-                "{ratio:?}"
-            );
+            let is_there = ratio.is_none_or(|ratio| ratio[key].is_number());
+            assert!(is_there, "{ratio:?}");
         }
     }
     is_sound(&document, &[1, 2]);
@@ -96,12 +94,9 @@ fn assert_log(file: &Path, cases: &[Value]) {
         if let LogEntry::Interval(interval) = entry.expect("an entry") {
             assert!(begin <= interval.start_timestamp(), "in the order of time");
             begin = interval.start_timestamp();
-            let bytes = STANDARD
-                .decode(interval.encoded_histogram())
-                .expect("base64");
-            let times: Histogram<u64> = Deserializer::new()
-                .deserialize(&mut &*bytes)
-                .expect("a histogram");
+            let bytes = STANDARD.decode(interval.encoded_histogram());
+            let times = Deserializer::new().deserialize(&mut &*bytes.expect("base64"));
+            let times: Histogram<u64> = times.expect("a histogram");
             let tag = interval.tag().expect("a tag").as_str().to_owned();
             let (count, longest_ns) = found.entry(tag).or_default();
             (*count, *longest_ns) = (*count + times.len(), times.max().max(*longest_ns));
@@ -111,10 +106,7 @@ fn assert_log(file: &Path, cases: &[Value]) {
         let words = ["load", "set_up", "subject"].map(|key| case[key].as_str().expect(key));
         let (count, longest_ns) = found[&format!("{}.wake", words.join("."))];
         assert_eq!(case["cycles"], count, "{case}");
-        let longest_us = number(&case["wake_us"], "max");
-        assert!(
-            (longest_us - longest_ns as f64 * 1e-3).abs() < 1e-6,
-            "{case}"
-        );
+        let beyond_us = number(&case["wake_us"], "max") - longest_ns as f64 * 1e-3;
+        assert!(beyond_us.abs() < 1e-6, "{case}");
     }
 }

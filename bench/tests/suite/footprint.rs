@@ -28,15 +28,14 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let start = &list(&document, "rounds")[0];
     let ms = |key: &str| number(start, key);
     // The first good cycle and the first received record come after the release.
-    let least_ms = ms("ready_ms").min(ms("first_record_ms"));
-    assert!(
-        0.0 < ms("first_release_ms") && ms("first_release_ms") < least_ms,
-        "{start}"
+    let (first_ms, least_ms) = (
+        ms("first_release_ms"),
+        ms("ready_ms").min(ms("first_record_ms")),
     );
+    assert!(0.0 < first_ms && first_ms < least_ms, "{start}");
     let figure = |key: &str| {
-        let row = list(&document, "figures")
-            .iter()
-            .find(|row| row["key"] == key);
+        let mut rows = list(&document, "figures").iter();
+        let row = rows.find(|row| row["key"] == key);
         number(row.unwrap(), "median")
     };
     let parts = figure("own_mb") + figure("shared_mb") + figure("file_mb");

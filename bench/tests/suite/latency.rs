@@ -14,11 +14,8 @@ fn every_way_is_measured_in_every_round() {
     assert_eq!(json["targets"][0]["limit_us"], 10_100.0);
     let legs = list(&json, "legs");
     let names: Vec<_> = legs.iter().filter_map(|row| row["leg"].as_str()).collect();
-    let expected = declared().legs;
-    assert_eq!(
-        names,
-        expected.iter().map(|[leg, ..]| leg).collect::<Vec<_>>()
-    );
+    let declared: Vec<_> = declared().legs.into_iter().map(|[leg, ..]| leg).collect();
+    assert_eq!(names, declared);
     let row = |leg: &str| legs.iter().find(|row| row["leg"] == leg).expect("its row");
     for (leg, least, most) in [
         ("reference.command", 20.0, f64::MAX),

@@ -73,19 +73,13 @@ fn values_are_sound(value: &Value) {
     all.for_each(values_are_sound);
     let fields = value.as_object().into_iter().flatten();
     for (key, field) in fields {
-        let most = if key.ends_with("_share") {
-            1.0
-        } else {
-            f64::INFINITY
-        };
-        let is_bounded = key.ends_with("_share") || key.ends_with("_us") || key.ends_with("_ms");
+        let is_share = key.ends_with("_share");
+        let most = if is_share { 1.0 } else { f64::INFINITY };
+        let is_bounded = is_share || key.ends_with("_us") || key.ends_with("_ms");
         let of_zero = ["excess", "misses", "beyond", "more_p50", "runtime"];
         if is_bounded && !of_zero.iter().any(|word| key.contains(word)) {
-            let number = field.as_f64();
-            assert!(
-                number.is_none_or(|number| (0.0..=most).contains(&number)),
-                "{key}: {value}"
-            );
+            let is_sound = |number| (0.0..=most).contains(&number);
+            assert!(field.as_f64().is_none_or(is_sound), "{key}: {value}");
         }
         values_are_sound(field);
     }

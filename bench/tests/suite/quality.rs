@@ -29,12 +29,11 @@ fn the_result_holds_every_variant() {
     // For each course: 2 budgets and 2 horizons with three solvers, and a swarm with two.
     let rows = 2 * (2 * 3 + 2 * 3 + 2);
     let fields = Field::ALL.len() * CONTENDERS.len();
-    let expected = [
+    for (key, count) in [
         ("restarts", fields),
         ("cases", rows),
         ("problems", 2 * fields),
-    ];
-    for (key, count) in expected {
+    ] {
         assert_eq!(report.rows(key).len(), count, "{key}");
     }
     for case in report.rows("cases") {
@@ -47,14 +46,10 @@ fn the_result_holds_every_variant() {
             assert_eq!(case[key].is_f64(), case["course"] == "crossing", "{case}");
         }
     }
-    let plots = ["quality-error", "quality-clearance", "quality-stuck"];
+    let plots: Vec<&str> = report.plots.iter().map(|plot| &*plot.name).collect();
     assert_eq!(
-        report
-            .plots
-            .iter()
-            .map(|plot| &*plot.name)
-            .collect::<Vec<_>>(),
-        plots
+        plots,
+        ["quality-error", "quality-clearance", "quality-stuck"]
     );
     let mut json = report.json();
     json.insert("metrics".to_owned(), serde_json::json!(report.metrics));

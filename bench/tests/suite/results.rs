@@ -10,10 +10,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 /// Markers at the begin and the end of a table in the document.
-const MARKS: (&str, &str) = (
-    "<!-- generated from ",
-    "<!-- end of what is generated -->\n",
-);
+const BEGIN: &str = "<!-- generated from ";
+const END: &str = "<!-- end of what is generated -->\n";
 const HOW: &str = "CDCR_GENERATE=1 cargo test -p cdcr-bench results";
 
 fn rows(document: &Value, key: &str) -> Vec<Value> {
@@ -45,18 +43,14 @@ impl Choice {
             let place = table.heads.iter().position(|other| other == head);
             place.unwrap_or_else(|| panic!("no column {head:?} in {:?}", self.title))
         };
-        let wanted: Vec<_> = self
-            .rows
-            .iter()
-            .map(|(head, of)| (place(head), of))
-            .collect();
+        let wanted = self.rows.iter().map(|(head, of)| (place(head), of));
+        let wanted: Vec<_> = wanted.collect();
         let columns: Vec<usize> = match &self.columns[..] {
             [] => (0..table.heads.len()).collect(),
             heads => heads.iter().map(place).collect(),
         };
-        table
-            .lines
-            .retain(|line| wanted.iter().all(|(at, of)| of.contains(&line[*at])));
+        let is_wanted = |line: &Vec<String>| wanted.iter().all(|(at, of)| of.contains(&line[*at]));
+        table.lines.retain(is_wanted);
         assert!(
             !table.lines.is_empty(),
             "no row of {:?} is chosen",
@@ -132,10 +126,9 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
     ] {
         let place = docs().join(name);
         let text = std::fs::read_to_string(&place).expect("the document");
-        let made = if contained == "<svg" {
-            picture.clone()
-        } else {
-            with_tables(&text)
+        let made = match contained {
+            "<svg" => picture.clone(),
+            _ => with_tables(&text),
         };
         assert!(made.contains(contained), "the tables of {name}");
         if generates() {
@@ -148,17 +141,15 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
 
 /// A document with regenerated tables.
 fn with_tables(text: &str) -> String {
-    let (begin, end) = MARKS;
-    let mut parts = text.split(begin);
+    let mut parts = text.split(BEGIN);
     let mut made = parts.next().unwrap_or_default().to_owned();
     for part in parts {
         let (file, rest) = part.split_once(" -->\n").expect("a file and its table");
-        let (_, rest) = rest.split_once(end).expect("an end of the table");
-        let (name, knob) = file
-            .split_once(' ')
-            .map_or((file, None), |(name, knob)| (name, Some(knob)));
+        let (_, rest) = rest.split_once(END).expect("an end of the table");
+        let chosen = file.split_once(' ');
+        let (name, knob) = chosen.map_or((file, None), |(name, knob)| (name, Some(knob)));
         let table = table(name, knob, &result(name)).markdown();
-        made += &[begin, file, " -->\n", table.trim_start(), end, rest].concat();
+        made += &[BEGIN, file, " -->\n", table.trim_start(), END, rest].concat();
     }
     made
 }
