@@ -15,7 +15,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 use super::Limits;
 use super::projection::Region;
 use body_pose::BodyPose;
-pub(super) use near::{NEAR_MAX, dip_m, thinnest_m};
+pub(super) use near::{NEAR_MAX, POINT_COST, REGION_COST, ROW_COST, SOLVE_COST, dip_m, thinnest_m};
 use near::{NearObstacles, Violation};
 use relinearised::{LINEARISATIONS, Linearisation, SLOW_LINEARISATION};
 pub(super) use watched::clearance_cost;
@@ -296,7 +296,7 @@ impl ClearanceGuard<'_> {
 
     /// Upper bound of the distance that any point of each section moves along the stopping path \[m\], for
     /// all rates inside the limits that are not faster than `rates`.
-    fn farthest_m(&self, rates: &BendRates) -> [f64; SECTIONS_MAX] {
+    pub(super) fn farthest_m(&self, rates: &BendRates) -> [f64; SECTIONS_MAX] {
         let path_s = self.stopping.path(fastest(rates)).path_s;
         let mut change_rad = [0.0; SECTIONS_MAX];
         for (change_rad, section) in change_rad.iter_mut().zip(self.robot.sections()) {

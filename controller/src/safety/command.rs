@@ -71,7 +71,7 @@ impl<'a> Situation<'a> {
     }
 
     /// The same limits with that of the acceleration.
-    fn limits_moving(&self, fastest_rad_s: f64) -> Limits<'a> {
+    pub(super) fn limits_moving(&self, fastest_rad_s: f64) -> Limits<'a> {
         let change_rad_s = self.acceleration_rad_s2 * self.period_s;
         self.limits(fastest_rad_s)
             .with_acceleration(self.previous, change_rad_s)
@@ -165,9 +165,9 @@ pub struct SafeCommand {
 ///
 /// Motors that lag average the commanded path, and so lead the body past its corners. Of first order, they lead
 /// it between the commanded path and the straight lines in the bends, from its configuration at the end of the delay to the ends
-/// of the period and of the stopping path. At seven points of these lines each section keeps 0.9 mm less than D, or
-/// than its clearance where the commands so far lead, or what it keeps on the line to rest; otherwise the command
-/// is scaled down.
+/// of the period and of the stopping path, seen from an obstacle that moves at its velocity. At seven points of these
+/// lines, each at its time, a section keeps 0.75 mm less than D, or than its clearance where the commands so far lead, or
+/// what it keeps on the line to rest; otherwise the command is corrected, or else scaled down.
 ///
 /// A robot that comes to rest continues along the stopping path of the previous command, through its play,
 /// too: its ramp is only scaled down. Allocates nothing.
@@ -189,8 +189,11 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
     // The guard returns no faster rates.
     let limits = situation.limits_moving(fastest(&limited.rates));
     let safe = SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates));
-    let lag = LagLines::new(situation, &safe.rates);
-    let safe = lag.as_ref().map_or(safe, |lag| lag.kept(safe));
+    let lag = LagLines::new(situation, &limited.rates);
+    let fastest_rad_s = fastest(&limited.rates);
+    let safe = lag
+        .as_ref()
+        .map_or(safe, |lag| lag.kept(safe, fastest_rad_s));
     let Some(slack) = situation.play() else {
         return safe;
     };

@@ -12,6 +12,7 @@ mod examples;
 mod exciting_path;
 mod jacobian;
 mod kinematics_golden;
+mod lag;
 mod long_horizons;
 mod nmpc;
 mod oracle;

@@ -74,7 +74,7 @@ fn driven(flaws: Flaws) -> Driven {
 }
 
 /// A robot whose motors lag, as its controller knows.
-fn lagging(motors: Actuator, obeys_positions: bool) -> Driven {
+pub(crate) fn lagging(motors: Actuator, obeys_positions: bool) -> Driven {
     Driven {
         obeys_positions,
         actuator: motors,
@@ -85,7 +85,7 @@ fn lagging(motors: Actuator, obeys_positions: bool) -> Driven {
     }
 }
 
-fn actuator(delay_s: f64, time_constant_s: f64) -> Actuator {
+pub(crate) fn actuator(delay_s: f64, time_constant_s: f64) -> Actuator {
     Actuator {
         delay_s,
         time_constant_s,
@@ -242,63 +242,6 @@ fn motors_with_a_lag_give_way_to_what_moves() {
         let kept_m = settings.safe_distance_m - 0.5 * robot.sections()[0].length_m * lag_rad;
         assert!(nearest_m > kept_m - 1e-4, "{nearest_m} m of {kept_m} m");
         assert!(error_m < 1e-6, "{error_m} m");
-    }
-}
-
-/// Motors average the commanded path, and so lead the body past its corners.
-#[test]
-fn motors_that_lag_lead_the_body_around_obstacles_at_the_safe_distance() {
-    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-    let rest = Configuration::straight(3);
-    let obstacle = |shape: Shape, radius_m: f64, velocity_m_s: [f64; 3]| {
-        Obstacle::new(shape, radius_m, Vector3::from(velocity_m_s)).unwrap()
-    };
-    let centre_m = Vector3::new(0.15, 0.0, 0.85);
-    let ball = obstacle(Shape::Sphere { centre_m }, 0.03, [0.0; 3]);
-    let [start_m, end_m] = [-0.2, 0.2].map(|y| Vector3::new(0.13, y, 0.84));
-    let bar = obstacle(Shape::Capsule { start_m, end_m }, 0.01, [0.0; 3]);
-    let centre_m = Vector3::new(0.15, -0.05, 0.85);
-    let crossing = obstacle(Shape::Sphere { centre_m }, 0.03, [0.0, 0.05, 0.0]);
-    let settings = NmpcSettings {
-        rate_weight: RateWeight::MEASURED,
-        ..NmpcSettings::default()
-    };
-    let [from_m, to_m] = [Vector3::new(0.0, 0.0, 0.9), Vector3::new(0.3, 0.0, 0.75)];
-    let line = |time_s: f64| {
-        let share: f64 = 0.3 * time_s / (to_m - from_m).norm();
-        inside(from_m + share.min(1.0) * (to_m - from_m))
-    };
-    let scenes: [&[Obstacle]; 4] = [&[ball], &[bar], &[ball, bar], &[crossing]];
-    let motors = [(0.1, 0.03), (0.02, 0.0), (0.1, 0.3), (0.2, 0.15)];
-    for (scene, obstacles) in scenes.into_iter().enumerate() {
-        let speed_m_s = obstacles[0].velocity_m_s().norm();
-        for (time_constant_s, delay_s) in motors {
-            // 1 mm less, and half of the motion of an obstacle while the motors follow.
-            let motion_m = speed_m_s * (time_constant_s + delay_s);
-            let kept_m = settings.safe_distance_m - 1e-3 - 0.5 * motion_m;
-            for obeys_positions in [true, false] {
-                let motors = actuator(delay_s, time_constant_s);
-                let lagging = lagging(motors, obeys_positions);
-                let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-                let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, rest, obstacles, line)
-                    .unwrap()
-                    .with_acceleration(40.0)
-                    .with_driven(lagging)
-                    .unwrap();
-                let mut nearest_m = f64::INFINITY;
-                for _ in 0..1000 {
-                    closed.step(&mut nmpc);
-                    nearest_m = nearest_m.min(closed.clearance_m());
-                }
-                let error_m = closed.error_m();
-                println!(
-                    "scene {scene}, {motors:?}, positions {obeys_positions}: {nearest_m} m, {error_m} m"
-                );
-                assert!(nearest_m > kept_m, "{nearest_m} m of {kept_m} m");
-                // It arrives on the other side.
-                assert!(error_m < 1e-3, "{error_m} m");
-            }
-        }
     }
 }
 

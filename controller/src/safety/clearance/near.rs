@@ -26,15 +26,15 @@ const RELINEARISATION_BUDGET: u32 = 3250;
 /// longer.
 const RELINEARISED_MAX: usize = 32;
 /// Cost of one point of the path.
-const POINT_COST: u32 = 24;
+pub(in crate::safety) const POINT_COST: u32 = 24;
 /// Cost of one separating plane between a section and an obstacle.
 const PLANE_COST: u32 = 2;
 /// Cost of one row of a correction, without its clearance.
-pub(super) const ROW_COST: u32 = 4;
+pub(in crate::safety) const ROW_COST: u32 = 4;
 /// Cost of one row in the projection.
-pub(super) const SOLVE_COST: u32 = 6;
+pub(in crate::safety) const SOLVE_COST: u32 = 6;
 /// Cost of copying a region and starting its projection; each product of two vectors there costs 1.
-pub(super) const REGION_COST: u32 = 25;
+pub(in crate::safety) const REGION_COST: u32 = 25;
 
 /// Margins: clearance minus required clearance \[m\], or a lower bound of it, by near obstacle and section.
 /// Arbitrary where not requested, NaN where the state is not finite.
