@@ -167,8 +167,11 @@ impl RobotState {
         }
         self.commanded = self.commanded.advanced(rates, moving_s);
         self.following.commanded(rates, moving_s, elapsed_s);
-        self.plausibility.commanded(rates, moving_s);
-        self.tip_plausibility.commanded(rates, moving_s);
+        // On the way of the commanded position to the robot, motors may hold and not yet obey.
+        if self.begins_at.is_none() {
+            self.plausibility.commanded(rates, moving_s);
+            self.tip_plausibility.commanded(rates, moving_s);
+        }
     }
 
     /// Uses a measurement made before `release_ns`, if it is new and plausible.

@@ -1,6 +1,6 @@
 //! Resets of a robot whose commanded position is not where it is measured.
 
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::robot::CABLES_MAX;
 use cdcr_controller::safety::{Mode, Reason, Refusal, Request};
 
@@ -17,7 +17,11 @@ fn apart(a: &[f64], b: &[f64]) -> f64 {
 }
 
 fn tracking() -> Trial {
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
+    tracking_with(Preset::Laboratory.flaws())
+}
+
+fn tracking_with(flaws: Flaws) -> Trial {
+    let mut trial = Trial::with(Interface::Position, flaws, DIRECT);
     trial.turns(3);
     trial.begin_tracking();
     trial.turns(400);
@@ -140,4 +144,23 @@ fn a_stop_ends_the_way_to_the_robot() {
     trial.ask(Request::Reset);
     trial.turn();
     assert!(apart(&trial.target_rad, &before) < MOST_RAD_S2 * PERIOD_S * PERIOD_S * 1.01);
+}
+
+/// Motors hold after torque was off and do not yet follow: their encoders, without noise, rest to the bit while
+/// the commanded position moves to them. They count as frozen only when control has begun.
+#[test]
+fn encoders_at_rest_are_not_frozen_on_the_way_to_the_robot() {
+    let mut trial = faulted(tracking_with(Flaws::default()), 4.0 * WRONG_M);
+    trial.stands = true;
+    let (stood_at, measured) = (trial.target_rad.clone(), trial.measured());
+    trial.ask(Request::Reset);
+    for _ in 0..600 {
+        let mode = trial.turn().mode;
+        assert!(matches!(mode, Mode::Holding { .. }), "{mode:?}");
+    }
+    assert!(apart(&trial.target_rad, &stood_at) > 0.9);
+    assert!(apart(&trial.target_rad, measured.as_slice()) < 1e-6);
+    trial.begin_tracking();
+    let reason = trial.turns(600).mode.reason();
+    assert_eq!(reason, Reason::MeasurementFrozen);
 }
