@@ -78,7 +78,7 @@ typedef struct CdcrPosition {
 /* Result of cdcr_driver_update. */
 typedef struct CdcrDriverUpdate {
     CdcrCommand command;  /* The newest accepted command; zeros without one. */
-    uint64_t new_daemon;  /* sender_id of a new daemon that has taken over; otherwise 0. */
+    uint64_t new_daemon;  /* sender_id of a new daemon that has taken over; otherwise 0. Positions stay where they stand, and move on from there. */
     uint64_t refusals;    /* Commands refused since the driver was opened. */
     uint32_t has_command; /* 1: command was accepted in this call. */
     uint32_t was_refused; /* 1: a command was refused in this call; cdcr_last_error() has the reason. */

@@ -61,7 +61,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// a restarted daemon with wider limits does not widen them.
 ///
 /// A driver continues to measure while the daemon is down. The next daemon starts at rest from these
-/// measurements, and its commands are accepted once those of the old daemon have expired. No action is
+/// measurements, and its commands are accepted once those of the old daemon have expired. The robot does not
+/// move: positions keep their distance from the commanded ones ([`offset`](Self::offset)). No action is
 /// needed; [`DriverUpdate::new_daemon`] informs a driver that requires confirmation.
 #[derive(Debug)]
 pub struct Driver {
@@ -215,6 +216,11 @@ impl Driver {
     /// Commanded position at `now_ns`; see [`CommandFollower::position_at`].
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.follower.position_at(now_ns)
+    }
+
+    /// Offset of that position from the daemon's commanded one; see [`CommandFollower::offset`].
+    pub fn offset(&self) -> Option<CommandedPosition> {
+        self.follower.offset()
     }
 
     /// Number of commands refused so far.

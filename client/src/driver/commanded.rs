@@ -1,3 +1,4 @@
+use cdcr_shared_types::Command;
 use cdcr_shared_types::limits::{CABLES_MAX, COORDINATES_MAX};
 
 /// Commanded rates. The default is rest.
@@ -28,6 +29,44 @@ pub struct CommandedPosition {
 }
 
 impl CommandedPosition {
+    pub(super) fn of(command: &Command) -> Self {
+        Self {
+            bend_rad: command.bend_target_rad,
+            cable_length_m: command.cable_length_m,
+        }
+    }
+
+    /// `command` with this position.
+    pub(super) fn in_command(&self, command: &Command) -> Command {
+        Command {
+            bend_target_rad: self.bend_rad,
+            cable_length_m: self.cable_length_m,
+            ..*command
+        }
+    }
+
+    pub(super) fn plus(&self, offset: &Self) -> Self {
+        self.with(offset, |a, b| a + b)
+    }
+
+    pub(super) fn minus(&self, other: &Self) -> Self {
+        self.with(other, |a, b| a - b)
+    }
+
+    fn with(&self, other: &Self, combine: impl Fn(f64, f64) -> f64) -> Self {
+        let (bends, cables) = (&other.bend_rad, &other.cable_length_m);
+        Self {
+            bend_rad: core::array::from_fn(|i| combine(self.bend_rad[i], bends[i])),
+            cable_length_m: core::array::from_fn(|i| combine(self.cable_length_m[i], cables[i])),
+        }
+    }
+
+    /// Root of the sum of squares of the bends \[rad\].
+    pub(super) fn size_rad(&self) -> f64 {
+        let squares = self.bend_rad.iter().map(|bend_rad| bend_rad * bend_rad);
+        squares.sum::<f64>().sqrt()
+    }
+
     /// Interpolates linearly to `end`; `part` is 0 to 1. From 1 on the result is `end`, bit for bit.
     pub(super) fn towards(&self, end: &Self, part: f64) -> Self {
         Self {

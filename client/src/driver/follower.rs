@@ -1,4 +1,4 @@
-use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
@@ -23,6 +23,8 @@ struct Present {
     command: Command,
     begin: CommandedPosition,
     end: CommandedPosition,
+    /// Offset of the positions from those of the command, since another daemon has taken over.
+    offset: Option<CommandedPosition>,
     /// Time at which the command was taken and the move began \[ns\].
     begin_ns: u64,
     /// Time at which the move ends \[ns\].
@@ -30,6 +32,10 @@ struct Present {
 }
 
 impl Present {
+    fn is_of_sender(&self, command: &Command) -> bool {
+        self.command.header.sender_id == command.header.sender_id
+    }
+
     /// Completed part of the move, 0 to 1.
     fn part(&self, now_ns: u64) -> f64 {
         if now_ns >= self.end_ns {
@@ -75,14 +81,13 @@ impl CommandFollower {
     /// The reason of a refusal, which is also counted. The present command stays in force until it expires.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(now_ns);
-        if let Err(refusal) = self.check(command, begin.as_ref(), now_ns) {
+        let offset = self.offset_of(command, begin.as_ref());
+        let commanded = CommandedPosition::of(command);
+        let end = offset.map_or(commanded, |offset| commanded.plus(&offset));
+        if let Err(refusal) = self.check(command, &end, begin.as_ref(), now_ns) {
             self.refusals += 1;
             return Err(refusal);
         }
-        let end = CommandedPosition {
-            bend_rad: command.bend_target_rad,
-            cable_length_m: command.cable_length_m,
-        };
         // The robot was measured at the first position: there is no move to it.
         let begin = begin.unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
@@ -92,15 +97,45 @@ impl CommandFollower {
             command: *command,
             begin,
             end,
+            offset,
             begin_ns: now_ns,
             end_ns: command.target_ns.max(now_ns.saturating_add(shortest_ns)),
         });
         Ok(())
     }
 
+    /// Offset from the positions of `command`. The positions of another daemon begin where it has measured the
+    /// robot. Loaded motors stand elsewhere, and stay there; they move as the positions do.
+    ///
+    /// In Holding the commanded position moves only to a robot that is elsewhere. Motors that stand there stay.
+    fn offset_of(
+        &self,
+        command: &Command,
+        standing: Option<&CommandedPosition>,
+    ) -> Option<CommandedPosition> {
+        let (present, standing) = (self.present.as_ref()?, standing?);
+        if self.interface != Interface::Position {
+            return None;
+        }
+        let commanded = CommandedPosition::of(command);
+        if !present.is_of_sender(command) {
+            return Some(standing.minus(&commanded));
+        }
+        let offset = present.offset?;
+        let way = commanded.minus(&CommandedPosition::of(&present.command));
+        let rest = offset.minus(&way);
+        let holds = command.mode == Mode::Holding.code();
+        Some(if holds && rest.size_rad() < offset.size_rad() {
+            rest
+        } else {
+            offset
+        })
+    }
+
     fn check(
         &self,
         command: &Command,
+        end: &CommandedPosition,
         standing: Option<&CommandedPosition>,
         now_ns: u64,
     ) -> Result<(), CommandRefusal> {
@@ -130,7 +165,12 @@ impl CommandFollower {
                 late_ns: now_ns - command.valid_until_ns,
             });
         }
-        bounds::check(&self.robot, self.interface, command, standing)?;
+        // The first position of another daemon moves nothing, but the others count from it.
+        let checked = match &self.present {
+            Some(present) if present.is_of_sender(command) => end.in_command(command),
+            _ => *command,
+        };
+        bounds::check(&self.robot, self.interface, &checked, standing)?;
         match (standing, &self.measured) {
             (None, Some(measured)) if self.interface == Interface::Position => {
                 bounds::check_near(&self.robot, command, measured)
@@ -156,13 +196,23 @@ impl CommandFollower {
     /// [`Interface::Position`].
     ///
     /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
-    /// later: after lost or late commands, or when control restarts beside the old position. It is constant
-    /// from `valid_until_ns` on.
+    /// later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
+    /// it by taking over ([`offset`](Self::offset)).
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.present.as_ref().map(|present| {
             let now_ns = now_ns.min(present.command.valid_until_ns);
             present.begin.towards(&present.end, present.part(now_ns))
         })
+    }
+
+    /// Offset of [`position_at`](Self::position_at) from the commanded position; `None` until another daemon
+    /// takes over.
+    ///
+    /// The commanded position of a daemon that was started again begins where the robot is measured. A load
+    /// separates this from the position of the motors. They do not move to it but keep their distance, until
+    /// [`forget`](Self::forget).
+    pub fn offset(&self) -> Option<CommandedPosition> {
+        self.present.and_then(|present| present.offset)
     }
 
     /// The daemon that sent the last accepted command.
