@@ -211,6 +211,7 @@ impl Reporter {
             obstacle_count: record.obstacles.count() as u32,
             obstacles_refused: inputs.obstacles_refused,
             clearance_m: record.clearance_m,
+            tip_margin_m: record.tip_margin_m,
             clearance_guarded: record.clearance_hit,
             tip_position_m: record.tip.position_m.into(),
             reference_distance_m: convert::position_error_m(record),
@@ -237,6 +238,7 @@ impl Reporter {
             tip_error_sum_nm: error_nm,
             tip_error_max_nm: error_nm,
             stale_measurements: u64::from(self.has_driver && is_repeated),
+            tips_not_used: u64::from(record.tip_use == MeasurementUse::Implausible),
             longest_gap_ns: record.longest_gap_ns,
             ..wire::Statistics::default()
         }

@@ -55,7 +55,7 @@ message! {
 
     /// Counts and latencies of the cycles in one interval of time.
     #[derive(Eq)]
-    pub struct Statistics "cdcr.Statistics.v4" {
+    pub struct Statistics "cdcr.Statistics.v5" {
         /// Cycles that ran.
         cycles: u64 [sum "cycles"],
         /// Cycles that started later than the late-start limit.
@@ -80,6 +80,8 @@ message! {
         tip_error_max_nm: u64 [max "largest tip error"],
         /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
         stale_measurements: u64 [sum "stale measurements"],
+        /// Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than 0.1 m from where the bends place them.
+        tips_not_used: u64 [sum "measured tips not used"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
         dropped_records: u64 [sum "dropped records"],
         /// Longest time between two looks at the clock in a cycle \[ns\], from its start to the end of the solve, work included. Far longer than
@@ -104,7 +106,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v9" {
+    pub struct Status "cdcr.Status.v10" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
@@ -166,9 +168,12 @@ message! {
         reference_points: u32,
         /// Obstacles of the newest cycle.
         obstacle_count: u32,
-        /// Smallest clearance in the newest cycle \[m\], as in [`Telemetry`](crate::Telemetry): infinite
-        /// without obstacles.
+        /// Smallest clearance in the newest cycle \[m\]: the smaller of that by the estimate, as in [`Telemetry`](crate::Telemetry), and that by the
+        /// measured bends. Infinite without obstacles.
         clearance_m: f64,
+        /// How far the tip may be from where the bends place it \[m\], as in [`Telemetry`](crate::Telemetry): that much thicker the body counts
+        /// in `clearance_m`.
+        tip_margin_m: f64,
 
         /// The robot.
         robot: RobotDescription,

@@ -194,7 +194,8 @@ impl Estimator {
 
     /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`] plus three standard
     /// deviations of its uncertainty. The safe distance grows by as much ([`Robot::enlarged`]). 0 before the first tip position beside
-    /// measured bends.
+    /// measured bends. While the tip is measured more than 0.1 m from the position given by the bends, three times in a row, the bound is that
+    /// distance: such a tip is not followed, but the body may be there.
     pub fn tip_margin_m(&self) -> f64 {
         self.tip_offset.margin_m()
     }

@@ -11,6 +11,8 @@ const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
 /// A larger measured offset (m) is rejected: either the model or the sensor is wrong, and following the sensor would
 /// not help.
 const OFFSET_MAX_M: f64 = 0.1;
+/// After so many larger ones in a row the margin covers them: fewer may be an error of the sensor.
+const FAR_LIMIT: u32 = 3;
 
 /// A sensor counts as silent after this multiple of the interval between its last two positions.
 const SILENCE_RATIO: f64 = 1.5;
@@ -45,6 +47,10 @@ pub(super) struct TipOffset {
     since_measured_s: f64,
     /// Interval between the last two tip positions (s).
     interval_s: f64,
+    /// Number of measured offsets beyond the largest, in a row.
+    far_count: u32,
+    /// The last of them (m), or the one measured since, until the offset has reached it.
+    far_m: f64,
 }
 
 impl TipOffset {
@@ -69,6 +75,8 @@ impl TipOffset {
             measured_m: Vector3::repeat(f64::NAN),
             since_measured_s: 0.0,
             interval_s: TIME_CONSTANT_S,
+            far_count: 0,
+            far_m: 0.0,
         }
     }
 
@@ -77,6 +85,8 @@ impl TipOffset {
         *self = Self {
             offset_m: self.offset_m,
             filtered_m: self.filtered_m,
+            far_count: self.far_count,
+            far_m: self.far_m,
             slope: self.slope.clone(),
             ..self.forgotten()
         };
@@ -91,9 +101,19 @@ impl TipOffset {
         self.offset_m
     }
 
-    /// Upper bound on the tip's distance from the position given by the bends (m): the offset plus its uncertainty.
+    /// Upper bound on the tip's distance from the position given by the bends (m): the offset plus its uncertainty. Of
+    /// a tip that is too far aside to be followed, the measured distance.
     pub(super) fn margin_m(&self) -> f64 {
-        self.offset_m.norm() + MARGIN_DEVIATIONS * self.slope.deviation_m()
+        let margin_m = self.offset_m.norm() + MARGIN_DEVIATIONS * self.slope.deviation_m();
+        if self.is_far() {
+            margin_m.max(self.far_m + MARGIN_DEVIATIONS * self.slope.noise_m())
+        } else {
+            margin_m
+        }
+    }
+
+    fn is_far(&self) -> bool {
+        self.far_count >= FAR_LIMIT
     }
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
@@ -151,8 +171,16 @@ impl TipOffset {
     ) -> bool {
         let measured_offset_m = measured_m - model_tip_m;
         let is_news = core::mem::replace(&mut self.measured_m, *measured_m) != *measured_m;
-        let is_near = measured_offset_m.norm() <= OFFSET_MAX_M;
-        if !is_news || !is_near {
+        if !is_news {
+            return false;
+        }
+        let away_m = measured_offset_m.norm();
+        if away_m > OFFSET_MAX_M {
+            self.far_count = (self.far_count + 1).min(FAR_LIMIT);
+            self.far_m = away_m;
+        }
+        let is_near = away_m <= OFFSET_MAX_M;
+        if !is_near {
             return false;
         }
         // After a pause of the sensor, its next position has no more weight than the previous one, so that the offset
@@ -171,6 +199,12 @@ impl TipOffset {
         };
         let gain = since_s / (since_s + time_constant_s);
         self.filtered_m += gain * (measured_offset_m - self.filtered_m);
+        // A tip that was too far aside: the margin must not shrink before the offset has reached it.
+        self.far_m = away_m;
+        let behind_m = (measured_offset_m - self.filtered_m).norm();
+        if !self.is_far() || behind_m < 2.0 * MARGIN_DEVIATIONS * self.slope.noise_m() {
+            self.far_count = 0;
+        }
         let innovation_m = self.filtered_m - self.offset_m;
         let distance_m = innovation_m.norm();
         let dead_zone_m = dead_zone * self.slope.noise_m();

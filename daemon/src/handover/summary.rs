@@ -63,6 +63,8 @@ pub struct Summary {
     pub obstacles_refused: u64,
     /// Smallest clearance \[m\].
     pub clearance_m: f64,
+    /// Distance by which the body counts as thicker at the tip \[m\].
+    pub tip_margin_m: f64,
     /// The clearance guard changed the command.
     pub clearance_guarded: bool,
     /// Tip at the release \[m\].

@@ -25,6 +25,7 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.obstacle_count = summary.obstacle_count;
     status.obstacles_refused = summary.obstacles_refused;
     status.clearance_m = summary.clearance_m;
+    status.tip_margin_m = summary.tip_margin_m;
     status.tip_position_m = summary.tip_position_m;
     status.position_error_m = summary.reference_distance_m;
     status.reference_position_m = summary.reference_position_m;

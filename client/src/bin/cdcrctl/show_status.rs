@@ -286,6 +286,10 @@ fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
     if status.obstacle_count > 0 {
         let clearance = clearance_text(status.clearance_m);
         write!(out, ", smallest clearance {clearance} mm as estimated")?;
+        let margin_mm = 1e3 * status.tip_margin_m;
+        if margin_mm > 0.0 {
+            write!(out, " less the tip margin of {margin_mm:.1} mm")?;
+        }
     }
     writeln!(
         out,
@@ -348,6 +352,7 @@ mod tests {
             faults: 5,
             obstacle_count: 2,
             clearance_m: 0.0105,
+            tip_margin_m: 0.0452,
             clearance_guarded: 17,
             misses_tolerated: 3,
             statistics_since_ns: 1_000_000_000,
@@ -392,7 +397,7 @@ mod tests {
             &format!("tip error mean, max mm{:>31}{:>36}\n", "1.500, 2.500", "-"),
             &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
             "pinned to no core",
-            "obstacles   2, smallest clearance 10.50 mm as estimated",
+            "obstacles   2, smallest clearance 10.50 mm as estimated less the tip margin of 45.2 mm, safe",
             "the guard changed 17 commands",
             "3  the sender does not hold the reference lease",
             "budget all the remaining period\n",

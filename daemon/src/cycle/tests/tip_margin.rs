@@ -98,6 +98,42 @@ fn ball_centre(ball: &Obstacle) -> Vector3<f64> {
     }
 }
 
+/// Sections 20 % longer than their model: the tip is measured too far from its bends to be followed. The true body
+/// keeps the safe distance all the same, because it may be where the tip is measured.
+#[test]
+fn a_body_whose_tip_is_too_far_from_its_model_keeps_the_distance() {
+    for interface in [Interface::Position, Interface::Velocity] {
+        let flaws = Flaws {
+            length_error: 0.2,
+            noise_m: 3e-5,
+            tip_noise_m: 3e-4,
+            ..Flaws::default()
+        };
+        let mut trial = Trial::with(interface, flaws, BLIND_DIRECT);
+        trial.measures_tip = true;
+        // One measurement may be an error of the sensor.
+        assert_eq!(trial.turn().tip_margin_m, 0.0);
+        let rests = trial.turns(5);
+        assert_eq!(rests.tip_use, MeasurementUse::Implausible);
+        assert!(rests.tip_margin_m > 0.17, "{}", rests.tip_margin_m);
+        // On the true path to the goal.
+        let goal_m = Vector3::new(0.35, 0.0, 0.72);
+        let ball = put_ball(&mut trial, 1.2 * goal_m);
+        trial.feed_line(goal_m.into(), [0.0; 3], 0.0);
+        trial.ask(TRACK);
+        let (mut nearest_m, mut guarded) = (f64::INFINITY, 0);
+        for _ in 0..800 {
+            let record = trial.turn();
+            assert!(matches!(record.mode, Mode::Tracking { .. }));
+            guarded += u32::from(record.clearance_hit);
+            nearest_m = nearest_m.min(clearance_m(&trial, &ball));
+        }
+        println!("{interface:?}: {nearest_m} m");
+        assert!(guarded > 10, "{guarded}");
+        assert!(nearest_m > SAFE_M - 1e-3, "{nearest_m} m");
+    }
+}
+
 /// A possible contact counts as contact and blocks a reset, even with a silent sensor. A tip known to be
 /// wrong must not block it: its offset is discarded once the robot rests.
 #[test]
