@@ -151,6 +151,8 @@ impl Before {
                         Reason::MeasurementJump,
                         Reason::MeasurementFrozen,
                         Reason::CommonMode,
+                        // By the measured bends.
+                        Reason::ClearanceBroken,
                         Reason::LimitBroken,
                     ],
                 ),

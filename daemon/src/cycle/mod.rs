@@ -78,8 +78,7 @@ pub struct Cycle {
     control_begins: bool,
     /// Suspend count of the machine at the last cycle.
     suspends: u64,
-    /// Clearance in the newest cycle \[m\].
-    clearance_m: f64,
+    clearance: present_clearance::PresentClearance,
     longest_gap_ns: u64,
     previous_release_ns: Option<u64>,
     /// The last command; zero if it has run out.
@@ -138,7 +137,7 @@ impl Cycle {
             stops: 0,
             stop_signalled: false,
             latched_ns: 0,
-            clearance_m: f64::INFINITY,
+            clearance: present_clearance::PresentClearance::default(),
             longest_gap_ns: 0,
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
@@ -262,7 +261,7 @@ impl Cycle {
         }
         let safe = self.make_safe(&desired_rates, comes_to_rest);
         self.note_latch(mode_before, &release);
-        self.clearance_m = self.present_clearance_m(safe.clearance_m);
+        self.clearance = self.present_clearance(safe.clearance_m);
         self.command(safe.rates);
         self.link
             .command(release.release_ns, &safe.rates, self.state.commanded());
@@ -320,7 +319,8 @@ impl Cycle {
             rates: safe.rates,
             limits_hit: safe.limits_hit,
             clearance_hit: safe.clearance_hit,
-            clearance_m: self.clearance_m,
+            clearance_m: self.clearance.estimated_m,
+            measured_clearance_m: self.clearance.measured_m,
             answers,
         }
     }

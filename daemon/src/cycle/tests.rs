@@ -3,6 +3,7 @@
 mod approach;
 mod bend_limit;
 mod common_mode;
+mod contact;
 mod core_budget;
 mod lead;
 mod play;

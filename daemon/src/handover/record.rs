@@ -166,5 +166,7 @@ pub struct CycleFacts {
     pub clearance_hit: bool,
     /// Smallest clearance at the release \[m\].
     pub clearance_m: f64,
+    /// The same by the measured bends, where an obstacle is near \[m\].
+    pub measured_clearance_m: f64,
     pub answers: [Option<CycleAnswer>; REQUESTS_WAITING],
 }

@@ -1,0 +1,84 @@
+//! Contact by the measured bends, which an estimate with a lag that is not configured hides.
+
+use cdcr_controller::estimator::Actuator;
+use cdcr_controller::plant::Flaws;
+use cdcr_controller::robot::{Obstacle, Shape};
+use cdcr_controller::safety::{Mode, Reason};
+use nalgebra::Vector3;
+
+use super::DIRECT;
+use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use crate::config::Interface;
+use crate::obstacles::KnownObstacle;
+
+/// A robot that tracks a circle through a ball, and the ball.
+fn beside_a_ball(interface: Interface, actuator: Actuator, more: &str) -> (Trial, Obstacle) {
+    let flaws = Flaws {
+        actuator,
+        noise_m: 3e-5,
+        ..Flaws::default()
+    };
+    let mut trial = Trial::with(interface, flaws, &format!("{DIRECT}{more}"));
+    trial.turns(3);
+    let centre_m = Vector3::new(0.0, 0.2, 0.837);
+    let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.03, Vector3::zeros()).unwrap();
+    let known = KnownObstacle {
+        id: 1,
+        source: 1,
+        obstacle,
+        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
+        expires_ns: None,
+    };
+    trial.inputs.obstacles.upsert(known).unwrap();
+    trial.begin_tracking();
+    (trial, obstacle)
+}
+
+/// Motors that obey speeds with a lag that nobody configured: a fault before the body touches the ball.
+#[test]
+fn a_body_that_comes_near_beside_its_estimate_is_a_fault() {
+    let actuator = Actuator {
+        delay_s: 0.03,
+        time_constant_s: 0.1,
+        play_m: 0.0,
+    };
+    let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, "");
+    let (mut nearest_m, mut estimated_m) = (f64::INFINITY, f64::INFINITY);
+    let mut record = trial.last();
+    for _ in 0..2000 {
+        record = trial.turn();
+        let plant = &trial.plant;
+        nearest_m = nearest_m.min(plant.truth().clearance_m(&plant.configuration(), &ball));
+        estimated_m = estimated_m.min(record.clearance_m);
+    }
+    println!("least true clearance {nearest_m} m, estimated {estimated_m} m");
+    let reason = Reason::ClearanceBroken;
+    assert_eq!(record.mode, Mode::Faulted { reason });
+    assert!(estimated_m > 5e-3, "the estimate hides it: {estimated_m} m");
+    assert!(nearest_m > -2e-3, "{nearest_m} m");
+}
+
+/// Noise, and single measurements that are wrong, are no contact.
+#[test]
+fn noise_beside_an_obstacle_is_no_contact() {
+    let actuator = Actuator {
+        delay_s: 0.0,
+        time_constant_s: 0.02,
+        play_m: 0.0,
+    };
+    let known = "[actuator]\ntime_constant_ms = 20.0\n";
+    for interface in [Interface::Position, Interface::Velocity] {
+        let (mut trial, _) = beside_a_ball(interface, actuator, known);
+        let (mut near, mut measured_m) = (0, f64::INFINITY);
+        for cycle in 0..2000 {
+            trial.cable_error_m[0] = if cycle % 50 == 0 { 3e-3 } else { 0.0 };
+            let record = trial.turn();
+            let mode = record.mode;
+            assert!(matches!(mode, Mode::Tracking { .. }), "{mode:?}");
+            near += u32::from(record.clearance_m < 0.012);
+            measured_m = measured_m.min(record.measured_clearance_m);
+        }
+        println!("{interface:?}: measured {measured_m} m, near in {near} cycles");
+        assert!(near > 50 && measured_m > 5e-3, "{near} {measured_m}");
+    }
+}
