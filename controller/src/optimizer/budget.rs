@@ -162,6 +162,6 @@ mod tests {
         assert_eq!(budget.until(2, ends), (2, true, false));
         assert!(!budget.is_spent());
         assert_eq!(budget.until(9, ends), (3, true, true));
-        assert!(budget.is_whole_spent() && !budget.until(9, |budget| budget.begin_quantum()));
+        assert!(budget.is_whole_spent() && !budget.until(9, Budget::begin_quantum));
     }
 }

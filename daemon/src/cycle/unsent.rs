@@ -94,10 +94,12 @@ impl Cycle {
         self.rest_if_run_out(elapsed_ns);
     }
 
-    /// The next command.
-    pub(super) fn command(&mut self, rates: BendRates) {
+    /// Hands over the next command.
+    pub(super) fn command(&mut self, release_ns: u64, rates: BendRates) {
         self.last_sent.is_first = self.is_at_rest();
         self.rates = rates;
+        self.link
+            .command(release_ns, &rates, self.state.commanded());
     }
 
     /// Inputs and commands pass the exchange; a simulated robot is measured and commanded in the cycle.
