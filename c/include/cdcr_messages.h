@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x40dce79cea1069e9)
+#define CDCR_LAYOUT UINT64_C(0x86b8a7535917fc24)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -584,7 +584,7 @@ typedef struct CdcrLatencySummary {
 } CdcrLatencySummary;
 CDCR_ASSERT_SIZE(CdcrLatencySummary, 48);
 
-/* cdcr.Statistics.v4, 448 bytes. */
+/* cdcr.Statistics.v5, 456 bytes. */
 typedef struct CdcrStatistics {
     /* 0: Cycles that ran. */
     uint64_t cycles;
@@ -610,32 +610,35 @@ typedef struct CdcrStatistics {
     uint64_t tip_error_max_nm;
     /* 88: Cycles of a robot behind a driver that saw no newer measurement than the cycle before. */
     uint64_t stale_measurements;
-    /* 96: Records, with their part of the statistics, and events that were lost inside the daemon because a queue
+    /* 96: Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than 0.1 m
+     * from where the bends place them. */
+    uint64_t tips_not_used;
+    /* 104: Records, with their part of the statistics, and events that were lost inside the daemon because a queue
      * was full. */
     uint64_t dropped_records;
-    /* 104: Longest time between two looks at the clock in a cycle [ns], from its start to the end of the solve, work
+    /* 112: Longest time between two looks at the clock in a cycle [ns], from its start to the end of the solve, work
      * included. Far longer than a quantum of work: the processor stood still, though no deadline was missed. */
     uint64_t longest_gap_ns;
-    /* 112: one for each CdcrLateCause from 1 on. Cycles that started late, missed their deadline or skipped periods,
+    /* 120: one for each CdcrLateCause from 1 on. Cycles that started late, missed their deadline or skipped periods,
      * by their LateCause; index = code, so the first is 0. A punctual cycle whose skipped releases the late cycle
      * before it took is not counted again. */
     uint64_t causes[6];
-    /* 160: Release to start. */
+    /* 168: Release to start. */
     CdcrLatencySummary wake;
-    /* 208: Taking in what clients and driver sent, shortly before the release. */
+    /* 216: Taking in what clients and driver sent, shortly before the release. */
     CdcrLatencySummary gather;
-    /* 256: Start to hand-over of the command. */
+    /* 264: Start to hand-over of the command. */
     CdcrLatencySummary compute;
-    /* 304: The solver, part of compute. */
+    /* 312: The solver, part of compute. */
     CdcrLatencySummary solve;
-    /* 352: Release to hand-over of the command. */
+    /* 360: Release to hand-over of the command. */
     CdcrLatencySummary response;
-    /* 400: Hand-over of the command to its being in the readers' queues. */
+    /* 408: Hand-over of the command to its being in the readers' queues. */
     CdcrLatencySummary publish;
 } CdcrStatistics;
-CDCR_ASSERT_SIZE(CdcrStatistics, 448);
+CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v9, 2176 bytes. */
+/* cdcr.Status.v10, 2200 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -687,54 +690,58 @@ typedef struct CdcrStatus {
     uint64_t statistics_since_ns;
     /* 456: Statistics since the start, or since a client reset them. */
     CdcrStatistics since_reset;
-    /* 904: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
+    /* 912: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
     CdcrStatistics last_minute;
-    /* 1352: Holder of the reference lease; 0: nobody. */
+    /* 1368: Holder of the reference lease; 0: nobody. */
     uint64_t lease_holder;
-    /* 1360: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
+    /* 1376: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
     uint64_t reference_end_ns;
-    /* 1368: Points of the buffered reference that are still ahead. */
+    /* 1384: Points of the buffered reference that are still ahead. */
     uint32_t reference_points;
-    /* 1372: Obstacles of the newest cycle. */
+    /* 1388: Obstacles of the newest cycle. */
     uint32_t obstacle_count;
-    /* 1376: Smallest clearance in the newest cycle [m], as in Telemetry: infinite without obstacles. */
+    /* 1392: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
+     * that by the measured bends. Infinite without obstacles. */
     double clearance_m;
-    /* 1384: The robot. */
+    /* 1400: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
+     * counts in clearance_m. */
+    double tip_margin_m;
+    /* 1408: The robot. */
     CdcrRobotDescription robot;
-    /* 1704: The solver's settings. */
+    /* 1728: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1872: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1896: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1880: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1904: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1904: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1928: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1912: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1936: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 1936: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 1960: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 1944: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 1968: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 1992: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2016: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2136: Cycles in which the following error was above the warning. */
+    /* 2160: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2144: CdcrInterface. */
+    /* 2168: CdcrInterface. */
     uint32_t interface;
-    /* 2148: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2172: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2152: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2176: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2160: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2184: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2168: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2192: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2176);
+CDCR_ASSERT_SIZE(CdcrStatus, 2200);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {

@@ -326,7 +326,8 @@ impl Estimator {
         let then = motion.cables_at_start(&motion.start_from(self.motors()));
         let model_tip_m = robot.tip_position(&then);
         let has_play = self.motors.commanded_slack().is_some();
-        self.tip_offset.correct(position_m, &model_tip_m, has_play)
+        self.tip_offset
+            .correct(position_m, &model_tip_m, robot.reach_m(), has_play)
     }
 
     /// Updates the tip offset along the path of the tip. When cables begin to move, their place in the play is revised; the tip stays.

@@ -162,11 +162,12 @@ impl TipOffset {
     /// farther aside than the largest offset, or bit-identical to the last position. Following a sensor that has
     /// stopped would move the robot away from its reference.
     ///
-    /// `has_play`: the cables have a known play.
+    /// `reach_m`: length of the robot. `has_play`: the cables have a known play.
     pub(super) fn correct(
         &mut self,
         measured_m: &Vector3<f64>,
         model_tip_m: &Vector3<f64>,
+        reach_m: f64,
         has_play: bool,
     ) -> bool {
         let measured_offset_m = measured_m - model_tip_m;
@@ -175,7 +176,8 @@ impl TipOffset {
             return false;
         }
         let away_m = measured_offset_m.norm();
-        if away_m > OFFSET_MAX_M {
+        // No body reaches half as far again as its model: there the sensor is wrong.
+        if away_m > OFFSET_MAX_M && measured_m.norm() < 1.5 * reach_m {
             self.far_count = (self.far_count + 1).min(FAR_LIMIT);
             self.far_m = away_m;
         }

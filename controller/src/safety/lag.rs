@@ -226,6 +226,10 @@ impl<'a> LagLines<'a> {
             if *clearance_m >= enough_m {
                 return true;
             }
+            // It is exact.
+            if !self.spend(clearance_cost(&obstacle)) {
+                return false;
+            }
             let Some(floor_m) = self.floor_m(section, index) else {
                 return false;
             };
