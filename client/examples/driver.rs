@@ -39,11 +39,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         if let Some(daemon) = update.new_daemon {
             eprintln!("another daemon commands: {daemon:#018x}");
-            if let Some(offset) = driver.offset() {
-                let bends = offset.bend_rad.iter().map(|bend_rad| bend_rad.abs());
-                let most_rad = bends.fold(0.0, f64::max);
-                eprintln!("the motors stay where they are, {most_rad:.3} rad beside its position");
-            }
         }
         // The motors get a set point in each iteration, with or without a new command.
         let now_ns = monotonic_ns();
