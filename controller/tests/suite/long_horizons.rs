@@ -62,7 +62,7 @@ fn fast_curves_among_obstacles_are_followed_within_the_budget() {
         (
             "seen early enough",
             |solver| fast(solver, spiral, 30),
-            1.2e-4,
+            1.1e-4,
         ),
         ("an end, 35 steps", |solver| fast(solver, ENDS, 35), 1e-9),
         ("a stop", |solver| fast(solver, STOPS, STEPS), 1e-9),
