@@ -5,9 +5,9 @@ use std::panic::resume_unwind;
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, TelemetryStream};
-use cdcr_shared_types::Telemetry;
+use cdcr_client::{Connection, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::{Service, Telemetry};
 use cdcr_tests::TIMEOUT;
 use cdcr_tests::record::largest;
 
@@ -33,7 +33,8 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
     }
 }
 
-/// A reader that fails when it loses a record. It checks on each record that a robot at rest stays, and that
+/// A reader that fails when it loses a record, unless the machine keeps the reader for longer than its queue
+/// lasts while the daemon, in its own class and locked memory, goes on. It checks on each record that a robot at rest stays, and that
 /// the commanded position is the integral of the rates. While it exists, no other test takes the daemon's
 /// core.
 pub(crate) struct Trail {
@@ -44,6 +45,13 @@ pub(crate) struct Trail {
     integral: Integral,
     history: History,
     _calm: Option<RwLockReadGuard<'static, ()>>,
+}
+
+/// Whether newer records have filled the queue since: then its reader came too late.
+fn waited_a_queue(record: &Telemetry) -> bool {
+    let queue = Service::Telemetry.queues().queue as u64;
+    let waited_ns = monotonic_ns().saturating_sub(record.release_ns);
+    waited_ns / record.period_ns + 2 > queue
 }
 
 impl Trail {
@@ -74,8 +82,16 @@ impl Trail {
         };
         if let Some(before) = &self.before {
             let expected = before.cycle + 1 + u64::from(record.skipped_periods);
-            assert_eq!(record.cycle, expected, "a record was lost");
-            ramp::check_rest(before, &record).unwrap();
+            if record.cycle == expected {
+                ramp::check_rest(before, &record).unwrap();
+            } else {
+                assert!(waited_a_queue(&record), "a record was lost");
+                println!(
+                    "the machine kept the reader from {expected} to {}",
+                    record.cycle
+                );
+                self.before = None;
+            }
         }
         ramp::check(&record, record.period_ns as f64 * 1e-9).unwrap();
         self.integral.check(self.before.as_ref(), &record).unwrap();
