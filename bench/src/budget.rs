@@ -136,7 +136,7 @@ impl Way {
         let mut nmpc = self.scene.solver(self.settings)?;
         let mut evaluator = PlanEvaluator::new(&self.scene, self.settings)?;
         let mut closed = self.scene.begin(self.settings)?;
-        let [mut own_ns, mut bare_ns] = [histogram()?, histogram()?];
+        let [mut own_ns, mut bare_ns] = [histogram(), histogram()];
         let (mut ended_by_budget, mut worse) = (0_u64, 0_u64);
         // Touches all memory that a solve may need.
         nmpc.solve(&closed.input(), &mut Budget::unlimited());

@@ -8,13 +8,13 @@ use serde_json::{Map, Value, json};
 use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::stretch::Subject;
-use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, empty_times, times_json};
+use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, times_json};
 use super::{DeadlineOptions, Setup};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer};
 use crate::dataset::{Dataset, Recording, each, joined, number};
 use crate::load::Load;
 use crate::metric::range;
-use crate::quantiles::Quantiles;
+use crate::quantiles::{Quantiles, pooled};
 
 const SHARES: f64 = 1e-5;
 /// Significance level of a difference between two counts of misses.
@@ -65,14 +65,8 @@ impl Case {
         each(&self.rounds, key).reduce(|sum, value| sum + value)
     }
 
-    fn pooled(&self) -> Result<Times> {
-        let mut all = empty_times()?;
-        for times in &self.times {
-            for (all, times) in all.iter_mut().zip(times) {
-                all.add(times)?;
-            }
-        }
-        Ok(all)
+    fn pooled(&self) -> Times {
+        std::array::from_fn(|time| pooled(self.times.iter().map(|times| &times[time])))
     }
 
     fn row(&self, key: Key, merged: Value, all: &Times) -> Value {
@@ -211,7 +205,7 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
     let (mut rows, mut time_table, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
     let mut curves = BTreeMap::<_, Vec<Curve>>::new();
     for (key, case) in cases {
-        let (all, merged) = (case.pooled()?, dataset.merge("cases", &case.rounds));
+        let (all, merged) = (case.pooled(), dataset.merge("cases", &case.rounds));
         if key.subject == Subject::Daemon {
             dataset.compare("rounds", &merged, &case.rounds);
         }

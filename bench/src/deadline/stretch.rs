@@ -140,7 +140,7 @@ impl<'a> Runner<'a> {
             let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
             // As for the daemon: a stall across the end of the warm-up counts, with all skipped periods.
             let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
-            Tally::of(&cycles[warm..], false)
+            Ok(Tally::of(&cycles[warm..], false))
         })
     }
 
@@ -188,7 +188,7 @@ impl<'a> Runner<'a> {
             let cause = causes.get(&record.number);
             record.cycle.cause = cause.copied().unwrap_or(record.cycle.cause);
         }
-        let mut tally = tally(&records, watcher.telemetry.lost() - lost_before)?;
+        let mut tally = tally(&records, watcher.telemetry.lost() - lost_before);
         tally.counts["steal_ms"] = stolen_ms.into();
         Ok(tally)
     }
@@ -254,9 +254,9 @@ impl Record {
     }
 }
 
-fn tally(records: &[Record], lost_records: u64) -> Result<Tally> {
+fn tally(records: &[Record], lost_records: u64) -> Tally {
     let cycles: Vec<Cycle> = records.iter().map(|record| record.cycle).collect();
-    let mut tally = Tally::of(&cycles, true)?;
+    let mut tally = Tally::of(&cycles, true);
     for command_ns in records.iter().filter_map(|record| record.command_ns) {
         tally.times[COMMAND].saturating_record(command_ns);
     }
@@ -268,5 +268,5 @@ fn tally(records: &[Record], lost_records: u64) -> Result<Tally> {
         "tracking_share": count(|record| record.tracking) as f64 / records.len().max(1) as f64,
     });
     tally.counts = joined([tally.counts, of_clients]);
-    Ok(tally)
+    tally
 }

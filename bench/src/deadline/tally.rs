@@ -22,8 +22,8 @@ const OWN: [LateCause; 2] = [LateCause::Compute, LateCause::PageFault];
 
 pub(super) type Times = [Histogram<u64>; 4];
 
-pub(super) fn empty_times() -> Result<Times> {
-    Ok([histogram()?, histogram()?, histogram()?, histogram()?])
+fn empty_times() -> Times {
+    [(); 4].map(|()| histogram())
 }
 
 /// Five quantiles \[µs\] of each time, under its name with the unit; null if not measured.
@@ -39,8 +39,8 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    pub(super) fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
-        let (mut times, mut causes) = (empty_times()?, Causes::default());
+    pub(super) fn of(cycles: &[Cycle], computes: bool) -> Self {
+        let (mut times, mut causes) = (empty_times(), Causes::default());
         let mut after_miss = false;
         for cycle in cycles {
             let is_late = cycle.late_start || cycle.deadline_miss;
@@ -68,11 +68,11 @@ impl Tally {
             // Time that the thread was ready while another one had the core.
             "run_delay_ms": sum(|cycle| cycle.run_delay_ns) as f64 * 1e-6,
         });
-        Ok(Self { counts, times })
+        Self { counts, times }
     }
 
     pub(super) fn of_cyclictest(of: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
-        let mut times = empty_times()?;
+        let mut times = empty_times();
         times[WAKE].add(&of.histogram_ns)?;
         let counts = json!({
             "cycles": of.cycles,
@@ -114,7 +114,7 @@ mod tests {
             cycle(20, 50, LateCause::Stall),
         ];
         cycles[6].skipped_periods = 1;
-        let tally = Tally::of(&cycles, true).unwrap();
+        let tally = Tally::of(&cycles, true);
         let expected = json!({
             "cycles": 7, "late_starts": 2, "deadline_misses": 4, "own_misses": 2, "skipped_periods": 5,
             "causes": { "platform": 1, "load": 1, "fault": 1, "other": 1, "compute": 1 }, "run_delay_ms": 3.5,

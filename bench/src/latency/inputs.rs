@@ -149,21 +149,15 @@ impl Line {
                 continue;
             };
             let way = self.source.way();
-            let (is_accepted, why) = (
-                outcome == Outcome::Accepted.code(),
-                Outcome::text_of(outcome),
-            );
-            ensure!(
-                is_accepted,
-                "the daemon rejected a message of the benchmark ({way}): {why}"
-            );
+            if outcome != Outcome::Accepted.code() {
+                let why = Outcome::text_of(outcome);
+                bail!("the daemon rejected a message of the benchmark ({way}): {why}");
+            }
             if !sent.counts {
                 continue;
             }
-            let (follows, why) = (
-                cycle.is_in(Mode::Tracking),
-                Reason::text_of(cycle.record.reason),
-            );
+            let why = Reason::text_of(cycle.record.reason);
+            let follows = cycle.is_in(Mode::Tracking);
             ensure!(follows, "the robot no longer follows its reference: {why}");
             let is_request = self.source.is_request();
             let received_ns = [cycle.received_ns, sent.answered_ns][usize::from(is_request)];
@@ -173,7 +167,7 @@ impl Line {
                 continue;
             };
             self.recorded += 1;
-            round.record_way(way, [sent.stamp_ns, gather_ns, received_ns])?;
+            round.record_way(way, [sent.stamp_ns, gather_ns, received_ns]);
         }
         Ok(())
     }
@@ -246,16 +240,16 @@ fn take(
         }
         let is_warm = lines.iter().all(|line| line.count > WARM_UP);
         if is_simulated && is_warm && seen.is_in(Mode::Tracking) {
-            record_command(&seen, round)?;
+            record_command(&seen, round);
         }
     }
     Ok(())
 }
 
-fn record_command(cycle: &Seen, round: &mut Round) -> Result<()> {
+fn record_command(cycle: &Seen, round: &mut Round) {
     let Some(received_ns) = cycle.received_ns else {
         round.without_command += 1;
-        return Ok(());
+        return;
     };
     let record = &cycle.record;
     for (leg, from_ns) in [
@@ -263,9 +257,8 @@ fn record_command(cycle: &Seen, round: &mut Round) -> Result<()> {
         ("command.handover", record.handed_over_ns),
         ("command.hop", record.command.header.sent_ns),
     ] {
-        round.record(leg, received_ns.saturating_sub(from_ns))?;
+        round.record(leg, received_ns.saturating_sub(from_ns));
     }
-    Ok(())
 }
 
 /// Estimates the lead of the gather from records, because the status does not contain it. The median, because

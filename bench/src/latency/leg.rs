@@ -1,9 +1,7 @@
 //! The measured legs, each from one time stamp to another, and their latencies in one round.
 
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 
-use anyhow::Result;
 use cdcr_client::monotonic_ns;
 use serde::Deserialize;
 
@@ -43,31 +41,28 @@ impl Round {
         }
     }
 
-    pub(super) fn record(&mut self, leg: &str, latency_ns: u64) -> Result<()> {
+    pub(super) fn record(&mut self, leg: &str, latency_ns: u64) {
         let now_s = monotonic_ns().saturating_sub(self.began_ns) as f64 * 1e-9;
-        let recording = match self.legs.entry(leg.to_owned()) {
-            Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(new) => new.insert(Recording {
-                tag: leg.to_owned(),
-                start_s: now_s,
-                duration_s: 0.0,
-                histogram_ns: histogram()?,
-            }),
-        };
+        let recording = self.legs.entry(leg.to_owned());
+        let recording = recording.or_insert_with(|| Recording {
+            tag: leg.to_owned(),
+            start_s: now_s,
+            duration_s: 0.0,
+            histogram_ns: histogram(),
+        });
         recording.duration_s = now_s - recording.start_s;
         recording.histogram_ns.saturating_record(latency_ns);
-        Ok(())
     }
 
     /// Adds a whole leg, its wait for the grid, and the machinery. A message that came during its gather did
     /// not wait.
-    pub(super) fn record_way(&mut self, whole: &str, passage: Passage) -> Result<()> {
+    pub(super) fn record_way(&mut self, whole: &str, passage: Passage) {
         let [sent_ns, gather_ns, received_ns] = passage;
         let whole_ns = received_ns.saturating_sub(sent_ns);
         let grid_ns = gather_ns.saturating_sub(sent_ns).min(whole_ns);
         let way = whole.split('.').next().unwrap_or_default();
-        self.record(whole, whole_ns)?;
-        self.record(&format!("{way}.grid"), grid_ns)?;
-        self.record(&format!("{way}.machinery"), whole_ns - grid_ns)
+        self.record(whole, whole_ns);
+        self.record(&format!("{way}.grid"), grid_ns);
+        self.record(&format!("{way}.machinery"), whole_ns - grid_ns);
     }
 }

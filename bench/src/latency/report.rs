@@ -32,7 +32,7 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     for [leg, from, to] in declared().legs {
         let each_round = round_rows(&leg, rounds);
         let stamps = json!({ "leg": leg, "from": from, "to": to });
-        let row = row(&leg, rounds, &each_round)?;
+        let row = row(&leg, rounds, &each_round);
         legs.extend(row.map(|row| joined([stamps, row])));
         // The wait for the grid is spread evenly over a period by design, so two runs cannot differ in it.
         let (way, part) = leg.split_once('.').unwrap_or_default();
@@ -63,7 +63,7 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
     dataset.fact("setting", setting);
     dataset.fact("unmeasured", unmeasured);
-    dataset.plot("latency", &panels(rounds, limit_us)?)?;
+    dataset.plot("latency", &panels(rounds, limit_us))?;
     dataset.add_titled("shown", &[title], legs.iter().map(shown).collect());
     dataset.add("ratios", ratios.into_iter().flatten().collect());
     dataset.add("targets", targets);
@@ -82,18 +82,18 @@ fn round_rows(leg: &str, rounds: &[Round]) -> Vec<Value> {
     rounds.iter().enumerate().filter_map(row).collect()
 }
 
-fn row(leg: &str, rounds: &[Round], each_round: &[Value]) -> Result<Option<Value>> {
-    let all = of_all(leg, rounds)?;
+fn row(leg: &str, rounds: &[Round], each_round: &[Value]) -> Option<Value> {
+    let all = of_all(leg, rounds);
     let row = json!({
         "samples": all.len(),
         "samples_of_round_least": each(each_round, "samples").reduce(f64::min),
         "latency_us": Quantiles::of(&all),
         "rounds_us": together(each_round, &[])["latency_us"],
     });
-    Ok((!all.is_empty()).then_some(row))
+    (!all.is_empty()).then_some(row)
 }
 
-fn of_all(leg: &str, rounds: &[Round]) -> Result<Histogram<u64>> {
+fn of_all(leg: &str, rounds: &[Round]) -> Histogram<u64> {
     let recordings = rounds.iter().filter_map(|round| round.legs.get(leg));
     pooled(recordings.map(|recording| &recording.histogram_ns))
 }
@@ -131,18 +131,18 @@ fn target(row: &Value, limit_us: f64) -> Value {
     json!({ "leg": row["leg"], "samples": row["samples"], "limit_us": limit_us, "p99_us": p99_us, "kept": kept })
 }
 
-fn panels(rounds: &[Round], limit_us: f64) -> Result<Vec<Panel>> {
+fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
     let panel = |(title, legs): (String, Vec<String>)| {
         let mut curves = Vec::new();
         for (leg, colour) in legs.iter().zip([BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE]) {
-            curves.push(Curve::line(leg, longer(&of_all(leg, rounds)?), colour));
+            curves.push(Curve::line(leg, longer(&of_all(leg, rounds)), colour));
         }
         if legs[0] == BOUND[0] {
             curves.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
         }
         let axes = ["longer than, µs", "share of the samples"];
         let scale = Scale::LogLog { floor: SHARES };
-        Ok(Panel::new(title, axes, scale, curves))
+        Panel::new(title, axes, scale, curves)
     };
     declared().panels.into_iter().map(panel).collect()
 }
@@ -155,10 +155,9 @@ mod tests {
     fn round(factor: u64, stop_us: u64) -> Round {
         let mut round = Round::new(0);
         for us in 1..=100 {
-            let worked = round.record_way("reference.command", [0, 0, 1000 * factor * us]);
-            worked.expect("bounds");
+            round.record_way("reference.command", [0, 0, 1000 * factor * us]);
             for leg in BOUND {
-                round.record(leg, 1000 * stop_us).expect("bounds");
+                round.record(leg, 1000 * stop_us);
             }
         }
         round
@@ -193,7 +192,7 @@ mod tests {
         let [both, p999, none] = [[true; 3], [false, true, false], [false; 3]];
         for (count, absent) in [(99, both), (100, p999), (1000, none)] {
             let mut round = Round::new(0);
-            (1..=count).for_each(|us| round.record(BOUND[0], 1000 * us).expect("bounds"));
+            (1..=count).for_each(|us| round.record(BOUND[0], 1000 * us));
             let found = dataset("", json!({ "period_us": 5000.0 }), &[round]).expect("a result");
             let [row] = found.rows("shown") else {
                 panic!("rows of legs that were not measured");
@@ -210,7 +209,7 @@ mod tests {
         for grid in legs.iter().filter(|leg| leg.contains(".grid")) {
             let (mut round, at) = (Round::new(0), legs.iter().position(|leg| leg == grid));
             let whole = &legs[at.expect("it is there") - 1];
-            round.record_way(whole, [100, 400, 1000]).expect("bounds");
+            round.record_way(whole, [100, 400, 1000]);
             let machinery = &grid.replace("grid", "machinery");
             let way = [whole, grid, machinery];
             assert!(way.iter().all(|leg| legs.contains(leg)));

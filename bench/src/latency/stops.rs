@@ -7,7 +7,6 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
-use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
 use super::inputs::Phases;
@@ -54,7 +53,7 @@ pub(super) fn measure(
         match stop(watcher, &mut phases)? {
             Some(stopped) if number >= WARM_UP => {
                 recorded += 1;
-                stopped.record(round)?;
+                stopped.record(round);
             }
             Some(_) => {}
             None => {
@@ -137,10 +136,10 @@ struct Stopped {
 }
 
 impl Stopped {
-    fn record(&self, round: &mut Round) -> Result<()> {
-        round.record_way("stop.command", self.first)?;
-        round.record("stop.zero_handover", self.zero_handover_ns)?;
-        round.record("stop.zero_command", self.zero_command_ns)
+    fn record(&self, round: &mut Round) {
+        round.record_way("stop.command", self.first);
+        round.record("stop.zero_handover", self.zero_handover_ns);
+        round.record("stop.zero_command", self.zero_command_ns);
     }
 }
 
@@ -154,14 +153,9 @@ fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
         one + 1 == next
     };
     let is_whole = records[at - 1..].windows(2).all(is_next);
-    let Telemetry {
-        period_ns,
-        deceleration_rad_s2,
-        previous_rate_rad_s,
-        ..
-    } = &*first.record;
-    let step_rad_s = deceleration_rad_s2 * *period_ns as f64 * 1e-9;
-    let steps = largest(previous_rate_rad_s) / step_rad_s;
+    let period_ns = first.record.period_ns;
+    let step_rad_s = first.record.deceleration_rad_s2 * period_ns as f64 * 1e-9;
+    let steps = largest(&first.record.previous_rate_rad_s) / step_rad_s;
     if !is_whole || !before.is_in(Mode::Tracking) || steps < 2.0 {
         return None;
     }
@@ -184,6 +178,8 @@ fn largest(rates_rad_s: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::Telemetry;
+
     use super::*;
 
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.

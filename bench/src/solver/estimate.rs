@@ -74,7 +74,7 @@ impl Sensed {
         let mut estimator = self.estimator(&robot, truth);
         let mut rates = BendRates::zero(SECTIONS);
         let mut numbers = Numbers::new(1);
-        let mut times = [histogram()?, histogram()?, histogram()?];
+        let mut times = [histogram(), histogram(), histogram()];
         for cycle in 0..WARM_UP + cycles {
             truth = truth.advanced(&rates, FigureEight::PERIOD_S);
             let mut noise_m = |most_m: f64| numbers.between(-most_m, most_m);

@@ -79,7 +79,7 @@ fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Res
     let mut nmpc = scene.solver(settings)?;
     let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
     let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
-    let (mut errors_mm, mut times, mut cut_short) = (Vec::new(), histogram()?, 0);
+    let (mut errors_mm, mut times, mut cut_short) = (Vec::new(), histogram(), 0);
     let mut spare_m = f64::INFINITY;
     let cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
     for cycle in 0..cycles {
