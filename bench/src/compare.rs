@@ -1,7 +1,7 @@
 //! Changes between two runs beyond the noise of their rounds.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
+use std::fmt::{Display, Write as _};
 use std::fs;
 use std::path::Path;
 
@@ -161,20 +161,11 @@ impl Comparison {
 }
 
 fn warnings(before: &Input, after: &Input) -> Vec<String> {
-    let mut warnings = Vec::new();
-    for (what, old, new) in before.environment.differing(&after.environment) {
-        warnings.push(format!("another {what}: {old} before, {new} after"));
-    }
-    warnings.extend((!warnings.is_empty()).then(|| OTHER_MACHINE.to_owned()));
+    let machine = before.environment.differing(&after.environment);
+    let mut warnings = another("", &machine, OTHER_MACHINE);
     match (&before.options, &after.options) {
         (Some(old), Some(new)) => {
-            let differing = old.differing(new);
-            let another = differing.iter();
-            let another = another.map(|(name, old, new)| {
-                format!("another value of {name}: {old} before, {new} after")
-            });
-            warnings.extend(another);
-            warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
+            warnings.extend(another("value of ", &old.differing(new), OTHER_OPTIONS));
         }
         (None, None) => {}
         (old, _) => {
@@ -184,6 +175,15 @@ fn warnings(before: &Input, after: &Input) -> Vec<String> {
         }
     }
     warnings
+}
+
+/// A warning for each difference, then its consequence.
+fn another<T: Display>(kind: &str, all: &[(&str, T, T)], consequence: &str) -> Vec<String> {
+    let one = |(name, old, new): &(&str, T, T)| {
+        format!("another {kind}{name}: {old} before, {new} after")
+    };
+    let consequence = (!all.is_empty()).then(|| consequence.to_owned());
+    all.iter().map(one).chain(consequence).collect()
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -378,10 +378,9 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
 
 pub fn joined<const N: usize>(objects: [Value; N]) -> Value {
     let mut all = Map::new();
-    for object in objects {
-        if let Value::Object(fields) = object {
-            all.extend(fields);
-        }
+    for mut object in objects {
+        let fields = object.as_object_mut().map(std::mem::take);
+        all.extend(fields.unwrap_or_default());
     }
     Value::Object(all)
 }

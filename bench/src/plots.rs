@@ -1,6 +1,6 @@
 //! The paper's figures, drawn from the first run of each experiment.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use cdcr_client::counted;
 use cdcr_controller::nmpc::Coordinates;
 use cdcr_controller::robot::{Configuration, Robot, ZyxAngles};
@@ -34,14 +34,17 @@ const CLEARANCE_MAX_MM: f64 = 2.0;
 const SHARES: f64 = 1e-3;
 
 /// Draws the declared plots, `paper-SIMULATION-KIND`.
-pub fn draw(dataset: &mut Dataset, outcomes: &[Outcome]) -> Result<()> {
+pub fn draw<'a>(dataset: &mut Dataset, outcomes: &'a [Outcome]) -> Result<()> {
     let tasks = Task::all().into_iter();
     let drawn = tasks.map(|task| Drawn::new(outcomes, task));
     let drawn = drawn.collect::<Result<Vec<_>>>()?;
     for plot in dataset.declaration.plots.clone() {
         let words = plot.name.splitn(3, '-').collect::<Vec<_>>();
-        let is_it = |one: &&Drawn<'_>| one.run.experiment.task.name() == words[1];
+        let is_it = |one: &&Drawn<'a>| one.run.experiment.task.name() == words[1];
         let tasks: Vec<_> = drawn.iter().filter(is_it).collect();
+        let each = |panels: fn(&Drawn<'a>) -> Vec<Panel>| -> Vec<Panel> {
+            tasks.iter().flat_map(|task| panels(task)).collect()
+        };
         let panels = match (words[1], words[2]) {
             ("spiral", "path") => spiral_paths(&tasks),
             ("circle", "path") => vec![
@@ -50,20 +53,22 @@ pub fn draw(dataset: &mut Dataset, outcomes: &[Outcome]) -> Result<()> {
             ],
             ("circle", "errors") => vec![circle_errors(&tasks)],
             ("circle", "clearance") => vec![circle_clearance(&tasks)],
-            ("line", "errors") => each(&tasks, &["errors", "tilt"]),
-            (_, kind) => each(&tasks, &[kind]),
+            ("line", "errors") => {
+                let errors = each(Drawn::errors).into_iter();
+                errors.chain(each(Drawn::tilt)).collect()
+            }
+            (_, "errors") => each(Drawn::errors),
+            (_, "solvers") => each(Drawn::distances),
+            (_, "controls") => each(Drawn::controls),
+            (_, "cables") => each(Drawn::cables),
+            (_, "times") => each(Drawn::times),
+            (_, "shapes") => each(Drawn::shapes),
+            (_, "angles") => each(Drawn::angles),
+            _ => bail!("the plot {} is declared, and cannot be drawn", plot.name),
         };
         dataset.plot(&plot.name, &panels)?;
     }
     Ok(())
-}
-
-fn each(tasks: &[&Drawn<'_>], kinds: &[&str]) -> Vec<Panel> {
-    let mut panels = Vec::new();
-    for kind in kinds {
-        panels.extend(tasks.iter().flat_map(|task| task.panels(kind)));
-    }
-    panels
 }
 
 fn backbone(view: View, robot: &Robot, at: &Configuration) -> Vec<Point> {
@@ -169,20 +174,6 @@ impl<'a> Drawn<'a> {
     /// A panel with linear axes, titled with the simulation and `part`.
     fn linear(&self, part: &str, y: &'static str, curves: Vec<Curve>) -> Panel {
         timed(format!("{}{part}", self.title), y, Scale::Linear, curves)
-    }
-
-    fn panels(&self, kind: &str) -> Vec<Panel> {
-        match kind {
-            "errors" => self.errors(),
-            "tilt" => self.tilt(),
-            "solvers" => self.distances(),
-            "controls" => self.controls(),
-            "cables" => self.cables(),
-            "times" => self.times(),
-            "shapes" => self.shapes(),
-            "angles" => self.angles(),
-            _ => Vec::new(),
-        }
     }
 
     fn errors(&self) -> Vec<Panel> {

@@ -126,10 +126,8 @@ fn panel(cases: &[Value]) -> Panel {
     };
     let solvers = Solver::ALL.into_iter().zip([PURPLE, GREEN, BLUE, ORANGE]);
     let curves = solvers.map(curve).filter(|curve| !curve.is_empty());
-    let (title, scale) = (
-        "Median of a solve on the fastest path",
-        Scale::Log { floor: 0.1 },
-    );
+    let title = "Median of a solve on the fastest path";
+    let scale = Scale::Log { floor: 0.1 };
     Panel::new(title, ["sections", "time [µs]"], scale, curves.collect())
 }
 

@@ -123,20 +123,13 @@ fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
     Binomial::new(share, misses).map_or(1.0, |all| all.sf(ours.0 - 1))
 }
 
-/// The daemon beside the bare loop in each round. Both wake up early and spin until the release
+/// The daemon, which has the key, beside the bare loop in each round. Both wake up early and spin until the release
 /// (`realtime.spin_us`): starts within a microsecond of the release count as one microsecond, so that no ratio
 /// depends on a clock reading.
 fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
-    let of = |subject, load| {
-        let Key { setup, .. } = key;
-        cases.get(&Key {
-            setup,
-            load,
-            subject,
-        })
-    };
-    let (daemon, bare) = (of(Subject::Daemon, key.load)?, of(Subject::Bare, key.load)?);
-    let unloaded = of(Subject::Daemon, Load::None);
+    let (subject, load) = (Subject::Bare, Load::None);
+    let (daemon, bare) = (cases.get(&key)?, cases.get(&Key { subject, ..key })?);
+    let unloaded = cases.get(&Key { load, ..key });
     let of_round = |round: usize| {
         let at = |case: &Case, name| number(case.rounds.get(round)?, name);
         let over = |below, name| Some(at(daemon, name)?.max(1.0) / at(below, name)?.max(1.0));

@@ -91,16 +91,12 @@ fn hear_ready(socket: &UnixDatagram) -> Result<Option<u64>> {
         interrupt::check()?;
         let received = socket.recv(&mut message);
         let now_ns = monotonic_ns();
-        if received.is_ok_and(|length| says_ready(&message[..length])) {
+        let mut lines = message[..received.unwrap_or(0)].split(|byte| *byte == b'\n');
+        if lines.any(|line| line == b"READY=1") {
             return Ok(Some(now_ns));
         }
     }
     Ok(None)
-}
-
-fn says_ready(message: &[u8]) -> bool {
-    let mut lines = message.split(|byte| *byte == b'\n');
-    lines.any(|line| line == b"READY=1")
 }
 
 pub(super) fn usage(

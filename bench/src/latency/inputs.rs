@@ -131,15 +131,12 @@ impl Line {
     fn send(&mut self, watcher: &mut Watcher) -> Result<()> {
         let (key, stamp_ns) = self.source.send(self.count, watcher)?;
         self.count += 1;
-        let (counts, answered_ns) = (self.count > WARM_UP, None);
-        self.sent.insert(
-            key,
-            Sent {
-                stamp_ns,
-                counts,
-                answered_ns,
-            },
-        );
+        let sent = Sent {
+            stamp_ns,
+            counts: self.count > WARM_UP,
+            answered_ns: None,
+        };
+        self.sent.insert(key, sent);
         Ok(())
     }
 

@@ -131,16 +131,15 @@ impl Problem {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
             let [start, end] = [(); 2].map(|()| shape(&mut numbers));
-            let [from_m, to_m] = [start, end].map(|shape| robot.tip_pose(&shape).position_m);
-            let way = |share| from_m + share * (to_m - from_m);
+            let [from_m, target_m] = [start, end].map(|shape| robot.tip_pose(&shape).position_m);
+            let way = |share| from_m + share * (target_m - from_m);
             let obstacles = field.obstacles(way, &mut numbers)?;
             let is_clear = |shape| {
                 let body = robot.body(shape);
                 body.least_clearance_m(obstacles.iter().copied()) > CLEAR_M
             };
-            let is_apart = APART_M.contains(&(to_m - from_m).norm());
+            let is_apart = APART_M.contains(&(target_m - from_m).norm());
             if is_apart && is_clear(&start) && is_clear(&end) {
-                let target_m = to_m;
                 return Ok(Self {
                     start,
                     target_m,

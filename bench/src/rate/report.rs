@@ -90,9 +90,7 @@ fn panels(rows: &[Value]) -> [Panel; 2] {
 }
 
 fn shortest_row(shortest: &Shortest) -> Value {
-    let Shortest {
-        held_ms, failed_ms, ..
-    } = *shortest;
+    let (held_ms, failed_ms) = (shortest.held_ms, shortest.failed_ms);
     let [held, failed] = [held_ms, failed_ms].map(|ms| shortest.trials_with(ms));
     let remarks = failed.last().map(|trial| trial.remarks());
     let failed_in = held_in(&failed);

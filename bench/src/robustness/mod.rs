@@ -61,20 +61,15 @@ impl Benchmark for RobustnessOptions {
 
     fn check(&self) -> Result<()> {
         let only = self.only.as_deref();
-        let words = only.unwrap_or_default();
-        if self.sweep {
+        let (is_any, what, place) = if self.sweep {
             let is_any = tuning::is_any(only);
-            ensure!(
-                is_any,
-                "no swept key contains {words:?}: see docs/tuning.md for the keys"
-            );
+            (is_any, "swept key", "tuning.md for the keys")
         } else {
             let is_any = Scenario::all().iter().any(|scenario| self.names(scenario));
-            ensure!(
-                is_any,
-                "no robot name contains {words:?}: see docs/robustness.md for the names"
-            );
-        }
+            (is_any, "robot name", "robustness.md for the names")
+        };
+        let words = only.unwrap_or_default();
+        ensure!(is_any, "no {what} contains {words:?}: see docs/{place}");
         Ok(())
     }
 

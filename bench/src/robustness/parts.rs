@@ -31,9 +31,8 @@ pub(super) fn rows(rows: &[Value]) -> Vec<Value> {
             Some(text(number(row, key)?))
         };
         let (with, without) = (of("full")?, of(without)?);
-        Some(
-            json!({ "part": part, "robot": robot, "figure": figure, "with": with, "without": without }),
-        )
+        let row = json!({ "part": part, "robot": robot, "figure": figure, "with": with, "without": without });
+        Some(row)
     };
     SHOWN.into_iter().filter_map(row).collect()
 }

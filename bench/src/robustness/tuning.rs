@@ -125,12 +125,8 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
             panels.extend((!shown.is_empty()).then(|| Panel::new(key, [head, y], scale, curves)));
         };
         let mean = curve("mean", "mean_error_mm", BLUE);
-        let largest = curve("largest", "max_error_mm", ORANGE);
-        panel(
-            "error of the tip [mm]",
-            Scale::LogAcross,
-            vec![mean, largest],
-        );
+        let errors = vec![mean, curve("largest", "max_error_mm", ORANGE)];
+        panel("error of the tip [mm]", Scale::LogAcross, errors);
         let both = curve("cables and tip", "rate_change_rms", BLUE);
         let cables = curve("cables only", "cables_rate_change_rms", ORANGE);
         let scale = Scale::LogLog { floor: 1e-4 };

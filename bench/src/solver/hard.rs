@@ -70,11 +70,8 @@ fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<V
 /// Follows a spiral at a multiple of the paper's speed. The robot executes the plan; no guard corrects it.
 fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Result<Value> {
     let paper = Size::paper(Task::Spiral { sections: 3 }, solver);
-    let longer = paper.with(|it| it.horizon_steps = HORIZON);
-    let size = Size {
-        obstacles,
-        ..longer
-    };
+    let long = paper.with(|it| it.horizon_steps = HORIZON);
+    let size = Size { obstacles, ..long };
     let (scene, settings) = (size.scene()?, size.settings);
     let mut nmpc = scene.solver(settings)?;
     let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);

@@ -47,10 +47,8 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let found = compare("", [&before, &after]);
     let text = String::from_utf8(found.stdout).expect("a text");
     let counts = "5 worse, 0 better, 1 one-value-worse, 0 one-value-better, 0 within-noise";
-    assert!(
-        found.status.success() && text.contains("a/4") && text.contains(counts),
-        "{text}"
-    );
+    let is_told = text.contains("a/4") && text.contains(counts);
+    assert!(found.status.success() && is_told, "{text}");
 
     let failing = "--fail-on-worse --format json";
     let found = compare(failing, [&before, &after]);

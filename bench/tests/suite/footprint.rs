@@ -28,10 +28,8 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let start = &list(&document, "rounds")[0];
     let ms = |key: &str| number(start, key);
     // The first good cycle and the first received record come after the release.
-    let (first_ms, least_ms) = (
-        ms("first_release_ms"),
-        ms("ready_ms").min(ms("first_record_ms")),
-    );
+    let first_ms = ms("first_release_ms");
+    let least_ms = ms("ready_ms").min(ms("first_record_ms"));
     assert!(0.0 < first_ms && first_ms < least_ms, "{start}");
     let figure = |key: &str| {
         let mut rows = list(&document, "figures").iter();

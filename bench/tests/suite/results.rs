@@ -51,11 +51,8 @@ impl Choice {
         };
         let is_wanted = |line: &Vec<String>| wanted.iter().all(|(at, of)| of.contains(&line[*at]));
         table.lines.retain(is_wanted);
-        assert!(
-            !table.lines.is_empty(),
-            "no row of {:?} is chosen",
-            self.title
-        );
+        let has_rows = !table.lines.is_empty();
+        assert!(has_rows, "no row of {:?} is chosen", self.title);
         let kept = |cells: &[String]| columns.iter().map(|at| cells[*at].clone()).collect();
         ShownTable {
             heads: kept(&table.heads),
