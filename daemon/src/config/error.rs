@@ -110,11 +110,10 @@ pub(super) fn for_people(message: &str) -> String {
         ("expected a string", "expected a string, in quotes"),
         ("expected a sequence", "expected a list"),
     ];
-    let mut text = words
-        .iter()
-        .fold(message.to_owned(), |text, (rust, plain)| {
-            text.replace(rust, plain)
-        });
+    let mut text = message.to_owned();
+    for (rust, plain) in words {
+        text = text.replace(rust, plain);
+    }
     while let Some(start) = text.find("expected struct ") {
         let end = text[start + 16..]
             .find(|c: char| !c.is_alphanumeric())

@@ -43,22 +43,17 @@ fn about(key: &Key, node: &Value, settings: &Settings) -> String {
     });
     let value_in_force = value(&settings.config, &key.name);
     let origin = settings.origins.of(&key.name);
+    let variable = key.default.as_ref().map(|_| keys::variable(&key.name));
     let facts = [
         ("type", kind(node).map(str::to_owned)),
         ("range", range),
         ("default", value(&Config::default(), &key.name)),
         ("value", value_in_force.clone()),
         ("from", value_in_force.map(|_| origin.to_string())),
-        (
-            "variable",
-            key.default.as_ref().map(|_| keys::variable(&key.name)),
-        ),
+        ("variable", variable),
     ];
-    lines.extend(
-        facts
-            .into_iter()
-            .filter_map(|(name, fact)| Some(format!("  {name:<9} {}", fact?))),
-    );
+    let fact = |(name, fact): (_, Option<String>)| Some(format!("  {name:<9} {}", fact?));
+    lines.extend(facts.into_iter().filter_map(fact));
     lines.push(String::new());
     lines.join("\n")
 }
@@ -102,8 +97,5 @@ fn value(config: &Config, key: &str) -> Option<String> {
     let (list, name) = key.rsplit_once('.')?;
     let tables = keys::value(&values, list)?.as_array()?.iter();
     let each = tables.filter_map(|table| Some(keys::text(table.get(name)?)));
-    Some(format!(
-        "{} (base first)",
-        each.collect::<Vec<_>>().join(", ")
-    ))
+    Some(each.collect::<Vec<_>>().join(", ") + " (base first)")
 }

@@ -155,10 +155,9 @@ impl LinkConfig {
         for (index, (pair, section)) in given.iter().zip(robot.sections()).enumerate() {
             let bend_rad = pair[0].hypot(pair[1]);
             if !(0.0..=section.bend_max_rad).contains(&bend_rad) {
+                let (number, most) = (index + 1, section.bend_max_rad);
                 let message = format!(
-                    "section {}: a bend of {bend_rad} rad is out of range: allowed is 0 to {}",
-                    index + 1,
-                    section.bend_max_rad
+                    "section {number}: a bend of {bend_rad} rad is out of range: allowed is 0 to {most}"
                 );
                 return Err(origins.error(&[&format!("{key}[{index}]")], &message));
             }

@@ -1,13 +1,22 @@
 //! Validation: the declared range of each number, and rules between keys.
 
-use cdcr_controller::parameters::number_text;
+use cdcr_controller::parameters::{Parameter, number_text};
 
 use super::{Config, ConfigError, Origins, keys};
 
 /// Rejects the first number outside its range, and the first contradiction between values.
 pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    check_ranges(config, origins)?;
-    check_times(config, origins)?;
+    let numbers = numbers(config);
+    // NaN is outside every range.
+    for (key, parameter, value) in &numbers {
+        let range = parameter.range.as_ref();
+        if let Some(range) = range.filter(|range| !range.contains(value)) {
+            let [low, high] = [range.start(), range.end()].map(|limit| number_text(*limit));
+            let message = format!("{value} is out of range: allowed is {low} to {high}");
+            return Err(origins.error(&[key], &message));
+        }
+    }
+    check_times(config, &numbers, origins)?;
     let (realtime, safety) = (&config.realtime, &config.safety);
     let (exchange, cycle) = (realtime.exchange_priority, realtime.cycle_priority);
     let (warning_rad, fault_rad) = (safety.following_warning_rad, safety.following_fault_rad);
@@ -56,36 +65,27 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
 }
 
 /// Checks the times that depend on the period.
-fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    let (cycle, spin_us) = (&config.cycle, config.realtime.spin_us);
-    let period_ms = cycle.period_ms;
+fn check_times(
+    config: &Config,
+    numbers: &[(String, &Parameter, f64)],
+    origins: &Origins,
+) -> Result<(), ConfigError> {
+    let period_ms = config.cycle.period_ms;
     let (half_ms, endless) = (0.5 * period_ms, f64::INFINITY);
-    let spin_min_us = if spin_us == -1.0 { -1.0 } else { 0.0 };
-    for (key, value, low, high) in [
-        ("cycle.deadline_ms", cycle.deadline_ms, 0.0, period_ms),
-        ("cycle.budget_ms", cycle.budget_ms, 0.0, period_ms),
-        (
-            "cycle.budget_margin_ms",
-            cycle.budget_margin_ms,
-            0.0,
-            half_ms,
-        ),
-        ("cycle.gather_lead_ms", cycle.gather_lead_ms, 0.0, half_ms),
-        (
-            "cycle.watchdog_ms",
-            cycle.watchdog_ms,
-            10.0 * period_ms,
-            endless,
-        ),
-        ("realtime.spin_us", spin_us, spin_min_us, 1e3 * half_ms),
+    let is_automatic = config.realtime.spin_us == -1.0;
+    let spin_min_us = if is_automatic { -1.0 } else { 0.0 };
+    for (key, low, high) in [
+        ("cycle.deadline_ms", 0.0, period_ms),
+        ("cycle.budget_ms", 0.0, period_ms),
+        ("cycle.budget_margin_ms", 0.0, half_ms),
+        ("cycle.gather_lead_ms", 0.0, half_ms),
+        ("cycle.watchdog_ms", 10.0 * period_ms, endless),
+        ("realtime.spin_us", spin_min_us, 1e3 * half_ms),
         // The estimator remembers 128 periods, and measurements have an age.
-        (
-            "actuator.delay_ms",
-            config.actuator.delay_ms,
-            0.0,
-            64.0 * period_ms,
-        ),
+        ("actuator.delay_ms", 0.0, 64.0 * period_ms),
     ] {
+        let number = numbers.iter().find(|(known, ..)| known == key);
+        let (_, _, value) = *number.expect("a number of the configuration");
         let limit = match value {
             value if value < low => format!("at least {low}"),
             value if value > high => format!("at most {high}"),
@@ -100,26 +100,20 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// Rejects the first number outside its range, including NaN.
-fn check_ranges(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
+/// Every number with its key and declaration.
+fn numbers(config: &Config) -> Vec<(String, &'static Parameter, f64)> {
     let sections = config.robot.sections.iter().enumerate();
     let sections = sections.map(|(index, section)| {
         let numbers = section.numbers().to_vec();
         (format!("robot.sections[{index}]"), numbers)
     });
+    let mut all = Vec::new();
     for (table, numbers) in config.numbers_by_table().into_iter().chain(sections) {
         let parameters = keys::below(&keys::without_indices(&table)).iter();
-        for (parameter, number) in parameters.zip(numbers) {
-            let (Some(range), Some(value)) = (&parameter.range, number) else {
-                continue;
-            };
-            if !range.contains(&value) {
-                let [low, high] = [range.start(), range.end()].map(|limit| number_text(*limit));
-                let message = format!("{value} is out of range: allowed is {low} to {high}");
-                let key = format!("{table}.{}", parameter.name);
-                return Err(origins.error(&[&key], &message));
-            }
-        }
+        let numbers = parameters.zip(numbers).filter_map(|(parameter, number)| {
+            Some((format!("{table}.{}", parameter.name), parameter, number?))
+        });
+        all.extend(numbers);
     }
-    Ok(())
+    all
 }

@@ -51,11 +51,10 @@ pub(super) fn choose(
     let isolated = system.cores("isolated").unwrap_or_default();
     let allowed = system.allowed().ok()?;
     let online = system.online().unwrap_or_else(|_| allowed.clone());
-    let candidates: Vec<usize> = online
-        .iter()
-        .filter(|core| allowed.contains(*core) || isolated.contains(*core))
-        .filter(|core| allowed.contains(*core) || can_be_pinned(*core))
-        .collect();
+    let is_ours = |core: &usize| {
+        allowed.contains(*core) || (isolated.contains(*core) && can_be_pinned(*core))
+    };
+    let candidates: Vec<usize> = online.iter().filter(is_ours).collect();
     let slow = slow_cores(system, &candidates);
     let busy = busy_siblings(system, &candidates);
     candidates.into_iter().min_by_key(|core| {
@@ -111,15 +110,10 @@ fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
     let before = look();
     std::thread::sleep(WATCHED);
     let loads = core_loads(&before, &look());
-    let is_busy = |other| {
-        loads
-            .get(&other)
-            .is_some_and(|load| load.busy > SIBLING_SHARE)
-    };
-    let busy = siblings
-        .into_iter()
-        .filter(|(_, others)| others.iter().any(is_busy));
-    busy.map(|(core, _)| core).collect()
+    let is_busy = |core| loads.get(&core).map_or(0.0, |load| load.busy) > SIBLING_SHARE;
+    let mut busy = siblings;
+    busy.retain(|_, others| others.iter().any(is_busy));
+    busy.into_keys().collect()
 }
 
 #[cfg(test)]

@@ -79,19 +79,17 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
 /// left for everything else; core 0 cannot be.
 fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Assessed {
     let others = scene.other_cores()?;
-    let apart = siblings
-        .iter()
-        .fold(others, |left, core| left.without(core));
+    let without = |left: CoreSet, core| left.without(core);
+    let apart = siblings.iter().fold(others, without);
     if apart.count() == 0 {
         return Ok("use a machine with two physical cores or more".to_owned());
     }
     if siblings.contains(0) {
         return Ok(format!("set realtime.core to one of {apart}"));
     }
-    let files = siblings
-        .iter()
-        .map(|core| format!(" {CPU}/cpu{core}/online"));
-    Ok(format!("echo 0 | sudo tee{}", files.collect::<String>()))
+    let file = |core| format!(" {CPU}/cpu{core}/online");
+    let files: String = siblings.iter().map(file).collect();
+    Ok(format!("echo 0 | sudo tee{files}"))
 }
 
 pub(super) fn governor(scene: &Scene) -> Assessed {

@@ -2,7 +2,7 @@
 
 use super::Severity::Warning;
 use super::finding::{Assessed, problem, unreadable};
-use super::sample::{Load, Thread};
+use super::sample::{InterruptRate, Load, Thread};
 use super::{CoreSet, Scene};
 
 /// A smaller share of steal is within the accuracy of its accounting.
@@ -38,10 +38,9 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
         return Ok(format!("no other threads on core {core}"));
     };
     let sum: f64 = here.iter().map(|thread| thread.share).sum();
-    let each = here
-        .iter()
-        .map(|t| format!("{} ({}) {:.0} %", t.name, t.id, 100.0 * t.share));
-    let value = format!("{:.0} % of core {core}: {}", 100.0 * sum, named(each));
+    let one = |t: &&Thread| format!("{} ({}) {:.0} %", t.name, t.id, 100.0 * t.share);
+    let each = named(here.iter().map(one));
+    let value = format!("{:.0} % of core {core}: {each}", 100.0 * sum);
     if sum < NEIGHBOUR_SHARE {
         return Ok(value);
     }
@@ -51,10 +50,8 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
     } else if busiest.is_kernel || others.count() == 0 {
         "isolate the core (see `isolated core`)".to_owned()
     } else {
-        format!(
-            "sudo taskset -pc {others} {}   (or isolate the core)",
-            busiest.id
-        )
+        let id = busiest.id;
+        format!("sudo taskset -pc {others} {id}   (or isolate the core)")
     };
     problem!(Warning, "{value}" => "{remedy}")
 }
@@ -98,14 +95,8 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
 
 /// A real-time thread; a kernel thread with its purpose.
 fn described(thread: &Thread) -> String {
-    let Thread {
-        name, id, priority, ..
-    } = thread;
-    let policy = if thread.is_deadline {
-        "deadline"
-    } else {
-        "priority"
-    };
+    let (name, id, priority) = (&thread.name, thread.id, thread.priority);
+    let policy = ["priority", "deadline"][usize::from(thread.is_deadline)];
     let errand = if thread.is_kernel { errand(name) } else { "" };
     format!("{name} ({id}) {policy} {priority}{errand}")
 }
@@ -145,12 +136,11 @@ pub(super) fn interrupts(scene: &Scene) -> Assessed {
     if rates.is_empty() {
         return Ok(format!("none on core {core}"));
     }
-    let each = rates
-        .iter()
-        .map(|one| format!("{} ({}) {:.0}/s", one.label, one.description, one.rate_hz));
+    let one = |of: &InterruptRate| format!("{} ({}) {:.0}/s", of.label, of.description, of.rate_hz);
+    let each = named(rates.iter().map(one));
     let devices: Vec<_> = rates.iter().filter(|rate| rate.is_device()).collect();
     let device_hz: f64 = devices.iter().map(|rate| rate.rate_hz).sum();
-    let value = format!("{device_hz:.0}/s of devices; largest {}", named(each));
+    let value = format!("{device_hz:.0}/s of devices; largest {each}");
     let Some(worst) = devices.first().filter(|_| device_hz >= INTERRUPT_HZ) else {
         return Ok(value);
     };

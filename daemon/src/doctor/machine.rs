@@ -17,13 +17,16 @@ use crate::services::daemon_bytes;
 const FAST: &str = "tsc kvm-clock hyperv_clocksource_tsc_page xen arch_sys_counter riscv_clocksource timebase tod stp";
 /// Clocks that are read from a device, or count ticks.
 const SLOW: &str = "hpet acpi_pm jiffies refined-jiffies pit hyperv_clocksource_msr";
+/// Parts of the names of machines that are virtual.
+const HYPERVISORS: &str = "KVM, QEMU, VMware, VirtualBox, Virtual Machine, Xen";
 
 pub(super) fn clock_source(scene: &Scene) -> Assessed {
     let is_among = |names: &str, name: &str| names.split(' ').any(|known| known == name);
-    let folder = "/sys/devices/system/clocksource/clocksource0";
-    let current = scene
-        .system
-        .read(&format!("{folder}/current_clocksource"))?;
+    let (system, folder) = (
+        &scene.system,
+        "/sys/devices/system/clocksource/clocksource0",
+    );
+    let current = system.read(&format!("{folder}/current_clocksource"))?;
     if is_among(FAST, &current) {
         return Ok(current);
     }
@@ -31,13 +34,9 @@ pub(super) fn clock_source(scene: &Scene) -> Assessed {
         return problem!(Unknown, "{current}: unknown speed"
             => "cat {folder}/available_clocksource");
     }
-    let available = scene
-        .system
-        .read(&format!("{folder}/available_clocksource"))?;
-    match available
-        .split_whitespace()
-        .find(|name| is_among(FAST, name))
-    {
+    let available = system.read(&format!("{folder}/available_clocksource"))?;
+    let mut available = available.split_whitespace();
+    match available.find(|name| is_among(FAST, name)) {
         Some(better) => problem!(Warning, "{current}, but {better} is available"
             => "echo {better} | sudo tee {folder}/current_clocksource"),
         None => problem!(Warning, "{current}; no fast clock source is available"
@@ -54,16 +53,7 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
         text.unwrap_or_default()
     });
     let product = product.join(" ");
-    let mut known = [
-        "KVM",
-        "QEMU",
-        "VMware",
-        "VirtualBox",
-        "Virtual Machine",
-        "Xen",
-    ]
-    .iter();
-    if !has_flag && !known.any(|name| product.contains(name)) {
+    if !has_flag && !HYPERVISORS.split(", ").any(|name| product.contains(name)) {
         return Ok("no".to_owned());
     }
     let kind = if product == " " {
@@ -77,15 +67,12 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
 
 /// Memory added by one client and one driver that use every service they can \[bytes\].
 const fn client_bytes() -> u64 {
-    Service::Reference
-        .queues()
-        .writer_bytes(size_of::<ReferenceChunk>())
-        + Service::Obstacles
-            .queues()
-            .writer_bytes(size_of::<ObstacleUpdate>())
-        + Service::Measurement
-            .queues()
-            .writer_bytes(size_of::<Measurement>())
+    const fn writer<T>(service: Service) -> u64 {
+        service.queues().writer_bytes(size_of::<T>())
+    }
+    writer::<ReferenceChunk>(Service::Reference)
+        + writer::<ObstacleUpdate>(Service::Obstacles)
+        + writer::<Measurement>(Service::Measurement)
 }
 
 /// Files (inodes) of a daemon, and those added by a client and a driver.

@@ -173,14 +173,11 @@ fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
         let (label, rest) = line.split_once(':')?;
         let (label, words) = (label.trim(), rest.split_whitespace().collect::<Vec<_>>());
         let count = words.get(column)?.parse().ok()?;
-        // The controller and pin precede the name of a device.
-        let described = words.get(head.len()..).unwrap_or_default();
-        let skipped = if is_number(label) {
-            described.len().saturating_sub(1)
-        } else {
-            0
+        let description = match words.get(head.len()..).unwrap_or_default() {
+            // The controller and pin precede the name of a device.
+            [.., device] if is_number(label) => printable(device),
+            words => printable(&words.join(" ")),
         };
-        let description = printable(&described[skipped..].join(" "));
         Some((label.to_owned(), (description, count)))
     });
     parsed.collect()
@@ -207,36 +204,29 @@ impl Load {
         ours: &[u32],
     ) -> Self {
         let total = since(&before.cores, &after.cores, core).total;
-        let threads = after.threads.into_values().map(|thread| {
+        let mut threads: Vec<Thread> = after.threads.into_values().collect();
+        threads.retain(|thread| !ours.contains(&thread.process));
+        for thread in &mut threads {
             let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);
             // A new thread has used all its time meanwhile; so has one that reuses an id.
             let used = thread.ticks.checked_sub(earlier).unwrap_or(thread.ticks);
-            Thread {
-                share: share(used, total),
-                ..thread
-            }
-        });
-        let mut threads: Vec<_> = threads
-            .filter(|thread| !ours.contains(&thread.process))
-            .collect();
+            thread.share = share(used, total);
+        }
         threads.sort_by(|a, b| b.share.total_cmp(&a.share));
-        let rates = after
-            .interrupts
-            .into_iter()
-            .map(|(label, (description, now))| {
-                let earlier = before.interrupts.get(&label).map_or(0, |(_, count)| *count);
-                let rate_hz = now.saturating_sub(earlier) as f64 / seconds.max(1e-3);
-                InterruptRate {
-                    label,
-                    description,
-                    rate_hz,
-                }
-            });
-        let mut interrupts: Vec<_> = rates.filter(|rate| rate.rate_hz > 0.0).collect();
+        let rate = |(label, (description, now)): (String, (String, u64))| {
+            let earlier = before.interrupts.get(&label).map_or(0, |(_, count)| *count);
+            let rate_hz = now.saturating_sub(earlier) as f64 / seconds.max(1e-3);
+            InterruptRate {
+                label,
+                description,
+                rate_hz,
+            }
+        };
+        let mut interrupts: Vec<_> = after.interrupts.into_iter().map(rate).collect();
+        interrupts.retain(|rate| rate.rate_hz > 0.0);
         interrupts.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
-        let cores = core_loads(&before.cores, &after.cores);
         Self {
-            cores,
+            cores: core_loads(&before.cores, &after.cores),
             threads,
             interrupts,
         }
@@ -327,20 +317,14 @@ mod tests {
         assert!((core.busy - 0.3).abs() < 1e-9 && (core.steal - 0.2).abs() < 1e-9);
         assert!((core.steal_since_start - 0.1).abs() < 1e-9);
         assert_eq!(load.cores.len(), 2);
-        let seen = load
-            .threads
-            .iter()
-            .map(|t| (&*t.name, t.core, (100.0 * t.share).round()));
-        let expected = [
-            ("elsewhere", 0, 30.0),
-            ("a) (b", 1, 20.0),
-            ("fresh", 1, 5.0),
-        ];
+        let percent = |thread: &Thread| (100.0 * thread.share).round();
+        let seen = load.threads.iter().map(|t| (&*t.name, t.core, percent(t)));
+        let others = [("a) (b", 1, 20.0), ("fresh", 1, 5.0)];
+        let expected = [&[("elsewhere", 0, 30.0)], &others[..]].concat();
         assert_eq!(seen.collect::<Vec<_>>(), expected);
-        let realtime: Vec<_> = load.threads.iter().filter(|t| t.is_realtime()).collect();
-        assert!(
-            realtime.len() == 1 && realtime[0].allowed.contains(1) && realtime[0].priority == 99
-        );
+        let mut realtime = load.threads.iter().filter(|thread| thread.is_realtime());
+        let (first, next) = (realtime.next().unwrap(), realtime.next());
+        assert!(next.is_none() && first.allowed.contains(1) && first.priority == 99);
         let [device, timer] = &load.interrupts[..] else {
             panic!("{:?}", load.interrupts)
         };

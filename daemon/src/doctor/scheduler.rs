@@ -40,11 +40,8 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
     } else if has("PREEMPT") {
         of_model(scene, "full", "PREEMPT")
     } else {
-        of_model(
-            scene,
-            "none",
-            "none or voluntary, fixed when the kernel was built",
-        )
+        let value = "none or voluntary, fixed when the kernel was built";
+        of_model(scene, "none", value)
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: reading never panics, whatever a file contains. Tests create a folder tree of their own.
 
-use std::fs::File;
+use std::fs::{DirEntry, File};
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
@@ -49,9 +49,8 @@ impl System {
     pub(super) fn names(&self, folder: &str) -> Vec<String> {
         let entries = std::fs::read_dir(self.path(folder));
         let names = entries.into_iter().flatten().flatten();
-        let mut names: Vec<_> = names
-            .map(|entry| entry.file_name().to_string_lossy().into_owned())
-            .collect();
+        let name = |entry: DirEntry| entry.file_name().to_string_lossy().into_owned();
+        let mut names: Vec<String> = names.map(name).collect();
         names.sort_unstable();
         names
     }
@@ -85,11 +84,8 @@ impl System {
     /// The last value of `key=value` on the kernel's command line.
     pub(super) fn boot_option(&self, key: &str) -> Assessed<Option<String>> {
         let line = self.read("/proc/cmdline")?;
-        let mut values = line.split_whitespace().filter_map(|word| {
-            let value = word.strip_prefix(key)?.strip_prefix('=')?;
-            Some(value.to_owned())
-        });
-        Ok(values.next_back())
+        let value = |word: &str| Some(word.strip_prefix(key)?.strip_prefix('=')?.to_owned());
+        Ok(line.split_whitespace().filter_map(value).next_back())
     }
 
     pub(super) fn own_status(&self, field: &str) -> Assessed {

@@ -49,11 +49,9 @@ fn the_committed_file_is_what_is_declared() {
         text += &setting;
         if key.name == "robot.sections.body_radius_m" {
             for section in &sections[1..] {
-                let parameters = SectionParameters::PARAMETERS.iter();
-                let lines =
-                    parameters.map(|parameter| line(parameter.name, &section[parameter.name]));
                 text += "\n[[robot.sections]]\n";
-                text.extend(lines);
+                let names = SectionParameters::PARAMETERS.iter().map(|of| of.name);
+                text.extend(names.map(|name| line(name, &section[name])));
             }
         }
     }
@@ -85,11 +83,8 @@ fn the_committed_schema_is_what_is_declared() {
             let node = if is_list { &mut node["items"] } else { node };
             &mut node["properties"][part]
         });
-        complete(
-            node.as_object_mut().expect(&key.name),
-            &key.name,
-            key.parameter,
-        );
+        let node = node.as_object_mut().expect(&key.name);
+        complete(node, &key.name, key.parameter);
     }
     // The order of its keys depends on a feature of serde_json, which other crates may enable.
     let committed: Value = serde_json::from_str(SCHEMA_TEXT).unwrap();
@@ -107,11 +102,8 @@ fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
     if let Some(range) = &parameter.range {
         let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
         for (name, limit) in [("minimum", *range.start()), ("maximum", *range.end())] {
-            let limit = if is_whole {
-                json!(limit as i64)
-            } else {
-                json!(limit)
-            };
+            let whole = is_whole.then_some(limit as i64);
+            let limit = whole.map_or(json!(limit), |whole| json!(whole));
             node.insert(name.to_owned(), limit);
         }
     }
@@ -135,11 +127,8 @@ fn every_key_has_words_and_every_number_a_range_that_is_said() {
         let has_range = is_said || name == "controller.seed";
         if let Some(default) = &key.default {
             let is_number = default.is_float() || default.is_integer();
-            assert_eq!(
-                has_range,
-                is_number || name == "controller.rate_weight",
-                "{name}"
-            );
+            let may_be = is_number || name == "controller.rate_weight";
+            assert_eq!(has_range, may_be, "{name}");
         }
     }
 }

@@ -42,10 +42,8 @@ fn assert_is(case: &[&str], mark: &str, words: &str) {
     match (settings(case).and_then(Settings::validate), mark) {
         (Ok(validated), "~") => {
             let warnings = warnings(&validated.config);
-            assert!(
-                warnings.len() == 1 && warnings[0].contains(words),
-                "{warnings:?}"
-            );
+            let is_told = warnings.len() == 1 && warnings[0].contains(words);
+            assert!(is_told, "{warnings:?}");
         }
         (Ok(validated), "ok") => assert_eq!(warnings(&validated.config), [""; 0]),
         (Ok(validated), ">") => {
@@ -88,12 +86,9 @@ fn nothing_the_default_file_and_every_configuration_that_we_ship_are_good() {
     let validated = Config::parse("", Path::new("x")).unwrap();
     assert_eq!(validated.initial, Configuration::straight(3));
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
-    let files = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path());
-    let files: Vec<_> = files
-        .filter(|file| file.extension().is_some_and(|end| end == "toml"))
-        .collect();
+    let files = std::fs::read_dir(folder).unwrap();
+    let mut files: Vec<_> = files.map(|entry| entry.unwrap().path()).collect();
+    files.retain(|file| file.extension().is_some_and(|end| end == "toml"));
     assert!(files.len() >= 4, "{files:?}");
     for file in files {
         let good = Config::load(&file).unwrap_or_else(|error| panic!("{error}"));
@@ -106,25 +101,14 @@ fn an_explanation_of_a_table_has_that_of_each_key() {
     let settings = settings(&["[cycle]", "period_ms = 2.0"]).unwrap();
     let table = explain("cycle", &settings).unwrap();
     for parameter in CycleConfig::PARAMETERS {
-        assert!(
-            table.contains(&format!("\ncycle.{}\n", parameter.name)),
-            "{table}"
-        );
+        let heading = format!("\ncycle.{}\n", parameter.name);
+        assert!(table.contains(&heading), "{table}");
     }
     let error = explain("cycle.perod_ms", &settings).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "unknown key cycle.perod_ms: did you mean cycle.period_ms?"
-    );
-    let changed = settings.changed();
-    assert_eq!(
-        changed,
-        [(
-            "cycle.period_ms",
-            "2.0".to_owned(),
-            "robot.toml, line 2".to_owned()
-        )]
-    );
+    let expected = "unknown key cycle.perod_ms: did you mean cycle.period_ms?";
+    assert_eq!(error.to_string(), expected);
+    let [value, place] = ["2.0", "robot.toml, line 2"].map(str::to_owned);
+    assert_eq!(settings.changed(), [("cycle.period_ms", value, place)]);
 }
 
 #[test]
@@ -133,13 +117,8 @@ fn the_printed_default_sets_nothing_not_even_for_another_robot() {
     assert_eq!(settings(&lines).unwrap().changed(), []);
     let kind = lines.iter_mut().find(|line| line.starts_with("kind = "));
     *kind.unwrap() = "kind = \"driver\"";
-    let keys: Vec<_> = settings(&lines)
-        .unwrap()
-        .changed()
-        .into_iter()
-        .map(|set| set.0)
-        .collect();
-    assert_eq!(keys, ["link.kind"]);
+    let changed = settings(&lines).unwrap().changed().into_iter();
+    assert!(changed.map(|set| set.0).eq(["link.kind"]));
 }
 
 #[test]
@@ -165,10 +144,8 @@ fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
         }
     }
     let message = error_of(&format!("robot.name = \"{long}\""));
-    assert!(
-        message.ends_with("letters, digits, '-' and '_'"),
-        "{message}"
-    );
+    let end = "letters, digits, '-' and '_'";
+    assert!(message.ends_with(end), "{message}");
 }
 
 #[test]
@@ -236,10 +213,8 @@ fn every_number_is_refused_just_outside_its_range() {
         };
         for value in outside {
             let message = error_of(&with(value));
-            assert!(
-                message.contains(name) && message.contains("line"),
-                "{message}"
-            );
+            let is_told = message.contains(name) && message.contains("line");
+            assert!(is_told, "{message}");
         }
         for value in [low, high] {
             let result = Config::parse(&with(value), Path::new("x"));
@@ -253,10 +228,6 @@ fn every_number_is_refused_just_outside_its_range() {
 fn the_shortest_period_has_times_of_its_own() {
     let text = "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.04\n";
     let cycle = Config::parse(text, Path::new("x")).unwrap().config.cycle;
-    let times = [
-        ns(cycle.period_ms),
-        cycle.deadline_ns(),
-        cycle.budget_margin_ns(),
-    ];
-    assert_eq!(times, [100_000, 100_000, 40_000]);
+    let times = [cycle.deadline_ns(), cycle.budget_margin_ns()];
+    assert_eq!((ns(cycle.period_ms), times), (100_000, [100_000, 40_000]));
 }
