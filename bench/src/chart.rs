@@ -20,9 +20,8 @@ pub(crate) fn of_rows<'a>(
     y: &str,
     colour: RGBColor,
 ) -> Curve {
-    let points = rows
-        .into_iter()
-        .filter_map(|row| Some((number(row, x)?, number(row, y)?)));
+    let point = |row| Some((number(row, x)?, number(row, y)?));
+    let points = rows.into_iter().filter_map(point);
     Curve::line(label, points.collect(), colour)
 }
 

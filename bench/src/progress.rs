@@ -13,12 +13,9 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 pub struct Progress {
     /// The current part, a prefix of every message.
     part: String,
-    total_s: f64,
-    done_s: f64,
-    /// Hidden without a terminal.
+    /// In milliseconds. Hidden without a terminal.
     bar: ProgressBar,
     has_lines: bool,
-    begun: Instant,
     last_line: Option<Instant>,
 }
 
@@ -33,11 +30,8 @@ impl Progress {
         let bar = style.map_or(bar.clone(), |style| bar.with_style(style));
         Self {
             part: String::new(),
-            total_s,
-            done_s: 0.0,
             has_lines: bar.is_hidden(),
             bar,
-            begun: Instant::now(),
             last_line: None,
         }
     }
@@ -50,7 +44,8 @@ impl Progress {
 
     /// Begins one of several measurements; `left_s` is the duration of this and all later ones \[s\].
     pub fn begin_part(&mut self, part: &str, left_s: f64) {
-        self.expect(self.done_s + left_s - self.total_s);
+        let done_ms = self.bar.position();
+        self.bar.set_length(done_ms + milliseconds(left_s));
         self.part = format!("{part}: ");
         // Each part is printed, however short the previous one was.
         self.last_line = None;
@@ -68,25 +63,28 @@ impl Progress {
     }
 
     pub fn advance(&mut self, seconds: f64) {
-        self.done_s += seconds;
-        let done_s = self.done_s.min(self.total_s);
-        self.bar.set_position(milliseconds(done_s));
+        self.bar.inc(milliseconds(seconds));
     }
 
     /// Changes the expected duration by `more_s`, which may be negative \[s\].
     pub fn expect(&mut self, more_s: f64) {
-        self.total_s = (self.total_s + more_s).max(self.done_s);
-        self.bar.set_length(milliseconds(self.total_s));
+        let total_ms = self.total_ms().saturating_add_signed((1e3 * more_s) as i64);
+        self.bar.set_length(total_ms.max(self.bar.position()));
+    }
+
+    fn total_ms(&self) -> u64 {
+        self.bar.length().unwrap_or(0)
     }
 
     fn write_line(&self, what: &str) {
-        let percent = 100.0 * (self.done_s / self.total_s.max(1e-9)).min(1.0);
+        let (done_ms, total_ms) = (self.bar.position(), self.total_ms());
+        let percent = 100.0 * (done_ms as f64 / total_ms.max(1) as f64).min(1.0);
         // Completed time counts measurement only; the work around it takes time, too.
-        let slower = match self.done_s {
-            0.0 => 1.0,
-            done_s => self.begun.elapsed().as_secs_f64() / done_s,
+        let slower = match done_ms {
+            0 => 1.0,
+            done_ms => self.bar.elapsed().as_millis() as f64 / done_ms as f64,
         };
-        let left_s = (self.total_s - self.done_s).max(0.0) * slower;
+        let left_s = 1e-3 * total_ms.saturating_sub(done_ms) as f64 * slower;
         let left = humantime::format_duration(Duration::from_secs(left_s.round() as u64));
         let _ = writeln!(std::io::stderr(), "{percent:>3.0} %, {left} left: {what}");
     }

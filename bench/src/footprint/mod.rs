@@ -199,10 +199,8 @@ mod tests {
             let row = |row: &Value| keys.iter().map(|key| row[*key].clone()).collect();
             json!(rows.iter().map(row).collect::<Vec<Vec<_>>>())
         };
-        let figures = of(
-            found.rows("figures"),
-            &["median", "least", "most", "reached"],
-        );
+        let keys = ["median", "least", "most", "reached"];
+        let figures = of(found.rows("figures"), &keys);
         let expected =
             "[[2.5,1.5,9.5,true],[4.096,4.096,4.096,false],[0.0,0.0,0.0,true],[1.0,1.0,1.0,null]]";
         assert_eq!(figures.to_string(), expected);

@@ -9,7 +9,8 @@ mod trial;
 use std::time::Instant;
 
 use anyhow::Result;
-use cdcr_client::{PAPER_SECTION_M, counted};
+use cdcr_client::counted;
+use cdcr_controller::robot::RobotParameters;
 use serde::Serialize;
 
 pub use report::picture;
@@ -161,16 +162,9 @@ impl Case {
         format!("{sections}, {solver}, N = {steps}")
     }
 
-    fn robot(&self) -> String {
-        let section = |index: usize| {
-            let offset_rad = (40.0 * index as f64).to_radians();
-            format!(
-                "{{ length_m = {PAPER_SECTION_M:?}, cable_radius_m = 0.0125, cable_offset_rad = {offset_rad:?}, \
-                 bend_max_rad = 2.8, rate_max_rad_s = 2.0, body_radius_m = 0.015 }}"
-            )
-        };
-        let sections: Vec<String> = (0..self.sections).map(section).collect();
-        format!("[{}]", sections.join(", "))
+    fn robot(&self) -> toml::Value {
+        let sections = RobotParameters::paper(self.sections).sections;
+        toml::Value::try_from(sections).expect("numbers")
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use cdcr_client::{FeedError, LinkError, counted as count_of, monotonic_ns};
 use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::Mode;
@@ -178,11 +178,9 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed
     // Until the statistics cover `length`; they restart a moment after the request.
     let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + TIMEOUT);
     let status = loop {
-        let in_time = Instant::now() < deadline;
-        ensure!(
-            in_time,
-            "the daemon did not reset its statistics, or sends no status"
-        );
+        if Instant::now() >= deadline {
+            bail!("the daemon did not reset its statistics, or sends no status");
+        }
         interrupt::check()?;
         while let Some(record) = telemetry.try_next()? {
             received += 1;
