@@ -104,12 +104,8 @@ impl Source {
             ("transport.prefix", "CDCR_PREFIX"),
             ("transport.root", "CDCR_ROOT"),
         ] {
-            layers = with(
-                layers,
-                key,
-                variable(name),
-                &Origin::Variable(name.to_owned()),
-            )?;
+            let origin = Origin::Variable(name.to_owned());
+            layers = with(layers, key, variable(name), &origin)?;
         }
         for (key, value) in self.preset.into_iter().flat_map(Preset::keys) {
             layers = layers.key(key, value, &Origin::Option("--preset"))?;
@@ -196,18 +192,10 @@ fn shortened(value: &str) -> String {
 
 /// The robot, and the settings of its control.
 fn summary(validated: &Validated) -> Vec<String> {
-    let Validated {
-        config,
-        robot,
-        location,
-        ..
-    } = validated;
-    let (link, cycle, nmpc, realtime) = (
-        &config.link,
-        &config.cycle,
-        &config.controller,
-        &config.realtime,
-    );
+    let (config, robot, location) = (&validated.config, &validated.robot, &validated.location);
+    let (name, nmpc) = (&config.robot.name, &config.controller);
+    let (kind, root) = (as_written(&config.link.kind), location.root().display());
+    let (mode, period_ms) = (as_written(&config.realtime.mode), config.cycle.period_ms);
     let sections = robot.sections().iter().zip(1..).map(|(section, number)| {
         let SectionParameters { length_m, bend_max_rad, rate_max_rad_s, cable_radius_m, .. } = section;
         format!(
@@ -217,20 +205,11 @@ fn summary(validated: &Validated) -> Vec<String> {
     });
     let mut lines = vec![
         "the configuration is valid".to_owned(),
-        format!(
-            "robot      {} ({}), reach {:.3} m",
-            config.robot.name,
-            as_written(&link.kind),
-            robot.reach_m()
-        ),
+        format!("robot      {name} ({kind}), reach {:.3} m", robot.reach_m()),
     ];
     lines.extend(sections);
     lines.extend([
-        format!(
-            "cycle      {} ms, real time: {}",
-            cycle.period_ms,
-            as_written(&realtime.mode)
-        ),
+        format!("cycle      {period_ms} ms, real time: {mode}"),
         format!(
             "controller {}, N = {}, swarm {} x {}, {} refinement steps",
             as_written(&nmpc.solver),
@@ -239,11 +218,7 @@ fn summary(validated: &Validated) -> Vec<String> {
             nmpc.swarm_iterations,
             nmpc.refinement_steps
         ),
-        format!(
-            "transport  prefix {} in {}",
-            location.prefix(),
-            location.root().display()
-        ),
+        format!("transport  prefix {} in {root}", location.prefix()),
     ]);
     lines
 }

@@ -54,16 +54,11 @@ impl fmt::Display for CoreSet {
         if self.0.is_empty() {
             return f.write_str("none");
         }
-        let mut runs: Vec<(usize, usize)> = Vec::new();
-        for core in self.iter() {
-            match runs.last_mut() {
-                Some((_, last)) if *last + 1 == core => *last = core,
-                _ => runs.push((core, core)),
-            }
-        }
-        let words = runs.iter().map(|(first, last)| {
-            let end = (last > first).then(|| format!("-{last}"));
-            format!("{first}{}", end.unwrap_or_default())
+        let cores: Vec<usize> = self.iter().collect();
+        let runs = cores.chunk_by(|core, next| core + 1 == *next);
+        let words = runs.map(|run| match run {
+            [first, .., last] => format!("{first}-{last}"),
+            _ => run[0].to_string(),
         });
         f.write_str(&words.collect::<Vec<_>>().join(","))
     }

@@ -22,10 +22,8 @@ const HYPERVISORS: &str = "KVM, QEMU, VMware, VirtualBox, Virtual Machine, Xen";
 
 pub(super) fn clock_source(scene: &Scene) -> Assessed {
     let is_among = |names: &str, name: &str| names.split(' ').any(|known| known == name);
-    let (system, folder) = (
-        &scene.system,
-        "/sys/devices/system/clocksource/clocksource0",
-    );
+    let system = &scene.system;
+    let folder = "/sys/devices/system/clocksource/clocksource0";
     let current = system.read(&format!("{folder}/current_clocksource"))?;
     if is_among(FAST, &current) {
         return Ok(current);

@@ -203,10 +203,7 @@ impl Scene {
 
 impl Check {
     fn finding(&self, scene: &Scene) -> Finding {
-        let Self {
-            key, title, why, ..
-        } = *self;
-        let concerns = scene.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&key);
+        let concerns = scene.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&self.key);
         let (severity, value, remedy) = match (self.assess)(scene) {
             Err(problem) if concerns => (problem.severity, problem.value, problem.remedy),
             Ok(value) | Err(Problem { value, .. }) => {
@@ -214,11 +211,11 @@ impl Check {
             }
         };
         Finding {
-            key,
-            title,
+            key: self.key,
+            title: self.title,
             severity,
             value,
-            why,
+            why: self.why,
             remedy,
         }
     }
