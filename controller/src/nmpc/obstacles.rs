@@ -257,20 +257,27 @@ impl Obstacles {
             if !budget.spend(BEYOND_NS * sections.count_ones()) {
                 return None;
             }
-            let obstacle = candidate.obstacle.moved(at.time_s);
+            let moved;
+            // Most obstacles rest, and a copy costs as much as the cheap test of a section.
+            let obstacle = if candidate.per_step_m == 0.0 {
+                &candidate.obstacle
+            } else {
+                moved = candidate.obstacle.moved(at.time_s);
+                &moved
+            };
             // One penalty for each section: a section that is already inside must not let another enter at no
             // cost.
             for j in 0..SECTIONS_MAX {
                 if sections & 1 << j == 0 {
                     continue;
                 }
-                let Some(beyond) = body.section_is_beyond(j, &obstacle, cutoff_m) else {
+                let Some(beyond) = body.section_is_beyond(j, obstacle, cutoff_m) else {
                     continue;
                 };
                 if !budget.spend(section_ns(&candidate.obstacle)) {
                     return None;
                 }
-                let clearance_m = body.section_clearance_below(j, &obstacle, cutoff_m, beyond);
+                let clearance_m = body.section_clearance_below(j, obstacle, cutoff_m, beyond);
                 let depth_m = Wide::splat(cutoff_m) - clearance_m;
                 let inside = zero.less(depth_m);
                 let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);

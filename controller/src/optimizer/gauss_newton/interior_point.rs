@@ -140,17 +140,20 @@ impl ComplementaryPair {
         self.slack_step = change + self.multiplier_step;
     }
 
-    /// The part of the step after which slack or multiplier is zero.
-    fn step_length_max(&self) -> f64 {
-        let step_length = |at: f64, step: f64| {
-            if step < 0.0 {
-                -at / step
+    /// The part of the step after which slack or multiplier is zero, if less than `step_length`, which is returned
+    /// otherwise. Most pairs need no division.
+    fn limit(&self, step_length: f64) -> f64 {
+        /// More than the rounding of a product and of a quotient.
+        const ROUNDING: f64 = 1.0 + 1e-14;
+        let limit = |step_length: f64, at: f64, step: f64| {
+            if (step < 0.0) & (at <= step_length * (-step * ROUNDING)) {
+                step_length.min(-at / step)
             } else {
-                f64::INFINITY
+                step_length
             }
         };
-        step_length(self.slack, self.slack_step)
-            .min(step_length(self.multiplier, self.multiplier_step))
+        let by_slack = limit(step_length, self.slack, self.slack_step);
+        limit(by_slack, self.multiplier, self.multiplier_step)
     }
 
     fn advance(&mut self, step_length: f64) {
@@ -331,9 +334,7 @@ impl InteriorPoint {
             if self.is_free(i) {
                 self.lower[i].set_bound_step(self.target[i], mu);
                 self.upper[i].set_bound_step(-self.target[i], mu);
-                step_length = step_length
-                    .min(self.lower[i].step_length_max())
-                    .min(self.upper[i].step_length_max());
+                step_length = self.upper[i].limit(self.lower[i].limit(step_length));
             }
         }
         for (constraint, change) in self.constraints.iter_mut().zip(&self.changes) {
@@ -341,7 +342,7 @@ impl InteriorPoint {
                 return None;
             }
             constraint.set_soft_constraint_step(*change, mu);
-            step_length = step_length.min(constraint.step_length_max());
+            step_length = constraint.limit(step_length);
         }
         let step_length = FRACTION_TO_BOUNDARY * step_length;
         for i in 0..step.len() {

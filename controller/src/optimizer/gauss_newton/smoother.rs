@@ -7,7 +7,6 @@
 //! Every unknown has variance 1, and every row the noise λ. A fixed unknown has variance 0, and one with a
 //! weight ρ has λ/(λ + ρ). An active constraint is one more row.
 
-use crate::optimizer::linear_model::RowStage;
 use crate::optimizer::stages::{BLOCKS_MAX, WIDTH_MAX};
 use crate::optimizer::{Budget, LinearModel};
 
@@ -18,6 +17,8 @@ pub(super) struct Smoother {
     order: Vec<u16>,
     /// Start of each block in that order, and the end of the last one.
     begins: [u16; BLOCKS_MAX + 1],
+    /// Whether a block of one period has rows at its end only. Such rows depend on its unknowns only by the sum.
+    has_end_rows_only: [bool; BLOCKS_MAX],
     /// Prior mean and variance of each unknown.
     means: [f64; WIDTH_MAX * BLOCKS_MAX],
     variances: [f64; WIDTH_MAX * BLOCKS_MAX],
@@ -69,6 +70,7 @@ impl Smoother {
         Self {
             order: vec![0; rows],
             begins: [0; BLOCKS_MAX + 1],
+            has_end_rows_only: [false; BLOCKS_MAX],
             means: [0.0; WIDTH_MAX * BLOCKS_MAX],
             variances: [0.0; WIDTH_MAX * BLOCKS_MAX],
             gains: vec![0.0; rows * 2 * WIDTH_MAX],
@@ -136,8 +138,14 @@ impl Smoother {
     /// Sorts the rows by block.
     fn sort(&mut self, model: &LinearModel) {
         self.begins.fill(0);
+        let lengths = model.stages().lengths().iter();
+        for (is_so, length) in self.has_end_rows_only.iter_mut().zip(lengths) {
+            *is_so = *length == 1.0;
+        }
         for row in 0..model.rows() {
-            self.begins[model.stage(row).block + 1] += 1;
+            let stage = model.stage(row);
+            self.begins[stage.block + 1] += 1;
+            self.has_end_rows_only[stage.block] &= stage.since_start & (stage.periods == 1.0);
         }
         for block in 0..BLOCKS_MAX {
             self.begins[block + 1] += self.begins[block];
@@ -153,15 +161,6 @@ impl Smoother {
     /// Positions of a block's rows in the order.
     fn rows_of(&self, block: usize) -> core::ops::Range<usize> {
         usize::from(self.begins[block])..usize::from(self.begins[block + 1])
-    }
-
-    /// Whether a block of one period has rows at its end only. Such rows depend on its unknowns only by the
-    /// sum.
-    fn has_end_rows_only(&self, model: &LinearModel, block: usize) -> bool {
-        let at_end = |stage: RowStage| stage.since_start && stage.periods == 1.0;
-        let mut rows = self.order[self.rows_of(block)].iter();
-        model.stages().lengths()[block] == 1.0
-            && rows.all(|&row| at_end(model.stage(usize::from(row))))
     }
 
     fn prior<const W: usize>(&self, block: usize) -> Prior<W> {
@@ -185,7 +184,7 @@ impl Smoother {
         };
         for block in 0..model.stages().blocks() {
             let prior = self.prior::<W>(block);
-            let filtered = if self.has_end_rows_only(model, block) {
+            let filtered = if self.has_end_rows_only[block] {
                 state.add(&prior);
                 self.filter(model, block, damping, &mut state, budget)
             } else {
@@ -200,7 +199,7 @@ impl Smoother {
         }
         let mut adjoint = [0.0; W];
         for block in (0..model.stages().blocks()).rev() {
-            let of_unknowns = if self.has_end_rows_only(model, block) {
+            let of_unknowns = if self.has_end_rows_only[block] {
                 self.backward_update(model, block, &mut adjoint);
                 adjoint
             } else {
