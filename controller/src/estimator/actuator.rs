@@ -1,4 +1,7 @@
+use core::ops::Range;
+
 use super::slack::{PlayWindow, Slack};
+
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 
 /// Dynamics of the motors: a pure delay and a first-order lag, with play between motors and cables. Valid for
@@ -205,6 +208,25 @@ impl ActuatorModel {
         self.moves.fill(rest);
     }
 
+    /// The motors did not obey what was commanded between two times, given by their ages: they obeyed zero.
+    pub(super) fn rested(&mut self, ages_s: Range<f64>) {
+        let (mut oldest, mut ended_s) = (0, 0.0);
+        for back in 0..MOVES_MAX - 1 {
+            let duration_s = self.back(back).duration_s;
+            if ages_s.contains(&(ended_s + 0.5 * duration_s)) {
+                let none = BendRates::zero(self.back(back).rates.section_count());
+                self.back_mut(back).rates = none;
+                oldest = back + 1;
+            }
+            ended_s += duration_s;
+        }
+        for back in (0..oldest).rev() {
+            let (past, before) = (self.back(back), self.back(back + 1));
+            let behind_rad = self.behind_after(&past.rates, before, past.duration_s);
+            self.back_mut(back).behind_rad = behind_rad;
+        }
+    }
+
     /// Records `rates` commanded for `duration_s`.
     pub(super) fn command(&mut self, rates: &BendRates, duration_s: f64) {
         let before = &self.moves[self.newest];
@@ -287,7 +309,11 @@ impl ActuatorModel {
     }
 
     fn back(&self, back: usize) -> &Move {
-        &self.moves[(self.newest + 2 * MOVES_MAX - back) % MOVES_MAX]
+        &self.moves[(self.newest + MOVES_MAX - back) % MOVES_MAX]
+    }
+
+    fn back_mut(&mut self, back: usize) -> &mut Move {
+        &mut self.moves[(self.newest + MOVES_MAX - back) % MOVES_MAX]
     }
 
     /// Lag of the motors `duration_s` after the end of `before`, at `rates`: b' = u − b / time constant.

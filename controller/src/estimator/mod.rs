@@ -9,6 +9,8 @@ mod tip_filter;
 mod tip_offset;
 mod tip_slope;
 
+use core::ops::Range;
+
 use nalgebra::Vector3;
 
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
@@ -142,6 +144,13 @@ impl Estimator {
     pub fn without_tip_slope(mut self) -> Self {
         self.tip_offset = self.tip_offset.without_slope();
         self
+    }
+
+    /// The motors did not obey what was commanded between these ages (s, before the time of the last prediction): their commands had run
+    /// out. The next measurement is adopted without filtering.
+    pub fn rested(&mut self, ages_s: Range<f64>) {
+        self.motors.rested(ages_s);
+        self.uncorrected_s = None;
     }
 
     /// Restarts at `configuration`, with motors at rest. The tip offset is kept, because it is an error of the model.

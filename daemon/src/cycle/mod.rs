@@ -13,6 +13,7 @@ mod present_clearance;
 mod rehearsal;
 mod requests;
 mod safe;
+mod silence;
 mod state;
 mod unsent;
 mod warm_up;

@@ -6,6 +6,7 @@ use cdcr_controller::safety::{
 };
 use nalgebra::Vector3;
 
+use super::silence::SilenceWatch;
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
@@ -52,6 +53,7 @@ pub(super) struct RobotState {
     measured: Option<Configuration>,
     last_measured_ns: u64,
     last_gather_ns: u64,
+    silence: SilenceWatch,
     /// Time of gathers without a fresh measurement \[ns\].
     unmeasured_ns: u64,
     /// Time for which the robot has been straight within the tolerance \[ns\].
@@ -95,6 +97,7 @@ impl RobotState {
             measured: None,
             last_measured_ns: 0,
             last_gather_ns: 0,
+            silence: SilenceWatch::new(&policy),
             unmeasured_ns: 0,
             straight_ns: 0,
             measurement_fault: None,
@@ -181,18 +184,15 @@ impl RobotState {
         release_ns: u64,
     ) -> MeasurementUse {
         self.measurement_fault = None;
-        let Some(TimedMeasurement {
-            measurement,
-            measured_ns,
-        }) = measurement
-        else {
+        let Some(timed) = measurement else {
             return MeasurementUse::None;
         };
+        let (measurement, measured_ns) = (timed.measurement, timed.measured_ns);
         if measured_ns <= self.last_measured_ns {
             return MeasurementUse::Repeated;
         }
         let is_first = self.last_measured_ns == 0;
-        self.last_measured_ns = measured_ns;
+        let since_ns = measured_ns - std::mem::replace(&mut self.last_measured_ns, measured_ns);
         match self
             .plausibility
             .check(&self.robot, &measurement, measured_ns)
@@ -211,6 +211,9 @@ impl RobotState {
             self.measurement_fault = Some(Reason::CommonMode);
         }
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
+        if !is_first && let Some(rested_s) = self.silence.rested_s(since_ns) {
+            self.estimator.rested(age_s..age_s + rested_s);
+        }
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);
         if is_first {

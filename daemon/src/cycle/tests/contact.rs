@@ -80,3 +80,30 @@ fn noise_beside_an_obstacle_is_no_contact() {
         assert!(near > 50 && measured_m > 5e-3, "{near} {measured_m}");
     }
 }
+
+/// A driver that stands still again and again. Its speeds end with the command; the estimate goes on until it
+/// measures again, and then knows where the motors are, with and without a lag that outlasts the stall.
+#[test]
+fn a_driver_that_stalls_again_and_again_meets_nothing() {
+    for (lag_ms, stalled, every) in [(20.0, 6, 24), (20.0, 4, 17), (100.0, 6, 24), (20.0, 8, 60)] {
+        let actuator = Actuator {
+            delay_s: 0.01,
+            time_constant_s: lag_ms * 1e-3,
+            play_m: 0.0,
+        };
+        let known = format!("[actuator]\ndelay_ms = 10.0\ntime_constant_ms = {lag_ms:?}\n");
+        let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, &known);
+        let mut least_m = f64::INFINITY;
+        for turn in 0..2000 {
+            let record = match turn % every < every - stalled {
+                true => trial.turn(),
+                false => trial.turn_with_a_stalled_driver(),
+            };
+            assert!(!record.mode.is_latched(), "{:?}", record.mode);
+            let plant = &trial.plant;
+            least_m = least_m.min(plant.truth().clearance_m(&plant.configuration(), &ball));
+        }
+        println!("{lag_ms} ms, {stalled} of {every}: true clearance {least_m} m");
+        assert!(least_m > 8e-3, "{least_m} m");
+    }
+}

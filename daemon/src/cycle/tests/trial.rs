@@ -206,6 +206,17 @@ impl Trial {
         self.cycle(0)
     }
 
+    /// One cycle while the driver stands still: it neither measures nor takes commands.
+    pub(super) fn turn_with_a_stalled_driver(&mut self) -> CycleRecord {
+        let measurement = self.inputs.measurement;
+        self.gather(BEGIN_NS + self.next * PERIOD_NS);
+        self.inputs.measurement = measurement;
+        self.is_held_up = true;
+        let record = self.cycle(0);
+        self.is_held_up = false;
+        record
+    }
+
     /// A cycle with a gather of its own, after `skipped` releases without one.
     pub(super) fn late_turn(&mut self, skipped: u32) -> CycleRecord {
         self.next += u64::from(skipped);
