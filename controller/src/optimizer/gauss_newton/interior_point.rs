@@ -146,7 +146,7 @@ impl ComplementaryPair {
         /// More than the rounding of a product and of a quotient.
         const ROUNDING: f64 = 1.0 + 1e-14;
         let limit = |step_length: f64, at: f64, step: f64| {
-            if (step < 0.0) & (at <= step_length * (-step * ROUNDING)) {
+            if step < 0.0 && at <= step_length * (-step * ROUNDING) {
                 step_length.min(-at / step)
             } else {
                 step_length

@@ -145,7 +145,7 @@ impl Smoother {
         for row in 0..model.rows() {
             let stage = model.stage(row);
             self.begins[stage.block + 1] += 1;
-            self.has_end_rows_only[stage.block] &= stage.since_start & (stage.periods == 1.0);
+            self.has_end_rows_only[stage.block] &= stage.since_start && stage.periods == 1.0;
         }
         for block in 0..BLOCKS_MAX {
             self.begins[block + 1] += self.begins[block];
