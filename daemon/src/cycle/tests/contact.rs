@@ -95,9 +95,10 @@ fn a_driver_that_stalls_again_and_again_meets_nothing() {
         let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, &known);
         let mut least_m = f64::INFINITY;
         for turn in 0..2000 {
-            let record = match turn % every < every - stalled {
-                true => trial.turn(),
-                false => trial.turn_with_a_stalled_driver(),
+            let record = if turn % every < every - stalled {
+                trial.turn()
+            } else {
+                trial.turn_with_a_stalled_driver()
             };
             assert!(!record.mode.is_latched(), "{:?}", record.mode);
             let plant = &trial.plant;
