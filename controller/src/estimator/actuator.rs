@@ -208,14 +208,24 @@ impl ActuatorModel {
         self.moves.fill(rest);
     }
 
-    /// The motors did not obey what was commanded between two times, given by their ages: they obeyed zero.
-    pub(super) fn rested(&mut self, ages_s: Range<f64>) {
+    /// Replaces what was commanded between two ages by zero. Returns the motion that is lost \[rad\]. The play keeps
+    /// the side to which that motion led.
+    pub(super) fn rested(&mut self, ages_s: &Range<f64>) -> [f64; COORDINATES_MAX] {
         let (mut oldest, mut ended_s) = (0, 0.0);
+        let mut lost_rad = [0.0; COORDINATES_MAX];
         for back in 0..MOVES_MAX - 1 {
-            let duration_s = self.back(back).duration_s;
-            if ages_s.contains(&(ended_s + 0.5 * duration_s)) {
-                let none = BendRates::zero(self.back(back).rates.section_count());
-                self.back_mut(back).rates = none;
+            let Move {
+                mut rates,
+                duration_s,
+                ..
+            } = *self.back(back);
+            let rested_s = ages_s.end.min(ended_s + duration_s) - ages_s.start.max(ended_s);
+            if rested_s > 0.0 {
+                add(&mut lost_rad, rates.as_slice(), rested_s);
+                for rate in rates.as_mut_slice() {
+                    *rate *= 1.0 - rested_s / duration_s;
+                }
+                self.back_mut(back).rates = rates;
                 oldest = back + 1;
             }
             ended_s += duration_s;
@@ -225,6 +235,7 @@ impl ActuatorModel {
             let behind_rad = self.behind_after(&past.rates, before, past.duration_s);
             self.back_mut(back).behind_rad = behind_rad;
         }
+        lost_rad
     }
 
     /// Records `rates` commanded for `duration_s`.
@@ -368,7 +379,7 @@ impl RemainingMotion {
     }
 }
 
-fn added(at: &Configuration, what: &[f64], factor: f64) -> Configuration {
+pub(super) fn added(at: &Configuration, what: &[f64], factor: f64) -> Configuration {
     let mut moved = *at;
     add(moved.as_mut_slice(), what, factor);
     moved

@@ -15,7 +15,7 @@ use nalgebra::Vector3;
 
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
-use actuator::ActuatorModel;
+use actuator::{ActuatorModel, added};
 pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
@@ -26,6 +26,9 @@ const STAGES: usize = 3;
 
 /// Time constant with which the measured bends are averaged beside the estimate \[s\]: a third of the noise remains, measured at 200 Hz.
 const BESIDE_TIME_S: f64 = 0.03;
+
+/// Distance between the places of motors that obeyed and of motors that rested which a measurement tells apart in spite of its noise \[rad\].
+const VISIBLE_RAD: f64 = 0.01;
 
 /// A measurement by a driver or a tip sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,6 +68,8 @@ pub struct Estimator {
     /// Offset of the tip, if something else measures the bends.
     tip_offset: TipOffset,
     motors: ActuatorModel,
+    /// Workspace of [`Self::rested`].
+    resting: ActuatorModel,
 }
 
 impl Clone for Estimator {
@@ -80,6 +85,7 @@ impl Clone for Estimator {
             tip: self.tip.clone(),
             tip_offset: self.tip_offset.clone(),
             motors: self.motors.clone(),
+            resting: self.resting.clone(),
         }
     }
 
@@ -112,6 +118,7 @@ impl Estimator {
             tip: TipFilter::new(TIP_NOISE_M),
             tip_offset: TipOffset::new(TIP_NOISE_M),
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
+            resting: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
 
@@ -119,6 +126,7 @@ impl Estimator {
     #[must_use]
     pub fn with_actuator(mut self, robot: &Robot, actuator: Actuator) -> Self {
         self.motors = ActuatorModel::new(actuator, self.measured.section_count()).with_play(robot);
+        self.resting = self.motors.clone();
         self
     }
 
@@ -146,11 +154,41 @@ impl Estimator {
         self
     }
 
-    /// The motors did not obey what was commanded between these ages (s, before the time of the last prediction): their commands had run
-    /// out. The next measurement is adopted without filtering.
-    pub fn rested(&mut self, ages_s: Range<f64>) {
-        self.motors.rested(ages_s);
+    /// The driver was silent, and its motors are assumed not to have obeyed what was commanded between these ages (s, before the time of the
+    /// last prediction): the estimate loses that motion, unless the `measurement` that ended the silence, made `age_s` ago, shows the motors
+    /// nearer to where they are if they obeyed. A tip does not show this. Take the measurement with [`Self::correct`] afterwards: it is adopted
+    /// without filtering, because when exactly the motors rested is not known.
+    pub fn rested(
+        &mut self,
+        robot: &Robot,
+        measurement: &Measurement,
+        age_s: f64,
+        ages_s: &Range<f64>,
+    ) {
+        let measured = match measurement {
+            Measurement::Configuration(measured) => *measured,
+            Measurement::CableLengths(lengths) => robot.bend_from_cable_lengths(lengths),
+            Measurement::TipPosition(_) => return,
+        };
+        self.resting.clone_from(&self.motors);
+        let lost_rad = self.resting.rested(ages_s);
+        let obeyed = self
+            .motors
+            .remaining_motion(age_s)
+            .start_from(self.motors());
+        let end = added(self.motors(), &lost_rad, -1.0);
+        let rested = self.resting.remaining_motion(age_s).start_from(&end);
+        let is_visible = distance_rad(&obeyed, &rested) > VISIBLE_RAD;
+        if is_visible && distance_rad(&measured, &obeyed) < distance_rad(&measured, &rested) {
+            return;
+        }
+        core::mem::swap(&mut self.motors, &mut self.resting);
+        for led in self.stages.iter_mut().chain([&mut self.measured]) {
+            *led = added(led, &lost_rad, -1.0);
+        }
         self.uncorrected_s = None;
+        self.forget_beside();
+        self.commanded = self.motors.cables_commanded(self.motors());
     }
 
     /// Restarts at `configuration`, with motors at rest. The tip offset is kept, because it is an error of the model.
@@ -349,6 +387,12 @@ impl Estimator {
                 .revise_model_tip(&robot.tip_position(&self.commanded));
         }
     }
+}
+
+/// Distance of two configurations in all bends \[rad\].
+fn distance_rad(a: &Configuration, b: &Configuration) -> f64 {
+    let pairs = a.as_slice().iter().zip(b.as_slice());
+    pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
 /// `from` moved towards `to` by the share `gain`.

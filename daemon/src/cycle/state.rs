@@ -192,7 +192,7 @@ impl RobotState {
             return MeasurementUse::Repeated;
         }
         let is_first = self.last_measured_ns == 0;
-        let since_ns = measured_ns - std::mem::replace(&mut self.last_measured_ns, measured_ns);
+        self.last_measured_ns = measured_ns;
         match self
             .plausibility
             .check(&self.robot, &measurement, measured_ns)
@@ -211,8 +211,9 @@ impl RobotState {
             self.measurement_fault = Some(Reason::CommonMode);
         }
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
-        if !is_first && let Some(rested_s) = self.silence.rested_s(since_ns) {
-            self.estimator.rested(age_s..age_s + rested_s);
+        if let Some(ages_s) = self.silence.rested_s(measured_ns, release_ns) {
+            let estimator = &mut self.estimator;
+            estimator.rested(&self.robot, &measurement, age_s, &ages_s);
         }
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);

@@ -105,6 +105,6 @@ fn a_driver_that_stalls_again_and_again_meets_nothing() {
             least_m = least_m.min(plant.truth().clearance_m(&plant.configuration(), &ball));
         }
         println!("{lag_ms} ms, {stalled} of {every}: true clearance {least_m} m");
-        assert!(least_m > 8e-3, "{least_m} m");
+        assert!(least_m > 5e-3, "{least_m} m");
     }
 }

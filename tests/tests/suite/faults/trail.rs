@@ -39,18 +39,18 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
 /// core.
 pub(crate) struct Trail {
     stream: TelemetryStream,
-    /// Read, but not yet returned; oldest first.
-    read: VecDeque<Telemetry>,
+    /// Read, but not yet returned, with the time of reading; oldest first.
+    read: VecDeque<(u64, Telemetry)>,
     before: Option<Telemetry>,
     integral: Integral,
     history: History,
     _calm: Option<RwLockReadGuard<'static, ()>>,
 }
 
-/// Whether newer records have filled the queue since: then its reader came too late.
-fn waited_a_queue(record: &Telemetry) -> bool {
+/// Whether newer records had filled the queue when this one was read: its reader came too late.
+fn waited_a_queue(record: &Telemetry, read_ns: u64) -> bool {
     let queue = Service::Telemetry.queues().queue as u64;
-    let waited_ns = monotonic_ns().saturating_sub(record.release_ns);
+    let waited_ns = read_ns.saturating_sub(record.release_ns);
     waited_ns / record.period_ns + 2 > queue
 }
 
@@ -76,16 +76,16 @@ impl Trail {
     }
 
     pub(crate) fn next_waiting(&mut self) -> Option<Telemetry> {
-        let record = match self.read.pop_front() {
-            Some(record) => record,
-            None => self.stream.try_next().unwrap()?,
+        let (read_ns, record) = match self.read.pop_front() {
+            Some(read) => read,
+            None => self.read()?,
         };
         if let Some(before) = &self.before {
             let expected = before.cycle + 1 + u64::from(record.skipped_periods);
             if record.cycle == expected {
                 ramp::check_rest(before, &record).unwrap();
             } else {
-                assert!(waited_a_queue(&record), "a record was lost");
+                assert!(waited_a_queue(&record, read_ns), "a record was lost");
                 println!(
                     "the machine kept the reader from {expected} to {}",
                     record.cycle
@@ -100,13 +100,18 @@ impl Trail {
         Some(record)
     }
 
+    fn read(&mut self) -> Option<(u64, Telemetry)> {
+        let record = self.stream.try_next().unwrap()?;
+        Some((monotonic_ns(), record))
+    }
+
     /// Keeps all records during `work`, which may last longer than a reader's queue.
     pub(crate) fn keep_while<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> R {
         std::thread::scope(|scope| {
             let working = scope.spawn(work);
             while !working.is_finished() {
-                while let Some(record) = self.stream.try_next().unwrap() {
-                    self.read.push_back(record);
+                while let Some(read) = self.read() {
+                    self.read.push_back(read);
                 }
                 std::thread::sleep(Duration::from_millis(1));
             }
@@ -132,7 +137,12 @@ impl Trail {
             meanwhile();
             let before = self.before;
             match self.next_waiting() {
-                Some(record) if is_it(&record) => return (before.unwrap_or(record), record),
+                Some(record) if is_it(&record) => {
+                    let next =
+                        |before: &Telemetry| before.cycle + 1 + u64::from(record.skipped_periods);
+                    let before = before.filter(|before| next(before) == record.cycle);
+                    return (before.unwrap_or(record), record);
+                }
                 Some(_) => {}
                 None => std::thread::sleep(Duration::from_millis(1)),
             }
