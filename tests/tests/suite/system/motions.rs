@@ -231,7 +231,16 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let robot = daemon.place().start("cdcrctl plant");
     wait_mode(&mut telemetry, Mode::Holding);
-    says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --max-error 20mm", 0);
+    // The robot may still be on its way to where it is held.
+    wait_until("the tip is at the point", || {
+        let line = "cdcrctl goto 0.1,0,0.85 --speed 0.2 --max-error 20mm";
+        let gone = daemon.place().start(line).output();
+        let moves = text(&gone).contains("try again when it is at rest");
+        if !moves {
+            assert_says(&gone, 0, &[]);
+        }
+        !moves
+    });
     robot.signal(Signal::KILL);
     wait_mode(&mut telemetry, Mode::Faulted);
     let stopped = says(&daemon, "jog 0.01,0,0", 1);
