@@ -408,6 +408,24 @@ mod tests {
         BendRates::from_slice(&[u, 0.0]).unwrap()
     }
 
+    /// As if zero had been commanded there, at ages inside the moves, too.
+    #[test]
+    fn motors_that_rested_are_where_zero_rates_lead_them() {
+        let [mut rested, mut expected] =
+            [(); 2].map(|()| ActuatorModel::new(actuator(0.01, 0.02), 1));
+        for _ in 0..10 {
+            rested.command(&rates(1.0), 0.005);
+        }
+        for (rate, duration_s) in [(1.0, 0.025), (0.0, 0.018), (1.0, 0.007)] {
+            expected.command(&rates(rate), duration_s);
+        }
+        let lost_rad = rested.rested(&(0.007..0.025));
+        assert!((lost_rad[0] - 0.018).abs() < 1e-12, "{lost_rad:?}");
+        let [motion, of_zero] = [&rested, &expected].map(|model| model.remaining_motion(-0.01));
+        let difference_rad = motion.motion_rad[0] - of_zero.motion_rad[0];
+        assert!(difference_rad.abs() < 5e-4, "{difference_rad} rad");
+    }
+
     /// The recursion against the differential equation in steps of 10 µs, at ages between the moves, too.
     #[test]
     fn remaining_motion_solves_the_differential_equation() {
