@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::Interface;
 
 use crate::faults::trail::late_ns;
 
@@ -23,18 +22,8 @@ struct Kept {
     gather: u64,
     gather_ns: u64,
     measured_ns: u64,
-    elapsed_ns: u64,
-    moved_ns: u64,
-    previous_rate_rad_s: f64,
+    commanded_rad: f64,
     rate_rad_s: f64,
-}
-
-/// Time for which the robot moved by the command before this record \[ns\]: one period to a target position,
-/// or three periods with valid speeds.
-pub(crate) fn moved_ns(record: &Telemetry) -> u64 {
-    let is_position = record.command.interface == Interface::Position.code();
-    let periods = if is_position { 1 } else { 3 };
-    record.elapsed_ns.min(periods * record.period_ns)
 }
 
 impl History {
@@ -45,13 +34,6 @@ impl History {
         // A cycle that reuses the inputs of the previous one costs a period, too.
         let newest = self.0.back();
         let has_old_inputs = newest.is_some_and(|before| before.gather == record.gather);
-        // After a stall, the record has zero instead.
-        let previous = match newest {
-            Some(before) if before.release_ns + record.elapsed_ns == record.release_ns => {
-                before.rate_rad_s
-            }
-            _ => record.previous_rate_rad_s[0],
-        };
         self.0.push_back(Kept {
             release_ns: record.release_ns,
             period_ns: record.period_ns,
@@ -59,9 +41,7 @@ impl History {
             gather: record.gather,
             gather_ns: record.gather_ns,
             measured_ns: record.measurement.measured_ns,
-            elapsed_ns: record.elapsed_ns,
-            moved_ns: moved_ns(record),
-            previous_rate_rad_s: previous,
+            commanded_rad: record.commanded_rad[0],
             rate_rad_s: record.command.bend_rate_rad_s[0],
         });
     }
@@ -73,16 +53,23 @@ impl History {
         since.map(|kept| kept.late_ns).sum()
     }
 
-    /// Path of the first bend by the commands from `begin_ns` to the newest release \[rad\]; each command
-    /// counts from its release.
+    /// Motion of the commanded first bend from `begin_ns` to the newest release \[rad\]. A command that left moves it
+    /// from its release until it expires or the next one comes.
     pub(crate) fn way_rad(&self, begin_ns: u64) -> f64 {
-        let way_rad = |kept: &Kept| {
-            let from_ns = kept.release_ns - kept.elapsed_ns;
-            let until_ns = from_ns + kept.moved_ns;
-            let moved_ns = until_ns.saturating_sub(from_ns.max(begin_ns));
-            kept.previous_rate_rad_s * moved_ns as f64 * 1e-9
+        let way_rad = |(before, now): (&Kept, &Kept)| {
+            let moved_rad = now.commanded_rad - before.commanded_rad;
+            let moving_ns = (moved_rad / before.rate_rad_s * 1e9).max(0.0);
+            let left_out_ns = begin_ns.saturating_sub(before.release_ns) as f64;
+            if left_out_ns >= moving_ns {
+                0.0
+            } else {
+                moved_rad * (1.0 - left_out_ns / moving_ns)
+            }
         };
-        self.0.iter().map(way_rad).sum()
+        let since = self
+            .pairs()
+            .take_while(|(_, now)| now.release_ns > begin_ns);
+        since.map(way_rad).sum()
     }
 
     /// Pairs of neighbours, newest first.
@@ -170,27 +157,37 @@ mod tests {
     }
 
     #[test]
-    fn a_command_moves_for_three_periods_at_most() {
+    fn a_command_moves_from_its_release_until_it_expires() {
         let mut history = History::default();
-        for (release_ns, elapsed_ns, rate_rad_s, next_rad_s) in
-            [(105, 5, 1e9, 2e9), (145, 40, 2e9, 4e9), (150, 5, 4e9, 0.0)]
-        {
+        // A stall of 40 ns after a command that was valid for 15.
+        for (release_ns, commanded_rad, rate_rad_s) in [
+            (100, 0.0, 1e9),
+            (105, 5.0, 2e9),
+            (145, 35.0, 4e9),
+            (150, 55.0, 0.0),
+            (155, 55.0, 0.0),
+        ] {
             let mut record = Telemetry {
                 period_ns: 5,
                 release_ns,
                 start_ns: release_ns,
-                elapsed_ns,
                 ..Telemetry::default()
             };
-            // After a stall the record does not have the rate of the command before.
-            record.previous_rate_rad_s[0] = if elapsed_ns > 15 { 0.0 } else { rate_rad_s };
-            record.command.bend_rate_rad_s[0] = next_rad_s;
+            record.commanded_rad[0] = commanded_rad;
+            record.command.bend_rate_rad_s[0] = rate_rad_s;
             history.note(&record);
         }
-        for (begin_ns, way_rad) in [(147, 12.0), (130, 20.0), (110, 40.0), (102, 53.0)] {
+        for (begin_ns, way_rad) in [
+            (152, 0.0),
+            (147, 12.0),
+            (130, 20.0),
+            (110, 40.0),
+            (102, 53.0),
+        ] {
+            let found_rad = history.way_rad(begin_ns);
             assert!(
-                (history.way_rad(begin_ns) - way_rad).abs() < 1e-9,
-                "{begin_ns}"
+                (found_rad - way_rad).abs() < 1e-9,
+                "{begin_ns}: {found_rad}"
             );
         }
     }

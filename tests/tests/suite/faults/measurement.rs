@@ -9,7 +9,6 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{Daemon, TIMEOUT, ask_for, refused, wait_status, wait_until};
 
-use crate::faults::history::moved_ns;
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, say};
 
@@ -186,9 +185,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         // One sensor repeats its value with new stamps; the others work.
         let mut measured = robot.sensed_rad();
         let frozen_rad = measured[0];
-        let (mut is_frozen, mut way_rad, mut judged_rad) = (false, 0.0_f64, 0.0);
-        // Of the last command; after a stall the next record does not have it.
-        let mut rate_rad_s = 0.0;
+        let (mut frozen_at_rad, mut way_rad, mut judged_rad) = (None, 0.0, 0.0);
         let (_, now) = trail.until_while(
             "the fault",
             || {
@@ -203,14 +200,13 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
                 if is_held_by_a_stall(record) {
                     return true;
                 }
-                if is_frozen {
-                    way_rad += rate_rad_s * moved_ns(record) as f64 * 1e-9;
+                if record.measurement.bend_rad[0] == frozen_rad {
+                    let from_rad = frozen_at_rad.get_or_insert(record.commanded_rad[0]);
+                    way_rad = (record.commanded_rad[0] - *from_rad).abs();
                 }
-                rate_rad_s = record.command.bend_rate_rad_s[0];
-                is_frozen |= record.measurement.bend_rad[0] == frozen_rad;
                 let is_fault = record.mode == Mode::Faulted.code();
                 if state(record) == MeasurementState::Used && !is_fault {
-                    judged_rad = way_rad.abs();
+                    judged_rad = way_rad;
                 }
                 is_fault
             },
@@ -218,7 +214,6 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         if is_held_by_a_stall(&now) {
             return None;
         }
-        let way_rad = way_rad.abs();
         assert_eq!(now.reason, Reason::MeasurementFrozen.code());
         let limit_rad = now.measurement_frozen_rad;
         println!(
