@@ -20,13 +20,10 @@ const BODY_RADIUS_M: f64 = 0.015;
 
 /// Sends obstacles, and returns the record with their event, and the event.
 fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
-    let header = sender.upsert(balls).unwrap();
-    let mut answer = None;
-    let (_, record) = trail.until("the verdict", |record| {
-        answer = event_about(record, EventKind::Obstacles, &header);
-        answer.is_some()
-    });
-    (record, answer.unwrap())
+    trail.until_answered(
+        || sender.upsert(balls).unwrap(),
+        |header, record| event_about(record, EventKind::Obstacles, header),
+    )
 }
 
 /// Sends an obstacle to the side, again if a stall let its lifetime pass on the way.

@@ -34,9 +34,9 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
 }
 
 /// A reader that fails when it loses a record, unless the machine keeps the reader for longer than its queue
-/// lasts while the daemon, in its own class and locked memory, goes on. It checks on each record that a robot at rest stays, and that
-/// the commanded position is the integral of the rates. While it exists, no other test takes the daemon's
-/// core.
+/// lasts while the daemon, in its own class and locked memory, goes on. It checks on each record that a robot
+/// at rest stays, and that the commanded position is the integral of the rates. While it exists, no other test
+/// takes the daemon's core.
 pub(crate) struct Trail {
     stream: TelemetryStream,
     /// Read, but not yet returned, with the time of reading; oldest first.
@@ -44,6 +44,8 @@ pub(crate) struct Trail {
     before: Option<Telemetry>,
     integral: Integral,
     history: History,
+    /// How often it began anew.
+    gap_count: u32,
     _calm: Option<RwLockReadGuard<'static, ()>>,
 }
 
@@ -71,6 +73,7 @@ impl Trail {
             before: None,
             integral: Integral::new(connection.status(TIMEOUT).unwrap().link),
             history: History::default(),
+            gap_count: 0,
             _calm: None,
         }
     }
@@ -91,6 +94,7 @@ impl Trail {
                     record.cycle
                 );
                 self.before = None;
+                self.gap_count += 1;
             }
         }
         ramp::check(&record, record.period_ns as f64 * 1e-9).unwrap();
@@ -152,6 +156,29 @@ impl Trail {
                 self.before.map(|record| record.cycle),
                 self.before.map(|record| Mode::text_of(record.mode)),
             );
+        }
+    }
+
+    /// Sends a message, and returns the daemon's answer to it with its record. Sends it again if the record of
+    /// the answer may be among lost ones.
+    pub(crate) fn until_answered<M, A>(
+        &mut self,
+        mut send: impl FnMut() -> M,
+        answer_in: impl Fn(&M, &Telemetry) -> Option<A>,
+    ) -> (Telemetry, A) {
+        let begin = Instant::now();
+        loop {
+            let (sent, gap_count) = (send(), self.gap_count);
+            while self.gap_count == gap_count {
+                if let Some(record) = self.next_waiting() {
+                    if let Some(answer) = answer_in(&sent, &record) {
+                        return (record, answer);
+                    }
+                } else {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                assert!(begin.elapsed() < TIMEOUT, "no answer");
+            }
         }
     }
 
