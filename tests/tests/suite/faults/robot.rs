@@ -9,13 +9,14 @@ use cdcr_shared_types::{Command, Measurement, Telemetry};
 use cdcr_tests::robot::{DrivenRobot, interface_of};
 use cdcr_tests::{ask_for, until_undisturbed};
 
-use crate::faults::trail::{Trail, is, rests};
+use crate::faults::trail::{Trail, is, rests, unless_kept};
 
 /// Runs a case behind a driver of each interface, again if a stall of the machine disturbed it.
 pub(crate) fn behind_both(case: impl Fn(Interface) -> Option<()>) {
     for interface in [Interface::Velocity, Interface::Position] {
         println!("behind a driver that obeys the {interface}");
-        until_undisturbed("a robot behind a driver", || case(interface));
+        let case = || unless_kept(|| case(interface));
+        until_undisturbed("a robot behind a driver", case);
     }
 }
 

@@ -1,7 +1,8 @@
 //! The consecutive records of a daemon, each with the previous one.
 
+use std::cell::Cell;
 use std::collections::VecDeque;
-use std::panic::resume_unwind;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -17,6 +18,22 @@ use crate::faults::history::History;
 
 /// The core of all the daemons: shared by readers, or taken by one test.
 static CORE: RwLock<()> = RwLock::new(());
+
+thread_local! {
+    /// How often trails of this thread began anew, because the machine kept the thread from reading.
+    static GAPS: Cell<u32> = const { Cell::new(0) };
+}
+
+/// Runs a test; `None` if it failed and its trail had begun anew.
+pub(crate) fn unless_kept<R>(test: impl FnOnce() -> Option<R>) -> Option<R> {
+    let gap_count = GAPS.get();
+    catch_unwind(AssertUnwindSafe(test)).unwrap_or_else(|failure| {
+        if GAPS.get() == gap_count {
+            resume_unwind(failure);
+        }
+        None
+    })
+}
 
 /// Waits until no other test follows a trail, and keeps them out. Never queues for the lock, because a test
 /// may follow two trails.
@@ -44,8 +61,6 @@ pub(crate) struct Trail {
     before: Option<Telemetry>,
     integral: Integral,
     history: History,
-    /// How often it began anew.
-    gap_count: u32,
     _calm: Option<RwLockReadGuard<'static, ()>>,
 }
 
@@ -73,7 +88,6 @@ impl Trail {
             before: None,
             integral: Integral::new(connection.status(TIMEOUT).unwrap().link),
             history: History::default(),
-            gap_count: 0,
             _calm: None,
         }
     }
@@ -94,7 +108,7 @@ impl Trail {
                     record.cycle
                 );
                 self.before = None;
-                self.gap_count += 1;
+                GAPS.set(GAPS.get() + 1);
             }
         }
         ramp::check(&record, record.period_ns as f64 * 1e-9).unwrap();
@@ -168,8 +182,8 @@ impl Trail {
     ) -> (Telemetry, A) {
         let begin = Instant::now();
         loop {
-            let (sent, gap_count) = (send(), self.gap_count);
-            while self.gap_count == gap_count {
+            let (sent, gap_count) = (send(), GAPS.get());
+            while GAPS.get() == gap_count {
                 if let Some(record) = self.next_waiting() {
                     if let Some(answer) = answer_in(&sent, &record) {
                         return (record, answer);
