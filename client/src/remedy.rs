@@ -1,4 +1,4 @@
-use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
 /// Remedy for a refused message or request: one sentence.
 pub fn remedy(outcome: Outcome) -> &'static str {
@@ -85,6 +85,62 @@ pub fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'stat
     }
 }
 
+/// Remedy for each reason of a mode, for a user whose reference ended by it or who sees it in the status.
+pub fn reason_remedy(reason: Reason) -> &'static str {
+    match reason {
+        Reason::Start => "The daemon was restarted: feed the reference again.",
+        Reason::Request => {
+            "Another client, or the signal SIGUSR1, asked for it; where it stopped the robot, check that nobody is in its \
+             way, then cdcrctl reset."
+        }
+        Reason::ReferenceEnded => {
+            "The chunks came too late: give this program more time, or send further ahead."
+        }
+        Reason::LeaseExpired | Reason::LeaseReleased => {
+            "This program was delayed for too long, or another client released its lease."
+        }
+        Reason::HomeReached => "Another client sent it home.",
+        Reason::DeadlineMisses => {
+            "The machine is too busy: see the causes in cdcrctl status, then cdcrctl reset. The limit is the setting \
+             cycle.miss_limit."
+        }
+        Reason::MeasurementLost => {
+            "Check that the driver runs, and in cdcrctl status that no messages are refused (cdcrctl echo telemetry \
+             shows refused measurements), then cdcrctl reset."
+        }
+        Reason::MeasurementJump => {
+            "Check the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
+             cdcrctl reset."
+        }
+        Reason::MeasurementFrozen => {
+            "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset."
+        }
+        Reason::FollowingError => {
+            "Check that the motors run and nothing holds the robot (cdcrctl status shows the following error), then \
+             cdcrctl reset."
+        }
+        Reason::InputsStale => {
+            "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then track again."
+        }
+        Reason::Suspended => "The machine was suspended: check the robot, then cdcrctl reset.",
+        Reason::ObstacleSourceSilent => {
+            "Check that the program that sends the obstacles runs, then track again."
+        }
+        Reason::ReferenceTooFar => {
+            "Bring the tip nearer first, with cdcrctl goto, or set motion.approach to \"smooth\"."
+        }
+        Reason::CommonMode => "Check the cables and their spools, then cdcrctl reset.",
+        Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
+        Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
+        Reason::ClearanceBroken => {
+            "Move the obstacle or the robot, then cdcrctl reset. Where cdcrctl status shows a tip margin, check the tip \
+             sensor first; where the robot rests clear of the obstacle, its motors lag more than [actuator] states, or its driver stalls."
+        }
+        Reason::StoppedBefore => "Check the robot, then cdcrctl reset.",
+        Reason::Shutdown => "Restart it with cdcrd run.",
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -94,6 +150,10 @@ mod tests {
         for &outcome in Outcome::ALL {
             let text = remedy(outcome);
             assert!(text.ends_with('.') && text.len() > 10, "{outcome:?}");
+        }
+        for &reason in Reason::ALL {
+            let text = reason_remedy(reason);
+            assert!(text.ends_with('.') && text.len() > 10, "{reason:?}");
         }
         // A reset is also refused while the leaky bucket is full.
         assert!(remedy(Outcome::CauseStands).contains("deadline misses"));

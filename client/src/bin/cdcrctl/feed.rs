@@ -21,6 +21,7 @@ use crate::bar::Bar;
 use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::reach;
+use crate::show_status::stop_remedy;
 use crate::tip_error::TipError;
 
 /// Delay of the start of `goto` and `jog`.
@@ -117,15 +118,11 @@ pub(crate) fn go(
 
 /// Fails when only a reset lets the robot move.
 pub(crate) fn check_mode(status: &Status) -> anyhow::Result<()> {
-    ensure!(
-        !matches!(
-            Mode::try_from(status.mode),
-            Ok(Mode::Stopped | Mode::Faulted)
-        ),
-        "the daemon is {} ({}): reset it first (cdcrctl reset)",
-        Mode::text_of(status.mode),
-        Reason::text_of(status.reason)
-    );
+    if let Some(remedy) = stop_remedy(status) {
+        let mode = Mode::text_of(status.mode);
+        let reason = Reason::text_of(status.reason);
+        bail!("the daemon is {mode} ({reason}), and only a reset lets the robot move. {remedy}");
+    }
     Ok(())
 }
 

@@ -3,12 +3,13 @@ use std::io::{IsTerminal as _, Write as _};
 use std::thread;
 use std::time::Duration;
 
-use cdcr_client::{Connection, counted, monotonic_ns, realtime_missing, text};
+use cdcr_client::{Connection, counted, monotonic_ns, realtime_missing, reason_remedy, text};
 use cdcr_shared_types::codes::{
     Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
 };
 use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
+use serde_json::{Value, json};
 
 use crate::Done;
 use crate::args::{Format, StatusOptions, Target};
@@ -36,7 +37,7 @@ pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Do
     let status = connection.status(EVERY)?;
     let shown = match options.format {
         Format::Text => table(&status, monotonic_ns())?,
-        Format::Json => serde_json::to_string_pretty(&json::message(&status))? + "\n",
+        Format::Json => serde_json::to_string_pretty(&object(&status))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
     Ok(Done::Good)
@@ -53,7 +54,7 @@ fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
     while !interrupt.is_raised() {
         let shown = match (connection.status(EVERY), format) {
             (Ok(status), Format::Text) => table(&status, monotonic_ns())?,
-            (Ok(status), Format::Json) => json::message(&status).to_string() + "\n",
+            (Ok(status), Format::Json) => object(&status).to_string() + "\n",
             (Err(silent), Format::Text) => format!("{silent}\n"),
             (Err(_), Format::Json) => String::new(),
         };
@@ -66,6 +67,20 @@ fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
         }
     }
     Ok(Done::Good)
+}
+
+/// The status, and what to do where only a reset lets the robot move.
+fn object(status: &Status) -> Value {
+    let mut object = json::message(status);
+    object["remedy"] = json!(stop_remedy(status));
+    object
+}
+
+/// What to do about the cause of a stop or fault, which only a reset ends.
+pub(crate) fn stop_remedy(status: &Status) -> Option<&'static str> {
+    let mode = Mode::try_from(status.mode).ok()?;
+    let reason = Reason::try_from(status.reason).ok()?;
+    matches!(mode, Mode::Stopped | Mode::Faulted).then(|| reason_remedy(reason))
 }
 
 fn table(status: &Status, now_ns: u64) -> Result<String, std::fmt::Error> {
@@ -101,9 +116,16 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         counted(status.faults, "fault"),
         counted(status.cycles, "cycle"),
     )?;
+    if let Some(remedy) = stop_remedy(status) {
+        writeln!(out, "remedy      {remedy}")?;
+    }
     if status.reset_refused_by != Reason::Start.code() {
         let cause = Reason::text_of(status.reset_refused_by);
         writeln!(out, "reset       is refused now: {cause}")?;
+        let reason = Reason::try_from(status.reset_refused_by);
+        if let Some(reason) = reason.ok().filter(|reason| reason.code() != status.reason) {
+            writeln!(out, "            {}", reason_remedy(reason))?;
+        }
     }
     place(out, status)?;
     if status.misses_tolerated > 0 {
@@ -412,5 +434,31 @@ mod tests {
         assert!(!table.contains("leaky bucket"), "{table}");
         let line = "\nreset       is refused now: too many deadline misses (cycle.miss_limit)\n";
         assert!(table.contains(line), "{table}");
+        assert!(!table.contains("\nremedy "), "{table}");
+        assert!(object(&status)["remedy"].is_null());
+    }
+
+    #[test]
+    fn a_fault_is_shown_with_its_remedy() {
+        let status = Status {
+            mode: Mode::Faulted.code(),
+            reason: Reason::MeasurementFrozen.code(),
+            reset_refused_by: Reason::MeasurementLost.code(),
+            ..Status::default()
+        };
+        let table = table(&status, 0).expect("formatted");
+        let mut lines = table.lines().skip_while(|line| !line.starts_with("mode "));
+        let starts = [
+            "mode        faulted (",
+            "remedy      Check that the driver still reads the sensors",
+            "reset       is refused now: the measurement is lost",
+            "            Check that the driver runs",
+        ];
+        for start in starts {
+            let line = lines.next().expect("a line");
+            assert!(line.starts_with(start), "{start} in\n{table}");
+        }
+        let remedy = object(&status)["remedy"].to_string();
+        assert!(remedy.contains("still reads the sensors"), "{remedy}");
     }
 }
