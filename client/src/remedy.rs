@@ -131,7 +131,10 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
         }
         Reason::CommonMode => "Check the cables and their spools, then cdcrctl reset.",
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
-        Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
+        Reason::LimitBroken => {
+            "Bring the robot inside its limits, or correct the driver's units and zeros (cdcrctl status and the daemon's log \
+             name the section and its bend), then cdcrctl reset."
+        }
         Reason::ClearanceBroken => {
             "Move the obstacle or the robot, then cdcrctl reset. Where cdcrctl status shows a tip margin, check the tip \
              sensor first; where the robot rests clear of the obstacle, its motors lag more than [actuator] states, or its driver stalls."

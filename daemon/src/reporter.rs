@@ -20,6 +20,7 @@ use std::time::Duration;
 
 use cdcr_controller::nmpc::SolveStatus;
 use cdcr_controller::robot::Robot;
+use cdcr_controller::safety::{FarthestBend, Reason};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode};
 use cdcr_shared_types::ipc;
@@ -220,9 +221,19 @@ impl Reporter {
             following: record.following,
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
             tip_rejected: self.tip_rejected,
+            broken_bend: self.broken_bend(record),
             dropped_events: inputs.dropped_events,
             outcomes: inputs.outcomes,
         }
+    }
+
+    fn broken_bend(&self, record: &CycleRecord) -> Option<FarthestBend> {
+        if record.mode.reason() != Reason::LimitBroken {
+            return None;
+        }
+        let measured = record.measurement.as_ref();
+        let measured = measured.and_then(|timed| timed.measurement.configuration(&self.robot));
+        FarthestBend::of(&self.robot, &measured.unwrap_or(record.configuration))
     }
 
     fn counts(&self, record: &CycleRecord) -> wire::Statistics {

@@ -42,6 +42,17 @@ pub enum Measurement {
     TipPosition(Vector3<f64>),
 }
 
+impl Measurement {
+    /// The configuration that it gives; a tip position gives none.
+    pub fn configuration(&self, robot: &Robot) -> Option<Configuration> {
+        match self {
+            Self::Configuration(measured) => Some(*measured),
+            Self::CableLengths(lengths) => Some(robot.bend_from_cable_lengths(lengths)),
+            Self::TipPosition(_) => None,
+        }
+    }
+}
+
 /// Estimator of the configuration.
 ///
 /// The motors follow their commands after a delay and with a lag ([`Actuator`]). A disturbance is added: zero and load of the encoders and
@@ -165,10 +176,8 @@ impl Estimator {
         age_s: f64,
         ages_s: &Range<f64>,
     ) {
-        let measured = match measurement {
-            Measurement::Configuration(measured) => *measured,
-            Measurement::CableLengths(lengths) => robot.bend_from_cable_lengths(lengths),
-            Measurement::TipPosition(_) => return,
+        let Some(measured) = measurement.configuration(robot) else {
+            return;
         };
         self.resting.clone_from(&self.motors);
         let lost_rad = self.resting.rested(ages_s);

@@ -1,3 +1,6 @@
+use std::f64::consts::PI;
+use std::fmt;
+
 use crate::robot::{Configuration, Robot};
 
 /// A bend this far beyond its limit is not yet a fault \[rad\].
@@ -59,6 +62,54 @@ impl BendLimitWatch {
     /// Whether a bend without noise is beyond its limit by more than 0.05 rad.
     pub fn is_beyond(robot: &Robot, at: &Configuration) -> bool {
         is_beyond(robot, at, 0.0)
+    }
+}
+
+/// The section whose bend is farthest beyond its limit, in words for the person who has to correct it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FarthestBend {
+    /// Section, from 0 at the base.
+    pub section: usize,
+    /// Its bend \[rad\].
+    pub bend_rad: f64,
+    /// Its limit \[rad\].
+    pub limit_rad: f64,
+}
+
+impl FarthestBend {
+    /// Of a robot at `at`; `None` if every section is inside its limit.
+    pub fn of(robot: &Robot, at: &Configuration) -> Option<Self> {
+        let sections = robot.sections().iter().enumerate();
+        let bends = sections.map(|(section, limits)| Self {
+            section,
+            bend_rad: at.bend_rad(section),
+            limit_rad: limits.bend_max_rad,
+        });
+        bends
+            .filter(|bend| bend.beyond_rad() > 0.0)
+            .max_by(|one, other| one.beyond_rad().total_cmp(&other.beyond_rad()))
+    }
+
+    fn beyond_rad(&self) -> f64 {
+        self.bend_rad - self.limit_rad
+    }
+}
+
+impl fmt::Display for FarthestBend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            section,
+            bend_rad,
+            limit_rad,
+        } = self;
+        write!(
+            f,
+            "robot.sections[{section}] is measured to bend by {bend_rad:.4} rad, its bend_max_rad is {limit_rad}"
+        )?;
+        if *bend_rad > PI {
+            f.write_str(" (a driver measures bends in rad and lengths in m, from the base on)")?;
+        }
+        Ok(())
     }
 }
 

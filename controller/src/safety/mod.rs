@@ -20,7 +20,7 @@ mod play;
 mod projection;
 mod ramp;
 
-pub use bend_limit::BendLimitWatch;
+pub use bend_limit::{BendLimitWatch, FarthestBend};
 pub use bucket::LeakyBucket;
 pub use command::{Lag, SafeCommand, Situation, safe_command};
 pub use common_mode::CommonModeWatch;

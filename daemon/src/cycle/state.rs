@@ -216,7 +216,7 @@ impl RobotState {
             estimator.rested(&self.robot, &measurement, age_s, &ages_s);
         }
         self.estimator.correct(&self.robot, &measurement, age_s);
-        self.measured = configuration_of(&self.robot, &measurement);
+        self.measured = measurement.configuration(&self.robot);
         if is_first {
             // A tip offset measured earlier was relative to assumed bends.
             self.estimator.forget_tip_offset();
@@ -487,13 +487,4 @@ impl RobotState {
 fn is_apart(one: &Configuration, other: &Configuration, within_rad: f64) -> bool {
     let mut pairs = one.as_slice().iter().zip(other.as_slice());
     !pairs.all(|(one, other)| (one - other).abs() <= within_rad)
-}
-
-/// The configuration given by a measurement; a tip position gives none.
-fn configuration_of(robot: &Robot, measurement: &Measurement) -> Option<Configuration> {
-    match measurement {
-        Measurement::Configuration(measured) => Some(*measured),
-        Measurement::CableLengths(lengths) => Some(robot.bend_from_cable_lengths(lengths)),
-        Measurement::TipPosition(_) => None,
-    }
 }

@@ -1,4 +1,4 @@
-use cdcr_controller::safety::FollowingError;
+use cdcr_controller::safety::{FarthestBend, FollowingError};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason};
 
@@ -81,6 +81,8 @@ pub struct Summary {
     pub following_warning: bool,
     /// The newest tip measured beside the bends was rejected.
     pub tip_rejected: bool,
+    /// The bend that broke its limit, where that is the reason of the mode.
+    pub broken_bend: Option<FarthestBend>,
     /// Events that no record could hold.
     pub dropped_events: u64,
     /// Number of messages by outcome.

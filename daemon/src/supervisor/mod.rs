@@ -237,7 +237,9 @@ impl Supervisor {
         if has_changed_mode(summary, &self.newest) {
             let (mode, reason) = (summary.mode.text(), summary.reason.text());
             if summary.mode == Mode::Faulted {
-                tracing::error!(cycle = summary.cycle, reason, "{mode}: {reason}");
+                let place = summary.broken_bend.map(|bend| format!(": {bend}"));
+                let place = place.unwrap_or_default();
+                tracing::error!(cycle = summary.cycle, reason, "{mode}: {reason}{place}");
             } else {
                 tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }

@@ -21,7 +21,7 @@ use crate::bar::Bar;
 use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::reach;
-use crate::show_status::stop_remedy;
+use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
 
 /// Delay of the start of `goto` and `jog`.

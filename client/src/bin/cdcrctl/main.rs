@@ -34,6 +34,7 @@ mod settings;
 mod show_status;
 mod spread;
 mod standstill;
+mod stop_cause;
 mod tip_error;
 mod top;
 mod trigger;

@@ -4,6 +4,7 @@ use std::thread;
 use std::time::Duration;
 
 use cdcr_client::{Connection, counted, monotonic_ns, realtime_missing, reason_remedy, text};
+use cdcr_controller::safety::FarthestBend;
 use cdcr_shared_types::codes::{
     Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
 };
@@ -16,6 +17,7 @@ use crate::args::{Format, StatusOptions, Target};
 use crate::echo::json;
 use crate::echo::line::{clearance_text, latency_text};
 use crate::interrupt::Interrupt;
+use crate::stop_cause::{broken_bend, stop_remedy};
 
 /// Interval of `--watch`, and the number of interrupt checks in it.
 const EVERY: Duration = Duration::from_secs(1);
@@ -36,7 +38,7 @@ pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Do
     }
     let status = connection.status(EVERY)?;
     let shown = match options.format {
-        Format::Text => table(&status, monotonic_ns())?,
+        Format::Text => table(&status, broken_bend(&connection, &status), monotonic_ns())?,
         Format::Json => serde_json::to_string_pretty(&object(&status))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
@@ -53,7 +55,9 @@ fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
     };
     while !interrupt.is_raised() {
         let shown = match (connection.status(EVERY), format) {
-            (Ok(status), Format::Text) => table(&status, monotonic_ns())?,
+            (Ok(status), Format::Text) => {
+                table(&status, broken_bend(connection, &status), monotonic_ns())?
+            }
             (Ok(status), Format::Json) => object(&status).to_string() + "\n",
             (Err(silent), Format::Text) => format!("{silent}\n"),
             (Err(_), Format::Json) => String::new(),
@@ -76,23 +80,20 @@ fn object(status: &Status) -> Value {
     object
 }
 
-/// What to do about the cause of a stop or fault, which only a reset ends.
-pub(crate) fn stop_remedy(status: &Status) -> Option<&'static str> {
-    let mode = Mode::try_from(status.mode).ok()?;
-    let reason = Reason::try_from(status.reason).ok()?;
-    matches!(mode, Mode::Stopped | Mode::Faulted).then(|| reason_remedy(reason))
-}
-
-fn table(status: &Status, now_ns: u64) -> Result<String, std::fmt::Error> {
+fn table(
+    status: &Status,
+    broken: Option<FarthestBend>,
+    now_ns: u64,
+) -> Result<String, std::fmt::Error> {
     let mut out = String::new();
-    identity(&mut out, status)?;
+    identity(&mut out, status, broken)?;
     statistics(&mut out, status, now_ns)?;
     inputs(&mut out, status)?;
     robot(&mut out, status)?;
     Ok(out)
 }
 
-fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
+fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> std::fmt::Result {
     writeln!(
         out,
         "robot       {} ({}, {})",
@@ -116,6 +117,9 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         counted(status.faults, "fault"),
         counted(status.cycles, "cycle"),
     )?;
+    if let Some(bend) = broken {
+        writeln!(out, "            {bend}")?;
+    }
     if let Some(remedy) = stop_remedy(status) {
         writeln!(out, "remedy      {remedy}")?;
     }
@@ -399,7 +403,7 @@ mod tests {
         status.since_reset.solve.p50_ns = 4_000_000;
         status.last_minute.deadline_misses = 12;
         status.since_reset.causes[LateCause::Stall.code() as usize] = 4;
-        let table = table(&status, 124_900_000_000).expect("formatted");
+        let table = table(&status, None, 124_900_000_000).expect("formatted");
         for expected in [
             "mode        tracking (started), 5 faults in 1234 cycles\n",
             "misses      the leaky bucket was full 3 times; a real robot would have been stopped",
@@ -430,7 +434,7 @@ mod tests {
         assert!(!table.contains("\nreset "), "{table}");
         status.misses_tolerated = 0;
         status.reset_refused_by = Reason::DeadlineMisses.code();
-        let table = super::table(&status, 0).expect("formatted");
+        let table = super::table(&status, None, 0).expect("formatted");
         assert!(!table.contains("leaky bucket"), "{table}");
         let line = "\nreset       is refused now: too many deadline misses (cycle.miss_limit)\n";
         assert!(table.contains(line), "{table}");
@@ -446,7 +450,7 @@ mod tests {
             reset_refused_by: Reason::MeasurementLost.code(),
             ..Status::default()
         };
-        let table = table(&status, 0).expect("formatted");
+        let table = table(&status, None, 0).expect("formatted");
         let mut lines = table.lines().skip_while(|line| !line.starts_with("mode "));
         let starts = [
             "mode        faulted (",

@@ -1,0 +1,35 @@
+//! Why the robot is stopped or faulted, and what to do about it.
+
+use cdcr_client::{Connection, reason_remedy};
+use cdcr_controller::robot::Configuration;
+use cdcr_controller::safety::FarthestBend;
+use cdcr_shared_types::Status;
+use cdcr_shared_types::codes::{MeasurementKind, Mode, Reason};
+
+use crate::dry_run::{newest, robot_and_pose};
+
+/// What to do about the cause of a stop or fault, which only a reset ends.
+pub(crate) fn stop_remedy(status: &Status) -> Option<&'static str> {
+    let mode = Mode::try_from(status.mode).ok()?;
+    let reason = Reason::try_from(status.reason).ok()?;
+    matches!(mode, Mode::Stopped | Mode::Faulted).then(|| reason_remedy(reason))
+}
+
+/// The bend that breaks its limit, where that is a fault or refuses a reset. Only telemetry has the bends.
+pub(crate) fn broken_bend(connection: &Connection, status: &Status) -> Option<FarthestBend> {
+    if ![status.reason, status.reset_refused_by].contains(&Reason::LimitBroken.code()) {
+        return None;
+    }
+    let record = newest(connection).ok()?;
+    let (robot, estimate) = robot_and_pose(&record).ok()?;
+    let measured = match MeasurementKind::try_from(record.measurement.kind) {
+        Ok(MeasurementKind::Configuration) => {
+            Configuration::from_slice(&record.measurement.bend_rad[..robot.coordinate_count()])?
+        }
+        Ok(MeasurementKind::CableLengths) => {
+            robot.bend_from_cable_lengths(&record.measurement.cable_length_m)
+        }
+        _ => estimate,
+    };
+    FarthestBend::of(&robot, &measured)
+}
