@@ -22,7 +22,7 @@ use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::reach;
 use crate::stop_cause::stop_remedy;
-use crate::tip_error::TipError;
+use crate::tip_error::{FRESH_NS, TipError};
 
 /// Delay of the start of `goto` and `jog`.
 const GO_LEAD: Duration = Duration::from_millis(500);
@@ -30,8 +30,6 @@ const GO_LEAD: Duration = Duration::from_millis(500);
 const STATUS: Duration = Duration::from_secs(1);
 /// A tip farther than this from the start of its computed path has moved, whatever error is allowed \[m\].
 const MOVED_M: f64 = 2e-3;
-/// A tip measurement older than this belongs to the path, not to its end \[ns\].
-const FRESH_NS: u64 = 100_000_000;
 /// Default tolerance for reaching a point \[m\].
 pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference farther away than this, in robot lengths, needs a confirmation.

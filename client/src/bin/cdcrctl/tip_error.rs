@@ -31,12 +31,16 @@ struct Measured {
     /// Reference at the newest releases \[ns, m\], oldest first.
     reference: VecDeque<(u64, [f64; 3])>,
     newest_ns: u64,
-    newest_m: f64,
+    /// The newest error that was computed, and the time of its measurement \[m, ns\].
+    error_m: f64,
+    error_ns: u64,
     count: u64,
     sum_m: f64,
     max_m: f64,
 }
 
+/// A tip measurement older than this belongs to the path, not to its end \[ns\].
+pub(crate) const FRESH_NS: u64 = 100_000_000;
 /// Without a limit, a reference that ends with the tip farther away was not followed \[m\]: a robot that lags
 /// 0.1 s behind at 0.2 m/s is as far away.
 const ENDED_OFF_M: f64 = 0.02;
@@ -85,10 +89,16 @@ impl Measured {
                 (record.tip_measured_m[i] - reference_m).powi(2)
             })
             .sum();
-        self.newest_m = square.sqrt();
+        (self.error_m, self.error_ns) = (square.sqrt(), tip_ns);
         self.count += 1;
-        self.sum_m += self.newest_m;
-        self.max_m = self.max_m.max(self.newest_m);
+        self.sum_m += self.error_m;
+        self.max_m = self.max_m.max(self.error_m);
+    }
+
+    /// The newest error, while the sensor measures: it does not belong to a later place of the reference.
+    fn newest_m(&self) -> Option<f64> {
+        let (now_ns, _) = self.reference.back()?;
+        (self.count > 0 && *now_ns < self.error_ns + FRESH_NS).then_some(self.error_m)
     }
 }
 
@@ -126,10 +136,8 @@ impl TipError {
         if self.cycles == 0 {
             return None;
         }
-        let measured = match self.measured.count {
-            0 => String::new(),
-            _ => format!(", measured {:.3}", 1e3 * self.measured.newest_m),
-        };
+        let measured = self.measured.newest_m();
+        let measured = measured.map_or_else(String::new, |m| format!(", measured {:.3}", 1e3 * m));
         Some(format!("error {:.3}{measured} mm", 1e3 * self.final_m))
     }
 
@@ -182,7 +190,7 @@ impl TipError {
     }
 
     fn check_end(&self) -> anyhow::Result<()> {
-        let last_m = self.final_m.max(self.measured.newest_m);
+        let last_m = self.final_m.max(self.measured.newest_m().unwrap_or(0.0));
         if last_m > ENDED_OFF_M {
             let [last, limit] = [last_m, ENDED_OFF_M].map(|m| 1e3 * m);
             bail!(
@@ -289,6 +297,21 @@ mod tests {
             text.contains("250.000 mm from its reference as measured"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn a_sensor_that_fell_silent_does_not_decide_about_the_end() {
+        for (silent_ns, is_followed) in [(FRESH_NS - 1, false), (FRESH_NS, true)] {
+            let mut error = TipError::default();
+            for (release_ns, tip_ns) in [(10, 0), (20, 15), (15 + silent_ns, 15)] {
+                let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.0);
+                record.tip_measured_ns = tip_ns;
+                record.tip_measured_m[0] = 0.3;
+                error.take(&record);
+            }
+            assert_eq!(error.print(None).is_ok(), is_followed, "{silent_ns}");
+            assert_eq!(error.live().unwrap().contains("measured"), !is_followed);
+        }
     }
 
     #[test]
