@@ -178,6 +178,11 @@ impl Change {
         Ok(Self { setting, value })
     }
 
+    /// Key of the setting.
+    pub(crate) fn key(&self) -> &'static str {
+        self.setting.key
+    }
+
     pub(crate) fn apply(&self, settings: &mut SolverSettings) {
         settings.visit_mut(&mut |field, part| {
             if field.name == self.setting.field {

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use cdcr_client::{Connection, LinkError, RequestError};
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_shared_types::codes::Outcome;
@@ -25,6 +25,9 @@ const MONITOR_TIME: Duration = Duration::from_millis(300);
 const CUT_NS: u64 = 50_000;
 
 pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<Done> {
+    if let Some(SettingsAction::Set { changes }) = &options.action {
+        check_once(changes)?;
+    }
     let connection = target.connect()?;
     let format = match &options.action {
         Some(SettingsAction::Set { changes }) => return set(&connection, changes),
@@ -55,6 +58,16 @@ fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::
 fn object(settings: SolverSettings) -> Value {
     let fields = Setting::all().map(|setting| (setting.key.to_owned(), setting.json(settings)));
     Value::Object(fields.collect())
+}
+
+/// Refuses two values for one setting.
+fn check_once(changes: &[Change]) -> anyhow::Result<()> {
+    for (index, change) in changes.iter().enumerate() {
+        let key = change.key();
+        let is_new = changes[..index].iter().all(|earlier| earlier.key() != key);
+        ensure!(is_new, "{key} is given twice: give each setting one value");
+    }
+    Ok(())
 }
 
 fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
@@ -253,6 +266,18 @@ mod tests {
             let said = broken_bound(&wanted, &status).expect(change);
             assert!(said.contains(bound), "{change}: {said}");
         }
+    }
+
+    #[test]
+    fn two_values_for_one_setting_are_refused() {
+        let changes = |texts: &[&str]| -> Vec<_> {
+            let parsed = texts.iter().map(|text| Change::parse(text));
+            parsed.collect::<Result<_, _>>().expect("legal")
+        };
+        assert!(check_once(&changes(&["inertia=0", "rate_weight=1e-6"])).is_ok());
+        let twice = changes(&["inertia=0", "rate_weight=1e-6", "inertia=0.5"]);
+        let error = check_once(&twice).expect_err("twice").to_string();
+        assert!(error.starts_with("inertia is given twice"), "{error}");
     }
 
     #[test]
