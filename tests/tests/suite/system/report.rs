@@ -106,7 +106,7 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
 }
 
 #[test]
-fn a_page_is_not_made_of_what_is_no_recording_nor_over_it() {
+fn a_page_is_not_made_of_what_is_no_recording_nor_over_what_exists() {
     let (daemon, _) = page();
     let place = daemon.place();
     place.write("empty.mcap", "");
@@ -114,6 +114,8 @@ fn a_page_is_not_made_of_what_is_no_recording_nor_over_it() {
     assert!(!place.folder().join("empty.html").exists());
     let out = "cdcrctl report run.mcap -o run.mcap";
     place.says(out, 1, &["is the recording itself"]);
+    let again = "cdcrctl report run.mcap -o run.html";
+    place.says(again, 1, &["run.html exists", "another --output"]);
     place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
 }
 

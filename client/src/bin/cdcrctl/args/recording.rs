@@ -94,7 +94,7 @@ pub(crate) struct ReportOptions {
     /// Recording (MCAP)
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
-    /// Output page; an existing one is replaced [default: NAME.html beside the recording]
+    /// Output page; it must not exist yet [default: NAME.html beside the recording]
     #[arg(short, long, value_name = "FILE.html")]
     pub(crate) output: Option<PathBuf>,
 }
