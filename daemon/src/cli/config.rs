@@ -66,8 +66,9 @@ pub(super) struct Source {
     #[arg(long, value_name = "PREFIX")]
     prefix: Option<OsString>,
     /// Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]
+    // An empty path, such as an unset variable of a script, is refused: it would be the default root.
     #[arg(long, value_name = "DIR", value_hint = ValueHint::AnyPath)]
-    root: Option<OsString>,
+    root: Option<PathBuf>,
 }
 
 /// Parses an argument of `--set`.
@@ -114,11 +115,15 @@ impl Source {
             layers = layers.key(key, value, &Origin::Option("--set"))?;
         }
         for (key, name, value) in [
-            ("robot.name", "--robot", &self.robot),
-            ("transport.prefix", "--prefix", &self.prefix),
-            ("transport.root", "--root", &self.root),
+            ("robot.name", "--robot", self.robot.clone()),
+            ("transport.prefix", "--prefix", self.prefix.clone()),
+            (
+                "transport.root",
+                "--root",
+                self.root.clone().map(PathBuf::into_os_string),
+            ),
         ] {
-            layers = with(layers, key, value.clone(), &Origin::Option(name))?;
+            layers = with(layers, key, value, &Origin::Option(name))?;
         }
         layers.settings()
     }

@@ -131,6 +131,19 @@ fn what_is_no_text_is_refused() {
     assert!(text.contains("not UTF-8 text"), "{text}");
 }
 
+/// An unset variable of a script must not lead to the default root.
+#[test]
+fn an_empty_root_is_refused() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
+    let output = command.args(["check", "--root", ""]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        text.contains("a value is required for '--root <DIR>'"),
+        "{text}"
+    );
+}
+
 #[test]
 fn mistakes_name_their_place_and_the_nearest_key() {
     let text = refused(&cdcrd(&["check", "--set", "cycle.period=2"]));

@@ -1,6 +1,7 @@
 mod feed;
 mod scene;
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::time::Duration;
@@ -70,7 +71,8 @@ fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<
 /// Fails when an obstacle to be removed was not known before.
 fn check_were_known(ids: &[u32], before: &[Obstacle]) -> anyhow::Result<Done> {
     let is_unknown = |id: &&u32| before.iter().all(|known| known.id != **id);
-    let unknown: Vec<_> = ids.iter().filter(is_unknown).map(u32::to_string).collect();
+    let unknown: BTreeSet<_> = ids.iter().filter(is_unknown).collect();
+    let unknown: Vec<_> = unknown.into_iter().map(u32::to_string).collect();
     if !unknown.is_empty() {
         bail!(
             "no obstacle with id {} was known to the daemon; the known ones: cdcrctl obstacle list",
@@ -300,7 +302,7 @@ mod tests {
             ..Obstacle::default()
         });
         assert!(check_were_known(&[2, 1, 2], &before).is_ok());
-        let error = check_were_known(&[7, 1, 9], &before).expect_err("unknown");
+        let error = check_were_known(&[7, 1, 9, 7], &before).expect_err("unknown");
         assert!(error.to_string().contains("id 7, 9 was"), "{error}");
     }
 

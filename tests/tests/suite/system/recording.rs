@@ -8,7 +8,7 @@ mod refused;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 
 use cdcr_client::channels::Topic;
@@ -78,6 +78,13 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
         assert_eq!(channel["missing"], lost(&said, topic), "{info}");
     }
     let place = run.daemon.place();
+    let small = "ulimit -f 8 && exec \"$0\" convert run.mcap --csv tables";
+    let mut limited = Command::new("sh");
+    let program = place.command("cdcrctl");
+    limited.args(["-c", small]).arg(program.get_program());
+    let output = limited.current_dir(place.folder()).output().unwrap();
+    assert_says(&output, 1, &["cannot write into tables", "File too large"]);
+    assert!(!run.file.with_file_name("tables").exists());
     place.says("cdcrctl convert run.mcap --csv tables", 0, &[]);
     let table = |name: &str| {
         let path = run.file.with_file_name("tables").join(name);

@@ -20,6 +20,16 @@ use crate::interrupt::Interrupt;
 type Cell = (String, String);
 
 pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
+    let is_new = !options.csv.exists();
+    let done = convert(options);
+    if is_new && !matches!(done, Ok(Done::Good)) {
+        // An empty folder only, so nothing of anyone else.
+        drop(fs::remove_dir(&options.csv));
+    }
+    done
+}
+
+fn convert(options: &ConvertOptions) -> anyhow::Result<Done> {
     let folder = &options.csv;
     let name = folder.display();
     // A table that reaches its size limit is then an error, too.
