@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use cdcr_client::{
-    Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigurePlane,
-    FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
-    counted, section_lengths_m,
+    Asked, Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure,
+    FigurePlane, FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, RequestError,
+    Spiral, Straight, Trajectory, counted, section_lengths_m,
 };
-use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{Status, Telemetry};
 
 use crate::Done;
@@ -90,13 +90,16 @@ pub(crate) fn go(
         check_mode(&status)?;
     }
     let before = newest(connection)?;
+    if !arguments.dry_run {
+        // Before the simulation, which lasts as long as the path is far.
+        check_stands(connection, &before)?;
+    }
     let start_m = before.tip_position_m;
     let goal_m = end_m(start_m);
     let reach_m = section_lengths_m(&status.robot).iter().sum();
     let begin_m = within(start_m, reach_m);
     let way = Straight::new(begin_m, goal_m, arguments.speed, arguments.acceleration);
     check_unit(&way, reach_m)?;
-    // Before the simulation, which lasts as long as the path is far.
     reach::check_point(&before, goal_m, arguments.max_error)?;
     let options = go_options();
     let demands = dry_run::compute(connection, &way, &options)?;
@@ -133,16 +136,24 @@ pub(crate) fn go_options() -> FeedOptions {
     }
 }
 
-/// Fails when the robot does not rest at its position in `before`.
+/// Fails when the robot does not rest at its position in `before`: another client that holds the lease moves it, or the
+/// daemon does.
 pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyhow::Result<()> {
     let now = newest(connection)?;
     let moved = distance_m(now.tip_position_m, before.tip_position_m) > MOVED_M;
-    if moved || !rests(before) || !rests(&now) {
-        bail!(
-            "the tip moved while the path was computed; nothing was sent: try again when it is at rest"
-        );
+    if !moved && rests(before) && rests(&now) {
+        return Ok(());
     }
-    Ok(())
+    let status = connection.status(STATUS)?;
+    if status.lease_holder != 0 {
+        return Err(RequestError::Refused {
+            asked: Asked::Request(RequestKind::AcquireLease),
+            outcome: Outcome::LeaseHeld,
+            mode: Mode::try_from(status.mode)?,
+        }
+        .into());
+    }
+    bail!("the tip moves; nothing was sent: try again when it is at rest");
 }
 
 /// Whether the command is rest.

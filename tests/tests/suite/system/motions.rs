@@ -267,10 +267,27 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     let daemon = Daemon::start(&format!("{PATIENT}{bent}{slow}"));
     says(&daemon, "home", 0);
     let refused = says(&daemon, "jog 0.01,0,0.01 --max-error 10mm", 1);
-    let reason = "the tip moved while the path was computed; nothing was sent";
+    let reason = "the tip moves; nothing was sent";
     assert!(refused.contains(reason), "{refused}");
     let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
     assert_eq!((status.mode, status.lease_holder), (Mode::Homing.code(), 0));
+}
+
+#[test]
+fn a_way_beside_another_clients_reference_is_refused_by_its_lease() {
+    let daemon = Daemon::start(PATIENT);
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let mut other = daemon
+        .place()
+        .start("cdcrctl ref circle --duration 60s --track");
+    wait_record(&mut telemetry, |record| {
+        record.command.bend_rate_rad_s[0] != 0.0
+    });
+    let refused = says(&daemon, "goto 0.1,0,0.85", 1);
+    let reason = "cannot acquire the lease: another client holds the reference lease (the daemon is tracking). Stop the other client";
+    assert!(refused.contains(reason), "{refused}");
+    other.signal(Signal::INT);
+    assert_says(&other.output(), 130, &["the daemon holds"]);
 }
 
 #[test]
