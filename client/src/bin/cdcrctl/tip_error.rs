@@ -22,7 +22,19 @@ pub(crate) struct TipError {
     sum_m: f64,
     max_m: f64,
     final_m: f64,
+    /// The tip has been at its reference.
+    arrived: bool,
+    /// The largest error since then without obstacles.
+    farthest: Farthest,
     measured: Measured,
+}
+
+/// A place of the reference that the tip was away from.
+#[derive(Debug, Default, Clone, Copy)]
+struct Farthest {
+    error_m: f64,
+    release_ns: u64,
+    point_m: [f64; 3],
 }
 
 /// The error according to a tip sensor, which has noise but no model: it includes errors of the estimate.
@@ -44,6 +56,10 @@ pub(crate) const FRESH_NS: u64 = 100_000_000;
 /// Without a limit, a reference that ends with the tip farther away was not followed \[m\]: a robot that lags
 /// 0.1 s behind at 0.2 m/s is as far away.
 const ENDED_OFF_M: f64 = 0.02;
+/// Without a limit, a reference that the tip had reached and then was this far from was not followed: a point of it
+/// is an outlier, or it is too fast \[m\]. More than [`ENDED_OFF_M`]: a machine that stalls for 0.2 s does not decide.
+/// Obstacles may keep the tip away.
+const PASSED_OFF_M: f64 = 0.05;
 
 /// Whether the tip follows the reference itself, after the approach.
 pub(crate) fn is_along(record: &Telemetry) -> bool {
@@ -126,7 +142,20 @@ impl TipError {
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
+            self.take_farthest(record);
             self.measured.take(record);
+        }
+    }
+
+    fn take_farthest(&mut self, record: &Telemetry) {
+        let error_m = record.position_error_m;
+        self.arrived |= error_m <= ENDED_OFF_M;
+        if self.arrived && record.obstacle_count == 0 && error_m > self.farthest.error_m {
+            self.farthest = Farthest {
+                error_m,
+                release_ns: record.release_ns,
+                point_m: record.reference.position_m,
+            };
         }
     }
 
@@ -142,10 +171,10 @@ impl TipError {
     }
 
     /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`; without a limit, if the
-    /// last one exceeds [`ENDED_OFF_M`].
+    /// last one exceeds [`ENDED_OFF_M`], or one on the way [`PASSED_OFF_M`].
     pub(crate) fn print(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
         self.show()?;
-        limit_m.map_or_else(|| self.check_end(), |limit_m| self.check(limit_m))
+        limit_m.map_or_else(|| self.check_followed(), |limit_m| self.check(limit_m))
     }
 
     /// Prints the error.
@@ -189,13 +218,27 @@ impl TipError {
         Ok(())
     }
 
-    fn check_end(&self) -> anyhow::Result<()> {
+    fn check_followed(&self) -> anyhow::Result<()> {
         let last_m = self.final_m.max(self.measured.newest_m().unwrap_or(0.0));
         if last_m > ENDED_OFF_M {
             let [last, limit] = [last_m, ENDED_OFF_M].map(|m| 1e3 * m);
             bail!(
                 "the tip was {last:.3} mm from its reference at the end, more than {limit} mm: limits or obstacles held it back, or it began too \
                  far away; --max-error allows another error"
+            );
+        }
+        let Farthest {
+            error_m,
+            release_ns,
+            point_m: [x, y, z],
+        } = self.farthest;
+        if error_m > PASSED_OFF_M {
+            let time_s = release_ns.saturating_sub(self.start_ns) as f64 * 1e-9;
+            let [most, limit] = [error_m, PASSED_OFF_M].map(|m| 1e3 * m);
+            bail!(
+                "the tip was up to {most:.3} mm from its reference at {time_s:.2} s, ({x:.4}, {y:.4}, {z:.4}) m, more than {limit} mm: a point \
+                 there is an outlier, or the reference is too fast (--dry-run tells before anything moves); --max-error \
+                 allows another error"
             );
         }
         Ok(())
@@ -300,6 +343,35 @@ mod tests {
     }
 
     #[test]
+    fn an_outlier_is_told_with_its_place_unless_an_obstacle_may_keep_the_tip_away() {
+        for (error_m, obstacles, is_followed) in
+            [(0.051, 0, false), (0.049, 0, true), (0.051, 1, true)]
+        {
+            let mut error = TipError {
+                start_ns: 1_000_000_000,
+                ..TipError::default()
+            };
+            for (release_s, error_m) in [(1, 0.3), (2, 0.001), (3, error_m), (4, 0.001)] {
+                let release_ns = release_s * 1_000_000_000;
+                let inside = ReferenceState::Inside;
+                let mut record = record(Mode::Tracking, inside, release_ns, error_m);
+                record.obstacle_count = obstacles;
+                record.reference.position_m[0] = release_s as f64;
+                error.take(&record);
+            }
+            let checked = error.print(None);
+            assert_eq!(checked.is_ok(), is_followed, "{error_m} {obstacles}");
+            if let Err(error) = checked {
+                let text = error.to_string();
+                assert!(
+                    text.contains("51.000 mm from its reference at 2.00 s, (3.0000,"),
+                    "{text}"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn a_sensor_that_fell_silent_does_not_decide_about_the_end() {
         for (silent_ns, is_followed) in [(FRESH_NS - 1, false), (FRESH_NS, true)] {
             let mut error = TipError::default();
@@ -343,7 +415,7 @@ mod tests {
         let mut error = TipError::default();
         assert!(error.print(None).is_ok());
         assert_eq!(error.live(), None);
-        // Without a limit, only the end counts.
+        // Without a limit, the end counts for a tip that had not arrived before.
         for (error_m, is_followed) in [(0.5, false), (0.021, false), (0.019, true)] {
             let mut error = TipError::default();
             error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.5));

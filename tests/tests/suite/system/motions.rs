@@ -290,6 +290,32 @@ fn a_way_beside_another_clients_reference_is_refused_by_its_lease() {
     assert_says(&other.output(), 130, &["the daemon holds"]);
 }
 
+/// All points are in reach, but not at once.
+#[test]
+fn a_reference_with_an_outlier_was_not_followed() {
+    let daemon = Daemon::start(PATIENT);
+    let row = |k: usize| {
+        let (time_s, x_m) = (0.05 * k as f64, if k == 40 { -0.1 } else { 0.1 });
+        format!("{time_s},{x_m},{},0.85\n", 0.001 * k as f64)
+    };
+    let rows: String = (0..=80).map(row).collect();
+    daemon
+        .place()
+        .write("path.csv", &format!("t_s,x_m,y_m,z_m\n{rows}"));
+    says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2", 0);
+    let refused = says(&daemon, "ref file path.csv --track", 1);
+    let (_, place) = refused
+        .split_once("mm from its reference at ")
+        .expect("a place");
+    let time_s: f64 = place
+        .split(' ')
+        .next()
+        .and_then(|time_s| time_s.parse().ok())
+        .unwrap();
+    assert!((time_s - 2.0).abs() < 0.06, "{refused}");
+    assert!(place.contains("0.8500) m, more than 50 mm"), "{refused}");
+}
+
 #[test]
 fn a_reference_that_ends_before_it_is_reached_is_an_error() {
     let daemon = Daemon::start(PATIENT);

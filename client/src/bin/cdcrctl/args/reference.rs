@@ -71,7 +71,7 @@ pub(crate) struct FeedArguments {
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
     /// Largest tip error, such as 2mm or 0.002m: fail when a cycle after the approach exceeds it, as estimated or as measured by a tip sensor,
-    /// noise included, or when nothing was tracked. Without it: fail when the last error exceeds 20 mm. A reference with a point that the robot cannot reach within it (1 mm if not given)
+    /// noise included, or when nothing was tracked. Without it: fail when the last error exceeds 20 mm, or one on the way 50 mm although the tip had arrived and no obstacle was known. A reference with a point that the robot cannot reach within it (1 mm if not given)
     /// is rejected before anything moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
