@@ -301,6 +301,11 @@ impl Estimator {
         self.tip_offset.margin_m()
     }
 
+    /// Follows the tip again at once, though it was lost: another sensor measures it.
+    pub fn trust_tip(&mut self) {
+        self.tip_offset.trust();
+    }
+
     /// Discards the tip offset, until the tip is measured again.
     pub fn forget_tip_offset(&mut self) {
         self.tip_offset = self.tip_offset.forgotten();

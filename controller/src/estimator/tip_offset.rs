@@ -13,6 +13,15 @@ const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
 const OFFSET_MAX_M: f64 = 0.1;
 /// After so many larger ones in a row the margin covers them: fewer may be an error of the sensor.
 const FAR_LIMIT: u32 = 3;
+/// Largest rate (m/s) at which the offset follows the measurements beside its slope, and with it the tip. If the axes of
+/// the sensor are swapped, turned or mirrored, each motion of the tip moves the measured offset farther from the one
+/// followed: without this limit, such a tip was moved at 0.9 m/s where 0.1 m/s was asked.
+const FOLLOWING_RATE_M_S: f64 = 0.1;
+/// A tip that was too far aside is followed again after so many near positions in a row; twice as many each further
+/// time. The sensor of a wrong frame is near at times.
+const NEAR_LIMIT: u32 = 64;
+/// Number of times after which the number grows no more.
+const LOSSES_MAX: u32 = 10;
 
 /// A sensor counts as silent after this multiple of the interval between its last two positions.
 const SILENCE_RATIO: f64 = 1.5;
@@ -47,10 +56,14 @@ pub(super) struct TipOffset {
     since_measured_s: f64,
     /// Interval between the last two tip positions (s).
     interval_s: f64,
-    /// Number of measured offsets beyond the largest, in a row.
+    /// Number of measured offsets, in a row, beyond the largest or too far from the one followed to be reached at once.
     far_count: u32,
     /// The last of them (m), or the one measured since, until the offset has reached it.
     far_m: f64,
+    /// How often the tip was lost since control began: measured too far aside, [`FAR_LIMIT`] times in a row.
+    losses: u32,
+    /// Number of near positions in a row that are still missing before the tip is followed again.
+    near_missing: u32,
 }
 
 impl TipOffset {
@@ -77,6 +90,8 @@ impl TipOffset {
             interval_s: TIME_CONSTANT_S,
             far_count: 0,
             far_m: 0.0,
+            losses: 0,
+            near_missing: 0,
         }
     }
 
@@ -114,6 +129,22 @@ impl TipOffset {
 
     fn is_far(&self) -> bool {
         self.far_count >= FAR_LIMIT
+    }
+
+    fn count_far(&mut self, away_m: f64) {
+        self.far_count = (self.far_count + 1).min(FAR_LIMIT);
+        self.far_m = away_m;
+    }
+
+    /// Another sensor: it is followed at once, wherever the last one was lost.
+    pub(super) fn trust(&mut self) {
+        (self.losses, self.near_missing) = (0, 0);
+    }
+
+    /// The tip was measured too far aside.
+    fn lose(&mut self) {
+        self.losses += u32::from(self.near_missing == 0 && self.losses < LOSSES_MAX);
+        self.near_missing = NEAR_LIMIT << (self.losses - 1);
     }
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
@@ -159,8 +190,8 @@ impl TipOffset {
     }
 
     /// Takes a tip measured at `measured_m` while the bends placed it at `model_tip_m`. Returns false if it is rejected:
-    /// farther aside than the largest offset, or bit-identical to the last position. Following a sensor that has
-    /// stopped would move the robot away from its reference.
+    /// farther aside than the largest offset, not long enough near again, or bit-identical to the last position. Following
+    /// a sensor that has stopped would move the robot away from its reference.
     ///
     /// `reach_m`: length of the robot. `has_play`: the cables have a known play.
     pub(super) fn correct(
@@ -178,11 +209,19 @@ impl TipOffset {
         let away_m = measured_offset_m.norm();
         // No body reaches half as far again as its model: there the sensor is wrong.
         if away_m > OFFSET_MAX_M && measured_m.norm() < 1.5 * reach_m {
-            self.far_count = (self.far_count + 1).min(FAR_LIMIT);
-            self.far_m = away_m;
+            self.count_far(away_m);
+            if self.is_far() {
+                self.lose();
+            }
         }
         let is_near = away_m <= OFFSET_MAX_M;
         if !is_near {
+            return false;
+        }
+        if self.near_missing > 0 {
+            // The margin covers it meanwhile.
+            self.near_missing -= 1;
+            self.far_m = away_m;
             return false;
         }
         // After a pause of the sensor, its next position has no more weight than the previous one, so that the offset
@@ -200,13 +239,17 @@ impl TipOffset {
             (TIME_CONSTANT_S, DEAD_ZONE)
         };
         let gain = since_s / (since_s + time_constant_s);
-        self.filtered_m += gain * (measured_offset_m - self.filtered_m);
-        // A tip that was too far aside: the margin must not shrink before the offset has reached it.
-        self.far_m = away_m;
+        let ahead_m = measured_offset_m - self.filtered_m;
+        let followed_m = ahead_m.cap_magnitude(FOLLOWING_RATE_M_S * time_constant_s);
+        self.filtered_m += gain * followed_m;
+        // The margin covers a tip that is not followed at once, and does not shrink before the offset has reached it.
         let behind_m = (measured_offset_m - self.filtered_m).norm();
-        if !self.is_far() || behind_m < 2.0 * MARGIN_DEVIATIONS * self.slope.noise_m() {
+        if followed_m != ahead_m {
+            self.count_far(away_m);
+        } else if !self.is_far() || behind_m < 2.0 * MARGIN_DEVIATIONS * self.slope.noise_m() {
             self.far_count = 0;
         }
+        self.far_m = away_m;
         let innovation_m = self.filtered_m - self.offset_m;
         let distance_m = innovation_m.norm();
         let dead_zone_m = dead_zone * self.slope.noise_m();

@@ -249,14 +249,11 @@ impl RobotState {
         let Some(timed) = measurement else {
             return MeasurementUse::None;
         };
-        if timed.measured_ns <= self.last_tip_ns {
+        let (measurement, measured_ns) = (timed.measurement, timed.measured_ns);
+        if measured_ns <= self.last_tip_ns {
             return MeasurementUse::Repeated;
         }
-        self.last_tip_ns = timed.measured_ns;
-        let TimedMeasurement {
-            measurement,
-            measured_ns,
-        } = timed;
+        self.last_tip_ns = measured_ns;
         let found = self
             .tip_plausibility
             .check(&self.robot, &measurement, measured_ns);
@@ -413,6 +410,7 @@ impl RobotState {
     fn trust_tip(&mut self) {
         self.tip_plausibility = MeasurementWatch::new(self.policy.plausibility);
         self.tip_is_wrong = false;
+        self.estimator.trust_tip();
     }
 
     /// Counts the time without a fresh measurement, as seen by gathers: after a stall of the machine, the

@@ -10,6 +10,7 @@ mod play;
 mod rehearsal;
 mod reset;
 mod stall;
+mod tip_frame;
 mod tip_margin;
 mod trial;
 mod unsent;
@@ -228,8 +229,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         frozen.tip_offset_m
     );
     trial.frozen_tip_m = None;
-    // A permanent jump: not used until a reset, or another sensor, whose tip continues from the present
-    // offset.
+    // A permanent jump: not used until a reset, or another sensor, which continues from the present offset.
     trial.measures_tip = true;
     trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
     trial.turns(5);

@@ -8,7 +8,7 @@ use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
 use cdcr_controller::robot::{CABLES_MAX, Configuration};
 use cdcr_controller::safety::{LeaseState, Request};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::super::*;
 use crate::config::{Config, Interface};
@@ -57,6 +57,8 @@ pub(super) struct Trial {
     pub(super) measures_tip: bool,
     /// Error added to the tip sensor's position \[m\].
     pub(super) tip_error_m: Vector3<f64>,
+    /// Axes of the base in the frame of the tip sensor.
+    pub(super) tip_axes: Matrix3<f64>,
     /// Constant position reported by a frozen tip sensor.
     pub(super) frozen_tip_m: Option<Vector3<f64>>,
     pub(super) inputs: CycleInputs,
@@ -116,6 +118,7 @@ impl Trial {
             cable_error_m: [0.0; CABLES_MAX],
             measures_tip: false,
             tip_error_m: Vector3::zeros(),
+            tip_axes: Matrix3::identity(),
             frozen_tip_m: None,
             lead_ns: ns(validated.config.actuator.lead_ms()),
             inputs,
@@ -155,10 +158,9 @@ impl Trial {
         });
         if self.measures_tip {
             self.inputs.tip = Some(TimedMeasurement {
-                measurement: Measurement::TipPosition(
-                    self.frozen_tip_m
-                        .unwrap_or_else(|| self.plant.measure_tip().unwrap() + self.tip_error_m),
-                ),
+                measurement: Measurement::TipPosition(self.frozen_tip_m.unwrap_or_else(|| {
+                    self.tip_axes * self.plant.measure_tip().unwrap() + self.tip_error_m
+                })),
                 measured_ns: release_ns - MEASURED_BEFORE_NS,
             });
         }
