@@ -63,15 +63,24 @@ impl ReachableObstacle {
     /// `travel_m` since the start.
     #[inline(always)]
     fn sections_at(&self, step: usize, travel_m: &[f64; SECTIONS_MAX]) -> u8 {
-        let mut sections = self.sections[step];
         let own_m = self.per_step_m * (step + 1) as f64 + ROUNDING_M;
+        // Without branches: which sections remain is hard to predict.
+        let mut beyond = 0;
         for j in 0..SECTIONS_MAX {
-            if sections & 1 << j != 0 && self.start_margin_m[j] > own_m + travel_m[j] {
-                sections &= !(1 << j);
-            }
+            beyond |= u8::from(self.start_margin_m[j] > own_m + travel_m[j]) << j;
         }
-        sections
+        self.sections[step] & !beyond
     }
+}
+
+/// Indices of the bits that are set, lowest first.
+#[inline(always)]
+fn indices(mut bits: u8) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let lowest = (bits != 0).then(|| bits.trailing_zeros() as usize);
+        bits &= bits.wrapping_sub(1);
+        lowest
+    })
 }
 
 /// The end of a step.
@@ -267,10 +276,7 @@ impl Obstacles {
             };
             // One penalty for each section: a section that is already inside must not let another enter at no
             // cost.
-            for j in 0..SECTIONS_MAX {
-                if sections & 1 << j == 0 {
-                    continue;
-                }
+            for j in indices(sections) {
                 let Some(beyond) = body.section_is_beyond(j, obstacle, cutoff_m) else {
                     continue;
                 };
@@ -330,7 +336,7 @@ impl Obstacles {
         for candidate in &self.reachable {
             let sections = candidate.sections_at(at.step, &moved_m);
             let obstacle = candidate.obstacle.moved(at.time_s);
-            for j in (0..SECTIONS_MAX).filter(|j| sections & 1 << j != 0) {
+            for j in indices(sections) {
                 if matches!(obstacle.shape(), Shape::Capsule { .. }) && reach_m[j].is_finite() {
                     if !budget.spend(CHORD_NS) {
                         return false;

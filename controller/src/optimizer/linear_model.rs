@@ -339,11 +339,12 @@ impl LinearModel {
     fn push_active(&mut self, index: usize, value: f64, scale: f64) {
         let (stride, constraints) = (self.stride, &self.constraints);
         let row = &constraints.derivatives[index * stride..][..stride];
-        let stage = constraints.row_stages[index];
-        let into = self.residuals.push(scale * value, stage, stride);
-        for (target, derivative) in into.iter_mut().zip(row) {
-            *target = scale * derivative;
-        }
+        self.residuals.values.push(scale * value);
+        self.residuals
+            .row_stages
+            .push(constraints.row_stages[index]);
+        let derivatives = &mut self.residuals.derivatives;
+        derivatives.extend(row.iter().map(|derivative| scale * derivative));
     }
 
     fn compute_prefix_sums(&mut self, step: &[f64]) {

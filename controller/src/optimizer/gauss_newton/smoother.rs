@@ -269,14 +269,14 @@ impl Smoother {
 /// respect to its own block follow.
 fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
     let (of_row, stage) = (model.row(row), model.stage(row));
+    if let Some(before) = of_row.first_chunk() {
+        return *before;
+    }
     let mut by = [0.0; N];
-    by[..of_row.len()].copy_from_slice(of_row);
-    if N > of_row.len() {
-        let (before, own) = by.split_at_mut(of_row.len());
-        for ((own, before), derivative) in own.iter_mut().zip(before).zip(of_row) {
-            *own = stage.periods * derivative;
-            *before = if stage.since_start { *derivative } else { 0.0 };
-        }
+    let (before, own) = by.split_at_mut(of_row.len());
+    for ((own, before), derivative) in own.iter_mut().zip(before).zip(of_row) {
+        *own = stage.periods * derivative;
+        *before = if stage.since_start { *derivative } else { 0.0 };
     }
     by
 }
