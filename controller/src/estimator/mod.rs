@@ -294,7 +294,7 @@ impl Estimator {
     }
 
     /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`] plus three standard
-    /// deviations of its uncertainty. The safe distance grows by as much ([`Robot::enlarged`]). 0 before the first tip position beside
+    /// deviations of its uncertainty, without the limit of its rate. The safe distance grows by as much ([`Robot::enlarged`]). 0 before the first tip position beside
     /// measured bends. While the tip is measured more than 0.1 m from the position given by the bends, three times in a row, the bound is that
     /// distance: such a tip is not followed, but the body may be there.
     pub fn tip_margin_m(&self) -> f64 {
@@ -379,7 +379,8 @@ impl Estimator {
     /// Takes a tip position (m) beside measured bends. The bends are kept; the tip offset ([`Self::tip_offset_m`]) and its change along the
     /// path of the tip are learnt.
     ///
-    /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends or not finite. The same if it is
+    /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends, or was so three times in a row
+    /// a short time ago, or is not finite. The same if it is
     /// bit-identical to the last one: the sensor may have stopped.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
         self.update_tip_offset(robot);

@@ -17,11 +17,11 @@ const FAR_LIMIT: u32 = 3;
 /// the sensor are swapped, turned or mirrored, each motion of the tip moves the measured offset farther from the one
 /// followed: without this limit, such a tip was moved at 0.9 m/s where 0.1 m/s was asked.
 const FOLLOWING_RATE_M_S: f64 = 0.1;
-/// A tip that was too far aside is followed again after so many near positions in a row; twice as many each further
-/// time. The sensor of a wrong frame is near at times.
-const NEAR_LIMIT: u32 = 64;
-/// Number of times after which the number grows no more.
-const LOSSES_MAX: u32 = 10;
+/// A tip that was lost, too far aside [`FAR_LIMIT`] times in a row, is followed again after so much time with near
+/// positions (s), after twice as much each further time. The sensor of a wrong frame is near at times.
+const WAIT_S: f64 = 0.32;
+/// Number of losses after which that time grows no more: 20 s.
+const LOSSES_MAX: i32 = 7;
 
 /// A sensor counts as silent after this multiple of the interval between its last two positions.
 const SILENCE_RATIO: f64 = 1.5;
@@ -56,14 +56,18 @@ pub(super) struct TipOffset {
     since_measured_s: f64,
     /// Interval between the last two tip positions (s).
     interval_s: f64,
-    /// Number of measured offsets, in a row, beyond the largest or too far from the one followed to be reached at once.
+    /// The filtered offset if its rate had no limit (m): the tip may be there.
+    unlimited_m: Vector3<f64>,
+    /// Number of measured offsets beyond the largest, in a row, until the offset has reached a smaller one.
     far_count: u32,
     /// The last of them (m), or the one measured since, until the offset has reached it.
     far_m: f64,
-    /// How often the tip was lost since control began: measured too far aside, [`FAR_LIMIT`] times in a row.
-    losses: u32,
-    /// Number of near positions in a row that are still missing before the tip is followed again.
-    near_missing: u32,
+    /// The same number until one is smaller.
+    far_in_a_row: u32,
+    /// How often the tip was lost since control began or another sensor came.
+    losses: i32,
+    /// Time with near positions that is missing before the tip is followed again (s).
+    wait_s: f64,
 }
 
 impl TipOffset {
@@ -88,10 +92,12 @@ impl TipOffset {
             measured_m: Vector3::repeat(f64::NAN),
             since_measured_s: 0.0,
             interval_s: TIME_CONSTANT_S,
+            unlimited_m: Vector3::zeros(),
             far_count: 0,
             far_m: 0.0,
+            far_in_a_row: 0,
             losses: 0,
-            near_missing: 0,
+            wait_s: 0.0,
         }
     }
 
@@ -100,6 +106,7 @@ impl TipOffset {
         *self = Self {
             offset_m: self.offset_m,
             filtered_m: self.filtered_m,
+            unlimited_m: self.unlimited_m,
             far_count: self.far_count,
             far_m: self.far_m,
             slope: self.slope.clone(),
@@ -116,10 +123,15 @@ impl TipOffset {
         self.offset_m
     }
 
-    /// Upper bound on the tip's distance from the position given by the bends (m): the offset plus its uncertainty. Of
-    /// a tip that is too far aside to be followed, the measured distance.
+    /// Upper bound on the tip's distance from the position given by the bends (m): the offset, or where it would be
+    /// without a limit of its rate, plus its uncertainty. Of a tip that is too far aside to be followed, the measured
+    /// distance.
     pub(super) fn margin_m(&self) -> f64 {
-        let margin_m = self.offset_m.norm() + MARGIN_DEVIATIONS * self.slope.deviation_m();
+        let mut offset_m = self.offset_m.norm();
+        if self.unlimited_m != self.filtered_m {
+            offset_m = offset_m.max(self.unlimited_m.norm());
+        }
+        let margin_m = offset_m + MARGIN_DEVIATIONS * self.slope.deviation_m();
         if self.is_far() {
             margin_m.max(self.far_m + MARGIN_DEVIATIONS * self.slope.noise_m())
         } else {
@@ -131,20 +143,35 @@ impl TipOffset {
         self.far_count >= FAR_LIMIT
     }
 
-    fn count_far(&mut self, away_m: f64) {
-        self.far_count = (self.far_count + 1).min(FAR_LIMIT);
-        self.far_m = away_m;
-    }
-
     /// Another sensor: it is followed at once, wherever the last one was lost.
     pub(super) fn trust(&mut self) {
-        (self.losses, self.near_missing) = (0, 0);
+        (self.far_in_a_row, self.losses, self.wait_s) = (0, 0, 0.0);
     }
 
-    /// The tip was measured too far aside.
-    fn lose(&mut self) {
-        self.losses += u32::from(self.near_missing == 0 && self.losses < LOSSES_MAX);
-        self.near_missing = NEAR_LIMIT << (self.losses - 1);
+    /// Takes an offset beyond the largest.
+    fn take_far(&mut self, away_m: f64) {
+        self.far_count = (self.far_count + 1).min(FAR_LIMIT);
+        self.far_m = away_m;
+        self.far_in_a_row += 1;
+        if self.far_in_a_row >= FAR_LIMIT {
+            if self.wait_s == 0.0 {
+                self.losses = (self.losses + 1).min(LOSSES_MAX);
+            }
+            self.far_in_a_row = 0;
+            self.wait_s = WAIT_S * f64::powi(2.0, self.losses - 1);
+            self.since_measured_s = 0.0;
+        }
+    }
+
+    /// Takes a near offset; true while the tip is not followed again. The margin covers it meanwhile.
+    fn waits(&mut self, away_m: f64) -> bool {
+        self.far_in_a_row = 0;
+        if self.wait_s == 0.0 {
+            return false;
+        }
+        self.wait_s = (self.wait_s - core::mem::take(&mut self.since_measured_s)).max(0.0);
+        self.far_m = away_m;
+        true
     }
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
@@ -166,9 +193,10 @@ impl TipOffset {
         if elapsed_s > 0.0 {
             self.is_moving = (model_tip_m - before_m).norm() > REST_SPEED_M_S * elapsed_s;
         }
-        if self.since_measured_s < SILENCE_RATIO * self.interval_s {
+        if self.since_measured_s < SILENCE_RATIO * self.interval_s && self.wait_s == 0.0 {
             let change_m = self.slope.change_in_m(&(model_tip_m - before_m), elapsed_s);
             self.filtered_m += change_m;
+            self.unlimited_m += change_m;
             self.offset_m = (self.offset_m + change_m).cap_magnitude(OFFSET_MAX_M);
         }
     }
@@ -184,6 +212,7 @@ impl TipOffset {
         if let Some(before_m) = self.model_tip_m.replace(*model_tip_m) {
             let by_m = model_tip_m - before_m;
             self.filtered_m -= by_m;
+            self.unlimited_m -= by_m;
             self.offset_m = (self.offset_m - by_m).cap_magnitude(OFFSET_MAX_M);
             self.slope.revise_model_tip(&by_m);
         }
@@ -209,19 +238,10 @@ impl TipOffset {
         let away_m = measured_offset_m.norm();
         // No body reaches half as far again as its model: there the sensor is wrong.
         if away_m > OFFSET_MAX_M && measured_m.norm() < 1.5 * reach_m {
-            self.count_far(away_m);
-            if self.is_far() {
-                self.lose();
-            }
+            self.take_far(away_m);
         }
         let is_near = away_m <= OFFSET_MAX_M;
-        if !is_near {
-            return false;
-        }
-        if self.near_missing > 0 {
-            // The margin covers it meanwhile.
-            self.near_missing -= 1;
-            self.far_m = away_m;
+        if !is_near || self.waits(away_m) {
             return false;
         }
         // After a pause of the sensor, its next position has no more weight than the previous one, so that the offset
@@ -240,16 +260,14 @@ impl TipOffset {
         };
         let gain = since_s / (since_s + time_constant_s);
         let ahead_m = measured_offset_m - self.filtered_m;
-        let followed_m = ahead_m.cap_magnitude(FOLLOWING_RATE_M_S * time_constant_s);
-        self.filtered_m += gain * followed_m;
-        // The margin covers a tip that is not followed at once, and does not shrink before the offset has reached it.
+        self.filtered_m += gain * ahead_m.cap_magnitude(FOLLOWING_RATE_M_S * time_constant_s);
+        self.unlimited_m += gain * (measured_offset_m - self.unlimited_m);
+        // A tip that was too far aside: the margin must not shrink before the offset has reached it.
+        self.far_m = away_m;
         let behind_m = (measured_offset_m - self.filtered_m).norm();
-        if followed_m != ahead_m {
-            self.count_far(away_m);
-        } else if !self.is_far() || behind_m < 2.0 * MARGIN_DEVIATIONS * self.slope.noise_m() {
+        if !self.is_far() || behind_m < 2.0 * MARGIN_DEVIATIONS * self.slope.noise_m() {
             self.far_count = 0;
         }
-        self.far_m = away_m;
         let innovation_m = self.filtered_m - self.offset_m;
         let distance_m = innovation_m.norm();
         let dead_zone_m = dead_zone * self.slope.noise_m();
@@ -259,5 +277,70 @@ impl TipOffset {
         }
         self.since_measured_s = 0.0;
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const REACH_M: f64 = 0.9;
+
+    /// An offset after positions of a sensor, one every `interval_s`, so far beside the model's tip.
+    fn measured(offset: &mut TipOffset, interval_s: f64, aside_m: &[f64]) -> Vec<bool> {
+        let model_tip_m = Vector3::new(0.0, 0.0, REACH_M);
+        let take = |aside_m: &f64| {
+            offset.predict(interval_s);
+            offset.update_model_tip(&model_tip_m);
+            // No two in a row have the same bits.
+            let turn_m = if offset.measured_m.y == 0.0 {
+                1e-9
+            } else {
+                0.0
+            };
+            let measured_m = model_tip_m + Vector3::new(*aside_m, turn_m, 0.0);
+            offset.correct(&measured_m, &model_tip_m, REACH_M, false)
+        };
+        aside_m.iter().map(take).collect()
+    }
+
+    #[test]
+    fn the_margin_covers_at_once_what_the_offset_reaches_later() {
+        for interval_s in [0.005, 0.04, 0.1] {
+            let mut offset = TipOffset::new(3e-4);
+            let gain = interval_s / (interval_s + TIME_CONSTANT_S);
+            let mut unlimited_m = 0.0;
+            for _ in 0..20 {
+                measured(&mut offset, interval_s, &[0.08]);
+                unlimited_m += gain.min(0.5) * (0.08 - unlimited_m);
+                let [followed_m, margin_m] = [offset.offset_m().norm(), offset.margin_m()];
+                assert!(margin_m > unlimited_m - 1e-3, "{interval_s}: {margin_m}");
+                assert!(followed_m <= 20.0 * 0.1 * interval_s, "{followed_m}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_tip_is_lost_by_three_far_positions_in_a_row_and_by_no_outlier() {
+        let mut offset = TipOffset::new(3e-4);
+        for _ in 0..100 {
+            // While the offset follows a step, too.
+            let used = measured(&mut offset, 0.1, &[0.08, 0.12, 0.08, 0.12, 0.12, 0.08]);
+            assert_eq!(used, [true, false, true, false, false, true]);
+        }
+        // Three losses: each wait is twice as long, and begins again only by three far ones.
+        for wait in [4, 7, 13] {
+            assert_eq!(measured(&mut offset, 0.1, &[0.12; 3]), [false; 3]);
+            measured(&mut offset, 0.1, &[0.01, 0.12, 0.12]);
+            let used = measured(&mut offset, 0.1, &vec![0.01; wait]);
+            assert_eq!(
+                used.iter().position(|used| *used),
+                Some(wait - 1),
+                "{used:?}"
+            );
+        }
+        assert_eq!(measured(&mut offset, 0.1, &[0.12; 3]), [false; 3]);
+        offset.trust();
+        assert_eq!(measured(&mut offset, 0.1, &[0.01]), [true]);
     }
 }

@@ -258,7 +258,7 @@ impl Supervisor {
         if summary.tip_rejected && !self.newest.tip_rejected {
             tracing::warn!(
                 cycle = summary.cycle,
-                "the measured tip is not used: it jumps, is frozen, or is more than 0.1 m from where the bends place it (the body then counts as that much thicker)"
+                "the measured tip is not used: it jumps, is frozen, or is or was more than 0.1 m from where the bends place it (the body then counts as that much thicker; a tip that is near again is used after some time, or after a reset)"
             );
         }
         if is_cut_short(summary)

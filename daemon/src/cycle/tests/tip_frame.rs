@@ -26,7 +26,7 @@ fn at_begin(interface: Interface, axes: Matrix3<f64>) -> Trial {
     trial
 }
 
-/// Largest speed of the tip over 50 ms \[m/s\], and how often its measurements were given up, in so many cycles.
+/// Largest speed of the tip over 50 ms \[m/s\], and how often three measurements in a row were not used, in so many cycles.
 fn observed(trial: &mut Trial, cycles: u32) -> (f64, usize) {
     const STRIDE: usize = 10;
     let (mut tips_m, mut records) = (Vec::new(), Vec::new());
@@ -39,17 +39,17 @@ fn observed(trial: &mut Trial, cycles: u32) -> (f64, usize) {
     let pairs = iter::zip(&tips_m, &tips_m[STRIDE..]);
     let speeds_m_s = pairs.map(|(from, to)| (to - from).norm() / (STRIDE as f64 * PERIOD_S));
     let is_used = |record: &CycleRecord| record.tip_use == MeasurementUse::Used;
-    let given_up = |pair: &&[CycleRecord]| is_used(&pair[0]) && !is_used(&pair[1]);
+    let given_up = |four: &&[CycleRecord]| is_used(&four[0]) && !four[1..].iter().any(is_used);
     (
         speeds_m_s.fold(0.0, f64::max),
-        records.windows(2).filter(given_up).count(),
+        records.windows(4).filter(given_up).count(),
     )
 }
 
 /// The tip is asked to move at 0.1 m/s. Each motion of a tip that is measured along other axes changes its offset, and the
 /// offset moves the tip.
 #[test]
-fn a_tip_that_is_measured_along_other_axes_moves_little_faster_than_asked() {
+fn a_tip_that_is_measured_along_other_axes_is_moved_slowly_and_given_up() {
     let turned = |degrees: f64| Rotation3::new(Vector3::z() * degrees.to_radians()).into_inner();
     let frames = [
         (
