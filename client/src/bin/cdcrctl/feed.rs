@@ -22,7 +22,7 @@ use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::reach;
 use crate::stop_cause::stop_remedy;
-use crate::tip_error::{FRESH_NS, TipError};
+use crate::tip_error::TipError;
 
 /// Delay of the start of `goto` and `jog`.
 const GO_LEAD: Duration = Duration::from_millis(500);
@@ -110,9 +110,10 @@ pub(crate) fn go(
     }
     demands.check_end(arguments.max_error)?;
     check_stands(connection, &before)?;
-    let (done, _) = follow(connection, &way, options, |_| Ok(()))?;
+    let (done, error) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
-        print_end(&newest(connection)?, goal_m, arguments.max_error)?;
+        let end = newest(connection)?;
+        print_end(&end, error.fresh_ns(), goal_m, arguments.max_error)?;
     }
     Ok(done)
 }
@@ -165,11 +166,12 @@ fn rests(record: &Telemetry) -> bool {
         .all(|rate| *rate == 0.0)
 }
 
-/// Prints the final distance to the point, estimated and measured, and fails when either exceeds `limit_m`.
-fn print_end(end: &Telemetry, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
+/// Prints the final distance to the point, estimated and, unless `fresh_ns` have passed since, measured; fails when
+/// either exceeds `limit_m`.
+fn print_end(end: &Telemetry, fresh_ns: u64, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
     let estimated_m = distance_m(end.tip_position_m, goal_m);
     let (mut largest_m, mut by) = (estimated_m, String::new());
-    if end.release_ns < end.tip_measured_ns + FRESH_NS {
+    if end.release_ns < end.tip_measured_ns + fresh_ns {
         let measured_m = distance_m(end.tip_measured_m, goal_m);
         largest_m = largest_m.max(measured_m);
         by = format!(" ({:.3} mm as measured)", 1e3 * measured_m);
@@ -462,16 +464,19 @@ mod tests {
             tip_measured_ns: 995_000_000,
             ..Telemetry::default()
         };
-        let text = print_end(&end, [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
+        let check = |end: &Telemetry, x_m: f64, limit_m: f64| {
+            print_end(end, 100_000_000, [x_m, 0.0, 0.8], limit_m)
+        };
+        let text = check(&end, 0.1, 0.002).expect_err("measured beside");
         let text = text.to_string();
         assert!(
             text.contains("0.000 mm from the point (3.000 mm as measured)"),
             "{text}"
         );
-        assert!(print_end(&end, [0.1, 0.0, 0.8], 0.004).is_ok());
+        assert!(check(&end, 0.1, 0.004).is_ok());
         // A silent sensor does not decide about the end; the estimate does.
         end.tip_measured_ns = 800_000_000;
-        assert!(print_end(&end, [0.1, 0.0, 0.8], 0.002).is_ok());
-        assert!(print_end(&end, [0.103, 0.0, 0.8], 0.002).is_err());
+        assert!(check(&end, 0.1, 0.002).is_ok());
+        assert!(check(&end, 0.103, 0.002).is_err());
     }
 }

@@ -43,6 +43,8 @@ struct Measured {
     /// Reference at the newest releases \[ns, m\], oldest first.
     reference: VecDeque<(u64, [f64; 3])>,
     newest_ns: u64,
+    /// Time between the last two measurements \[ns\]; 0 before the second one.
+    interval_ns: u64,
     /// The newest error that was computed, and the time of its measurement \[m, ns\].
     error_m: f64,
     error_ns: u64,
@@ -51,8 +53,10 @@ struct Measured {
     max_m: f64,
 }
 
-/// A tip measurement older than this belongs to the path, not to its end \[ns\].
-pub(crate) const FRESH_NS: u64 = 100_000_000;
+/// A tip measurement of this age belongs to the path, not to its end, unless the sensor is slow \[ns\].
+const FRESH_NS: u64 = 100_000_000;
+/// The newest measurement of a slow sensor is up to an interval old, and late in addition.
+const FRESH_INTERVALS: u64 = 2;
 /// Without a limit, a reference that ends with the tip farther away was not followed \[m\]: a robot that lags
 /// 0.1 s behind at 0.2 m/s is as far away.
 const ENDED_OFF_M: f64 = 0.02;
@@ -88,6 +92,9 @@ impl Measured {
         if tip_ns <= self.newest_ns {
             return;
         }
+        if self.newest_ns > 0 {
+            self.interval_ns = tip_ns - self.newest_ns;
+        }
         self.newest_ns = tip_ns;
         let after = self
             .reference
@@ -114,7 +121,12 @@ impl Measured {
     /// The newest error, while the sensor measures: it does not belong to a later place of the reference.
     fn newest_m(&self) -> Option<f64> {
         let (now_ns, _) = self.reference.back()?;
-        (self.count > 0 && *now_ns < self.error_ns + FRESH_NS).then_some(self.error_m)
+        let is_fresh = now_ns.saturating_sub(self.error_ns) < self.fresh_ns();
+        (self.count > 0 && is_fresh).then_some(self.error_m)
+    }
+
+    fn fresh_ns(&self) -> u64 {
+        FRESH_NS.max(self.interval_ns.saturating_mul(FRESH_INTERVALS))
     }
 }
 
@@ -168,6 +180,11 @@ impl TipError {
         let measured = self.measured.newest_m();
         let measured = measured.map_or_else(String::new, |m| format!(", measured {:.3}", 1e3 * m));
         Some(format!("error {:.3}{measured} mm", 1e3 * self.final_m))
+    }
+
+    /// A tip measurement of this age belongs to the path, not to its end \[ns\].
+    pub(crate) fn fresh_ns(&self) -> u64 {
+        self.measured.fresh_ns()
     }
 
     /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`; without a limit, if the
@@ -373,9 +390,22 @@ mod tests {
 
     #[test]
     fn a_sensor_that_fell_silent_does_not_decide_about_the_end() {
-        for (silent_ns, is_followed) in [(FRESH_NS - 1, false), (FRESH_NS, true)] {
+        // Without an interval, of a fast sensor, and of one of 5 Hz.
+        const SLOW_NS: u64 = 200_000_000;
+        for (before_ns, silent_ns, is_followed) in [
+            (0, FRESH_NS - 1, false),
+            (0, FRESH_NS, true),
+            (5_000_000, FRESH_NS, true),
+            (SLOW_NS, 2 * SLOW_NS - 1, false),
+            (SLOW_NS, 2 * SLOW_NS, true),
+        ] {
             let mut error = TipError::default();
-            for (release_ns, tip_ns) in [(10, 0), (20, 15), (15 + silent_ns, 15)] {
+            let measured_ns = 15 + before_ns;
+            let releases = [(10, 0), (20, 15), (20 + before_ns, measured_ns)];
+            for (release_ns, tip_ns) in releases
+                .into_iter()
+                .chain([(measured_ns + silent_ns, measured_ns)])
+            {
                 let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.0);
                 record.tip_measured_ns = tip_ns;
                 record.tip_measured_m[0] = 0.3;
