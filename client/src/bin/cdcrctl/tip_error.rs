@@ -22,9 +22,9 @@ pub(crate) struct TipError {
     sum_m: f64,
     max_m: f64,
     final_m: f64,
-    /// The tip has been at its reference.
+    /// The tip has been at its reference, and no obstacle was known since.
     arrived: bool,
-    /// The largest error since then without obstacles.
+    /// The largest estimated error after an arrival.
     farthest: Farthest,
     measured: Measured,
 }
@@ -62,7 +62,7 @@ const FRESH_INTERVALS: u64 = 2;
 const ENDED_OFF_M: f64 = 0.02;
 /// Without a limit, a reference that the tip had reached and then was this far from was not followed: a point of it
 /// is an outlier, or it is too fast \[m\]. More than [`ENDED_OFF_M`]: a machine that stalls for 0.2 s does not decide.
-/// Obstacles may keep the tip away.
+/// Obstacles may keep the tip away; after them, it has to arrive again.
 const PASSED_OFF_M: f64 = 0.05;
 
 /// Whether the tip follows the reference itself, after the approach.
@@ -161,8 +161,8 @@ impl TipError {
 
     fn take_farthest(&mut self, record: &Telemetry) {
         let error_m = record.position_error_m;
-        self.arrived |= error_m <= ENDED_OFF_M;
-        if self.arrived && record.obstacle_count == 0 && error_m > self.farthest.error_m {
+        self.arrived = record.obstacle_count == 0 && (self.arrived || error_m <= ENDED_OFF_M);
+        if self.arrived && error_m > self.farthest.error_m {
             self.farthest = Farthest {
                 error_m,
                 release_ns: record.release_ns,
@@ -254,8 +254,8 @@ impl TipError {
             let [most, limit] = [error_m, PASSED_OFF_M].map(|m| 1e3 * m);
             bail!(
                 "the tip was up to {most:.3} mm from its reference at {time_s:.2} s, ({x:.4}, {y:.4}, {z:.4}) m, more than {limit} mm: a point \
-                 there is an outlier, or the reference is too fast (--dry-run tells before anything moves); --max-error \
-                 allows another error"
+                 there is an outlier or the reference too fast (cdcrctl ref --dry-run shows both without moving), or the \
+                 machine stalled (cdcrctl incidents); --max-error allows another error"
             );
         }
         Ok(())
@@ -360,24 +360,31 @@ mod tests {
     }
 
     #[test]
-    fn an_outlier_is_told_with_its_place_unless_an_obstacle_may_keep_the_tip_away() {
-        for (error_m, obstacles, is_followed) in
-            [(0.051, 0, false), (0.049, 0, true), (0.051, 1, true)]
-        {
+    fn an_outlier_is_named_with_its_place_unless_an_obstacle_kept_the_tip_away() {
+        for (error_m, obstacles, is_followed) in [
+            (0.051, [0; 4], false),
+            (0.049, [0; 4], true),
+            (0.051, [1; 4], true),
+            // It expires, and the tip is still away.
+            (0.051, [0, 1, 0, 0], true),
+            // Since then, the tip has been at its reference.
+            (0.051, [1, 0, 0, 0], false),
+        ] {
             let mut error = TipError {
                 start_ns: 1_000_000_000,
                 ..TipError::default()
             };
-            for (release_s, error_m) in [(1, 0.3), (2, 0.001), (3, error_m), (4, 0.001)] {
+            let errors_m = [(1, 0.3), (2, 0.001), (3, error_m), (4, 0.001)];
+            for ((release_s, error_m), obstacle_count) in errors_m.into_iter().zip(obstacles) {
                 let release_ns = release_s * 1_000_000_000;
                 let inside = ReferenceState::Inside;
                 let mut record = record(Mode::Tracking, inside, release_ns, error_m);
-                record.obstacle_count = obstacles;
+                record.obstacle_count = obstacle_count;
                 record.reference.position_m[0] = release_s as f64;
                 error.take(&record);
             }
             let checked = error.print(None);
-            assert_eq!(checked.is_ok(), is_followed, "{error_m} {obstacles}");
+            assert_eq!(checked.is_ok(), is_followed, "{error_m} {obstacles:?}");
             if let Err(error) = checked {
                 let text = error.to_string();
                 assert!(

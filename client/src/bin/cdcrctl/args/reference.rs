@@ -70,9 +70,10 @@ pub(crate) struct FeedArguments {
     /// Interpolation between the points in the daemon: straight lines or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
-    /// Largest tip error, such as 2mm or 0.002m: fail when a cycle after the approach exceeds it, as estimated or as measured by a tip sensor,
-    /// noise included, or when nothing was tracked. Without it: fail when the last error exceeds 20 mm, or one on the way 50 mm although the tip had arrived and no obstacle was known. A reference with a point that the robot cannot reach within it (1 mm if not given)
-    /// is rejected before anything moves
+    /// Largest tip error, such as 2mm or 0.002m. Fail when an error after the approach exceeds it, estimated or measured by a tip sensor, noise
+    /// included, or when nothing was tracked. Without the option, fail when the last error, estimated or measured, exceeds 20 mm,
+    /// or an estimated one on the way 50 mm. The latter counts once the tip has arrived, after obstacles once it has arrived again.
+    /// A reference with a point that the robot cannot reach within this error (1 mm if not given) is rejected before anything moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Time until the reference begins
