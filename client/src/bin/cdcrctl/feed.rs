@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use cdcr_client::{
-    Asked, Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure,
-    FigurePlane, FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, RequestError,
-    Spiral, Straight, Trajectory, counted, section_lengths_m,
+    Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigurePlane,
+    FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
+    counted, section_lengths_m,
 };
-use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_shared_types::{Status, Telemetry};
 
 use crate::Done;
@@ -21,15 +21,12 @@ use crate::bar::Bar;
 use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::reach;
+use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
 
 /// Delay of the start of `goto` and `jog`.
 const GO_LEAD: Duration = Duration::from_millis(500);
-/// Timeout for a status or a record.
-const STATUS: Duration = Duration::from_secs(1);
-/// A tip farther than this from the start of its computed path has moved, whatever error is allowed \[m\].
-const MOVED_M: f64 = 2e-3;
 /// Default tolerance for reaching a point \[m\].
 pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference farther away than this, in robot lengths, needs a confirmation.
@@ -137,35 +134,6 @@ pub(crate) fn go_options() -> FeedOptions {
     }
 }
 
-/// Fails when the robot does not rest at its position in `before`: another client that holds the lease moves it, or the
-/// daemon does.
-pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyhow::Result<()> {
-    let now = newest(connection)?;
-    let moved = distance_m(now.tip_position_m, before.tip_position_m) > MOVED_M;
-    if !moved && rests(before) && rests(&now) {
-        return Ok(());
-    }
-    let status = connection.status(STATUS)?;
-    if status.lease_holder != 0 {
-        return Err(RequestError::Refused {
-            asked: Asked::Request(RequestKind::AcquireLease),
-            outcome: Outcome::LeaseHeld,
-            mode: Mode::try_from(status.mode)?,
-        }
-        .into());
-    }
-    bail!("the tip moves; nothing was sent: try again when it is at rest");
-}
-
-/// Whether the command is rest.
-fn rests(record: &Telemetry) -> bool {
-    record
-        .command
-        .bend_rate_rad_s
-        .iter()
-        .all(|rate| *rate == 0.0)
-}
-
 /// Prints the final distance to the point, estimated and, unless `fresh_ns` have passed since, measured; fails when
 /// either exceeds `limit_m`.
 fn print_end(end: &Telemetry, fresh_ns: u64, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
@@ -193,11 +161,6 @@ fn print_end(end: &Telemetry, fresh_ns: u64, goal_m: [f64; 3], limit_m: f64) -> 
 pub(crate) fn within(point_m: [f64; 3], reach_m: f64) -> [f64; 3] {
     let factor = (0.999 * reach_m / distance_m(point_m, [0.0; 3])).min(1.0);
     point_m.map(|m| factor * m)
-}
-
-pub(crate) fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
-    let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
-    squares.sum::<f64>().sqrt()
 }
 
 /// Feeds a trajectory and monitors the tip. When `watch` refuses a record, the robot holds, and the call

@@ -33,6 +33,7 @@ mod setting;
 mod settings;
 mod show_status;
 mod spread;
+mod standing;
 mod standstill;
 mod stop_cause;
 mod tip_error;

@@ -15,8 +15,9 @@ use super::resting::{Sensors, rests};
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
 use crate::dry_run::{self, Demands, newest, robot_and_pose};
-use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, within};
+use crate::feed::{MISSED_M, follow, go_options, within};
 use crate::files::check_new;
+use crate::standing::{check_stands, distance_m};
 use crate::wait;
 
 /// Default bounds as shares of the robot's limits: bends, rates.

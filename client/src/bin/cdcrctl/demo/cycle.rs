@@ -6,7 +6,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{LateCause, Mode, ReferenceState, SolverStatus, Winner, timing};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 
-use crate::feed::distance_m;
+use crate::standing::distance_m;
 
 /// The data of one tracking cycle for the report, the table and the pictures.
 #[derive(Debug, Clone, PartialEq)]

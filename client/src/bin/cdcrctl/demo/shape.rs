@@ -46,7 +46,7 @@ pub(super) fn moments(cycles: &[Cycle], step_s: f64) -> Vec<&Cycle> {
 mod tests {
     use super::super::cycle::tests::synthetic;
     use super::*;
-    use crate::feed::distance_m;
+    use crate::standing::distance_m;
 
     #[test]
     fn the_backbone_leads_from_the_base_to_the_tip_and_has_the_robots_length() {
