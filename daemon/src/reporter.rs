@@ -233,7 +233,7 @@ impl Reporter {
         }
         let measured = record.measurement.as_ref();
         let measured = measured.and_then(|timed| timed.measurement.configuration(&self.robot));
-        FarthestBend::of(&self.robot, &measured.unwrap_or(record.configuration))
+        FarthestBend::find(&self.robot, measured, &record.configuration)
     }
 
     fn counts(&self, record: &CycleRecord) -> wire::Statistics {

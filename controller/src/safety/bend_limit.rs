@@ -77,8 +77,14 @@ pub struct FarthestBend {
 }
 
 impl FarthestBend {
-    /// Of a robot at `at`; `None` if every section is inside its limit.
-    pub fn of(robot: &Robot, at: &Configuration) -> Option<Self> {
+    /// At the `measured` bends, or, where the measurement does not have them, at the estimated ones. `None` if every section is inside its
+    /// limit.
+    pub fn find(
+        robot: &Robot,
+        measured: Option<Configuration>,
+        estimate: &Configuration,
+    ) -> Option<Self> {
+        let at = measured.as_ref().unwrap_or(estimate);
         let sections = robot.sections().iter().enumerate();
         let bends = sections.map(|(section, limits)| Self {
             section,
@@ -104,7 +110,8 @@ impl fmt::Display for FarthestBend {
         } = self;
         write!(
             f,
-            "robot.sections[{section}] is measured to bend by {bend_rad:.4} rad, its bend_max_rad is {limit_rad}"
+            "section {} bends by {bend_rad:.4} rad, its bend_max_rad is {limit_rad}",
+            section + 1
         )?;
         if *bend_rad > PI {
             f.write_str(" (a driver measures bends in rad and lengths in m, from the base on)")?;
@@ -116,4 +123,30 @@ impl fmt::Display for FarthestBend {
 fn is_beyond(robot: &Robot, at: &Configuration, noise_rad: f64) -> bool {
     let mut sections = robot.sections().iter().enumerate();
     sections.any(|(j, section)| at.bend_rad(j) > section.bend_max_rad + TOLERANCE_RAD + noise_rad)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::RobotParameters;
+
+    #[test]
+    fn the_bend_farthest_beyond_its_limit_is_named() {
+        let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
+        let limit_rad = robot.sections()[0].bend_max_rad;
+        let bent = |bends_rad: [f64; 2]| {
+            Configuration::from_slice(&[bends_rad[0], 0.0, 0.0, bends_rad[1]]).unwrap()
+        };
+        let [inside, estimate] = [bent([limit_rad, 0.1]), bent([limit_rad + 0.1, 180.0])];
+        assert_eq!(FarthestBend::find(&robot, Some(inside), &estimate), None);
+        // Only a tip is measured, and the second section is estimated in degrees.
+        let farthest = FarthestBend::find(&robot, None, &estimate).unwrap();
+        assert_eq!((farthest.section, farthest.bend_rad), (1, 180.0));
+        let text = farthest.to_string();
+        assert!(
+            text.starts_with("section 2 bends by 180.0000 rad, its bend_max_rad is ")
+                && text.contains("in rad"),
+            "{text}"
+        );
+    }
 }

@@ -24,12 +24,12 @@ pub(crate) fn broken_bend(connection: &Connection, status: &Status) -> Option<Fa
     let (robot, estimate) = robot_and_pose(&record).ok()?;
     let measured = match MeasurementKind::try_from(record.measurement.kind) {
         Ok(MeasurementKind::Configuration) => {
-            Configuration::from_slice(&record.measurement.bend_rad[..robot.coordinate_count()])?
+            Configuration::from_slice(&record.measurement.bend_rad[..robot.coordinate_count()])
         }
         Ok(MeasurementKind::CableLengths) => {
-            robot.bend_from_cable_lengths(&record.measurement.cable_length_m)
+            Some(robot.bend_from_cable_lengths(&record.measurement.cable_length_m))
         }
-        _ => estimate,
+        _ => None,
     };
-    FarthestBend::of(&robot, &measured)
+    FarthestBend::find(&robot, measured, &estimate)
 }

@@ -373,7 +373,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
             (MeasurementState::None, MeasurementState::Used)
         );
         println!("limit broken: in the cycle of the measurement");
-        let place = "robot.sections[0] is measured to bend by 3.0000 rad, its bend_max_rad is 2.8";
+        let place = "section 1 bends by 3.0000 rad, its bend_max_rad is 2.8";
         wait_until("the log names it", || daemon.log().contains(place));
         daemon
             .place()
