@@ -90,7 +90,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
     match reason {
         Reason::Start => "The daemon was restarted: feed the reference again.",
         Reason::Request => {
-            "Another client, or the signal SIGUSR1, asked for it; where it stopped the robot, check that nobody is in its \
+            "A client (cdcrctl stop, hold, ...), or the signal SIGUSR1, asked for it; where it stopped the robot, check that nobody is in its \
              way, then cdcrctl reset."
         }
         Reason::ReferenceEnded => {
@@ -132,8 +132,8 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
         Reason::CommonMode => "Check the cables and their spools, then cdcrctl reset.",
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => {
-            "Bring the robot inside its limits, or correct the driver's units and zeros (cdcrctl status and the daemon's log \
-             name the section and its bend), then cdcrctl reset."
+            "Bring the robot inside its limits, or correct the driver's units and zeros (cdcrctl status \
+             names the section and its bend while it is beyond its limit), then cdcrctl reset."
         }
         Reason::ClearanceBroken => {
             "Move the obstacle or the robot, then cdcrctl reset. Where cdcrctl status shows a tip margin, check the tip \
