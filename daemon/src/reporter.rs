@@ -20,14 +20,15 @@ use std::time::Duration;
 
 use cdcr_controller::nmpc::SolveStatus;
 use cdcr_controller::robot::Robot;
-use cdcr_controller::safety::{FarthestBend, Reason};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode};
 use cdcr_shared_types::ipc;
 use iceoryx2::port::publisher::Publisher;
 
 use crate::config::{LinkKind, Validated, ns};
-use crate::handover::{CycleRecord, CycleReport, MeasurementUse, ReporterEnds, Shared, Summary};
+use crate::handover::{
+    CycleRecord, CycleReport, FaultPlace, MeasurementUse, ReporterEnds, Shared, Summary,
+};
 use crate::rt::attribution::{Attribution, CauseAssignment, EvaluatedCycle, Timing};
 use crate::rt::clock::Clock;
 use crate::{convert, services};
@@ -54,6 +55,8 @@ pub struct Reporter {
     daemon_id: u64,
     incidents_sent: u64,
     last_mode: Mode,
+    /// Where the cycle that began the present fault saw its cause.
+    fault_place: Option<FaultPlace>,
     measured_error: MeasuredError,
     /// The newest tip measured beside the bends was rejected.
     tip_rejected: bool,
@@ -82,6 +85,7 @@ impl Reporter {
             last_mode: Mode::Starting,
             measured_error: MeasuredError::default(),
             tip_rejected: false,
+            fault_place: None,
             attribution: Attribution::default(),
         }
     }
@@ -114,6 +118,11 @@ impl Reporter {
             let mode = convert::mode(record.mode);
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
             self.last_mode = mode;
+            if mode != Mode::Faulted {
+                self.fault_place = None;
+            } else if begins_fault {
+                self.fault_place = FaultPlace::find(&self.robot, record);
+            }
             self.publish_telemetry(&report, scheduling, clock.now_ns());
             // Releases skipped by an overrun belong to its incident.
             if matches!(assignment, CauseAssignment::Own(_)) || begins_fault {
@@ -221,19 +230,10 @@ impl Reporter {
             following: record.following,
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
             tip_rejected: self.tip_rejected,
-            broken_bend: self.broken_bend(record),
+            fault_place: self.fault_place,
             dropped_events: inputs.dropped_events,
             outcomes: inputs.outcomes,
         }
-    }
-
-    fn broken_bend(&self, record: &CycleRecord) -> Option<FarthestBend> {
-        if record.mode.reason() != Reason::LimitBroken {
-            return None;
-        }
-        let measured = record.measurement.as_ref();
-        let measured = measured.and_then(|timed| timed.measurement.configuration(&self.robot));
-        FarthestBend::find(&self.robot, measured, &record.configuration)
     }
 
     fn counts(&self, record: &CycleRecord) -> wire::Statistics {

@@ -14,6 +14,7 @@
 //! Invariant: this module is below the threads and knows nothing of their use of the data.
 
 mod channels;
+mod fault_place;
 mod inputs;
 mod policy;
 mod record;
@@ -25,6 +26,7 @@ pub use channels::{
     Channels, CycleEnds, ExchangeEnds, REQUESTS_PER_CYCLE, REQUESTS_WAITING, ReporterEnds,
     StatusDeskEnds, SupervisorEnds, channels,
 };
+pub use fault_place::FaultPlace;
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
 pub use policy::{ChangedSettings, Policy, Settings};
 pub use record::{CycleFacts, CycleRecord, MeasurementUse};

@@ -1,9 +1,10 @@
-use cdcr_controller::safety::{FarthestBend, FollowingError};
+use cdcr_controller::safety::FollowingError;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason};
 
 use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
+use crate::handover::FaultPlace;
 use crate::rt::schedule::Lateness;
 
 /// Data of a cycle for the supervisor.
@@ -81,8 +82,8 @@ pub struct Summary {
     pub following_warning: bool,
     /// The newest tip measured beside the bends was rejected.
     pub tip_rejected: bool,
-    /// The bend that broke its limit, where that is the reason of the mode.
-    pub broken_bend: Option<FarthestBend>,
+    /// Where the cycle that began the present fault saw its cause.
+    pub fault_place: Option<FaultPlace>,
     /// Events that no record could hold.
     pub dropped_events: u64,
     /// Number of messages by outcome.

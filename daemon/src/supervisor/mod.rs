@@ -237,7 +237,7 @@ impl Supervisor {
         if has_changed_mode(summary, &self.newest) {
             let (mode, reason) = (summary.mode.text(), summary.reason.text());
             if summary.mode == Mode::Faulted {
-                let place = summary.broken_bend.map(|bend| format!(": {bend}"));
+                let place = summary.fault_place.map(|place| format!(": {place}"));
                 let place = place.unwrap_or_default();
                 tracing::error!(cycle = summary.cycle, reason, "{mode}: {reason}{place}");
             } else {

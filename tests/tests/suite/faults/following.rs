@@ -3,7 +3,7 @@
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, ask_for};
+use cdcr_tests::{Daemon, ask_for, wait_until};
 
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is};
@@ -39,6 +39,8 @@ fn a_robot_that_does_not_follow_is_a_fault() {
             "{interface}: faulted at a following error of {:.3} rad",
             largest(&now.following_error_rad)
         );
+        let place = "rad from its command";
+        wait_until("the log names it", || daemon.log().contains(place));
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
         // Control begins at the present position.
         ask_for(&connection, RequestKind::Reset);

@@ -285,6 +285,8 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
         // The third came with this cycle: it is newer than the previous cycle.
         assert!(now.measurement.measured_ns > before.measurement.measured_ns);
         println!("measurement jumping: in the cycle of number {counted} in a row");
+        let place = "jumps: bend component x of section 1 is measured as ";
+        wait_until("the log names it", || daemon.log().contains(place));
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
         // The next measurement is used.
         until_used(&mut trail, &mut robot);

@@ -1,0 +1,99 @@
+use std::fmt;
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::robot::Robot;
+use cdcr_controller::safety::{FarthestBend, Reason};
+
+use super::CycleRecord;
+
+/// Where the cycle of a fault saw its cause, for the person who has to correct it. Sections count from 0 at the base.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FaultPlace {
+    /// The bend farthest beyond its limit.
+    Bend(FarthestBend),
+    /// The component of a bend vector whose measurement is farthest from the estimate.
+    Component {
+        section: usize,
+        axis: char,
+        measured_rad: f64,
+        estimated_rad: f64,
+    },
+    /// Distance of the measured tip from the estimated one \[m\].
+    Tip { distance_m: f64 },
+    /// The section farthest from its command.
+    Section { section: usize, error_rad: f64 },
+}
+
+impl FaultPlace {
+    /// Of a record whose cycle began the fault. `None` where the reason has no place.
+    pub fn find(robot: &Robot, record: &CycleRecord) -> Option<Self> {
+        let measured = record.measurement.as_ref().map(|timed| &timed.measurement);
+        match record.mode.reason() {
+            Reason::LimitBroken => {
+                let bends = measured.and_then(|measured| measured.configuration(robot));
+                FarthestBend::find(robot, bends, &record.configuration).map(Self::Bend)
+            }
+            Reason::MeasurementJump => Self::of_jump(robot, measured?, record),
+            Reason::FollowingError => {
+                let errors_rad = record.following.bend_rad.iter().enumerate();
+                let farthest = errors_rad.max_by(|one, other| one.1.total_cmp(other.1));
+                farthest.map(|(section, &error_rad)| Self::Section { section, error_rad })
+            }
+            _ => None,
+        }
+    }
+
+    fn of_jump(robot: &Robot, measured: &Measurement, record: &CycleRecord) -> Option<Self> {
+        if let Measurement::TipPosition(tip_m) = measured {
+            let distance_m = (tip_m - record.tip.position_m).norm();
+            return Some(Self::Tip { distance_m });
+        }
+        let measured = measured.configuration(robot)?;
+        let pairs = measured
+            .as_slice()
+            .iter()
+            .zip(record.configuration.as_slice());
+        let components = pairs
+            .enumerate()
+            .map(|(k, (&measured_rad, &estimated_rad))| {
+                let axis = if k % 2 == 0 { 'x' } else { 'y' };
+                let place = Self::Component {
+                    section: k / 2,
+                    axis,
+                    measured_rad,
+                    estimated_rad,
+                };
+                ((measured_rad - estimated_rad).abs(), place)
+            });
+        let farthest = components.max_by(|one, other| one.0.total_cmp(&other.0));
+        farthest.map(|(_, place)| place)
+    }
+}
+
+impl fmt::Display for FaultPlace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bend(bend) => bend.fmt(f),
+            Self::Component {
+                section,
+                axis,
+                measured_rad,
+                estimated_rad,
+            } => write!(
+                f,
+                "bend component {axis} of section {} is measured as {measured_rad:.4} rad, estimated as {estimated_rad:.4} rad",
+                section + 1
+            ),
+            Self::Tip { distance_m } => {
+                write!(f, "the tip is measured {distance_m:.4} m from its estimate")
+            }
+            Self::Section { section, error_rad } => {
+                write!(
+                    f,
+                    "section {} is {error_rad:.4} rad from its command",
+                    section + 1
+                )
+            }
+        }
+    }
+}
