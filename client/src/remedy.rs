@@ -7,7 +7,14 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
             "The sender was late: start the reference later (--lead) or send it further ahead; send a measurement \
-             within link.measurement_timeout_ms of its time stamp."
+             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, in ns)."
+        }
+        Outcome::InTheFuture => {
+            "Stamp messages with CLOCK_MONOTONIC in ns: CLOCK_REALTIME (Python: time.time_ns) is years ahead."
+        }
+        Outcome::CableMean => {
+            "Send each cable in m, from the first section on, as long as on the straight robot plus its stroke \
+             (docs/drivers.md, Zero); check robot.sections in the configuration."
         }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length."
@@ -105,8 +112,8 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
              cycle.miss_limit."
         }
         Reason::MeasurementLost => {
-            "Check that the driver runs, and in cdcrctl status that no messages are refused (cdcrctl echo telemetry \
-             shows refused measurements), then cdcrctl reset."
+            "Check that the driver runs and measures within each link.measurement_timeout_ms, and in cdcrctl status that no messages are \
+             refused (cdcrctl echo telemetry shows refused measurements), then cdcrctl reset."
         }
         Reason::MeasurementJump => {
             "Check the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
@@ -116,8 +123,8 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset."
         }
         Reason::FollowingError => {
-            "Check that the motors run and nothing holds the robot (cdcrctl status shows the following error), then \
-             cdcrctl reset."
+            "Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
+             it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset."
         }
         Reason::InputsStale => {
             "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then track again."

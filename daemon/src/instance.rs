@@ -70,7 +70,8 @@ pub enum InstanceError {
     ForeignLink { root: String, owner: u32, user: u32 },
     #[error(
         "other users can write to the root folder {root} (mode {mode:04o}) and could keep clients from the \
-         daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or use another one with --root"
+         daemon\n{}",
+        instead_of_open(.root, *.mode)
     )]
     OpenRoot { root: String, mode: u32 },
     /// Another daemon lives in the root folder, with an access for other users than this one requires.
@@ -301,6 +302,18 @@ fn remove_if_there(path: &Path) {
     {
         tracing::warn!(path = %path.display(), %error, "cannot remove the file");
     }
+}
+
+/// What to do about a root folder into which other users can write. One with the sticky bit is made for all of them.
+fn instead_of_open(root: &str, mode: u32) -> String {
+    const STICKY: u32 = 0o1000;
+    if mode & STICKY == 0 {
+        return format!(
+            "check its contents, close it with `chmod go-rwx {root}`, or use another one with --root"
+        );
+    }
+    let root = root.trim_end_matches('/');
+    format!("it is shared by all users: use a folder in it, for example --root {root}/cdcr")
 }
 
 #[cfg(test)]

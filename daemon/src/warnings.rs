@@ -1,9 +1,13 @@
 //! Valid configurations that are probably unintended.
 
 use cdcr_controller::nmpc::RateWeight;
+use cdcr_controller::robot::SectionParameters;
 
 use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
+
+/// Largest step of a bend in a period that is taken to be meant \[rad\].
+const STEP_RAD_MAX: f64 = 0.2;
 
 /// Warnings about valid but probably unintended settings, each with its keys.
 pub(crate) fn warnings(config: &Config) -> Vec<String> {
@@ -20,6 +24,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let left_ns = cycle.deadline_ns().saturating_sub(cycle.budget_margin_ns());
     let left_ms = left_ns as f64 / 1e6;
     let period_ms = cycle.period_ms;
+    let length_m: f64 = config.robot.sections.iter().map(|s| s.length_m).sum();
     let rates = config.robot.sections.iter().map(|s| s.rate_max_rad_s);
     let fastest_rad_s = rates.fold(0.0, f64::max);
     let ramp_s = fastest_rad_s / motion.deceleration_rad_s2;
@@ -95,7 +100,37 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
                 safety.clearance_fault_m, controller.safe_distance_m
             )
         }),
+        (controller.safe_distance_m > length_m).then(|| {
+            format!(
+                "controller.safe_distance_m = {} is longer than the robot of {length_m} m: an obstacle blocks every motion",
+                controller.safe_distance_m
+            )
+        }),
         cut(config),
+    ];
+    let of_sections = config.robot.sections.iter().enumerate();
+    let of_sections = of_sections.flat_map(|(j, section)| of_section(j, section, period_ms));
+    warnings.into_iter().flatten().chain(of_sections).collect()
+}
+
+/// Of one section. Lists of a configuration count from 0.
+fn of_section(j: usize, section: &SectionParameters, period_ms: f64) -> Vec<String> {
+    let step_rad = section.rate_max_rad_s * period_ms * 1e-3;
+    let warnings = [
+        (section.body_radius_m < section.cable_radius_m).then(|| {
+            format!(
+                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: cables and discs stand out of the \
+                 body from which obstacles are kept away",
+                section.body_radius_m, section.cable_radius_m
+            )
+        }),
+        (step_rad > STEP_RAD_MAX).then(|| {
+            format!(
+                "robot.sections[{j}].rate_max_rad_s = {} bends the section by {step_rad} rad in a period: is it in \
+                 degrees?",
+                section.rate_max_rad_s
+            )
+        }),
     ];
     warnings.into_iter().flatten().collect()
 }

@@ -298,6 +298,10 @@ wire_enum! {
         /// The robot waits without a fault; the request may be repeated.
         Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
         TooFar = 25: "the reference is farther from the tip than motion.approach_distance_m",
+        /// More than a tenth of the backbone: no stroke of a bend changes the mean.
+        CableMean = 26: "the mean length of a section's cables is not that of its backbone",
+        /// More than a millisecond ahead of the daemon's clock.
+        InTheFuture = 27: "a time is in the future",
     }
 }
 

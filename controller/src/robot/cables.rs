@@ -13,6 +13,10 @@
 use super::{BendRates, CABLES_MAX, Configuration, Robot};
 use crate::wide::Wide;
 
+/// Largest difference of the mean length of a section's cables from its backbone, as a part of the backbone. Strokes of a bend cancel in the
+/// mean; errors of encoders' zeros and of lengths in a configuration are smaller.
+const CABLE_MEAN_TOLERANCE: f64 = 0.1;
+
 impl Robot {
     /// Length of each cable (m): three for each section, base section first; 3n are used, the rest are 0. The three
     /// lengths of a section always sum to three times the backbone length up to its end.
@@ -25,6 +29,21 @@ impl Robot {
             *cables = cables.map(|shortening_m| backbone_m - shortening_m);
         }
         lengths_m
+    }
+
+    /// The first section whose three cables have a mean length that differs by more than a tenth from the backbone up to its end. The mean
+    /// does not depend on the bends, so such lengths are of another robot, unit or order of sections, or have no zero.
+    pub fn section_of_foreign_cables(&self, lengths_m: &[f64; CABLES_MAX]) -> Option<usize> {
+        let (cables, _) = lengths_m.as_chunks::<3>();
+        let mut backbone_m = 0.0;
+        self.sections()
+            .iter()
+            .zip(cables)
+            .position(|(section, cables)| {
+                backbone_m += section.length_m;
+                let mean_m = cables.iter().sum::<f64>() / 3.0;
+                (mean_m - backbone_m).abs() > CABLE_MEAN_TOLERANCE * backbone_m
+            })
     }
 
     /// Speed of each cable (m/s) in the order of [`Self::cable_lengths`]; positive when the cable is paid out. 3n are

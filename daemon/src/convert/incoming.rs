@@ -158,7 +158,7 @@ pub fn measurement(
         Err(_) => return Err(Refused::whole(Outcome::UnknownCode)),
     }
     if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
-        return Err(Refused::whole(Outcome::OutOfRange));
+        return Err(Refused::whole(Outcome::InTheFuture));
     }
     let sane = |values: &[f64]| {
         let refused = |outcome| move |index| Err(Refused::at(outcome, index));
@@ -181,6 +181,9 @@ pub fn measurement(
             let mut lengths = [0.0; CABLES_MAX];
             lengths[..robot.cable_count()]
                 .copy_from_slice(&message.cable_length_m[..robot.cable_count()]);
+            if let Some(section) = robot.section_of_foreign_cables(&lengths) {
+                return Err(Refused::at(Outcome::CableMean, 3 * section));
+            }
             Measurement::CableLengths(lengths)
         }
         Ok(codes::MeasurementKind::TipPose) => {
@@ -246,8 +249,11 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
         return Err(Outcome::NotFinite);
     }
     let is_too_fast = velocity_m_s.norm() > OBSTACLE_SPEED_M_S_MAX as f64;
-    if is_too_fast || message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
+    if is_too_fast {
         return Err(Outcome::OutOfRange);
+    }
+    if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
+        return Err(Outcome::InTheFuture);
     }
     let is_old = now_ns.saturating_sub(message.measured_ns) > OBSTACLE_AGE_MAX_NS;
     if is_old && velocity_m_s != Vector3::zeros() {

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::Done;
 use crate::args::{PlotOptions, Target, Topic};
-use crate::echo::field::{check_indices, of, without_null};
+use crate::echo::field::{check, of, without_null};
 use crate::echo::{LineFormat, Watch, json, paced, watch};
 
 /// Maximum size of a datagram, so that no receiver truncates it.
@@ -49,7 +49,7 @@ impl Watch for PlotOptions {
         let limits = (self.rate, self.count);
         let mut is_first = true;
         paced(connection, &mut stream, limits, |message| {
-            check_indices(message, &fields)?;
+            check(message, &fields)?;
             let packet = packet(message.header().sent_ns, json::message(message), &fields)?;
             // A plotter that does not listen yet is not an error: UDP has no answer. A network may go down
             // and come back.

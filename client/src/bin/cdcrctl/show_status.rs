@@ -17,7 +17,7 @@ use crate::args::{Format, StatusOptions, Target};
 use crate::echo::json;
 use crate::echo::line::{clearance_text, latency_text};
 use crate::interrupt::Interrupt;
-use crate::stop_cause::{broken_bend, stop_remedy};
+use crate::stop_cause::{broken_bend, status_remedy};
 
 /// Interval of `--watch`, and the number of interrupt checks in it.
 const EVERY: Duration = Duration::from_secs(1);
@@ -76,7 +76,7 @@ fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
 /// The status, and what to do where only a reset lets the robot move.
 fn object(status: &Status) -> Value {
     let mut object = json::message(status);
-    object["remedy"] = json!(stop_remedy(status));
+    object["remedy"] = json!(status_remedy(status));
     object
 }
 
@@ -120,7 +120,7 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
     if let Some(bend) = broken {
         writeln!(out, "            {bend}")?;
     }
-    if let Some(remedy) = stop_remedy(status) {
+    if let Some(remedy) = status_remedy(status) {
         writeln!(out, "remedy      {remedy}")?;
     }
     if status.reset_refused_by != Reason::Start.code() {
@@ -440,6 +440,31 @@ mod tests {
         assert!(table.contains(line), "{table}");
         assert!(!table.contains("\nremedy "), "{table}");
         assert!(object(&status)["remedy"].is_null());
+    }
+
+    #[test]
+    fn a_daemon_that_waits_for_its_driver_says_what_it_refused() {
+        let mut status = Status {
+            mode: Mode::Starting.code(),
+            ..Status::default()
+        };
+        let remedy = |status: &Status| object(status)["remedy"].to_string();
+        assert!(
+            remedy(&status).contains("start the driver"),
+            "{}",
+            remedy(&status)
+        );
+        status.outcomes[Outcome::Accepted.code() as usize] = 900;
+        status.outcomes[Outcome::NotFinite.code() as usize] = 2;
+        status.outcomes[Outcome::CableMean.code() as usize] = 542;
+        let table = table(&status, None, 0).expect("formatted");
+        for part in [
+            "\nremedy ",
+            "; 542 messages refused: the mean length",
+            "from the first section on",
+        ] {
+            assert!(table.contains(part), "{part} in\n{table}");
+        }
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! Why the robot is stopped or faulted, and what to do about it.
 
-use cdcr_client::{Connection, reason_remedy};
+use cdcr_client::{Connection, counted, reason_remedy, remedy};
 use cdcr_controller::robot::Configuration;
 use cdcr_controller::safety::FarthestBend;
 use cdcr_shared_types::Status;
-use cdcr_shared_types::codes::{MeasurementKind, Mode, Reason};
+use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, Reason};
 
 use crate::dry_run::{newest, robot_and_pose};
 
@@ -13,6 +13,28 @@ pub(crate) fn stop_remedy(status: &Status) -> Option<&'static str> {
     let mode = Mode::try_from(status.mode).ok()?;
     let reason = Reason::try_from(status.reason).ok()?;
     matches!(mode, Mode::Stopped | Mode::Faulted).then(|| reason_remedy(reason))
+}
+
+/// What to do where the robot cannot be moved: stopped, faulted, or not yet measured.
+pub(crate) fn status_remedy(status: &Status) -> Option<String> {
+    match Mode::try_from(status.mode).ok()? {
+        Mode::Starting => Some(start_remedy(status)),
+        _ => stop_remedy(status).map(str::to_owned),
+    }
+}
+
+/// The daemon waits for the first measurement of its driver.
+fn start_remedy(status: &Status) -> String {
+    let refusals = Outcome::ALL.iter().zip(status.outcomes);
+    let refusals = refusals.filter(|(outcome, count)| **outcome != Outcome::Accepted && *count > 0);
+    match refusals.max_by_key(|(_, count)| *count) {
+        Some((outcome, count)) => format!(
+            "No measurement was accepted yet; {} refused: {outcome}. {}",
+            counted(count, "message"),
+            remedy(*outcome)
+        ),
+        None => "No measurement has come yet: start the driver (docs/drivers.md).".to_owned(),
+    }
 }
 
 /// The bend that breaks its limit, where that is a fault or refuses a reset. Only telemetry has the bends.

@@ -23,7 +23,7 @@ fn a_stamp_in_the_future_and_one_that_is_not_newer_are_refused() {
     let mut rig = Rig::new("");
     rig.measure_at(1, 0.5, rig.gather_ns() + 2 * MS);
     assert_eq!(rig.gather().measurement, None);
-    assert_eq!(rig.counted(Outcome::OutOfRange), 1);
+    assert_eq!(rig.counted(Outcome::InTheFuture), 1);
     let measured_ns = rig.gather_ns();
     for before_ns in [0, 0, MS] {
         rig.measure_at(1, 0.5, measured_ns - before_ns);

@@ -28,7 +28,7 @@ fn an_obstacle_whose_source_died_does_not_expire_while_the_daemon_stands_still()
 /// A time stamp from a stall of this thread, after the start of its gather, is not in the future.
 #[test]
 fn what_was_seen_while_the_gather_stood_still_is_taken() {
-    for (stall_ns, outcome) in [(0, Outcome::OutOfRange), (30 * MS, Outcome::Accepted)] {
+    for (stall_ns, outcome) in [(0, Outcome::InTheFuture), (30 * MS, Outcome::Accepted)] {
         let mut rig = Rig::new("");
         rig.gather();
         let seen_ns = rig.gather_ns() + 30 * MS;

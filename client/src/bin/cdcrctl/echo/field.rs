@@ -1,15 +1,15 @@
 //! Fields of a message by path: names and element indices, separated by points.
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use cdcr_client::counted;
 use cdcr_shared_types::message::{Field, Meaning, Struct, Value as Part};
 use serde_json::{Map, Value};
 
-use super::json::shown_name;
+use super::json::{self, shown_name};
 
-/// Fails for an index beyond its array. An index that only other messages use is none: obstacles and events
-/// come and go.
-pub(crate) fn check_indices(message: &dyn Struct, paths: &[String]) -> anyhow::Result<()> {
+/// Fails for a name that no such message has, and for an index beyond its array. A field or an index that only other messages use is none: kinds
+/// of measurements, obstacles and events come and go.
+pub(crate) fn check(message: &dyn Struct, paths: &[String]) -> anyhow::Result<()> {
     let check = |path: &String| check_part(Part::Struct(message), None, path, Some(path));
     paths.iter().try_for_each(check)
 }
@@ -28,14 +28,33 @@ fn check_part(
     };
     match value {
         Part::Struct(message) => {
-            let mut checked = Ok(());
+            let mut checked = None;
+            let mut names = Vec::new();
             message.visit(&mut |field, value| {
+                if matches!(field.meaning, Meaning::Reserved | Meaning::Length) {
+                    return;
+                }
+                names.push(shown_name(field));
                 let is_array = !matches!(field.meaning, Meaning::Text | Meaning::Per(..));
-                if shown_name(field) == part && is_array {
-                    checked = check_part(value, count_of_robot(message, field), path, after);
+                if shown_name(field) == part {
+                    let count = count_of_robot(message, field);
+                    checked = Some(if is_array {
+                        check_part(value, count, path, after)
+                    } else {
+                        Ok(())
+                    });
                 }
             });
-            checked
+            checked.unwrap_or_else(|| {
+                // Flags that are shown under names of their own.
+                if json::message(message).get(part).is_some() {
+                    return Ok(());
+                }
+                bail!(
+                    "unknown field {part:?} in --field {path}: use one of {}",
+                    names.join(", ")
+                )
+            })
         }
         Part::Array(array) => {
             let count = count.unwrap_or(array.count());
@@ -63,14 +82,7 @@ fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
     let mut value = message;
     for part in path.split('.') {
         value = match value {
-            Value::Object(fields) => {
-                let field = fields.get(part).with_context(|| {
-                    let names: Vec<_> = fields.keys().map(String::as_str).collect();
-                    let names = names.join(", ");
-                    format!("unknown field {part:?} in --field {path}: use one of {names}")
-                });
-                field?
-            }
+            Value::Object(fields) => fields.get(part).unwrap_or(&Value::Null),
             Value::Array(elements) => match part.parse::<usize>() {
                 Ok(index) => elements.get(index).unwrap_or(&Value::Null),
                 Err(_) => bail!("invalid index {part:?} in --field {path}: use a number from 0"),
@@ -144,8 +156,6 @@ mod tests {
         let found = of(&message, &paths(&["tip.0", "report"])).expect("known");
         assert_eq!(found, json!({"tip.0": 1.0, "report": {"cost": 2.5}}));
         for (bad, part) in [
-            ("cycles", "use one of cycle, mode, tip, report"),
-            ("report.costs", "use one of cost"),
             ("tip.x", "use a number from 0"),
             ("cycle.0", "follows a value"),
         ] {
@@ -158,25 +168,24 @@ mod tests {
     fn an_index_beyond_its_array_is_refused_with_the_length() {
         let mut status = Status::default();
         status.robot.sections = 3;
-        let check = |path: &str| check_indices(&status, &paths(&[path]));
-        for good in [
-            "cycle",
-            "robot.sections.2.length_m",
-            "unknown.9",
-            "robot_name.x",
-        ] {
-            check(good).expect(good);
+        let check_of_status = |path: &str| check(&status, &paths(&[path]));
+        for good in ["cycles", "robot.sections.2.length_m", "robot_name.x"] {
+            check_of_status(good).expect(good);
         }
         for (bad, part) in [
             ("robot.sections.3.length_m", "robot.sections has 3 elements"),
             ("following_error_m.9", "following_error_m has 9 elements"),
             ("robot.sections.x", "robot.sections has 3 elements"),
         ] {
-            let error = check(bad).expect_err(bad).to_string();
+            let error = check_of_status(bad).expect_err(bad).to_string();
             assert!(error.contains(part), "{error}");
         }
-        let check = |path: &str| check_indices(&Telemetry::default(), &paths(&[path]));
+        let error = check_of_status("cycle").expect_err("no such field");
+        assert!(error.to_string().contains("use one of "), "{error}");
+        let check = |path: &str| super::check(&Telemetry::default(), &paths(&[path]));
         check("obstacles.7.radius_m").expect("there may be so many");
+        check("measurement.cable_length_m.2").expect("of another kind of measurement");
+        check("measurement.cable_lengths").expect_err("of none");
         let error = check("tip_position_m.7").expect_err("of three").to_string();
         assert!(error.contains("tip_position_m has 3 elements"), "{error}");
     }

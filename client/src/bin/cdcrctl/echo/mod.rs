@@ -122,7 +122,7 @@ impl Watch for EchoOptions {
         }
         let limits = (self.rate, self.count);
         paced(connection, &mut stream, limits, |message| {
-            field::check_indices(message, &self.field)?;
+            field::check(message, &self.field)?;
             let shown = match (self.format, &*self.field) {
                 (Format::Text, []) => (format.line)(message),
                 (Format::Text, fields) => field::line(&json::message(message), fields)?,
