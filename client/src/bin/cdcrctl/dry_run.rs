@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::model::{obstacle_of, orientation_of, robot_of, settings_of};
-use cdcr_client::{Connection, FeedOptions, Trajectory, obstacles};
+use cdcr_client::{Connection, FeedOptions, Orientation, Trajectory, obstacles};
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::reference::{self, Interpolation, ReferencePoint};
@@ -52,6 +52,7 @@ pub(crate) struct Demands {
     end_m: [f64; 3],
     stroke_max_m: f64,
     safe_distance_m: f64,
+    has_orientation: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,6 +64,27 @@ struct Motion {
     bend_rad: f64,
     stroke_m: f64,
     clearance_m: f64,
+}
+
+/// The positions of a trajectory, with any orientation.
+struct PositionsOf<'a>(&'a dyn Trajectory);
+
+impl Trajectory for PositionsOf<'_> {
+    fn name(&self) -> &str {
+        self.0.name()
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.0.duration_s()
+    }
+
+    fn position_m(&self, time_s: f64) -> [f64; 3] {
+        self.0.position_m(time_s)
+    }
+
+    fn knots_s(&self) -> Option<&[f64]> {
+        self.0.knots_s()
+    }
 }
 
 /// The record of this cycle; a status may be 0.1 s old.
@@ -90,8 +112,27 @@ pub(crate) fn compute(
     options: &FeedOptions,
 ) -> anyhow::Result<Demands> {
     let record = newest(connection)?;
-    let (robot, here) = robot_and_pose(&record)?;
     let settings = settings_of(&record.settings)?;
+    simulate(&record, settings, trajectory, options)
+}
+
+/// As [`compute`], with any orientation.
+pub(crate) fn compute_positions(
+    connection: &Connection,
+    trajectory: &dyn Trajectory,
+    options: &FeedOptions,
+) -> anyhow::Result<Demands> {
+    compute(connection, &PositionsOf(trajectory), options)
+}
+
+/// Simulates `trajectory` from the state in `record`.
+fn simulate(
+    record: &Telemetry,
+    settings: NmpcSettings,
+    trajectory: &dyn Trajectory,
+    options: &FeedOptions,
+) -> anyhow::Result<Demands> {
+    let (robot, here) = robot_and_pose(record)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();
     if cycles > CYCLES_MAX as f64 {
@@ -104,7 +145,7 @@ pub(crate) fn compute(
     let points = points(trajectory, options, robot.reach_m())?;
     let offset_m: Vector3<f64> = record.tip_offset_m.map(|m| -m).into();
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
-    let known: Vec<Obstacle> = obstacles(&record).iter().filter_map(obstacle_of).collect();
+    let known: Vec<Obstacle> = obstacles(record).iter().filter_map(obstacle_of).collect();
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
     // A position command ends with its period.
     let valid_ns = if record.command.interface == Interface::Position.code() {
@@ -123,6 +164,7 @@ pub(crate) fn compute(
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
+    demands.has_orientation = trajectory.orientation(0.0) != Orientation::Free;
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < STALL_CYCLES && way.time_s() < MOVE_MAX_S {
         demands.before.step(&mut way, &mut nmpc, period_s);
@@ -244,6 +286,7 @@ impl Demands {
             end_m: [0.0; 3],
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
+            has_orientation: false,
         }
     }
 
@@ -270,16 +313,27 @@ impl Demands {
     }
 
     /// Fails when a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
-    pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
-        if self.error_max_m > allowed_m {
-            let (time_s, point_m) = self.farthest;
+    /// `without_orientation` simulates the positions alone.
+    pub(crate) fn check(
+        &self,
+        allowed_m: f64,
+        without_orientation: impl FnOnce() -> anyhow::Result<Self>,
+    ) -> anyhow::Result<()> {
+        if self.error_max_m <= allowed_m {
+            return Ok(());
+        }
+        let (time_s, point_m) = self.farthest;
+        let missed = format!("at {time_s:.2} s {}", away(self.error_max_m, point_m));
+        if self.has_orientation && without_orientation()?.error_max_m <= allowed_m {
             bail!(
-                "too fast, or obstructed: at {time_s:.2} s {}, though the robot's bends allow every point: \
-                 use a lower --speed, or remove obstacles; nothing moved",
-                away(self.error_max_m, point_m)
+                "position and orientation cannot both be reached: {missed}, though without an orientation it reaches every \
+                 point: drop the orientation, or lower controller.orientation_weight; nothing moved"
             );
         }
-        Ok(())
+        bail!(
+            "too fast, or obstructed: {missed}, though the robot's bends allow every point: use a lower --speed, or \
+             remove obstacles; nothing moved"
+        );
     }
 
     /// Fails when the end is missed by more than `allowed_m`.
@@ -355,26 +409,4 @@ impl fmt::Display for Demands {
 }
 
 #[cfg(test)]
-mod tests {
-    use cdcr_controller::robot::RobotParameters;
-
-    use super::*;
-
-    #[test]
-    fn an_obstacle_in_the_way_is_named() {
-        let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
-        let settings = NmpcSettings {
-            safe_distance_m: 0.03,
-            ..NmpcSettings::default()
-        };
-        let mut demands = Demands::new(&robot, &settings, 0.1);
-        demands.note_error(0.0, [0.0; 3], 0.0989);
-        let text = |demands: &Demands| demands.check_end(1e-3).unwrap_err().to_string();
-        assert!(!text(&demands).contains("obstacle"));
-        demands.along.clearance_m = 0.2;
-        assert!(!text(&demands).contains("obstacle"));
-        demands.before.clearance_m = 0.0302;
-        let text = text(&demands);
-        assert!(text.contains("obstacle at 30.2 mm"), "{text}");
-    }
-}
+mod tests;

@@ -51,7 +51,8 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         let demands = dry_run::compute(&connection, &*trajectory, &feed)?;
         demands.print(trajectory.name())?;
         reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
-        demands.check(allowed_m)?;
+        let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);
+        demands.check(allowed_m, positions)?;
         return Ok(Done::Good);
     }
     reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;

@@ -1,0 +1,92 @@
+use std::path::Path;
+
+use cdcr_client::FileTrajectory;
+use cdcr_controller::robot::RobotParameters;
+use cdcr_shared_types::RobotDescription;
+
+use super::*;
+
+/// A record of the paper's robot with two sections, straight and at rest.
+fn two_sections() -> Telemetry {
+    let mut robot = RobotDescription {
+        sections: 2,
+        cable_speed_max_m_s: 1.0,
+        cable_stroke_max_m: 0.2,
+        ..RobotDescription::default()
+    };
+    for section in &mut robot.section[..2] {
+        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
+        (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
+        section.body_radius_m = 0.01;
+    }
+    Telemetry {
+        period_ns: 5_000_000,
+        acceleration_rad_s2: 50.0,
+        deceleration_rad_s2: 50.0,
+        robot,
+        ..Telemetry::default()
+    }
+}
+
+fn reference(rows: &str) -> FileTrajectory {
+    FileTrajectory::parse(Path::new("r.csv"), rows).unwrap()
+}
+
+#[test]
+fn an_orientation_that_the_robot_cannot_hold_is_not_called_too_fast() {
+    // Both sections bend to one side: its tip is not upright there.
+    let rows = "t_s,x_m,y_m,z_m,qx,qy,qz,qw\n0,0.3,0,0.45,0,0,0,1\n2,0.3,0.05,0.45,0,0,0,1\n";
+    let file = reference(rows);
+    let (record, options) = (two_sections(), FeedOptions::default());
+    let simulated = |trajectory: &dyn Trajectory, settings| {
+        simulate(&record, settings, trajectory, &options).unwrap()
+    };
+    let default = NmpcSettings::default();
+    let demands = simulated(&file, default);
+    let positions = simulated(&PositionsOf(&file), default);
+    assert!(positions.error_max_m < 1e-3, "{positions}");
+    let error = |free: &Demands| {
+        demands
+            .check(1e-3, || Ok(free.clone()))
+            .unwrap_err()
+            .to_string()
+    };
+    let text = error(&positions);
+    assert!(
+        text.starts_with("position and orientation cannot both be reached: at "),
+        "{text}"
+    );
+    assert!(
+        text.contains("lower controller.orientation_weight"),
+        "{text}"
+    );
+    // Where the positions alone are missed, too, the orientation is not the cause.
+    assert!(error(&demands).starts_with("too fast, or obstructed: at "));
+    let lower = NmpcSettings {
+        orientation_weight: 1e-6,
+        ..default
+    };
+    let lower = simulated(&file, lower);
+    assert!(
+        lower.check(1e-3, || Ok(positions.clone())).is_ok(),
+        "{lower}"
+    );
+}
+
+#[test]
+fn an_obstacle_in_the_way_is_named() {
+    let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+    let settings = NmpcSettings {
+        safe_distance_m: 0.03,
+        ..NmpcSettings::default()
+    };
+    let mut demands = Demands::new(&robot, &settings, 0.1);
+    demands.note_error(0.0, [0.0; 3], 0.0989);
+    let text = |demands: &Demands| demands.check_end(1e-3).unwrap_err().to_string();
+    assert!(!text(&demands).contains("obstacle"));
+    demands.along.clearance_m = 0.2;
+    assert!(!text(&demands).contains("obstacle"));
+    demands.before.clearance_m = 0.0302;
+    let text = text(&demands);
+    assert!(text.contains("obstacle at 30.2 mm"), "{text}");
+}
