@@ -102,6 +102,9 @@ impl FileTrajectory {
         let header = reader
             .headers()
             .map_err(|error| csv_problem(text, &error))?;
+        if header.is_empty() {
+            return Err((None, Problem::Empty));
+        }
         let columns = Columns::find(header).map_err(at(1))?;
         check_end(text, header)?;
         let mut trajectory = Self {
@@ -362,7 +365,8 @@ mod tests {
     fn what_is_wrong_is_named_with_its_line() {
         let header = "t_s,x_m,y_m,z_m\n";
         for (text, start) in [
-            ("", "ref.csv:1: column t_s is missing"),
+            ("", "ref.csv is empty"),
+            ("\n# remark\n", "ref.csv is empty"),
             ("t_s,x_m,z_m\n0,0,0\n", "ref.csv:1: column y_m is missing"),
             (
                 "t_s,x_m,y_m,z_m,qx\n0,0,0,0,0\n",

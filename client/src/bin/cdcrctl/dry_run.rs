@@ -33,6 +33,8 @@ const STALL_CYCLES: u32 = 100;
 const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
+/// A file with rows farther apart than this may have times in milliseconds \[s\].
+const FAR_APART_S: f64 = 1.0;
 
 /// Demands of a reference on the robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -135,13 +137,7 @@ fn simulate(
     let (robot, here) = robot_and_pose(record)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();
-    if cycles > CYCLES_MAX as f64 {
-        bail!(
-            "the motion takes {:.0} s, more than {:.0} s: use a higher speed",
-            trajectory.duration_s(),
-            CYCLES_MAX as f64 * period_s
-        );
-    }
+    check_duration(trajectory, CYCLES_MAX as f64 * period_s)?;
     let points = points(trajectory, options, robot.reach_m())?;
     let offset_m: Vector3<f64> = record.tip_offset_m.map(|m| -m).into();
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
@@ -194,6 +190,23 @@ fn simulate(
         bar.show_share(cycle as f64 / cycles);
     }
     Ok(demands)
+}
+
+/// Fails when the motion is too long to be simulated: probably its times are in milliseconds if its rows are far apart.
+fn check_duration(trajectory: &dyn Trajectory, longest_s: f64) -> anyhow::Result<()> {
+    let duration_s = trajectory.duration_s();
+    if duration_s <= longest_s {
+        return Ok(());
+    }
+    let steps = trajectory.knots_s().map_or(0, |knots_s| knots_s.len() - 1);
+    let step_s = duration_s / steps as f64;
+    if steps > 0 && step_s >= FAR_APART_S {
+        bail!(
+            "the motion takes {duration_s:.0} s, more than {longest_s:.0} s, with rows {step_s:.1} s apart: are these \
+             milliseconds?\nt_s is in s: 150 ms are 0.15"
+        );
+    }
+    bail!("the motion takes {duration_s:.0} s, more than {longest_s:.0} s: use a higher speed");
 }
 
 /// The points as they would be sent, on a clock that starts with the trajectory.

@@ -74,6 +74,30 @@ fn an_orientation_that_the_robot_cannot_hold_is_not_called_too_fast() {
 }
 
 #[test]
+fn rows_seconds_apart_are_asked_about() {
+    let error = |rows: &str| {
+        check_duration(&reference(rows), 1000.0)
+            .unwrap_err()
+            .to_string()
+    };
+    let text = error("t_s,x_m,y_m,z_m\n0,0,0,0.5\n2000,0,0,0.5\n4000,0,0,0.5\n");
+    assert!(
+        text.contains("rows 2000.0 s apart: are these milliseconds?"),
+        "{text}"
+    );
+    let mut slow = "t_s,x_m,y_m,z_m\n".to_owned();
+    for half_s in 0..=4000 {
+        slow += &format!("{},0,0,0.5\n", 0.5 * f64::from(half_s));
+    }
+    let text = error(&slow);
+    assert!(
+        text.ends_with("2000 s, more than 1000 s: use a higher speed"),
+        "{text}"
+    );
+    assert!(check_duration(&reference(&slow), 2000.0).is_ok());
+}
+
+#[test]
 fn an_obstacle_in_the_way_is_named() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let settings = NmpcSettings {
