@@ -45,15 +45,15 @@ pub(crate) enum ObstacleAction {
     /// `{"time_s": 1.5, "id": 1, "start_m": [0.3, 0, 0.5], "radius_m": 0.02}` adds or moves an obstacle 1.5 s after the
     /// beginning; `end_m` makes it a capsule; `velocity_m_s` and `lifetime_ns` are as obstacle list prints them, and
     /// `{"time_s": 4, "remove": [1]}` removes obstacles. Without `time_s`: at the beginning. Times must not decrease. The whole
-    /// file is checked before anything is sent.
+    /// file is checked before anything is sent, also that it has at most 64 obstacles at one time.
     #[command(after_help = "Example:\n  cdcrctl obstacle file configs/scene.json")]
     File(ObstacleFile),
     /// Read obstacles from the standard input, one JSON object per line, and send each at once
     ///
     /// Each line is as in a file. `measured_ns` is the time of the measurement in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python),
-    /// by default the arrival of the line; one that moves is refused when it is older than a second. `time_s` is ignored. Each line
-    /// is one update, and the daemon takes at most 8 updates a period: many obstacles that move often need a program that sends them
-    /// together, up to 64 in one update. An invalid line ends the command with an error; obstacles sent before it stay.
+    /// by default the arrival of the line; one that moves is refused when it is older than a second. `time_s` is ignored. Lines that wait
+    /// while the daemon decides are sent together, up to 64 obstacles in one update, which it takes or refuses as a whole. An invalid or
+    /// refused line ends the command with an error; obstacles sent before it stay.
     #[command(after_help = "Example:\n  camera.py | cdcrctl obstacle stdin\n  \
         echo '{\"id\": 1, \"start_m\": [0.3, 0, 0.5], \"radius_m\": 0.02}' | cdcrctl obstacle stdin")]
     Stdin(ObstacleStdin),

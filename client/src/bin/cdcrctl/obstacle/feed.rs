@@ -45,6 +45,7 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
     if changes.is_empty() {
         bail!("{name} contains no obstacle");
     }
+    scene::check_count(&changes).map_err(|cause| anyhow!("{name}: {cause}"))?;
     let status = connection.status(TIMEOUT)?;
     for change in &changes {
         if let What::Upsert(obstacle) = &change.what {
@@ -68,12 +69,12 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
         for change in &mut now {
             change.stamp(monotonic_ns());
         }
-        feed.send(&now)?;
+        feed.send(&now).with_context(|| name.to_string())?;
     }
     feed.end(Done::Good)
 }
 
-/// `cdcrctl obstacle stdin`: sends each line as it arrives, queued lines together.
+/// `cdcrctl obstacle stdin`: sends each line as it arrives, waiting lines together.
 pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> {
     let status = connection.status(TIMEOUT)?;
     let interrupt = Interrupt::catch()?;
@@ -109,12 +110,32 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
                 }
             }
         }
-        feed.send(&together)?;
+        feed.send(&together).context("standard input")?;
         if let Some(cause) = bad {
-            let sent = counted(feed.changes, "change");
-            bail!("standard input: {cause}\nearlier lines remain in effect: {sent}");
+            bail!("standard input: {cause}\n{}", in_effect(feed.changes));
         }
     }
+}
+
+/// The error of an update that the daemon did not accept, after `before` changes. It takes or refuses an update as a whole.
+fn refused(sent: &[Change], cause: &anyhow::Error, before: usize) -> anyhow::Error {
+    let lines = match sent {
+        [one] => format!("line {}", one.number),
+        [first, .., last] => format!(
+            "lines {} to {}, sent as one update",
+            first.number, last.number
+        ),
+        [] => "no line".to_owned(),
+    };
+    anyhow!("{lines}: {cause:#}\n{}", in_effect(before))
+}
+
+/// What a feed that ends with an error leaves to the daemon.
+fn in_effect(changes: usize) -> String {
+    format!(
+        "earlier lines remain in effect: {}",
+        counted(changes, "change")
+    )
 }
 
 /// Reads lines in a thread, so that an interrupt or the end of the daemon is noticed meanwhile.
@@ -183,15 +204,8 @@ impl Feed {
     }
 
     fn note(&mut self, header: &Header, sent: &[Change]) -> anyhow::Result<()> {
-        let lines = || match sent {
-            [one] => format!("line {}", one.number),
-            _ => format!(
-                "lines {} to {}",
-                sent[0].number,
-                sent[sent.len() - 1].number
-            ),
-        };
-        self.known = Some(accepted(&mut self.telemetry, header).with_context(lines)?);
+        let known = accepted(&mut self.telemetry, header);
+        self.known = Some(known.map_err(|cause| refused(sent, &cause, self.changes))?);
         self.changes += sent.len();
         Ok(())
     }
@@ -213,5 +227,25 @@ impl Feed {
             known.unwrap_or_default()
         )?;
         Ok(done)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lines_of_a_refused_update_are_named_and_what_remains() {
+        let line = |number| Change {
+            number,
+            time_s: 0.0,
+            what: What::Remove(vec![]),
+        };
+        let lines: Vec<_> = (2..=65).map(line).collect();
+        let error = |sent: &[Change]| refused(sent, &anyhow!("it is full"), 1).to_string();
+        let of_all = "lines 2 to 65, sent as one update: it is full\nearlier lines remain in effect: 1 change";
+        assert_eq!(error(&lines), of_all);
+        let of_one = "line 2: it is full\nearlier lines remain in effect: 1 change";
+        assert_eq!(error(&lines[..1]), of_one);
     }
 }

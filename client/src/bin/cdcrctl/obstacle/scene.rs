@@ -1,8 +1,11 @@
 //! Obstacles as JSON: the output of `obstacle list --format json` and the input of `obstacle file` and
 //! `obstacle stdin`.
 
+use std::collections::BTreeMap;
+
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::ObstacleShape;
+use cdcr_shared_types::limits::OBSTACLES_MAX;
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -89,6 +92,36 @@ pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
         )),
         _ => Ok(changes),
     }
+}
+
+/// Fails when the scene has more obstacles at one time than the daemon knows.
+pub(super) fn check_count(changes: &[Change]) -> Result<(), String> {
+    // Each with the time at which it expires.
+    let mut present = BTreeMap::new();
+    let (mut most, mut first) = (0, None);
+    for change in changes {
+        present.retain(|_, until_s| change.time_s < *until_s);
+        match &change.what {
+            What::Upsert(obstacle) => {
+                let until_s = match obstacle.lifetime_ns {
+                    0 => f64::INFINITY,
+                    ns => change.time_s + ns as f64 * 1e-9,
+                };
+                present.insert(obstacle.id, until_s);
+            }
+            What::Remove(ids) => present.retain(|id, _| !ids.contains(id)),
+        }
+        most = most.max(present.len());
+        if present.len() > OBSTACLES_MAX {
+            first.get_or_insert(change.number);
+        }
+    }
+    first.map_or(Ok(()), |line| {
+        Err(format!(
+            "it has {most} obstacles at one time, and a daemon knows at most {OBSTACLES_MAX}: line {line} has one too many; \
+             nothing was sent"
+        ))
+    })
 }
 
 /// Parses one line; `None` if it is empty.
@@ -235,6 +268,31 @@ mod tests {
             }
         });
         assert_eq!(shapes.collect::<Vec<_>>(), ["sphere", "capsule"]);
+    }
+
+    #[test]
+    fn more_obstacles_than_the_daemon_knows_are_refused_with_their_number() {
+        let scene = |count: usize, more: &str| {
+            let line =
+                |id| format!("{{\"id\": {id}, \"start_m\": [0, 0, 1], \"radius_m\": 0.1{more}}}\n");
+            (0..count).map(line).collect::<String>()
+        };
+        let checked = |text: &str| check_count(&parse(text).expect("legal"));
+        assert_eq!(checked(&scene(64, "")), Ok(()));
+        let error = checked(&scene(1000, "")).expect_err("too many");
+        let start = "it has 1000 obstacles at one time, and a daemon knows at most 64: line 65 ";
+        assert!(error.starts_with(start), "{error}");
+        let last = |line: &str| checked(&format!("{}{line}\n", scene(64, "")));
+        let one_more = "\"start_m\": [0, 0, 1], \"radius_m\": 0.1}";
+        assert!(last(&format!("{{\"id\": 64, {one_more}")).is_err());
+        assert!(last(&format!("{{\"id\": 63, {one_more}")).is_ok(), "moved");
+        let removed = format!("{{\"remove\": [7]}}\n{{\"id\": 64, {one_more}");
+        assert!(last(&removed).is_ok());
+        let short = scene(64, ", \"lifetime_ns\": 500000000");
+        for (time_s, is_good) in [(0.4, false), (0.5, true)] {
+            let later = format!("{short}{{\"time_s\": {time_s}, \"id\": 64, {one_more}\n");
+            assert_eq!(checked(&later).is_ok(), is_good, "{time_s}");
+        }
     }
 
     #[test]
