@@ -112,7 +112,7 @@ pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
     let scheduling = &record.scheduling;
     let whole = |count: u32| or_dash(scheduling.known != 0, count.to_string());
     format!(
-        "{:>13.1}{:>11}{:>9.1}{:>12.1}{:>13.1}{:>11}{:>8}{:>10}{:>8.1}{:>10}  {} ({})",
+        "{:>13.1} {:>10} {:>8.1} {:>11.1} {:>12.1} {:>10} {:>7} {:>9} {:>7.1} {:>9}  {} ({})",
         us(now_ns, record.due_ns) * 1e-6,
         record.cycle,
         us(record.start_ns, record.due_ns),
@@ -327,6 +327,16 @@ mod tests {
             width_of(&line, "  20  ")
         );
         bad.telemetry.scheduling.known = 1;
+        // A machine that was suspended.
+        let late = Telemetry {
+            start_ns: 18_892_013_601_900,
+            ..bad.telemetry
+        };
+        let line = incident(&Incident {
+            telemetry: late,
+            ..bad
+        });
+        assert!(line.contains(" 4711 18892003601.9 "), "{line}");
         bad.telemetry.scheduling.page_faults = 9;
         bad.steal_window_ns = 0;
         let line = incident(&bad);
