@@ -100,6 +100,9 @@ impl Layers {
         if let Some(place) = each.find(|place| keys::get(&place.declared).is_none()) {
             return Err(ConfigError::unknown(&place.key, origin(place.offset)));
         }
+        if let Some(place) = places.iter().find(|place| place.is_table_for_list) {
+            return Err(origin(place.offset).error(&place.key, &list_remedy(&place.key)));
+        }
         // The innermost key that contains the value.
         let mistyped = |cause: toml::de::Error| {
             let offset = cause.span().map_or(0, |span| span.start);
@@ -158,6 +161,8 @@ struct Place {
     key: String,
     /// Byte offset in the text.
     offset: usize,
+    /// A table was written where the key is a list.
+    is_table_for_list: bool,
 }
 
 /// All places in a text, in its order.
@@ -174,11 +179,28 @@ fn below_table(table: &DeTable, declared: &str, key: &str, places: &mut Vec<Plac
         let declared = format!("{declared}{dot}{}", name.get_ref());
         let key = format!("{key}{dot}{}", name.get_ref());
         below_value(value.get_ref(), &declared, &key, places);
+        let is_table = matches!(value.get_ref(), DeValue::Table(_));
         places.push(Place {
+            is_table_for_list: is_table && is_list(&declared),
             declared,
             key,
             offset: name.span().start,
         });
+    }
+}
+
+fn is_list(key: &str) -> bool {
+    let default = keys::get(key).and_then(|known| known.default.as_ref());
+    default.is_some_and(Value::is_array)
+}
+
+/// How to write a list.
+fn list_remedy(key: &str) -> String {
+    let name = key.rsplit('.').next().unwrap_or(key);
+    if keys::below(key).is_empty() {
+        format!("is a list: write {name} = [ … ]")
+    } else {
+        format!("is a list: write [[{key}]], or {name} = [{{ … }}, {{ … }}]")
     }
 }
 
@@ -195,6 +217,7 @@ fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<Plac
                     declared: declared.to_owned(),
                     key,
                     offset: element.span().start,
+                    is_table_for_list: false,
                 });
             }
         }
