@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use cdcr_controller::robot::SectionParameters;
+use cdcr_shared_types::Location;
 use clap::{Args, Subcommand, ValueHint};
 use serde::Serialize;
 
@@ -13,6 +14,7 @@ use super::preset::Preset;
 use crate::config::{
     ConfigError, DEFAULT_TEXT, Layers, Origin, SCHEMA_TEXT, Settings, Validated, explain,
 };
+use crate::instance::{InstanceError, is_in_memory};
 use crate::warnings::warnings;
 
 #[allow(
@@ -173,9 +175,23 @@ pub(super) fn check(source: &Source) -> Result<()> {
         lines.push(format!("  {key} = {}  ({origin})", shortened(&value)));
     }
     let warnings = warnings(&validated.config).into_iter();
+    let warnings = warnings.chain(root_warning(&validated.location));
     lines.extend(warnings.map(|warning| format!("warning: {warning}")));
     lines.push(String::new());
     say(&lines.join("\n"))
+}
+
+/// The refusal with which a daemon would end here, because its root folder is on a disk. Nothing is created: a missing folder
+/// would be where the nearest existing one above it is.
+fn root_warning(location: &Location) -> Option<String> {
+    let root = location.root();
+    let there = root.ancestors().find(|folder| folder.exists())?;
+    let is_on_disk = is_in_memory(there).is_ok_and(|is_in_memory| !is_in_memory);
+    is_on_disk.then(|| {
+        let root = root.display().to_string();
+        let refusal = InstanceError::RootOnDisk { root };
+        format!("`cdcrd run` would be refused here: {refusal}")
+    })
 }
 
 /// Prints a text. A closed pipe (`cdcrd config default | head`) is not an error.
@@ -232,4 +248,37 @@ fn summary(validated: &Validated) -> Vec<String> {
 fn as_written(choice: &impl Serialize) -> String {
     let value = serde_json::to_value(choice).unwrap_or_default();
     value.as_str().unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use cdcr_scratch::Scratch;
+
+    use super::*;
+
+    fn warning(root: &Path) -> Option<String> {
+        root_warning(&Location::new("cdcrtest_check_", root).unwrap())
+    }
+
+    #[test]
+    fn a_root_folder_on_a_disk_is_warned_of_and_not_created() {
+        let memory = Scratch::in_memory().unwrap();
+        assert_eq!(warning(&memory.path().join("a/root")), None);
+        // A file system that is no tmpfs, on every Linux.
+        let root = Path::new("/proc/cdcr/root");
+        let text = warning(root).unwrap();
+        assert!(
+            text.contains("the root folder /proc/cdcr/root is on a disk"),
+            "{text}"
+        );
+        assert!(text.contains("(tmpfs) with --root"), "{text}");
+        let disk = Scratch::temporary().unwrap();
+        if !is_in_memory(disk.path()).unwrap() {
+            let root = disk.path().join("a/root");
+            assert!(warning(&root).is_some());
+            assert!(!disk.path().join("a").exists());
+        }
+    }
 }
