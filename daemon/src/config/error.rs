@@ -91,11 +91,30 @@ fn remedy(nearest: Option<&str>) -> String {
 /// The parser's message about a syntax error, with the line itself unless it is too long.
 pub(super) fn syntax(text: &str, error: &toml::de::Error) -> String {
     let shown = for_people(&error.to_string());
+    let offset = error.span().map_or(0, |span| span.start);
+    let hint = decimal_point(is_decimal_comma(text, offset));
     if shown.lines().all(|line| line.chars().count() <= QUOTED_MAX) {
-        return shown;
+        return shown + hint;
     }
-    let line = line_at(text, error.span().map_or(0, |span| span.start));
-    format!("line {line}: {}", short(&for_people(error.message())))
+    let line = line_at(text, offset);
+    let message = for_people(error.message());
+    format!("line {line}: {}{hint}", short(&message))
+}
+
+/// What an error adds if a number has a comma.
+pub(super) fn decimal_point(is_comma: bool) -> &'static str {
+    if is_comma {
+        "; numbers have a decimal point: 0.25, not 0,25"
+    } else {
+        ""
+    }
+}
+
+/// The byte at `offset` is a comma between two digits.
+fn is_decimal_comma(text: &str, offset: usize) -> bool {
+    let bytes = text.as_bytes();
+    let is_digit = |at: usize| bytes.get(at).is_some_and(u8::is_ascii_digit);
+    bytes.get(offset) == Some(&b',') && offset > 0 && is_digit(offset - 1) && is_digit(offset + 1)
 }
 
 /// The parser's message without Rust type names.

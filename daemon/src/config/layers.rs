@@ -7,7 +7,7 @@ use std::str::FromStr;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::error::{for_people, syntax};
+use super::error::{decimal_point, for_people, syntax};
 use super::{Config, ConfigError, Origin, Origins, Settings, keys};
 
 /// Largest configuration \[bytes\]: a hundred times one with every key.
@@ -146,7 +146,13 @@ fn read(path: &Path) -> io::Result<String> {
     }
     let mut text = String::new();
     let file = File::open(path)?;
-    file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text)?;
+    let read = file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text);
+    read.map_err(|cause| match cause.kind() {
+        io::ErrorKind::InvalidData => {
+            io::Error::other("it is not UTF-8 text: save it with this encoding")
+        }
+        _ => cause,
+    })?;
     if text.len() as u64 > FILE_BYTES_MAX {
         return Err(io::Error::other("it is larger than 1 MiB"));
     }
@@ -257,6 +263,9 @@ fn value_of(text: &str, default: &Value) -> Result<Value, String> {
     if default.is_str() && !is_quoted && !is_number {
         return Ok(text.into());
     }
-    Value::from_str(text.trim())
-        .map_err(|_| format!("invalid TOML value {text:?}: expected a value like {default}"))
+    Value::from_str(text.trim()).map_err(|_| {
+        let with_point = text.trim().replacen(',', ".", 1);
+        let hint = decimal_point(with_point.parse::<f64>().is_ok());
+        format!("invalid TOML value {text:?}: expected a value like {default}{hint}")
+    })
 }

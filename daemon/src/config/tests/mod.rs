@@ -149,9 +149,24 @@ fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
 }
 
 #[test]
+fn a_decimal_comma_is_told_what_to_write() {
+    let told = "numbers have a decimal point: 0.25, not 0,25";
+    let [plain, long] = ["", " # é"].map(|end| {
+        let comment = end.repeat(100);
+        error_of(&format!("[controller]\nposition_weight = 0,25{comment}"))
+    });
+    assert!(plain.contains("line 2") && plain.ends_with(told), "{plain}");
+    assert!(long.contains("line 2: ") && long.ends_with(told), "{long}");
+    let other = error_of("[controller]\nposition_weight = 0 25");
+    assert!(!other.contains(told), "{other}");
+}
+
+#[test]
 fn what_is_no_file_or_too_large_a_one_is_refused_at_once() {
     let folder = Scratch::temporary().unwrap();
-    let [large, pipe, missing] = ["large", "pipe", "missing"].map(|name| folder.path().join(name));
+    let [large, pipe, missing, latin] =
+        ["large", "pipe", "missing", "latin"].map(|name| folder.path().join(name));
+    std::fs::write(&latin, b"# \xe4\n").unwrap();
     std::fs::write(&large, " ".repeat((1 << 20) + 1)).unwrap();
     mkfifoat(CWD, &pipe, Mode::from_raw_mode(0o600)).unwrap();
     for (path, words) in [
@@ -160,6 +175,7 @@ fn what_is_no_file_or_too_large_a_one_is_refused_at_once() {
         (&pipe, "it is not a file"),
         (&large, "it is larger than 1 MiB"),
         (&missing, "missing` creates one"),
+        (&latin, "it is not UTF-8 text: save it with this encoding"),
     ] {
         let message = Config::load(path).expect_err("refused").to_string();
         assert!(message.ends_with(words), "{message}");
