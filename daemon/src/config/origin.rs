@@ -72,15 +72,24 @@ impl Origins {
 
     /// An error at the first of `keys` that was set, or else at the first.
     pub(super) fn error(&self, keys: &[&str], message: &str) -> ConfigError {
-        let is_set = |key: &&&str| self.of(key) != Origin::Default;
-        match (keys.iter().find(is_set), &self.file) {
-            (Some(key), _) => self.of(key).error(key, message),
-            (None, None) => Origin::Default.error(keys[0], message),
-            (None, Some(file)) => {
-                let (file, line) = (file.clone(), None);
-                Origin::File { file, line }.error(keys[0], message)
-            }
-        }
+        let set = keys.iter().find(|key| self.of(key) != Origin::Default);
+        self.place(keys).error(set.unwrap_or(&keys[0]), message)
+    }
+
+    /// An error of the first of `keys`, at the place of the first that was set.
+    pub(super) fn error_of_first(&self, keys: &[&str], message: &str) -> ConfigError {
+        self.place(keys).error(keys[0], message)
+    }
+
+    /// The place of the first of `keys` that was set, or else of the file.
+    fn place(&self, keys: &[&str]) -> Origin {
+        let mut set = keys.iter().map(|key| self.of(key));
+        let whole = self.file.as_ref().map_or(Origin::Default, |file| {
+            let (file, line) = (file.clone(), None);
+            Origin::File { file, line }
+        });
+        set.find(|origin| *origin != Origin::Default)
+            .unwrap_or(whole)
     }
 }
 

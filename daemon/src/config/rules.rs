@@ -95,7 +95,7 @@ fn check_times(
         let message = format!(
             "{name} = {value} is out of range: with cycle.period_ms = {period_ms}, allowed is {limit}"
         );
-        return Err(origins.error(&[key, "cycle.period_ms"], &message));
+        return Err(origins.error_of_first(&[key, "cycle.period_ms"], &message));
     }
     Ok(())
 }
