@@ -108,7 +108,8 @@ impl Layers {
             let offset = cause.span().map_or(0, |span| span.start);
             let inner = places.iter().rfind(|place| place.offset <= offset);
             let key = inner.map_or("the file", |place| &place.key);
-            origin(offset).error(key, &for_people(cause.message()))
+            let message = for_people(cause.message()) + simulated_remedy(key, cause.message());
+            origin(offset).error(key, &message)
         };
         toml::from_str::<Config>(text).map_err(mistyped)?;
         let values: Table = toml::from_str(text).map_err(mistyped)?;
@@ -228,6 +229,15 @@ fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<Plac
             }
         }
         _ => {}
+    }
+}
+
+/// What an unknown preset of the simulated robot may have been meant for.
+fn simulated_remedy(key: &str, message: &str) -> &'static str {
+    if key == "link.simulated" && message.starts_with("unknown variant") {
+        "; a real robot is link.kind = \"driver\""
+    } else {
+        ""
     }
 }
 
