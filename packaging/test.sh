@@ -104,7 +104,8 @@ if grep -qx '/usr/share/man/man8/cdcrd.8.gz' <<<"$files"; then
 else
   fail "the package has no manual page for cdcrd"
 fi
-for name in copyright THIRD-PARTY service.md examples/default.toml; do
+for name in copyright THIRD-PARTY README.md docs/service.md docs/images/driver-frames.svg configs/default.toml \
+  c/include/cdcr.h; do
   grep -qx "/usr/share/doc/cdcr/$name" <<<"$files" || fail "the package has no $name"
 done
 
