@@ -10,7 +10,7 @@ use cdcr_controller::nmpc::{
     Nmpc, NmpcSettings, SettingsError, SolveInput, SolveReport, SolverKind,
 };
 use cdcr_controller::optimizer::Budget;
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Robot, Shape};
 use nalgebra::Vector3;
 
@@ -58,7 +58,7 @@ impl Scene {
     pub fn begin(&self, settings: NmpcSettings) -> Result<ClosedLoop<'_>, SettingsError> {
         let reference_at = |time_s| ReferenceSample {
             orientation: orientation_of(self.curve.orientation(time_s)),
-            ..inside(self.curve.position_m(time_s).into())
+            ..ReferenceSample::at(self.curve.position_m(time_s).into())
         };
         closed_loop::ClosedLoop::new(
             &self.robot,
@@ -113,11 +113,7 @@ impl Sample {
 }
 
 pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
-    ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m,
-        orientation: Orientation::Free,
-    }
+    ReferenceSample::at(position_m)
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use super::{ClosedLoop, Driven};
 use crate::nmpc::{Nmpc, NmpcSettings, RateWeight, SettingsError};
 use crate::plant::Flaws;
-use crate::reference::{Orientation, ReferenceSample, ReferenceState};
+use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
 /// Default largest acceleration of a robot behind a driver (rad/s²).
@@ -89,7 +89,7 @@ impl FigureEight {
     /// A figure eight of 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
     pub fn reference(time_s: f64) -> ReferenceSample {
         let [x, y] = eight_point(time_s);
-        at(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
+        ReferenceSample::at(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
     }
 
     fn sample(&self, time_s: f64) -> ReferenceSample {
@@ -98,7 +98,7 @@ impl FigureEight {
             TipPath::ThroughStraight(bend_rad) => bend_rad,
             TipPath::Spiral { lower_m } => {
                 let tip_m = self.robot.tip_position(&spiral_shape(time_s));
-                return at(tip_m - lower_m * Vector3::z());
+                return ReferenceSample::at(tip_m - lower_m * Vector3::z());
             }
         };
         let mut bends = self.start;
@@ -106,7 +106,7 @@ impl FigureEight {
         for (i, bend) in bends.as_mut_slice().iter_mut().enumerate() {
             *bend = bend_rad * eight[i % 2];
         }
-        at(self.robot.tip_position(&bends))
+        ReferenceSample::at(self.robot.tip_position(&bends))
     }
 
     /// The figure eight of three sections.
@@ -230,11 +230,8 @@ impl FigureEight {
     pub fn rest(&self, driven: Driven) -> Result<FigureEightRest, FigureEightError> {
         let (robot, settings) = (&self.robot, self.settings(&driven.flaws));
         let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
-        let goal = ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0),
-            orientation: Orientation::Free,
-        };
+        let goal_m = robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0);
+        let goal = ReferenceSample::at(goal_m);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
         let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, &[], |_| goal)?
             .with_acceleration(ACCELERATION_RAD_S2)
@@ -266,14 +263,6 @@ fn spiral_shape(time_s: f64) -> Configuration {
 fn eight_point(time_s: f64) -> [f64; 2] {
     let turn = 0.46 * time_s;
     [turn.sin(), 0.5 * (2.0 * turn).sin()]
-}
-
-fn at(position_m: Vector3<f64>) -> ReferenceSample {
-    ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m,
-        orientation: Orientation::Free,
-    }
 }
 
 /// Excess of a command over the limits of rates, cable speeds and acceleration, as a share of the limit; 0 within all
