@@ -6,7 +6,6 @@ use anyhow::Result;
 
 use crate::dataset::Dataset;
 use crate::progress::Progress;
-use crate::subject::daemon::Launch;
 
 pub trait Benchmark: clap::Args + Send + 'static {
     /// Whether it measures a daemon with a configuration of the user.
@@ -47,13 +46,4 @@ pub fn defaults<A: clap::Args>() -> A {
     let command = A::augment_args(clap::Command::new("defaults"));
     let matches = command.get_matches_from(["defaults"]);
     A::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
-}
-
-/// The same daemon with another period \[ms\]. Gather lead and late-start limit keep their defaults unless
-/// the period is too short: the gather must fit between two cycles.
-pub(crate) fn with_period(launch: Launch, period_ms: f64) -> Launch {
-    launch
-        .with("cycle.period_ms", period_ms)
-        .with("cycle.gather_lead_ms", (0.35 * period_ms).min(0.2))
-        .with("cycle.late_start_ms", period_ms.min(1.0))
 }

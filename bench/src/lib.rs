@@ -38,6 +38,5 @@ pub mod robustness;
 pub mod run_options;
 pub mod solver;
 mod study;
-mod watcher;
 
 use cdcr_testbed::{interrupt, load, subject, system};

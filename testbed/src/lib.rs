@@ -2,9 +2,9 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`subject`] | daemon, bare loop and cyclictest as processes; an endless reference |
+//! | [`subject`] | daemon, bare loop and cyclictest as processes, iceoryx2 alone; clients and a service manager beside them |
 //! | [`load`] | load on the machine and on the daemon |
-//! | [`system`] | cores, threads, counts of the kernel |
+//! | [`system`] | cores, threads, counts of the kernel, the description of the machine |
 //! | [`interrupt`] | signals end a measurement in order |
 //!
 //! Invariant: nothing here knows a benchmark or a result format.

@@ -5,13 +5,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use cdcr_client::monotonic_ns;
-use cdcr_shared_types::codes::{LateCause, Mode, timing};
-use cdcr_shared_types::{Location, Telemetry};
+use cdcr_shared_types::Location;
+use cdcr_shared_types::codes::{LateCause, Mode};
 use serde_json::json;
 
 use super::tally::{COMMAND, Tally};
 use super::{DeadlineOptions, Setup, WARM_UP};
-use crate::benchmark::with_period;
 use crate::dataset::joined;
 use crate::interrupt;
 use crate::load::{Load, Running};
@@ -20,11 +19,11 @@ use crate::subject::baseline::Baseline;
 use crate::subject::cyclictest::Cyclictest;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
+use crate::subject::watcher::{Seen, Watcher};
 use crate::subject::{Cycle, TIMEOUT};
 use crate::system::cores::Cores;
 use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
-use crate::watcher::{Seen, Watcher, on_client_core};
 
 const CYCLE_PRIORITY: u8 = 80;
 /// Time by which the client wakes up before a release \[ns\], about the length of a late wake-up. At most a
@@ -118,7 +117,7 @@ impl<'a> Runner<'a> {
         let tally = match (subject, followed) {
             (_, Some(location)) => {
                 let observe = || self.observe(location, setup);
-                on_client_core(&self.cores, setup == Setup::Realtime, observe)
+                self.cores.on_client(setup == Setup::Realtime, observe)
             }
             (Subject::Cyclictest, _) => self.cyclictest(),
             _ => self.bare(setup),
@@ -216,7 +215,7 @@ fn launch(options: &DeadlineOptions) -> Launch {
         .with("link.kind", "simulated")
         .with("realtime.cycle_priority", CYCLE_PRIORITY);
     match options.period {
-        Some(period) => with_period(launch, period.as_secs_f64() * 1e3),
+        Some(period) => launch.with_period(period.as_secs_f64() * 1e3),
         None => launch,
     }
 }
@@ -231,25 +230,14 @@ struct Record {
 
 impl Record {
     fn of(seen: &Seen) -> Self {
-        let telemetry: &Telemetry = &seen.record;
-        let has = |flag: u32| telemetry.timing_flags & flag != 0;
-        let since_due_ns = |time_ns: u64| time_ns.saturating_sub(telemetry.due_ns);
-        let cause = LateCause::try_from(telemetry.scheduling.late_cause);
+        let record = &seen.record;
+        let received_ns = seen.received_ns;
         Self {
-            number: telemetry.cycle,
-            cycle: Cycle {
-                due_ns: telemetry.due_ns,
-                wake_ns: since_due_ns(telemetry.start_ns),
-                response_ns: since_due_ns(telemetry.handed_over_ns),
-                late_start: has(timing::LATE_START),
-                deadline_miss: has(timing::DEADLINE_MISS),
-                skipped_periods: telemetry.skipped_periods,
-                cause: cause.unwrap_or(LateCause::None),
-                run_delay_ns: telemetry.scheduling.run_delay_ns,
-            },
-            tracking: telemetry.mode == Mode::Tracking.code(),
-            budget_spent: telemetry.report.budget_spent != 0,
-            command_ns: seen.received_ns.map(since_due_ns),
+            number: record.cycle,
+            cycle: Cycle::of(record),
+            tracking: seen.is_in(Mode::Tracking),
+            budget_spent: record.report.budget_spent != 0,
+            command_ns: received_ns.map(|time_ns| time_ns.saturating_sub(record.due_ns)),
         }
     }
 }

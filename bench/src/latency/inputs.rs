@@ -12,7 +12,7 @@ use cdcr_shared_types::{Measurement, Obstacle, Telemetry};
 use super::leg::Round;
 use super::{early_ns, scene};
 use crate::metric::median;
-use crate::watcher::{Seen, Watcher};
+use crate::subject::watcher::{Seen, Watcher};
 
 /// Messages of each kind before the first one counts: ports map memory, caches fill.
 pub(super) const WARM_UP: usize = 10;

@@ -1,9 +1,8 @@
 //! Latency of messages into the daemon, through it and back to a client.
 //!
-//! `baseline` measures iceoryx2 alone between two threads; `inputs` the time from a message or request to
+//! `inputs` measures the time from a message or request to
 //! its effect; `stops` that from a stop to zero rates. `latency.toml` defines the stamps of each leg.
 
-mod baseline;
 mod inputs;
 mod leg;
 mod report;
@@ -23,9 +22,10 @@ use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
+use crate::subject::transport;
+use crate::subject::watcher::{Looks, Watcher};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use crate::watcher::{Looks, Watcher, on_client_core};
 use inputs::Source;
 use leg::Round;
 pub use leg::declared;
@@ -114,7 +114,9 @@ impl Benchmark for LatencyOptions {
             for (part, seconds) in PARTS.into_iter().zip(seconds(self)) {
                 progress.begin(&format!("round {number} of {}, {part}", self.rounds));
                 match part {
-                    BARE => baseline::measure(&bench.cores, self.bare(), &mut round)?,
+                    BARE => transport::measure(&bench.cores, self.bare(), |leg, latency_ns| {
+                        round.record(&format!("bare.{leg}"), latency_ns);
+                    })?,
                     link => bench.with_daemon(link, &mut round, &mut daemon)?,
                 }
                 progress.advance(seconds);
@@ -136,7 +138,7 @@ fn seconds(options: &LatencyOptions) -> [f64; 3] {
     let samples_s = (options.samples() + inputs::WARM_UP) as f64 * period.unwrap_or(PERIOD_S);
     let stops_s = STOP_S * options.stops() as f64;
     [
-        baseline::expected_s(options.bare()),
+        transport::expected_s(options.bare()),
         // References and obstacles share their periods; there are two kinds of requests.
         AROUND_S + (2.0 + 4.0) * samples_s + stops_s,
         AROUND_S + 2.0 * samples_s,
@@ -158,7 +160,7 @@ impl Bench<'_> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
         let location = daemon.location();
-        let worked = on_client_core(&self.cores, self.may_be_realtime, || {
+        let worked = self.cores.on_client(self.may_be_realtime, || {
             let mut watcher = Watcher::open(location, EARLY_NS)?;
             let lead_ns = inputs::learn_lead_ns(&mut watcher)?;
             match link {

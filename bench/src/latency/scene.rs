@@ -11,7 +11,7 @@ use cdcr_shared_types::{Header, ReferencePoint};
 use super::inputs::Source;
 use crate::interrupt;
 use crate::subject::TIMEOUT;
-use crate::watcher::Watcher;
+use crate::subject::watcher::Watcher;
 
 /// Time from sending to the begin of a reference \[ns\]; until then its first point applies.
 const BEGINS_NS: u64 = 500_000_000;

@@ -12,7 +12,7 @@ use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use super::inputs::Phases;
 use super::leg::{Passage, Round};
 use super::{early_ns, scene};
-use crate::watcher::{Seen, Watcher};
+use crate::subject::watcher::{Seen, Watcher};
 
 /// Deceleration of the rates: a stop from the largest rate of the default robot takes 20 cycles of 5 ms.
 pub(super) const DECELERATION_RAD_S2: f64 = 20.0;

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 pub use report::picture;
 
-use crate::benchmark::{Benchmark, with_period};
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::experiment::Solver;
 use crate::interrupt;
@@ -191,8 +191,9 @@ impl Stage {
     }
 
     fn launch(&self, case: &Case, period_ms: f64) -> Launch {
-        let launch = Launch::patient(None).placed(&self.cores, self.realtime);
-        let launch = with_period(launch, period_ms)
+        let launch = Launch::patient(None)
+            .placed(&self.cores, self.realtime)
+            .with_period(period_ms)
             .with("robot.sections", case.robot())
             .with("controller.solver", case.solver.name())
             .with("controller.horizon_steps", case.horizon_steps);

@@ -51,6 +51,15 @@ impl Launch {
         self
     }
 
+    /// Sets the period \[ms\]. Gather lead and late-start limit keep their defaults unless the period is too short:
+    /// the gather must fit between two cycles.
+    #[must_use]
+    pub fn with_period(self, period_ms: f64) -> Self {
+        self.with("cycle.period_ms", period_ms)
+            .with("cycle.gather_lead_ms", (0.35 * period_ms).min(0.2))
+            .with("cycle.late_start_ms", period_ms.min(1.0))
+    }
+
     /// Places the daemon on the real-time core of `cores`, or switches real time off.
     #[must_use]
     pub fn placed(self, cores: &Cores, realtime: bool) -> Self {

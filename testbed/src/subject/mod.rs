@@ -5,10 +5,13 @@ pub mod baseline;
 pub mod cyclictest;
 pub mod daemon;
 pub mod tracking;
+pub mod transport;
+pub mod watcher;
 
 use std::time::Duration;
 
-use cdcr_shared_types::codes::LateCause;
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{LateCause, timing};
 
 pub const ROBOT: &str = "bench";
 
@@ -31,4 +34,23 @@ pub struct Cycle {
     pub cause: LateCause,
     /// Time that the thread waited for the core since the cycle before \[ns\].
     pub run_delay_ns: u64,
+}
+
+impl Cycle {
+    /// The cycle of a daemon's record.
+    pub fn of(record: &Telemetry) -> Self {
+        let has = |flag: u32| record.timing_flags & flag != 0;
+        let since_due_ns = |time_ns: u64| time_ns.saturating_sub(record.due_ns);
+        let cause = LateCause::try_from(record.scheduling.late_cause);
+        Self {
+            due_ns: record.due_ns,
+            wake_ns: since_due_ns(record.start_ns),
+            response_ns: since_due_ns(record.handed_over_ns),
+            late_start: has(timing::LATE_START),
+            deadline_miss: has(timing::DEADLINE_MISS),
+            skipped_periods: record.skipped_periods,
+            cause: cause.unwrap_or(LateCause::None),
+            run_delay_ns: record.scheduling.run_delay_ns,
+        }
+    }
 }

@@ -1,7 +1,11 @@
 //! The measured core, and the cores of the load.
 
-use anyhow::{Context, Result};
+use std::thread;
+
+use anyhow::{Context, Result, anyhow};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+use super::thread::{CLIENT_PRIORITY, pin, set_fifo};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cores {
@@ -72,6 +76,23 @@ impl Cores {
         }
         result
     }
+
+    /// Runs `work` on a separate thread on the client's core; with `realtime`, before all ordinary tasks.
+    pub fn on_client<T: Send>(
+        &self,
+        realtime: bool,
+        work: impl FnOnce() -> Result<T> + Send,
+    ) -> Result<T> {
+        let work = || {
+            if realtime {
+                set_fifo(CLIENT_PRIORITY);
+            }
+            pin(self.client());
+            work()
+        };
+        let worked = thread::scope(|scope| scope.spawn(work).join());
+        worked.map_err(|_| anyhow!("the client panicked"))?
+    }
 }
 
 #[cfg(test)]
@@ -80,7 +101,7 @@ mod tests {
 
     #[test]
     fn the_real_time_core_is_left_alone_where_there_is_another() {
-        let cores = std::thread::spawn(|| {
+        let cores = thread::spawn(|| {
             let cores = Cores::find().expect("cores");
             cores.stay_off();
             let allowed = sched_getaffinity(None).expect("cores");

@@ -2,4 +2,5 @@
 
 pub mod cores;
 pub mod counts;
+pub mod machine;
 pub mod thread;

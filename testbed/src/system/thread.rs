@@ -10,7 +10,7 @@ use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// Priority of a thread that observes the daemon from another core. Below the daemon's, so that it never
 /// delays the daemon on a machine with one core.
-pub const WATCHER_PRIORITY: u8 = 60;
+pub const CLIENT_PRIORITY: u8 = 60;
 
 /// Pins the calling thread. Returns whether the system granted it.
 pub fn pin(core: usize) -> bool {

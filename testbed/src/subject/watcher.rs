@@ -7,18 +7,16 @@
 //! thread interferes.
 
 use std::collections::VecDeque;
-use std::thread;
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, ensure};
 use cdcr_client::{CommandStream, Connection, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
+use super::asker::{Answer, Asker};
+use super::{ROBOT, TIMEOUT};
 use crate::interrupt;
-use crate::subject::asker::{Answer, Asker};
-use crate::subject::{ROBOT, TIMEOUT};
-use crate::system::cores::Cores;
-use crate::system::thread::{WATCHER_PRIORITY, pin, set_fifo, sleep_until};
+use crate::system::thread::sleep_until;
 
 /// Time after the release during which it polls for an answer without a pause \[ns\]. Limited, because the
 /// kernel throttles a real-time thread that never sleeps.
@@ -31,38 +29,38 @@ const SILENCE_NS: u64 = 2_000_000_000;
 
 /// A cycle, and when its command was received; `None` if it was not.
 #[derive(Debug, Clone)]
-pub(crate) struct Seen {
-    pub(crate) record: Box<Telemetry>,
-    pub(crate) received_ns: Option<u64>,
+pub struct Seen {
+    pub record: Box<Telemetry>,
+    pub received_ns: Option<u64>,
 }
 
 impl Seen {
-    pub(crate) fn is_in(&self, mode: Mode) -> bool {
+    pub fn is_in(&self, mode: Mode) -> bool {
         self.record.mode == mode.code()
     }
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
-pub(crate) struct Looks {
+pub struct Looks {
     all: u64,
     /// Commands that were there before the first poll.
     late: u64,
 }
 
-pub(crate) struct Watcher {
-    pub(crate) connection: Connection,
-    pub(crate) status: Status,
+pub struct Watcher {
+    pub connection: Connection,
+    pub status: Status,
     /// Time by which it wakes up before each release \[ns\].
-    pub(crate) before_ns: u64,
-    pub(crate) looks: Looks,
+    pub before_ns: u64,
+    pub looks: Looks,
     /// Cycles that have not been taken yet.
-    pub(crate) seen: Vec<Seen>,
-    pub(crate) answers: Vec<Answer>,
-    pub(crate) newest: Option<Command>,
+    pub seen: Vec<Seen>,
+    pub answers: Vec<Answer>,
+    pub newest: Option<Command>,
     /// Client for requests, opened at the first one.
     asker: Option<Asker>,
     commands: CommandStream,
-    pub(crate) telemetry: TelemetryStream,
+    pub telemetry: TelemetryStream,
     next: u64,
     is_awake: bool,
     received: VecDeque<(u64, u64)>,
@@ -71,7 +69,7 @@ pub(crate) struct Watcher {
 
 impl Watcher {
     /// Connects. Call it on the thread that watches.
-    pub(crate) fn open(location: &Location, early_ns: u64) -> Result<Self> {
+    pub fn open(location: &Location, early_ns: u64) -> Result<Self> {
         let connection = Connection::open_within(location, ROBOT, TIMEOUT)?;
         let status = connection.status(TIMEOUT)?;
         let mut watcher = Self {
@@ -94,25 +92,25 @@ impl Watcher {
         Ok(watcher)
     }
 
-    pub(crate) fn release_ns(&self, cycle: u64) -> u64 {
+    pub fn release_ns(&self, cycle: u64) -> u64 {
         self.status.origin_ns + cycle * self.status.period_ns
     }
 
-    pub(crate) fn cycle_at(&self, time_ns: u64) -> u64 {
+    pub fn cycle_at(&self, time_ns: u64) -> u64 {
         time_ns.saturating_sub(self.status.origin_ns) / self.status.period_ns
     }
 
-    pub(crate) fn open_asker(&mut self, location: &Location) -> Result<()> {
+    pub fn open_asker(&mut self, location: &Location) -> Result<()> {
         self.asker = Some(Asker::open(location, ROBOT, self.connection.sender_id())?);
         Ok(())
     }
 
     /// Sends a request, one at a time. Returns its sequence number and time stamp.
-    pub(crate) fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
+    pub fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
         self.asker.as_mut().context("nobody asks")?.ask(kind)
     }
 
-    pub(crate) fn waits_for_answer(&self) -> bool {
+    pub fn waits_for_answer(&self) -> bool {
         self.waits_since_ns().is_some()
     }
 
@@ -121,7 +119,7 @@ impl Watcher {
     }
 
     /// Starts anew, and discards what came while nothing was watched.
-    pub(crate) fn begin(&mut self) -> Result<()> {
+    pub fn begin(&mut self) -> Result<()> {
         while self.telemetry.try_next()?.is_some() {}
         self.receive()?;
         self.received.clear();
@@ -130,20 +128,20 @@ impl Watcher {
         Ok(())
     }
 
-    pub(crate) fn watch_until(&mut self, time_ns: u64) -> Result<()> {
+    pub fn watch_until(&mut self, time_ns: u64) -> Result<()> {
         while monotonic_ns() < time_ns {
             self.watch(time_ns)?;
         }
         Ok(())
     }
 
-    pub(crate) fn watch_release(&mut self) -> Result<()> {
+    pub fn watch_release(&mut self) -> Result<()> {
         while !self.watch(u64::MAX)? {}
         Ok(())
     }
 
     /// Watches one release until `time_ns` at most. Returns whether the release is over.
-    pub(crate) fn watch(&mut self, time_ns: u64) -> Result<bool> {
+    pub fn watch(&mut self, time_ns: u64) -> Result<bool> {
         interrupt::check()?;
         let release_ns = self.release_ns(self.next);
         let wake_ns = release_ns.saturating_sub(self.before_ns);
@@ -235,21 +233,4 @@ impl Watcher {
         }
         Ok(())
     }
-}
-
-/// Runs `work` on a separate thread on the client's core; with `realtime`, before all ordinary tasks.
-pub(crate) fn on_client_core<T: Send>(
-    cores: &Cores,
-    realtime: bool,
-    work: impl FnOnce() -> Result<T> + Send,
-) -> Result<T> {
-    let work = || {
-        if realtime {
-            set_fifo(WATCHER_PRIORITY);
-        }
-        pin(cores.client());
-        work()
-    };
-    let worked = thread::scope(|scope| scope.spawn(work).join());
-    worked.map_err(|_| anyhow!("the client of the bench panicked"))?
 }

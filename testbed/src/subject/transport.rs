@@ -15,21 +15,25 @@ use cdcr_process::Place;
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
-use super::leg::Round;
+use super::TIMEOUT;
 use crate::interrupt;
-use crate::subject::TIMEOUT;
 use crate::system::cores::Cores;
 use crate::system::thread::pin;
-use crate::watcher::on_client_core;
 
 const WARM_UP: usize = 200;
 const GAP_NS: u64 = 200_000;
 
-pub(super) fn expected_s(samples: usize) -> f64 {
+/// Approximate duration of [`measure`] \[s\].
+pub fn expected_s(samples: usize) -> f64 {
     0.5 + 2.0 * (WARM_UP + samples) as f64 * GAP_NS as f64 * 1e-9
 }
 
-pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Result<()> {
+/// Passes every latency \[ns\] to `record`, with its leg: `one_way` and `round_trip` of a message, and `request`.
+pub fn measure(
+    cores: &Cores,
+    samples: usize,
+    mut record: impl FnMut(&'static str, u64) + Send,
+) -> Result<()> {
     let place = Place::new()?;
     let (location, shares) = (place.location(), cores.is_alone());
     let (ends, (opened, is_open)) = (AtomicBool::new(false), channel());
@@ -41,7 +45,7 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
         });
         // An error of the other thread drops its end of the channel.
         let measured = match is_open.recv_timeout(TIMEOUT) {
-            Ok(()) => on_client_core(cores, false, || ask(location, shares, samples, round)),
+            Ok(()) => cores.on_client(false, || ask(location, shares, samples, &mut record)),
             Err(_) => Err(anyhow!("the answering thread opened no port")),
         };
         ends.store(true, Ordering::Relaxed);
@@ -82,7 +86,12 @@ fn answer(location: &Location, shares: bool, opened: &Sender<()>, ends: &AtomicB
 /// Sends a message and returns the legs of its way, each with begin and end \[ns\].
 type Once<'a> = &'a dyn Fn(Header) -> Result<Vec<(&'static str, u64, u64)>>;
 
-fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> Result<()> {
+fn ask(
+    location: &Location,
+    shares: bool,
+    samples: usize,
+    record: &mut impl FnMut(&'static str, u64),
+) -> Result<()> {
     let services = Services::open(location)?;
     let there = services.there.publisher_builder().create()?;
     let back = services.back.subscriber_builder().create()?;
@@ -96,7 +105,7 @@ fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> 
                 sent_ns,
             })?;
             for (leg, from_ns, to_ns) in times.into_iter().filter(|_| index >= WARM_UP) {
-                round.record(leg, to_ns - from_ns);
+                record(leg, to_ns - from_ns);
             }
             // Without a sleep, like a thread that is awake when a message comes.
             while monotonic_ns() < sent_ns + GAP_NS {
@@ -114,8 +123,8 @@ fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> 
         let look = || Ok(back.receive()?.map(|sample| sample.header.sent_ns));
         let (stamp_ns, received_ns) = poll(shares, look)?;
         Ok(vec![
-            ("bare.round_trip", header.sent_ns, received_ns),
-            ("bare.one_way", stamp_ns, received_ns),
+            ("round_trip", header.sent_ns, received_ns),
+            ("one_way", stamp_ns, received_ns),
         ])
     })?;
     repeat(&|header| {
@@ -124,7 +133,7 @@ fn ask(location: &Location, shares: bool, samples: usize, round: &mut Round) -> 
             ..Request::default()
         })?;
         let (_, received_ns) = poll(shares, || Ok(pending.receive()?))?;
-        Ok(vec![("bare.request", header.sent_ns, received_ns)])
+        Ok(vec![("request", header.sent_ns, received_ns)])
     })
 }
 
