@@ -1,18 +1,17 @@
 //! Resources of one daemon from start to end: start-up times, then usage idle and tracking.
 
 use std::collections::BTreeMap;
-use std::os::unix::net::UnixDatagram;
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use cdcr_client::{Connection, monotonic_ns};
-use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::realtime;
 use serde_json::{Value, json};
 
 use crate::interrupt;
 use crate::subject::daemon::{Daemon, Launch};
+use crate::subject::service_manager::ManagedStart;
 use crate::subject::tracking::Tracking;
 use crate::subject::{ROBOT, TIMEOUT};
 use crate::system::cores::Cores;
@@ -26,7 +25,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(1);
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
 pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
-    let (daemon, begin_ns, manager) = start(launch, cores)?;
+    let (daemon, start) = ManagedStart::begin(launch, cores)?;
+    let begin_ns = start.begin_ns;
     let deadline = Instant::now() + TIMEOUT;
     let connection = loop {
         interrupt::check()?;
@@ -38,7 +38,7 @@ pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     let record = connection.telemetry()?.next_within(TIMEOUT)?;
     let record_ns = monotonic_ns();
     record.with_context(|| late(&daemon, "record"))?;
-    let ready_ns = ready(&daemon, manager)?;
+    let ready_ns = ready_ns(&daemon, start)?;
     let status = connection.status(TIMEOUT)?;
     drop(connection);
     daemon.stop()?;
@@ -52,51 +52,13 @@ pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     }))
 }
 
-/// Time of `READY=1` \[ns\], received on a separate thread: one poll of a client may last longer than the
-/// measured time.
-type Manager = JoinHandle<Result<Option<u64>>>;
-
-fn start(launch: &Launch, cores: &Cores) -> Result<(Daemon, u64, Manager)> {
-    let folder = Scratch::temporary().context("a folder for temporary files")?;
-    let path = folder.path().join("notify");
-    let socket = UnixDatagram::bind(&path).context("a socket for READY=1")?;
-    socket.set_read_timeout(Some(Duration::from_millis(100)))?;
-    let mut begin_ns = 0;
-    let daemon = Daemon::start_with(launch, cores, |command| {
-        command.env("NOTIFY_SOCKET", path);
-        begin_ns = monotonic_ns();
-    })?;
-    let manager = thread::spawn(move || {
-        let _folder = folder;
-        hear_ready(&socket)
-    });
-    Ok((daemon, begin_ns, manager))
-}
-
-fn ready(daemon: &Daemon, manager: Manager) -> Result<u64> {
-    let heard = manager.join();
-    let ready_ns = heard.map_err(|_| anyhow!("the service manager panicked"))??;
-    ready_ns.with_context(|| late(daemon, "READY=1"))
+fn ready_ns(daemon: &Daemon, start: ManagedStart) -> Result<u64> {
+    start.ready_ns()?.with_context(|| late(daemon, "READY=1"))
 }
 
 fn late(daemon: &Daemon, missing: &str) -> String {
     let words = daemon.stderr_tail();
     format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
-}
-
-fn hear_ready(socket: &UnixDatagram) -> Result<Option<u64>> {
-    let deadline = Instant::now() + TIMEOUT;
-    let mut message = [0; 4096];
-    while Instant::now() < deadline {
-        interrupt::check()?;
-        let received = socket.recv(&mut message);
-        let now_ns = monotonic_ns();
-        let mut lines = message[..received.unwrap_or(0)].split(|byte| *byte == b'\n');
-        if lines.any(|line| line == b"READY=1") {
-            return Ok(Some(now_ns));
-        }
-    }
-    Ok(None)
 }
 
 pub(super) fn usage(
@@ -105,8 +67,8 @@ pub(super) fn usage(
     idle: Duration,
     tracking: Duration,
 ) -> Result<Value> {
-    let (daemon, _, manager) = start(launch, cores)?;
-    ready(&daemon, manager)?;
+    let (daemon, start) = ManagedStart::begin(launch, cores)?;
+    ready_ns(&daemon, start)?;
     let measured = measure(&daemon, cores, idle, tracking);
     daemon.stop().and(measured)
 }

@@ -12,6 +12,7 @@ use cdcr_shared_types::{Measurement, Obstacle, Telemetry};
 use super::leg::Round;
 use super::{early_ns, scene};
 use crate::metric::median;
+use crate::subject::phases::Phases;
 use crate::subject::watcher::{Seen, Watcher};
 
 /// Messages of each kind before the first one counts: ports map memory, caches fill.
@@ -19,22 +20,6 @@ pub(super) const WARM_UP: usize = 10;
 const LEAD_RECORDS: usize = 20;
 /// Messages without an effect that are tolerated in addition to the samples.
 const SPARE: usize = 500;
-/// Fractional part of the golden ratio: its multiples cover the circle more evenly than those of any other
-/// number, for every count.
-const GOLDEN: f64 = 0.618_033_988_749_894_9;
-
-#[derive(Default)]
-pub(super) struct Phases {
-    taken: u32,
-}
-
-impl Phases {
-    pub(super) fn next_ns(&mut self, period_ns: u64) -> u64 {
-        self.taken += 1;
-        ((f64::from(self.taken) * GOLDEN).fract() * period_ns as f64) as u64
-    }
-}
-
 pub(super) enum Source {
     Reference(ReferenceFeed),
     Obstacle(ObstacleSender),
@@ -273,20 +258,4 @@ fn lead_ns(record: &Telemetry) -> Option<u64> {
     let is_fresh = record.timing_flags & timing::STALE_INPUTS == 0;
     let lead_ns = record.due_ns.saturating_sub(record.gather_ns);
     is_fresh.then_some(lead_ns.min(record.period_ns))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_tenth_of_the_period_gets_its_share() {
-        let mut phases = Phases::default();
-        let mut tenths = [0; 10];
-        for _ in 0..200 {
-            tenths[phases.next_ns(10) as usize] += 1;
-        }
-        let is_fair = |count| (18..=22).contains(count);
-        assert!(tenths.iter().all(is_fair), "{tenths:?}");
-    }
 }

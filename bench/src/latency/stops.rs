@@ -1,17 +1,15 @@
 //! Latency from a stop request to zero rates.
 //!
-//! The robot is sent from one far position to another and stopped at speed. A gather takes the stop, and the
-//! cycle of that gather is the first in mode stopped. From that cycle on, the fastest rate decreases by
-//! deceleration · T in each cycle, so a speed of n steps is zero in the n-th command. The ramp of n - 1
-//! periods belongs to the robot, not to the daemon.
+//! The robot is sent from one far position to another and stopped at speed. The time of the ramp is subtracted.
 
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
-use super::inputs::Phases;
 use super::leg::{Passage, Round};
 use super::{early_ns, scene};
+use crate::subject::phases::Phases;
+use crate::subject::stop::{Stop, speed_rad_s};
 use crate::subject::watcher::{Seen, Watcher};
 
 /// Deceleration of the rates: a stop from the largest rate of the default robot takes 20 cycles of 5 ms.
@@ -23,12 +21,6 @@ const WARM_UP: usize = 1;
 const SPEED_UP_MAX: u32 = 100;
 /// Releases from there to rest: 15 to 40 are needed, more on a machine that stalls.
 const REST_MAX: u32 = 1000;
-
-impl Seen {
-    fn speed_rad_s(&self) -> f64 {
-        largest(&self.record.command.bend_rate_rad_s)
-    }
-}
 
 /// Stops the robot until `samples` stops count. A stop without a result has missing records, or the robot was
 /// hardly moving.
@@ -100,7 +92,7 @@ fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
     let sections = robot.section[..robot.sections as usize].iter();
     let rates_rad_s = sections.map(|section| section.rate_max_rad_s);
     let fast_rad_s = AT_SPEED * rates_rad_s.fold(f64::INFINITY, f64::min);
-    let is_fast = |seen: &Seen| seen.speed_rad_s() > fast_rad_s;
+    let is_fast = |seen: &Seen| speed_rad_s(&seen.record) > fast_rad_s;
     let (mut records, mut releases): (Vec<Seen>, _) = (Vec::new(), 0);
     while !records.last().is_some_and(is_fast) {
         releases += 1;
@@ -118,15 +110,14 @@ fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
         for answer in watcher.answers.drain(..) {
             answer.accepted()?;
         }
-        let rests = |seen: &Seen| seen.is_in(Mode::Stopped) && seen.speed_rad_s() == 0.0;
+        let rests = |seen: &Seen| seen.is_in(Mode::Stopped) && speed_rad_s(&seen.record) == 0.0;
         if !watcher.waits_for_answer() && records.last().is_some_and(rests) {
-            return Ok(evaluate(&records, sent_ns));
+            return Ok(Stopped::of(&records, sent_ns));
         }
     }
     bail!("the robot does not come to rest")
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stopped {
     first: Passage,
     /// Time from sending to the hand-over of the first zero rates, less the ramp \[ns\].
@@ -136,108 +127,21 @@ struct Stopped {
 }
 
 impl Stopped {
+    /// Evaluates the records of one stop, the last of which is at rest. `None` if a record or command is missing,
+    /// or if the robot was hardly moving.
+    fn of(seen: &[Seen], sent_ns: u64) -> Option<Self> {
+        let stop = Stop::find(seen.iter().map(|seen| &*seen.record))?;
+        let (first, rest) = (&seen[stop.first], &seen[stop.rest]);
+        Some(Self {
+            first: [sent_ns, first.record.gather_ns, first.received_ns?],
+            zero_handover_ns: stop.less_ramp_ns(sent_ns, rest.record.handed_over_ns),
+            zero_command_ns: stop.less_ramp_ns(sent_ns, rest.received_ns?),
+        })
+    }
+
     fn record(&self, round: &mut Round) {
         round.record_way("stop.command", self.first);
         round.record("stop.zero_handover", self.zero_handover_ns);
         round.record("stop.zero_command", self.zero_command_ns);
-    }
-}
-
-/// Evaluates the records of one stop, the last of which is at rest. `None` if a record or command is missing,
-/// or if the robot was hardly moving.
-fn evaluate(records: &[Seen], sent_ns: u64) -> Option<Stopped> {
-    let at = records.iter().position(|kept| kept.is_in(Mode::Stopped))?;
-    let (first, before) = (&records[at], records.get(at.checked_sub(1)?)?);
-    let is_next = |pair: &[Seen]| {
-        let [one, next] = [0, 1].map(|index| pair[index].record.header.sequence);
-        one + 1 == next
-    };
-    let is_whole = records[at - 1..].windows(2).all(is_next);
-    let period_ns = first.record.period_ns;
-    let step_rad_s = first.record.deceleration_rad_s2 * period_ns as f64 * 1e-9;
-    let steps = largest(&first.record.previous_rate_rad_s) / step_rad_s;
-    if !is_whole || !before.is_in(Mode::Tracking) || steps < 2.0 {
-        return None;
-    }
-    let mut stopped = records[at..].iter();
-    let rest = stopped.find(|kept| kept.speed_rad_s() == 0.0)?;
-    // Rounding must not add a step to a speed that is a whole number of steps.
-    let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * period_ns;
-    let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
-    Some(Stopped {
-        first: [sent_ns, first.record.gather_ns, first.received_ns?],
-        zero_handover_ns: without_ramp(rest.record.handed_over_ns),
-        zero_command_ns: without_ramp(rest.received_ns?),
-    })
-}
-
-fn largest(rates_rad_s: &[f64]) -> f64 {
-    let sizes = rates_rad_s.iter().map(|rate| rate.abs());
-    sizes.fold(0.0, f64::max)
-}
-
-#[cfg(test)]
-mod tests {
-    use cdcr_shared_types::Telemetry;
-
-    use super::*;
-
-    /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
-    fn stop() -> Vec<Seen> {
-        let speed_rad_s = |index: u64| (0.95 - 0.1 * index as f64).max(0.0);
-        let kept = |index: u64| {
-            let release_ns = 5_000_000 * (index + 1);
-            let mode = [Mode::Tracking, Mode::Stopped][usize::from(index > 0)];
-            let mut record = Telemetry {
-                mode: mode.code(),
-                gather_ns: release_ns - 200_000,
-                handed_over_ns: release_ns + 50_000,
-                period_ns: 5_000_000,
-                deceleration_rad_s2: 20.0,
-                ..Telemetry::default()
-            };
-            record.header.sequence = 7 + index;
-            record.previous_rate_rad_s[0] = speed_rad_s(index.saturating_sub(1));
-            record.command.bend_rate_rad_s[0] = speed_rad_s(index);
-            Seen {
-                record: Box::new(record),
-                received_ns: Some(release_ns + 60_000),
-            }
-        };
-        (0..=10).map(kept).collect()
-    }
-
-    #[test]
-    fn a_stop_is_counted_without_its_ramp_and_with_a_period_that_was_lost_on_the_way() {
-        let (sent_ns, mut records) = (5_300_000, stop());
-        let stopped = evaluate(&records, sent_ns).expect("all records are there");
-        assert_eq!(stopped.first, [sent_ns, 9_800_000, 10_060_000]);
-        // Ten steps: zero in the tenth stopped command, nine periods after the first.
-        assert_eq!(stopped.zero_handover_ns, 10_050_000 - sent_ns);
-        assert_eq!(stopped.zero_command_ns, 10_060_000 - sent_ns);
-        for kept in &mut records[5..] {
-            kept.record.handed_over_ns += 5_000_000;
-        }
-        let stopped = evaluate(&records, sent_ns).expect("all records are there");
-        assert_eq!(stopped.zero_handover_ns, 4_750_000 + 5_000_000);
-    }
-
-    #[test]
-    fn what_is_not_whole_is_not_judged() {
-        type Change = fn(&mut Vec<Seen>);
-        // A missing record, a command that never came, a robot that hardly moved, or what it did before is
-        // unknown, or it does not rest.
-        let missing: [Change; 5] = [
-            |all| _ = all.remove(4),
-            |all| all[10].received_ns = None,
-            |all| all[1].record.previous_rate_rad_s[0] = 0.15,
-            |all| _ = all.remove(0),
-            |all| _ = all.pop(),
-        ];
-        for change in missing {
-            let mut records = stop();
-            change(&mut records);
-            assert_eq!(evaluate(&records, 5_300_000), None);
-        }
     }
 }

@@ -22,6 +22,8 @@ use cdcr_client::{
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, timing};
 use cdcr_shared_types::{Response, Telemetry};
 use cdcr_testbed::subject::asker::Asker;
+use cdcr_testbed::subject::phases::Phases;
+use cdcr_testbed::subject::stop::Stop;
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
@@ -127,7 +129,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
     let mut telemetry = connection.telemetry().unwrap();
     wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
     let mut stopper = Asker::open(daemon.place().location(), ROBOT, STOPPER).unwrap();
-    let mut taken = Vec::new();
+    let (mut taken, mut phases) = (Vec::new(), Phases::default());
     let mut turns = 0_usize;
     while taken.len() < STOPS {
         turns += 1;
@@ -137,12 +139,12 @@ fn measure_stops(link: &str, daemon: &Daemon) {
             taken.len()
         );
         ask_for(&connection, RequestKind::Reset);
-        // The golden ratio spreads the times evenly over the period.
-        let phase = (turns as f64 * 0.618_034).fract();
         let mut records = Vec::new();
-        if let Some(asked) = stop_at_speed(&connection, &mut stopper, turns, phase, |record| {
-            records.push(*record);
-        }) {
+        if let Some(asked) =
+            stop_at_speed(&connection, &mut stopper, turns, &mut phases, |record| {
+                records.push(*record);
+            })
+        {
             follow_to_rest(&mut telemetry, &mut records, asked.response.cycle);
             taken.extend(evaluate(&records, &asked));
         }
@@ -156,7 +158,7 @@ fn stop_at_speed(
     connection: &Connection,
     stopper: &mut Asker,
     turn: usize,
-    phase: f64,
+    phases: &mut Phases,
     mut seen: impl FnMut(&Telemetry),
 ) -> Option<Asked> {
     let side = if turn.is_multiple_of(2) { 0.4 } else { -0.4 };
@@ -180,8 +182,7 @@ fn stop_at_speed(
         seen(record);
         let at_speed = largest(&record.command.bend_rate_rad_s) > SPEED_RAD_S;
         if asked.is_none() && record.mode == Mode::Tracking.code() && at_speed {
-            let later = phase * record.period_ns as f64;
-            std::thread::sleep(Duration::from_nanos(later as u64));
+            std::thread::sleep(Duration::from_nanos(phases.next_ns(record.period_ns)));
             asked = Some(stop(stopper));
         }
         ControlFlow::Continue(())
@@ -203,14 +204,9 @@ fn follow_to_rest(telemetry: &mut TelemetryStream, records: &mut Vec<Telemetry>,
 /// Checks a stop against the guarantee. `None` if records are missing, a stall ended the ramp, or the robot
 /// was hardly moving or no longer tracking when the request came.
 fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
-    let neighbours = |pair: &[Telemetry]| pair[0].header.sequence + 1 == pair[1].header.sequence;
-    let is_stopped = |record: &Telemetry| record.mode == Mode::Stopped.code();
-    let at = records.iter().position(is_stopped)?;
-    let first = &records[at];
-    let before = records.get(at.checked_sub(1)?)?;
-    let speed = largest(&first.previous_rate_rad_s);
-    let step = DECELERATION_RAD_S2 * first.period_ns as f64 * 1e-9;
-    let is_tracking = before.mode == Mode::Tracking.code();
+    let stop = Stop::find(records)?;
+    let at = stop.first;
+    let (before, first) = (&records[at - 1], &records[at]);
     // A stall of the machine in which the last command ran out ended the ramp.
     let is_cut = |pair: &[Telemetry]| {
         let [before, now] = [&pair[0], &pair[1]];
@@ -218,8 +214,7 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
         let moved = largest(&before.command.bend_rate_rad_s) > 0.0;
         stalls && moved && largest(&now.previous_rate_rad_s) == 0.0
     };
-    let is_whole = records[at - 1..].windows(2).all(neighbours);
-    if !is_whole || records[at..].windows(2).any(is_cut) || !is_tracking || speed < 2.0 * step {
+    if records[at..].windows(2).any(is_cut) {
         return None;
     }
     for pair in records[at - 1..].windows(2) {
@@ -232,7 +227,7 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     assert_eq!(first.cycle, asked.response.cycle, "another cycle answered");
     assert_eq!(first.reason, Reason::Request.code());
     assert_taken_by_its_gather(before, first, asked);
-    let zero = assert_ramp(&records[at..], step);
+    assert_ramp(records, &stop);
     let late_ns = late_ns(before, first);
     let allowed_ns = first.period_ns + GATHER_LEAD_NS + late_ns;
     let took_ns = first.command.header.sent_ns.saturating_sub(asked.sent_ns);
@@ -240,13 +235,11 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
         took_ns <= allowed_ns,
         "{took_ns} ns from the request to the stop, {allowed_ns} ns are accounted for"
     );
-    let ramp_ns = zero as u64 * first.period_ns;
-    let rest = &records[at + zero];
+    let rest_ns = records[stop.rest].command.header.sent_ns;
     Some(Taken {
         to_first_ns: first.command.header.sent_ns - asked.begun_ns,
-        to_zero_less_ramp_ns: (rest.command.header.sent_ns - asked.begun_ns)
-            .saturating_sub(ramp_ns),
-        ramp_cycles: zero + 1,
+        to_zero_less_ramp_ns: stop.less_ramp_ns(asked.begun_ns, rest_ns),
+        ramp_cycles: stop.rest - at + 1,
         late_ns,
     })
 }
@@ -281,20 +274,21 @@ fn late_ns(before: &Telemetry, first: &Telemetry) -> u64 {
     skipped_ns + after_release_ns + old_inputs_ns
 }
 
-/// Checks that the rates follow the ramp from the first stopped record on, and within its cycles. Returns the
-/// index of the first record at rest.
-fn assert_ramp(records: &[Telemetry], step: f64) -> usize {
-    let first = largest(&records[0].previous_rate_rad_s);
-    let cycles = (first / step - 1e-9).ceil() as usize;
-    for (k, record) in records.iter().enumerate() {
+/// Checks that the rates follow the ramp from the first stopped record to rest, and within its cycles.
+fn assert_ramp(records: &[Telemetry], stop: &Stop) {
+    for record in &records[stop.first..=stop.rest] {
         assert_eq!(record.deceleration_rad_s2, DECELERATION_RAD_S2);
         ramp::check(record, record.period_ns as f64 * 1e-9).unwrap();
-        if largest(&record.command.bend_rate_rad_s) == 0.0 {
-            return k;
-        }
-        assert!(k + 1 < cycles, "not at rest after {cycles} cycles");
+        assert!(largest(&record.command.bend_rate_rad_s).is_finite());
     }
-    panic!("the records do not reach to rest");
+    let (took, cycles) = (
+        stop.rest - stop.first,
+        stop.ramp_ns / records[stop.first].period_ns,
+    );
+    assert!(
+        took as u64 <= cycles,
+        "at rest after {took} cycles, not {cycles}"
+    );
 }
 
 fn report(link: &str, taken: &[Taken]) {

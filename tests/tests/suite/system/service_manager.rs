@@ -1,9 +1,9 @@
 //! Notifications of `cdcrd run` to the service manager that started it.
 
-use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::Stdio;
 
+use cdcr_testbed::subject::service_manager::ServiceManager;
 use cdcr_tests::{Place, Program, Running, wait_until};
 use rustix::process::Signal;
 
@@ -12,7 +12,7 @@ use crate::stop::beside::unread_pipe;
 /// A daemon whose service manager expects a watchdog message five times a second.
 pub(crate) struct Managed {
     pub(crate) daemon: Running,
-    manager: UnixDatagram,
+    manager: ServiceManager,
     pub(crate) place: Place,
 }
 
@@ -24,21 +24,19 @@ impl Managed {
     /// Starts the daemon with this standard error.
     fn start_onto(stderr: impl Into<Stdio>) -> Self {
         let place = Place::new();
-        let socket = place.folder().join("notify");
-        let manager = listen(&socket);
+        let manager = listen(place.folder(), "notify");
         let configuration = place.write("robot.toml", "[cycle]\nmiss_limit = 1000000\n");
         let mut command = place.command("cdcrd");
         command
             .args(["run", "--config"])
             .arg(configuration)
-            .env("NOTIFY_SOCKET", socket)
             .env("WATCHDOG_USEC", "200000")
             .env_remove("WATCHDOG_PID")
             .env("RUST_LOG", "debug")
             .stdout(Stdio::null())
             .stderr(stderr);
         Self {
-            daemon: Running::start(&mut command),
+            daemon: Running::start(manager.manage(&mut command)),
             manager,
             place,
         }
@@ -66,20 +64,14 @@ impl Managed {
     }
 }
 
-fn listen(socket: &Path) -> UnixDatagram {
-    let manager = UnixDatagram::bind(socket).unwrap();
-    manager.set_nonblocking(true).unwrap();
-    manager
+fn listen(folder: &Path, name: &str) -> ServiceManager {
+    ServiceManager::listen(folder.join(name)).unwrap()
 }
 
 /// The lines received since the last call.
-fn heard_by(manager: &UnixDatagram) -> Vec<String> {
-    let (mut buffer, mut heard) = ([0; 4096], Vec::new());
-    while let Ok(length) = manager.recv(&mut buffer) {
-        let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
-        heard.extend(text.lines().map(str::to_owned));
-    }
-    heard
+fn heard_by(manager: &ServiceManager) -> Vec<String> {
+    let messages = std::iter::from_fn(|| Some(manager.hear()).filter(|lines| !lines.is_empty()));
+    messages.flatten().collect()
 }
 
 #[test]
@@ -111,12 +103,10 @@ fn a_life_is_told_from_ready_to_stopping() {
 fn a_daemon_that_cannot_start_is_never_ready() {
     let mut managed = Managed::start();
     managed.hear_until("READY=1");
-    let socket = managed.place.folder().join("second");
-    let manager = listen(&socket);
+    let manager = listen(managed.place.folder(), "second");
     // A second daemon for the same robot at the same location.
     let mut second = managed.place.command("cdcrd");
-    second.arg("run").env("NOTIFY_SOCKET", socket);
-    let ended = Program::start(&mut second).output();
+    let ended = Program::start(manager.manage(second.arg("run"))).output();
     assert_eq!(ended.status.code(), Some(69));
     let heard = heard_by(&manager);
     assert!(!heard.contains(&"READY=1".to_owned()), "{heard:?}");
