@@ -8,14 +8,16 @@ use serde::Deserialize;
 use crate::dataset::Recording;
 use crate::quantiles::histogram;
 
-/// The legs and panels that `latency.toml` declares.
+/// What `latency.toml` declares.
 #[derive(Debug, Deserialize)]
-pub struct Legs {
+pub struct Declared {
     pub legs: Vec<[String; 3]>,
     pub panels: Vec<(String, Vec<String>)>,
+    pub ratios: Vec<[String; 2]>,
+    pub bound: Vec<String>,
 }
 
-pub fn declared() -> Legs {
+pub fn declared() -> Declared {
     toml::from_str(super::DECLARATION).expect("a declaration")
 }
 

@@ -4,7 +4,7 @@ use anyhow::Result;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
-use super::leg::{Round, declared};
+use super::leg::{Declared, Round, declared};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer};
 use crate::dataset::{Dataset, each, joined, number, together};
 use crate::metric::{median, range};
@@ -17,22 +17,15 @@ const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
 const SHARES: f64 = 1e-4;
 
-const RATIOS: [[&str; 2]; 3] = [
-    ["command.hop", "bare.one_way"],
-    ["command.handover", "bare.one_way"],
-    ["lease.machinery", "bare.request"],
-];
-
-const BOUND: [&str; 2] = ["stop.zero_handover", "stop.zero_command"];
-
 pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
     let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
     let mut dataset = Dataset::new("latency", super::DECLARATION);
+    let declared = declared();
     let (mut legs, mut of_rounds) = (Vec::new(), Vec::new());
-    for [leg, from, to] in declared().legs {
-        let each_round = round_rows(&leg, rounds);
+    for [leg, from, to] in &declared.legs {
+        let each_round = round_rows(leg, rounds);
         let stamps = json!({ "leg": leg, "from": from, "to": to });
-        let row = row(&leg, rounds, &each_round);
+        let row = row(leg, rounds, &each_round);
         legs.extend(row.map(|row| joined([stamps, row])));
         // The wait for the grid is spread evenly over a period by design, so two runs cannot differ in it.
         let (way, part) = leg.split_once('.').unwrap_or_default();
@@ -41,11 +34,13 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
             dataset.compare("rounds", &names, &each_round);
         }
         of_rounds.extend(each_round);
-        let recordings = rounds.iter().filter_map(|round| round.legs.get(&leg));
+        let recordings = rounds.iter().filter_map(|round| round.legs.get(leg));
         dataset.recordings.extend(recordings.cloned());
     }
-    let ratios = RATIOS.map(|legs| ratio(&mut dataset, legs, rounds));
-    let is_bound = |row: &&Value| BOUND.iter().any(|leg| row["leg"] == *leg);
+    let ratios = declared.ratios.iter();
+    let ratios = ratios.filter_map(|legs| ratio(&mut dataset, legs, rounds));
+    let ratios: Vec<Value> = ratios.collect();
+    let is_bound = |row: &&Value| declared.bound.iter().any(|leg| row["leg"] == **leg);
     let stops = legs.iter().filter(is_bound);
     let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
     let beyond = targets.iter().filter_map(|target| {
@@ -63,9 +58,9 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
     let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
     dataset.fact("setting", setting);
     dataset.fact("unmeasured", unmeasured);
-    dataset.plot("latency", &panels(rounds, limit_us))?;
+    dataset.plot("latency", &panels(&declared, rounds, limit_us))?;
     dataset.add_titled("shown", &[title], legs.iter().map(shown).collect());
-    dataset.add("ratios", ratios.into_iter().flatten().collect());
+    dataset.add("ratios", ratios);
     dataset.add("targets", targets);
     dataset.add("counts", vec![counts]);
     dataset.add("legs", legs);
@@ -98,13 +93,14 @@ fn of_all(leg: &str, rounds: &[Round]) -> Histogram<u64> {
     pooled(recordings.map(|recording| &recording.histogram_ns))
 }
 
-fn ratio(dataset: &mut Dataset, legs: [&str; 2], rounds: &[Round]) -> Option<Value> {
-    let p50 = |round: &Round, leg| Some(Quantiles::of(&round.legs.get(leg)?.histogram_ns)?.p50);
-    let of_round = |round: &Round| Some(p50(round, legs[0])? / p50(round, legs[1])?);
+fn ratio(dataset: &mut Dataset, legs: &[String; 2], rounds: &[Round]) -> Option<Value> {
+    let p50 =
+        |round: &Round, leg: &str| Some(Quantiles::of(&round.legs.get(leg)?.histogram_ns)?.p50);
+    let of_round = |round: &Round| Some(p50(round, &legs[0])? / p50(round, &legs[1])?);
     let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
     let (p50, range, [leg, to]) = (median(values.clone())?, range(values.clone()), legs);
     let row = json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values });
-    let [name, to_name] = legs.map(|leg| leg.replace('.', "_"));
+    let [name, to_name] = legs.each_ref().map(|leg| leg.replace('.', "_"));
     dataset.lower(format!("latency/{name}_per_{to_name}_p50"), "", values);
     Some(row)
 }
@@ -131,20 +127,20 @@ fn target(row: &Value, limit_us: f64) -> Value {
     json!({ "leg": row["leg"], "samples": row["samples"], "limit_us": limit_us, "p99_us": p99_us, "kept": kept })
 }
 
-fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
-    let panel = |(title, legs): (String, Vec<String>)| {
+fn panels(declared: &Declared, rounds: &[Round], limit_us: f64) -> Vec<Panel> {
+    let panel = |(title, legs): &(String, Vec<String>)| {
         let mut curves = Vec::new();
         for (leg, colour) in legs.iter().zip([BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE]) {
             curves.push(Curve::line(leg, longer(&of_all(leg, rounds)), colour));
         }
-        if legs[0] == BOUND[0] {
+        if legs.contains(&declared.bound[0]) {
             curves.push(Curve::upright("bound for 99 %", limit_us, SHARES, GREY));
         }
         let axes = ["longer than, µs", "share of the samples"];
         let scale = Scale::LogLog { floor: SHARES };
         Panel::new(title, axes, scale, curves)
     };
-    declared().panels.into_iter().map(panel).collect()
+    declared.panels.iter().map(panel).collect()
 }
 
 #[cfg(test)]
@@ -156,7 +152,7 @@ mod tests {
         let mut round = Round::new(0);
         for us in 1..=100 {
             round.record_way("reference.command", [0, 0, 1000 * factor * us]);
-            for leg in BOUND {
+            for leg in ["stop.zero_handover", "stop.zero_command"] {
                 round.record(leg, 1000 * stop_us);
             }
         }
@@ -192,7 +188,7 @@ mod tests {
         let [both, p999, none] = [[true; 3], [false, true, false], [false; 3]];
         for (count, absent) in [(99, both), (100, p999), (1000, none)] {
             let mut round = Round::new(0);
-            (1..=count).for_each(|us| round.record(BOUND[0], 1000 * us));
+            (1..=count).for_each(|us| round.record("stop.zero_handover", 1000 * us));
             let found = dataset("", json!({ "period_us": 5000.0 }), &[round]).expect("a result");
             let [row] = found.rows("shown") else {
                 panic!("rows of legs that were not measured");

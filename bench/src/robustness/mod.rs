@@ -27,6 +27,7 @@ use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Scenario};
 
+const DECLARATION: &str = include_str!("robustness.toml");
 /// Tolerance for rounding of the limits of a command, as a share.
 const LIMIT_EXCESS_MAX: f64 = 1e-9;
 /// Smallest drawn error \[mm\].
@@ -239,7 +240,7 @@ fn cores() -> usize {
 }
 
 fn declared() -> Dataset {
-    Dataset::new("robustness", include_str!("robustness.toml"))
+    Dataset::new("robustness", DECLARATION)
 }
 
 /// The tables for the documents, from the rows of a result: all robots, then the parts of the controller.
