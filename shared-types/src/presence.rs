@@ -17,6 +17,7 @@ use rustix::process::{
 };
 
 use crate::Location;
+use crate::proc_stat::has_bit;
 
 /// Program name of the daemon, as the kernel shows it.
 const PROGRAM: &str = "cdcrd";
@@ -145,19 +146,12 @@ impl Location {
         }
         // A daemon without a handler for the signal would end during a motion.
         let status = std::fs::read_to_string(format!("/proc/{process_id}/status"))?;
-        if !catches_stop_signal(&status) {
+        if !has_bit(&status, "SigCgt", Signal::USR1.as_raw().cast_unsigned() - 1) {
             return Err(ErrorKind::Unsupported.into());
         }
         pidfd_send_signal(&handle, Signal::USR1)?;
         Ok(process_id)
     }
-}
-
-/// True if a process with this `/proc/<pid>/status` has a handler for `SIGUSR1`, see `proc_pid_status(5)`.
-fn catches_stop_signal(status: &str) -> bool {
-    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    caught.is_some_and(|mask| mask & (1 << (Signal::USR1.as_raw() - 1)) != 0)
 }
 
 /// User and process id at the other end of an abstract socket name.

@@ -1,5 +1,5 @@
-//! Core times from `/proc/stat`, and fields of the `stat` of a process or thread: the one reader for daemon, client
-//! and measurements.
+//! Texts of the kernel: core times from `/proc/stat`, fields of the `stat` and `status` of a process or thread, a chosen
+//! alternative. The one reader for daemon, client and measurements.
 
 use core::str::FromStr;
 
@@ -54,6 +54,27 @@ pub fn page_faults(stat: &[u8]) -> Option<u64> {
     Some(stat_field::<u64>(stat, 10)? + stat_field::<u64>(stat, 12)?)
 }
 
+/// The value of the first line `name: value`, as in the `status` of a process or in `/proc/cpuinfo`.
+pub fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+    text.lines().find_map(|line| {
+        let (key, value) = line.split_once(':')?;
+        (key.trim() == name).then(|| value.trim())
+    })
+}
+
+/// Whether a bit is set in a mask of the `status` of a process, like `CapEff` or `SigCgt`.
+pub fn has_bit(status: &str, mask: &str, bit: u32) -> bool {
+    let bits = field(status, mask).and_then(|hex| u64::from_str_radix(hex, 16).ok());
+    bits.is_some_and(|bits| bits >> bit & 1 == 1)
+}
+
+/// The chosen one of several alternatives: the word in brackets.
+pub fn chosen(text: &str, brackets: [char; 2]) -> Option<&str> {
+    let (_, rest) = text.split_once(brackets[0])?;
+    let (chosen, _) = rest.split_once(brackets[1])?;
+    Some(chosen)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -82,5 +103,29 @@ mod tests {
         assert_eq!(page_faults(stat), Some(127));
         assert_eq!(page_faults(b"18911 (cat) R 1"), None);
         assert_eq!(page_faults(&[0xff, b')', 0xfe]), None);
+    }
+
+    #[test]
+    fn fields_masks_and_choices_are_found_or_missing() {
+        let status = "Name:\tx\nCapEff:\t0000000000004001\nOdd:\tz\nvm size : 5 kB\n";
+        assert_eq!(
+            (field(status, "vm size"), field(status, "Nam")),
+            (Some("5 kB"), None)
+        );
+        let bits = [
+            ("CapEff", 0),
+            ("CapEff", 14),
+            ("CapEff", 1),
+            ("Odd", 0),
+            ("None", 0),
+        ];
+        let set = bits.map(|(mask, bit)| has_bit(status, mask, bit));
+        assert_eq!(set, [true, true, false, false, false]);
+        let huge_pages = "always [madvise] never";
+        assert_eq!(chosen(huge_pages, ['[', ']']), Some("madvise"));
+        assert_eq!(
+            (chosen(huge_pages, ['(', ')']), chosen("[a", ['[', ']'])),
+            (None, None)
+        );
     }
 }

@@ -4,13 +4,13 @@ use std::io::ErrorKind;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
 
+use cdcr_shared_types::proc_stat::chosen;
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 use rustix::fs::{Access, access};
 
 use super::Scene;
 use super::Severity::{Fault, Unknown, Warning};
 use super::finding::{Assessed, problem, unreadable};
-use super::system::chosen_of;
 use crate::services::daemon_bytes;
 
 /// Clocks that are read without a system call.
@@ -111,9 +111,9 @@ pub(super) fn huge_pages(scene: &Scene) -> Assessed {
         return Ok("the kernel has none".to_owned());
     };
     let odd = || unreadable(path, format!("no choice in brackets in {text:?}"));
-    let chosen = chosen_of(&text, ['[', ']']).ok_or_else(odd)?;
+    let choice = chosen(&text, ['[', ']']).ok_or_else(odd)?;
     match &scene.probe.no_huge_pages {
-        _ if chosen != "always" => Ok(chosen.to_owned()),
+        _ if choice != "always" => Ok(choice.to_owned()),
         Ok(()) => Ok("always, but disabled by the daemon for itself".to_owned()),
         Err(refusal) => {
             problem!(Warning, "always, including the daemon: PR_SET_THP_DISABLE refused ({refusal})"

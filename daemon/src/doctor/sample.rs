@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks, stat_field};
+use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks, field, stat_field};
 
 use super::core_set::CoreSet;
 use super::finding::{Assessed, unreadable};
-use super::system::{System, field_of};
+use super::system::System;
 
 const WATCHED: Duration = Duration::from_secs(1);
 
@@ -127,7 +127,7 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
 /// The cores that the thread of a folder may use; none if they cannot be read.
 pub(super) fn allowed_cores(system: &System, folder: &str) -> CoreSet {
     let status = system.read(&format!("{folder}/status")).unwrap_or_default();
-    CoreSet::parse(&field_of(&status, "Cpus_allowed_list").unwrap_or_default())
+    CoreSet::parse(field(&status, "Cpus_allowed_list").unwrap_or_default())
 }
 
 /// Flag of a kernel thread.

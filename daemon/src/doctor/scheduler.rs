@@ -1,11 +1,12 @@
 //! The kernel's scheduler: pre-emption model, limits of real-time threads, and settings that disturb them.
 
+use cdcr_shared_types::proc_stat::chosen;
+
 use crate::core_budget::{CoreBudget, Costs, KERNEL_SHARE};
 
 use super::Severity::{Unknown, Warning};
 use super::finding::{Assessed, problem};
 use super::privileges::may_have_priority;
-use super::system::chosen_of;
 use super::{Scene, System};
 
 /// Run time of real-time threads per period of the limit \[µs\]; -1: no limit.
@@ -48,7 +49,7 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
 /// The model can be chosen at run time; the file with the present model is readable for root only.
 fn dynamic_preemption(scene: &Scene) -> Assessed {
     let text = scene.system.read("/sys/kernel/debug/sched/preempt");
-    if let Some(model) = chosen_of(&text.unwrap_or_default(), ['(', ')']) {
+    if let Some(model) = chosen(&text.unwrap_or_default(), ['(', ')']) {
         return of_model(scene, model, &format!("dynamic, {model}"));
     }
     if let Some(model) = scene.system.boot_option("preempt")? {

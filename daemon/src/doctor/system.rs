@@ -6,6 +6,8 @@ use std::fs::{DirEntry, File};
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
+use cdcr_shared_types::proc_stat;
+
 use super::CPU;
 use super::core_set::CoreSet;
 use super::finding::{Assessed, unreadable};
@@ -90,8 +92,9 @@ impl System {
 
     pub(super) fn own_status(&self, field: &str) -> Assessed {
         let path = "/proc/self/status";
-        field_of(&self.read(path)?, field)
-            .ok_or_else(|| unreadable(path, format!("it has no {field}")))
+        let status = self.read(path)?;
+        let value = proc_stat::field(&status, field).map(str::to_owned);
+        value.ok_or_else(|| unreadable(path, format!("it has no {field}")))
     }
 
     fn text(&self, path: &str) -> std::io::Result<String> {
@@ -101,21 +104,6 @@ impl System {
             .read_to_end(&mut bytes)?;
         Ok(String::from_utf8_lossy(&bytes).trim().to_owned())
     }
-}
-
-/// The value of the line `field: value`.
-pub(super) fn field_of(text: &str, field: &str) -> Option<String> {
-    text.lines().find_map(|line| {
-        let (name, value) = line.split_once(':')?;
-        (name.trim() == field).then(|| value.trim().to_owned())
-    })
-}
-
-/// The chosen alternative: the word in brackets.
-pub(super) fn chosen_of(text: &str, brackets: [char; 2]) -> Option<&str> {
-    let (_, rest) = text.split_once(brackets[0])?;
-    let (chosen, _) = rest.split_once(brackets[1])?;
-    Some(chosen)
 }
 
 #[cfg(test)]

@@ -78,8 +78,7 @@ pub fn status<const N: usize>(process: u32, keys: [&str; N]) -> Result<[u64; N]>
     let text = fs::read_to_string(format!("/proc/{process}/status"))?;
     let mut numbers = [0; N];
     for (number, key) in numbers.iter_mut().zip(keys) {
-        let mut lines = text.lines().filter_map(|line| line.strip_prefix(key));
-        let found = lines.find_map(|rest| rest.strip_prefix(':')?.split_ascii_whitespace().next());
+        let found = proc_stat::field(&text, key).and_then(|value| value.split(' ').next());
         *number = found
             .with_context(|| format!("/proc/{process}/status has no {key}"))?
             .parse()?;

@@ -4,6 +4,7 @@
 
 use std::path::PathBuf;
 
+use cdcr_shared_types::proc_stat;
 use serde_json::{Value, json};
 
 use super::cores::Cores;
@@ -86,9 +87,8 @@ impl Root {
     /// The value of the first line `key : value`, unless empty.
     fn field(&self, file: &str, key: &str) -> Option<String> {
         let text = self.read(file)?;
-        let mut lines = text.lines().filter_map(|line| line.split_once(':'));
-        let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
-        Some(value.trim().to_owned()).filter(|value| !value.is_empty())
+        let value = proc_stat::field(&text, key).filter(|value| !value.is_empty());
+        value.map(str::to_owned)
     }
 
     fn preemption(&self, version: &str) -> Option<String> {
@@ -123,17 +123,14 @@ impl Root {
 
     fn may_lock(&self) -> bool {
         use rustix::process::{Resource, getrlimit};
-        let capabilities = self.field("proc/self/status", "CapEff");
-        let bits = capabilities.and_then(|hex| u64::from_str_radix(&hex, 16).ok());
-        bits.is_some_and(|bits| bits >> CAP_IPC_LOCK & 1 == 1)
+        let status = self.read("proc/self/status").unwrap_or_default();
+        proc_stat::has_bit(&status, "CapEff", CAP_IPC_LOCK)
             || getrlimit(Resource::Memlock).current.is_none()
     }
 }
 
 fn chosen(text: Option<String>, brackets: [char; 2]) -> Option<String> {
-    let text = text?;
-    let (_, rest) = text.split_once(brackets[0])?;
-    Some(rest.split_once(brackets[1])?.0.to_owned())
+    Some(proc_stat::chosen(&text?, brackets)?.to_owned())
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::proc_stat::has_bit;
 use cdcr_tests::{
     Daemon, PATIENT, Place, Program, binary, text, until_undisturbed, wait_status, wait_until,
 };
@@ -84,9 +85,7 @@ pub(super) fn shell(place: &Place, line: &str) -> Program {
 /// Whether a process has a handler for `SIGINT`, see `proc_pid_status(5)`.
 fn catches_interrupt(process: u32) -> bool {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
-    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    caught.is_some_and(|mask| mask & (1 << (Signal::INT.as_raw() - 1)) != 0)
+    has_bit(&status, "SigCgt", Signal::INT.as_raw().cast_unsigned() - 1)
 }
 
 /// Runs an example in a suitable state: a robot that holds, or is stopped for a reset, and no obstacle.
