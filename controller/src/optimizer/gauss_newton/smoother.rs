@@ -252,11 +252,7 @@ impl Smoother {
         for position in self.rows_of(block).rev() {
             let by: [f64; N] = derivatives(model, usize::from(self.order[position]));
             let gain = &self.gains[position * 2 * WIDTH_MAX..][..N];
-            let met: f64 = gain
-                .iter()
-                .zip(adjoint.iter())
-                .map(|(gain, adjoint)| gain * adjoint)
-                .sum();
+            let met = product(gain, adjoint);
             let force = self.scaled_innovations[position] - met;
             for (adjoint, derivative) in adjoint.iter_mut().zip(by) {
                 *adjoint += derivative * force;
@@ -281,25 +277,36 @@ fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
     by
 }
 
+/// Scalar product of an even number of terms, in two sums.
+#[inline(always)]
+fn product<const N: usize>(a: &[f64], b: &[f64; N]) -> f64 {
+    let mut sums = [0.0; 2];
+    for (a, b) in a.chunks_exact(2).zip(b.chunks_exact(2)) {
+        sums[0] += a[0] * b[0];
+        sums[1] += a[1] * b[1];
+    }
+    sums[0] + sums[1]
+}
+
 impl<const N: usize> State<N> {
     /// Processes one row: residual + `by` · state is noise of variance `noise`. Returns the innovation
     /// divided by its variance.
     #[inline]
     fn update(&mut self, by: &[f64; N], residual: f64, noise: f64, gain: &mut [f64]) -> f64 {
+        // Short chains of additions: the next row waits for this one.
         let mut spread = [0.0; N];
-        for (line, derivative) in self.covariance.iter().zip(by) {
-            for (spread, covariance) in spread.iter_mut().zip(line) {
-                *spread += covariance * derivative;
+        let pairs = self.covariance.chunks_exact(2).zip(by.chunks_exact(2));
+        for (lines, by) in pairs {
+            for (i, spread) in spread.iter_mut().enumerate() {
+                *spread += lines[0][i] * by[0] + lines[1][i] * by[1];
             }
         }
-        let (mut variance, mut innovation) = (0.0, residual);
-        for i in 0..N {
-            variance += by[i] * spread[i];
-            innovation += by[i] * self.mean[i];
-        }
-        let share = 1.0 / (variance.max(0.0) + noise);
-        // A product of two equal factors keeps the matrix symmetric to the bit.
-        let root = share.sqrt();
+        let variance = product(by, &spread).max(0.0) + noise;
+        let innovation = residual + product(by, &self.mean);
+        let share = 1.0 / variance;
+        // The inverse of the root; the root does not wait for the division. A product of two equal factors keeps the
+        // matrix symmetric to the bit.
+        let root = share * variance.sqrt();
         let scaled = spread.map(|spread| spread * root);
         for (line, scale) in self.covariance.iter_mut().zip(scaled) {
             for (covariance, other) in line.iter_mut().zip(scaled) {
