@@ -29,8 +29,8 @@ const LONG_STEPS_MIN: usize = 16;
 
 /// Largest work on a long plan in quanta per unknown, and one more for every eight obstacles within reach, at least
 /// one: the 99th percentile of a robot with three sections among 16 obstacles is then 0.8 ms of counted work.
-const QUANTA_PER_UNKNOWN: f64 = 2.6;
-/// Multiple of this work that a solver which searches may do: 1.9 ms of counted work.
+const QUANTA_PER_UNKNOWN: f64 = 2.4;
+/// Multiple of this work that a solver which searches may do: 1.8 ms of counted work.
 const SEARCH_SHARE: f64 = 2.3;
 
 /// One optimal control problem with its box and settings.

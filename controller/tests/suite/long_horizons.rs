@@ -84,8 +84,8 @@ fn fast_curves_among_obstacles_are_followed_within_the_budget() {
 #[test]
 fn the_work_of_a_solve_is_limited_and_the_curve_still_followed() {
     for (solver, most_quanta, most_m) in [
-        (SolverKind::GaussNewton, 552, 3e-5),
-        (SolverKind::KpsoRefined, 1269, 1e-5),
+        (SolverKind::GaussNewton, 528, 3e-5),
+        (SolverKind::KpsoRefined, 1214, 1e-5),
     ] {
         let outcome = fast(solver, spiral, STEPS).run(2 * quanta(BUDGET_NS));
         assert!(outcome.largest_work <= most_quanta + 1, "{outcome:?}");
