@@ -223,8 +223,13 @@ impl Output {
             options.quicken();
         }
         let mut progress = Progress::new(options.expected_s());
-        let dataset = options.run(&mut progress)?;
+        let mut dataset = options.run(&mut progress)?;
         drop(progress);
+        if self.quick {
+            let note = core::mem::take(&mut dataset.note);
+            dataset.note = format!("{} {note}", report::QUICK).trim_end().to_owned();
+            dataset.warns = true;
+        }
         // Written before printing, because the reader may close the pipe.
         if let Some(folder) = &self.out {
             keep(&start.files_of(&dataset)?, folder)?;

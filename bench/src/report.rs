@@ -23,7 +23,7 @@ use crate::metric::Metric;
 use crate::progress::Progress;
 use crate::run_options::RunOptions;
 
-const QUICK: &str =
+pub const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
 const NO_RESULTS: [&str; 5] = ["environment", "extent", "options", "tables", "took_s"];

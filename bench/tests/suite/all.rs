@@ -15,7 +15,7 @@ use cdcr_scratch::Scratch;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::{is_sound, list, machine, needs_nothing_else, number, program, stderr};
+use crate::{is_sound, list, machine, needs_nothing_else, number, printed, program, stderr};
 
 fn command(folder: &Path, line: &str) -> Command {
     let mut command = program(&format!("all --quick {line} --out"));
@@ -36,6 +36,14 @@ fn names(folder: &Path) -> BTreeSet<String> {
     let entries = fs::read_dir(folder).expect("a folder").flatten();
     let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
     entries.map(name).collect()
+}
+
+#[test]
+fn a_quick_result_says_that_it_proves_nothing() {
+    for format in ["text", "markdown"] {
+        let text = printed(&mut program(&format!("budget --quick --format {format}")));
+        assert!(text.contains(cdcr_bench::report::QUICK), "{text}");
+    }
 }
 
 #[test]
