@@ -226,8 +226,8 @@ impl Output {
         let mut dataset = options.run(&mut progress)?;
         drop(progress);
         if self.quick {
-            let note = core::mem::take(&mut dataset.note);
-            dataset.note = format!("{} {note}", report::QUICK).trim_end().to_owned();
+            let note = format!("{} {}", report::QUICK, dataset.note);
+            note.trim_end().clone_into(&mut dataset.note);
             dataset.warns = true;
         }
         // Written before printing, because the reader may close the pipe.

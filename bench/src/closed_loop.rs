@@ -112,10 +112,6 @@ impl Sample {
     }
 }
 
-pub fn inside(position_m: Vector3<f64>) -> ReferenceSample {
-    ReferenceSample::at(position_m)
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
     Never,

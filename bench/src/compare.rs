@@ -136,9 +136,10 @@ impl Comparison {
         let changed = self.metrics.iter().filter(is_changed);
         let rows: Vec<Value> = changed.map(|change| json!(change)).collect();
         if rows.iter().all(|change| change["chance"].is_null()) {
-            text.push_str(match self.count(TooFewRounds) == self.metrics.len() {
-                true => "\nNothing can be compared: too few rounds.\n",
-                false => "\nNothing changed beyond noise.\n",
+            text.push_str(if self.count(TooFewRounds) == self.metrics.len() {
+                "\nNothing can be compared: too few rounds.\n"
+            } else {
+                "\nNothing changed beyond noise.\n"
             });
         }
         if !rows.is_empty() {

@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x86b8a7535917fc24)
+#define CDCR_LAYOUT UINT64_C(0x6094492288111caf)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -195,7 +195,9 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_WRONG_INTERFACE = 22, /* the driver's interface differs from the configuration (link.interface) */
     CDCR_OUTCOME_OTHER_DRIVER = 23, /* another driver controls the robot */
     CDCR_OUTCOME_WAITS = 24, /* the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale */
-    CDCR_OUTCOME_TOO_FAR = 25 /* the reference is farther from the tip than motion.approach_distance_m */
+    CDCR_OUTCOME_TOO_FAR = 25, /* the reference is farther from the tip than motion.approach_distance_m */
+    CDCR_OUTCOME_CABLE_MEAN = 26, /* the mean length of a section's cables is not that of its backbone */
+    CDCR_OUTCOME_IN_THE_FUTURE = 27 /* a time is in the future */
 } CdcrOutcome;
 
 typedef enum CdcrReason {
@@ -638,7 +640,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v10, 2200 bytes. */
+/* cdcr.Status.v11, 2216 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -685,63 +687,63 @@ typedef struct CdcrStatus {
     uint64_t obstacles_refused;
     /* 240: one for each CdcrOutcome from 0 on. Input messages by their Outcome, index = code; 0 counts the accepted
      * ones. */
-    uint64_t outcomes[26];
-    /* 448: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
+    uint64_t outcomes[28];
+    /* 464: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
     uint64_t statistics_since_ns;
-    /* 456: Statistics since the start, or since a client reset them. */
+    /* 472: Statistics since the start, or since a client reset them. */
     CdcrStatistics since_reset;
-    /* 912: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
+    /* 928: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
     CdcrStatistics last_minute;
-    /* 1368: Holder of the reference lease; 0: nobody. */
+    /* 1384: Holder of the reference lease; 0: nobody. */
     uint64_t lease_holder;
-    /* 1376: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
+    /* 1392: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
     uint64_t reference_end_ns;
-    /* 1384: Points of the buffered reference that are still ahead. */
+    /* 1400: Points of the buffered reference that are still ahead. */
     uint32_t reference_points;
-    /* 1388: Obstacles of the newest cycle. */
+    /* 1404: Obstacles of the newest cycle. */
     uint32_t obstacle_count;
-    /* 1392: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
+    /* 1408: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
      * that by the measured bends. Infinite without obstacles. */
     double clearance_m;
-    /* 1400: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
+    /* 1416: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
      * counts in clearance_m. */
     double tip_margin_m;
-    /* 1408: The robot. */
+    /* 1424: The robot. */
     CdcrRobotDescription robot;
-    /* 1728: The solver's settings. */
+    /* 1744: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1896: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1912: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1904: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1920: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1928: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1944: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1936: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1952: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 1960: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 1976: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 1968: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 1984: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2016: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2032: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2160: Cycles in which the following error was above the warning. */
+    /* 2176: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2168: CdcrInterface. */
+    /* 2184: CdcrInterface. */
     uint32_t interface;
-    /* 2172: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2188: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2176: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2192: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2184: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2200: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2192: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2208: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2200);
+CDCR_ASSERT_SIZE(CdcrStatus, 2216);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {

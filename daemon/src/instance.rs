@@ -313,7 +313,9 @@ fn instead_of_open(root: &str, mode: u32) -> String {
         );
     }
     let root = root.trim_end_matches('/');
-    format!("it is shared by all users: use a folder in it, for example --root {root}/cdcr")
+    format!(
+        "it is shared by all users: use a folder in it, for example --root {root}/cdcr-$(id -u)"
+    )
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@ use cdcr_controller::robot::SectionParameters;
 use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
-/// Largest step of a bend in a period that is taken to be meant \[rad\].
-const STEP_RAD_MAX: f64 = 0.2;
+/// Largest rate of a bend that is taken to be meant \[rad/s\].
+const RATE_RAD_S_MAX: f64 = 30.0;
 
 /// Warnings about valid but probably unintended settings, each with its keys.
 pub(crate) fn warnings(config: &Config) -> Vec<String> {
@@ -109,13 +109,12 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         cut(config),
     ];
     let of_sections = config.robot.sections.iter().enumerate();
-    let of_sections = of_sections.flat_map(|(j, section)| of_section(j, section, period_ms));
+    let of_sections = of_sections.flat_map(|(j, section)| of_section(j, section));
     warnings.into_iter().flatten().chain(of_sections).collect()
 }
 
 /// Of one section. Lists of a configuration count from 0.
-fn of_section(j: usize, section: &SectionParameters, period_ms: f64) -> Vec<String> {
-    let step_rad = section.rate_max_rad_s * period_ms * 1e-3;
+fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
     let warnings = [
         (section.body_radius_m < section.cable_radius_m).then(|| {
             format!(
@@ -124,10 +123,9 @@ fn of_section(j: usize, section: &SectionParameters, period_ms: f64) -> Vec<Stri
                 section.body_radius_m, section.cable_radius_m
             )
         }),
-        (step_rad > STEP_RAD_MAX).then(|| {
+        (section.rate_max_rad_s > RATE_RAD_S_MAX).then(|| {
             format!(
-                "robot.sections[{j}].rate_max_rad_s = {} bends the section by {step_rad} rad in a period: is it in \
-                 degrees?",
+                "robot.sections[{j}].rate_max_rad_s = {}: more than {RATE_RAD_S_MAX} rad/s is probably in degrees",
                 section.rate_max_rad_s
             )
         }),

@@ -73,7 +73,7 @@ fn resolved(path: &Path) -> PathBuf {
     let mut resolved = PathBuf::new();
     for part in path.components() {
         if part == Component::ParentDir {
-            resolved.pop();
+            assert!(resolved.pop(), "{} leaves the folder", path.display());
         } else {
             resolved.push(part);
         }
@@ -93,6 +93,7 @@ fn every_link_of_an_installed_page_leads_to_an_installed_file() {
         for link in links(&text) {
             count += 1;
             let target = resolved(&page.parent().unwrap().join(link));
+            assert_ne!(target, Path::new(""), "{}: {link}", page.display());
             let is_there = files.keys().any(|file| file.starts_with(&target));
             assert!(is_there, "{}: {link}", page.display());
         }

@@ -253,6 +253,10 @@ class Outcome(Code):
     """The robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale."""
     TOO_FAR = 25
     """The reference is farther from the tip than motion.approach_distance_m."""
+    CABLE_MEAN = 26
+    """The mean length of a section's cables is not that of its backbone."""
+    IN_THE_FUTURE = 27
+    """A time is in the future."""
 
 
 class Reason(Code):

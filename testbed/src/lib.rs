@@ -7,7 +7,7 @@
 //! | [`system`] | cores, threads, counts of the kernel, the description of the machine |
 //! | [`interrupt`] | signals end a measurement in order |
 //!
-//! Invariant: nothing here knows a benchmark or a result format.
+//! Invariant: nothing here knows a benchmark.
 
 #![allow(
     missing_docs,

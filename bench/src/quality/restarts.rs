@@ -7,12 +7,12 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use cdcr_controller::nmpc::{Horizon, Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS, cycle_seed};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, RGBColor, SKY, YELLOW};
-use crate::closed_loop::inside;
 use crate::dataset::number;
 use crate::experiment::Solver;
 use crate::named::named;
@@ -209,7 +209,7 @@ fn compete(
     let (mut best_cost, mut best_plan) = (f64::INFINITY, nmpc.plan().to_vec());
     let (mut solves, mut quanta_left) = (0_u64, contender.quanta);
     let still = BendRates::zero(SECTIONS);
-    let reference = vec![inside(problem.target_m); HORIZON_STEPS as usize];
+    let reference = vec![ReferenceSample::at(problem.target_m); HORIZON_STEPS as usize];
     let random = (0..contender.random_plans).map(Some);
     for random_plan in std::iter::once(None).chain(random) {
         if let Some(number) = random_plan {

@@ -6,11 +6,12 @@ use std::time::Duration;
 use anyhow::Result;
 use cdcr_controller::nmpc::SolveInput;
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::BendRates;
 use serde_json::{Value, json};
 
 use super::Size;
-use crate::closed_loop::{End, PERIOD_S, inside, timed_solve};
+use crate::closed_loop::{End, PERIOD_S, timed_solve};
 use crate::dataset::{each, joined};
 use crate::experiment::{Solver, Task};
 use crate::quantiles::{histogram, quantile_us};
@@ -110,7 +111,7 @@ fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Res
     for cycle in 0..cycles {
         let steps = 1..=u64::from(HORIZON);
         let positions_m = steps.map(|step| scene.curve.position_m(at_s(cycle + step)));
-        let window: Vec<_> = positions_m.map(|m| inside(m.into())).collect();
+        let window: Vec<_> = positions_m.map(|m| ReferenceSample::at(m.into())).collect();
         let input = SolveInput {
             configuration: &at,
             previous_rates: &previous_rates,

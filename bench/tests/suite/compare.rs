@@ -51,7 +51,12 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     assert!(found.status.success() && is_told, "{text}");
 
     let few = write(folder.path(), "few.json", &[], &[("a/0", "µs", &[1.0])]);
-    let more = write(folder.path(), "more.json", &[], &[("a/0", "µs", &[1.0, 2.0])]);
+    let more = write(
+        folder.path(),
+        "more.json",
+        &[],
+        &[("a/0", "µs", &[1.0, 2.0])],
+    );
     let text = String::from_utf8(compare("", [&few, &more]).stdout).expect("a text");
     assert!(text.contains("Nothing can be compared"), "{text}");
 

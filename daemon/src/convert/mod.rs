@@ -281,43 +281,6 @@ mod tests {
         assert_eq!(speeds, Err(Outcome::WrongInterface));
     }
 
-    /// A bend and errors of zeros of some millimetres are taken.
-    #[test]
-    fn cables_of_another_robot_unit_or_order_are_refused() {
-        let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-        let bent = Configuration::from_slice(&[0.9, -0.4, 0.3, 1.2, -0.7, 0.2]).unwrap();
-        let taken = |change: &dyn Fn(&mut [f64; 9])| {
-            let mut lengths_m: [f64; 9] = robot.cable_lengths(&bent)[..9].try_into().unwrap();
-            change(&mut lengths_m);
-            let mut message = wire::Measurement {
-                kind: codes::MeasurementKind::CableLengths.code(),
-                sections: 3,
-                interface: codes::Interface::Position.code(),
-                measured_ns: 90,
-                ..Default::default()
-            };
-            message.cable_length_m[..9].copy_from_slice(&lengths_m);
-            let taken = measurement(&message, &robot, codes::Interface::Position, 100);
-            taken.map(drop).map_err(|refused| refused.detail)
-        };
-        assert_eq!(taken(&|_| ()), Ok(()));
-        assert_eq!(taken(&|lengths_m| lengths_m[4] += 0.01), Ok(()));
-        let millimetres = |lengths_m: &mut [f64; 9]| *lengths_m = lengths_m.map(|m| 1e3 * m);
-        assert_eq!(taken(&millimetres), Err(0));
-        let from_straight = |lengths_m: &mut [f64; 9]| {
-            for (length_m, straight_m) in lengths_m
-                .iter_mut()
-                .zip(robot.cable_lengths(&Configuration::straight(3)))
-            {
-                *length_m -= straight_m;
-            }
-        };
-        assert_eq!(taken(&from_straight), Err(0));
-        assert_eq!(taken(&|lengths_m| lengths_m.rotate_left(3)), Err(0));
-        let swapped = |lengths_m: &mut [f64; 9]| (3..6).for_each(|i| lengths_m.swap(i, i + 3));
-        assert_eq!(taken(&swapped), Err(3));
-    }
-
     #[test]
     fn measurements_round_trip() {
         let configuration = Configuration::from_slice(&[0.1, -0.2]).unwrap();

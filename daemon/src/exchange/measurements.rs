@@ -172,6 +172,14 @@ impl Measurements {
         if arrival.now_ns.saturating_sub(timed.measured_ns) > self.timeout_ns {
             return Err(Refused::whole(Outcome::InThePast));
         }
+        // Later, cables that run free are a fault of their own (`safety::CommonModeWatch`).
+        let is_first = !(self.has_bends && self.driver.is_bound_to(message.header.sender_id));
+        if let Measured::CableLengths(lengths_m) = &timed.measurement
+            && is_first
+            && let Some(section) = robot.section_of_foreign_cables(lengths_m)
+        {
+            return Err(Refused::at(Outcome::CableMean, 3 * section));
+        }
         Ok(timed)
     }
 }
@@ -196,6 +204,7 @@ fn is_a_tip(timed: &TimedMeasurement) -> bool {
 mod tests {
     use std::path::Path;
 
+    use cdcr_controller::robot::{CABLES_MAX, Configuration};
     use cdcr_shared_types::Header;
     use cdcr_shared_types::codes::Interface;
 
@@ -220,6 +229,15 @@ mod tests {
         }
 
         fn take(&mut self, sender_id: u64, kind: MeasurementKind) -> Outcome {
+            self.take_cables(sender_id, kind, [0.0; CABLES_MAX])
+        }
+
+        fn take_cables(
+            &mut self,
+            sender_id: u64,
+            kind: MeasurementKind,
+            cable_length_m: [f64; CABLES_MAX],
+        ) -> Outcome {
             self.now_ns += 1_000_000;
             let message = Measurement {
                 header: Header {
@@ -231,6 +249,7 @@ mod tests {
                 interface: Interface::Velocity.code(),
                 sections: 3,
                 tip_position_m: [0.0, 0.0, 0.8],
+                cable_length_m,
                 ..Measurement::default()
             };
             let arrival = Arrival {
@@ -257,6 +276,38 @@ mod tests {
 
     const BENDS: MeasurementKind = MeasurementKind::Configuration;
     const TIP: MeasurementKind = MeasurementKind::TipPose;
+
+    /// A bend and errors of zeros of some millimetres are taken; a cable that runs free later is a fault of its own.
+    #[test]
+    fn first_cables_of_another_robot_unit_or_order_are_refused() {
+        const CABLES: MeasurementKind = MeasurementKind::CableLengths;
+        let mut rig = Rig::new("");
+        let bent = Configuration::from_slice(&[0.9, -0.4, 0.3, 1.2, -0.7, 0.2]).unwrap();
+        let good_m = rig.robot.cable_lengths(&bent);
+        let straight_m = rig.robot.cable_lengths(&Configuration::straight(3));
+        let mut swapped_m = good_m;
+        (3..6).for_each(|i| swapped_m.swap(i, i + 3));
+        let mut turned_m = good_m;
+        turned_m[..9].rotate_left(3);
+        let from_straight_m = core::array::from_fn(|i| good_m[i] - straight_m[i]);
+        for foreign_m in [
+            good_m.map(|m| 1e3 * m),
+            from_straight_m,
+            swapped_m,
+            turned_m,
+        ] {
+            assert_eq!(rig.take_cables(1, CABLES, foreign_m), Outcome::CableMean);
+        }
+        assert_eq!(rig.newest().0, None);
+        let mut off_m = good_m;
+        off_m[4] += 0.01;
+        assert_eq!(rig.take_cables(1, CABLES, off_m), Outcome::Accepted);
+        assert_eq!(rig.take_cables(1, CABLES, swapped_m), Outcome::Accepted);
+        // The next driver has to prove itself.
+        rig.desk.driver = BoundSender::new(0);
+        assert_eq!(rig.take_cables(2, CABLES, swapped_m), Outcome::CableMean);
+        assert_eq!(rig.take_cables(2, CABLES, good_m), Outcome::Accepted);
+    }
 
     #[test]
     fn the_tip_counts_alone_until_something_tells_the_bends() {

@@ -80,7 +80,7 @@ impl Exchange {
                 self.requests.taken += 1;
                 if asked.payload().header.sent_ns > clock.now_ns() {
                     // By such a time a stop would never be newer than the request.
-                    self.answer_now(&asked, Outcome::OutOfRange, now_ns);
+                    self.answer_now(&asked, Outcome::InTheFuture, now_ns);
                     continue;
                 }
                 self.take_request(asked, now_ns, shared);

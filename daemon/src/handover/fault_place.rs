@@ -11,14 +11,14 @@ use super::CycleRecord;
 pub enum FaultPlace {
     /// The bend farthest beyond its limit.
     Bend(FarthestBend),
-    /// The component of a bend vector whose measurement is farthest from the estimate.
+    /// The component of a bend vector whose measurement is farthest from where the commands lead.
     Component {
         section: usize,
         axis: char,
         measured_rad: f64,
-        estimated_rad: f64,
+        commanded_rad: f64,
     },
-    /// Distance of the measured tip from the estimated one \[m\].
+    /// Distance of the measured tip from where the commands lead \[m\].
     Tip { distance_m: f64 },
     /// The section farthest from its command.
     Section { section: usize, error_rad: f64 },
@@ -55,15 +55,15 @@ impl FaultPlace {
             .zip(record.configuration.as_slice());
         let components = pairs
             .enumerate()
-            .map(|(k, (&measured_rad, &estimated_rad))| {
+            .map(|(k, (&measured_rad, &commanded_rad))| {
                 let axis = if k % 2 == 0 { 'x' } else { 'y' };
                 let place = Self::Component {
                     section: k / 2,
                     axis,
                     measured_rad,
-                    estimated_rad,
+                    commanded_rad,
                 };
-                ((measured_rad - estimated_rad).abs(), place)
+                ((measured_rad - commanded_rad).abs(), place)
             });
         let farthest = components.max_by(|one, other| one.0.total_cmp(&other.0));
         farthest.map(|(_, place)| place)
@@ -78,14 +78,17 @@ impl fmt::Display for FaultPlace {
                 section,
                 axis,
                 measured_rad,
-                estimated_rad,
+                commanded_rad,
             } => write!(
                 f,
-                "bend component {axis} of section {} is measured as {measured_rad:.4} rad, estimated as {estimated_rad:.4} rad",
+                "bend component {axis} of section {} is measured as {measured_rad:.4} rad, the commands lead to {commanded_rad:.4} rad",
                 section + 1
             ),
             Self::Tip { distance_m } => {
-                write!(f, "the tip is measured {distance_m:.4} m from its estimate")
+                write!(
+                    f,
+                    "the tip is measured {distance_m:.4} m from where the commands lead"
+                )
             }
             Self::Section { section, error_rad } => {
                 write!(

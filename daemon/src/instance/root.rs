@@ -370,7 +370,11 @@ mod tests {
             let text = error.to_string();
             // A folder of all users, like /dev/shm, must stay open to them.
             let is_shared = mode == 0o1777;
-            let remedy = if is_shared { "/cdcr" } else { "chmod go-rwx" };
+            let remedy = if is_shared {
+                "/cdcr-$(id -u)"
+            } else {
+                "chmod go-rwx"
+            };
             for part in [&format!("mode {mode:04o}"), remedy, "--root"] {
                 assert!(text.contains(part), "{part}: {text}");
             }

@@ -326,27 +326,38 @@ impl Demands {
     }
 
     /// Fails when a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
-    /// `without_orientation` simulates the positions alone.
-    pub(crate) fn check(
-        &self,
-        allowed_m: f64,
-        without_orientation: impl FnOnce() -> anyhow::Result<Self>,
-    ) -> anyhow::Result<()> {
-        if self.error_max_m <= allowed_m {
-            return Ok(());
-        }
-        let (time_s, point_m) = self.farthest;
-        let missed = format!("at {time_s:.2} s {}", away(self.error_max_m, point_m));
-        if self.has_orientation && without_orientation()?.error_max_m <= allowed_m {
+    pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
+        if self.error_max_m > allowed_m {
             bail!(
-                "position and orientation cannot both be reached: {missed}, though without an orientation it reaches every \
-                 point: drop the orientation, or lower controller.orientation_weight; nothing moved"
+                "too fast, or obstructed: {}, though the robot's bends allow every point: use a lower --speed, or remove \
+                 obstacles; nothing moved",
+                self.missed()
             );
         }
-        bail!(
-            "too fast, or obstructed: {missed}, though the robot's bends allow every point: use a lower --speed, or \
-             remove obstacles; nothing moved"
-        );
+        Ok(())
+    }
+
+    /// Fails when the orientation is why a point is missed by more than `allowed_m`: the `positions` alone are reached.
+    pub(crate) fn check_orientation(
+        &self,
+        allowed_m: f64,
+        positions: impl FnOnce() -> anyhow::Result<Self>,
+    ) -> anyhow::Result<()> {
+        let is_missed = self.error_max_m > allowed_m;
+        if is_missed && self.has_orientation && positions()?.error_max_m <= allowed_m {
+            bail!(
+                "position and orientation cannot both be reached: {}, though without an orientation it reaches every \
+                 point: drop the orientation, or lower controller.orientation_weight; nothing moved",
+                self.missed()
+            );
+        }
+        Ok(())
+    }
+
+    /// Text for the point with the largest error.
+    fn missed(&self) -> String {
+        let (time_s, point_m) = self.farthest;
+        format!("at {time_s:.2} s {}", away(self.error_max_m, point_m))
     }
 
     /// Fails when the end is missed by more than `allowed_m`.

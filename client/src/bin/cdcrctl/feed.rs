@@ -52,7 +52,8 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         demands.print(trajectory.name())?;
         reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
         let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);
-        demands.check(allowed_m, positions)?;
+        demands.check_orientation(allowed_m, positions)?;
+        demands.check(allowed_m)?;
         return Ok(Done::Good);
     }
     reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;

@@ -450,12 +450,13 @@ mod tests {
         };
         let remedy = |status: &Status| object(status)["remedy"].to_string();
         assert!(
-            remedy(&status).contains("start the driver"),
+            remedy(&status).contains("check that the driver runs"),
             "{}",
             remedy(&status)
         );
         status.outcomes[Outcome::Accepted.code() as usize] = 900;
-        status.outcomes[Outcome::NotFinite.code() as usize] = 2;
+        status.outcomes[Outcome::NoLease.code() as usize] = 901;
+        status.outcomes[Outcome::InThePast.code() as usize] = 2;
         status.outcomes[Outcome::CableMean.code() as usize] = 542;
         let table = table(&status, None, 0).expect("formatted");
         for part in [

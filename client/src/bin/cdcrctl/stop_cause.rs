@@ -23,17 +23,28 @@ pub(crate) fn status_remedy(status: &Status) -> Option<String> {
     }
 }
 
-/// The daemon waits for the first measurement of its driver.
+/// Outcomes of a measurement. Those that other messages have, too, are left out where such messages are common.
+const OF_MEASUREMENTS: [Outcome; 7] = [
+    Outcome::InThePast,
+    Outcome::InTheFuture,
+    Outcome::CableMean,
+    Outcome::WrongRobot,
+    Outcome::WrongInterface,
+    Outcome::OtherDriver,
+    Outcome::OutOfRange,
+];
+
+/// The daemon waits for the first measurement of its driver. The status counts refusals of all messages together.
 fn start_remedy(status: &Status) -> String {
-    let refusals = Outcome::ALL.iter().zip(status.outcomes);
-    let refusals = refusals.filter(|(outcome, count)| **outcome != Outcome::Accepted && *count > 0);
-    match refusals.max_by_key(|(_, count)| *count) {
-        Some((outcome, count)) => format!(
+    let refusals =
+        OF_MEASUREMENTS.map(|outcome| (outcome, status.outcomes[outcome.code() as usize]));
+    match refusals.into_iter().max_by_key(|(_, count)| *count) {
+        Some((outcome, count)) if count > 0 => format!(
             "No measurement was accepted yet; {} refused: {outcome}. {}",
             counted(count, "message"),
-            remedy(*outcome)
+            remedy(outcome)
         ),
-        None => "No measurement has come yet: start the driver (docs/drivers.md).".to_owned(),
+        _ => "No measurement was accepted yet: check that the driver runs and sends (docs/drivers.md).".to_owned(),
     }
 }
 

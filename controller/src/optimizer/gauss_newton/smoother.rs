@@ -280,6 +280,7 @@ fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
 /// Scalar product of an even number of terms, in two sums.
 #[inline(always)]
 fn product<const N: usize>(a: &[f64], b: &[f64; N]) -> f64 {
+    const { assert!(N.is_multiple_of(2)) };
     let mut sums = [0.0; 2];
     for (a, b) in a.chunks_exact(2).zip(b.chunks_exact(2)) {
         sums[0] += a[0] * b[0];

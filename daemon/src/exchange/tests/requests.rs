@@ -69,5 +69,5 @@ fn a_request_from_the_future_resets_no_stop_that_came_after_it() {
     assert!(matches!(rig.run(4, None), Mode::Stopped { .. }));
     rig.publish();
     let answer = answer.receive().unwrap().unwrap();
-    assert_eq!(answer.payload().outcome, Outcome::OutOfRange.code());
+    assert_eq!(answer.payload().outcome, Outcome::InTheFuture.code());
 }

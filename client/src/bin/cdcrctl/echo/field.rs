@@ -182,7 +182,7 @@ mod tests {
         }
         let error = check_of_status("cycle").expect_err("no such field");
         assert!(error.to_string().contains("use one of "), "{error}");
-        let check = |path: &str| super::check(&Telemetry::default(), &paths(&[path]));
+        let check = |path: &str| check(&Telemetry::default(), &paths(&[path]));
         check("obstacles.7.radius_m").expect("there may be so many");
         check("measurement.cable_length_m.2").expect("of another kind of measurement");
         check("measurement.cable_lengths").expect_err("of none");

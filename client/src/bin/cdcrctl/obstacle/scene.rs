@@ -98,7 +98,6 @@ pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
 pub(super) fn check_count(changes: &[Change]) -> Result<(), String> {
     // Each with the time at which it expires.
     let mut present = BTreeMap::new();
-    let (mut most, mut first) = (0, None);
     for change in changes {
         present.retain(|_, until_s| change.time_s < *until_s);
         match &change.what {
@@ -111,17 +110,14 @@ pub(super) fn check_count(changes: &[Change]) -> Result<(), String> {
             }
             What::Remove(ids) => present.retain(|id, _| !ids.contains(id)),
         }
-        most = most.max(present.len());
         if present.len() > OBSTACLES_MAX {
-            first.get_or_insert(change.number);
+            return Err(format!(
+                "line {}: one obstacle more than the {OBSTACLES_MAX} that a daemon knows at one time; nothing was sent",
+                change.number
+            ));
         }
     }
-    first.map_or(Ok(()), |line| {
-        Err(format!(
-            "it has {most} obstacles at one time, and a daemon knows at most {OBSTACLES_MAX}: line {line} has one too many; \
-             nothing was sent"
-        ))
-    })
+    Ok(())
 }
 
 /// Parses one line; `None` if it is empty.
@@ -280,7 +276,7 @@ mod tests {
         let checked = |text: &str| check_count(&parse(text).expect("legal"));
         assert_eq!(checked(&scene(64, "")), Ok(()));
         let error = checked(&scene(1000, "")).expect_err("too many");
-        let start = "it has 1000 obstacles at one time, and a daemon knows at most 64: line 65 ";
+        let start = "line 65: one obstacle more than the 64 that a daemon knows";
         assert!(error.starts_with(start), "{error}");
         let last = |line: &str| checked(&format!("{}{line}\n", scene(64, "")));
         let one_more = "\"start_m\": [0, 0, 1], \"radius_m\": 0.1}";
