@@ -10,7 +10,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
              within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, in ns)."
         }
         Outcome::InTheFuture => {
-            "Stamp messages with CLOCK_MONOTONIC of the daemon's host, in ns, not ahead of now. CLOCK_REALTIME (Python: time.time_ns) is years ahead of it."
+            "Stamp messages with CLOCK_MONOTONIC of the daemon's host, in ns, not ahead of now. The wall clock (Python: time.time_ns) is years ahead of it."
         }
         Outcome::CableMean => {
             "Send each cable in m, from the first section on, as long as on the straight robot plus its stroke \

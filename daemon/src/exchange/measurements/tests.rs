@@ -1,0 +1,196 @@
+use std::path::Path;
+
+use cdcr_controller::robot::{CABLES_MAX, Configuration};
+use cdcr_shared_types::Header;
+use cdcr_shared_types::codes::Interface;
+
+use super::*;
+
+/// A `Measurements` whose time advances by 1 ms with each measurement.
+struct Rig {
+    desk: Measurements,
+    robot: Robot,
+    now_ns: u64,
+}
+
+impl Rig {
+    fn new(more: &str) -> Self {
+        let text = format!("[link]\nkind = \"driver\"\n{more}");
+        let validated = Config::parse(&text, Path::new("measurements")).unwrap();
+        Self {
+            desk: Measurements::new(&validated.config),
+            robot: validated.robot,
+            now_ns: 1_000_000_000,
+        }
+    }
+
+    fn take(&mut self, sender_id: u64, kind: MeasurementKind) -> Outcome {
+        self.take_cables(sender_id, kind, [0.0; CABLES_MAX])
+    }
+
+    fn take_cables(
+        &mut self,
+        sender_id: u64,
+        kind: MeasurementKind,
+        cable_length_m: [f64; CABLES_MAX],
+    ) -> Outcome {
+        self.now_ns += 1_000_000;
+        let message = Measurement {
+            header: Header {
+                sender_id,
+                ..Header::default()
+            },
+            measured_ns: self.now_ns,
+            kind: kind.code(),
+            interface: Interface::Velocity.code(),
+            sections: 3,
+            tip_position_m: [0.0, 0.0, 0.8],
+            cable_length_m,
+            ..Measurement::default()
+        };
+        let arrival = Arrival {
+            gather_ns: self.now_ns,
+            now_ns: self.now_ns,
+            is_faulted: false,
+        };
+        let taken = self.desk.take(&message, true, &self.robot, arrival);
+        taken.unwrap_or_else(|refused| refused.outcome)
+    }
+
+    /// Takes a measurement that must be accepted; returns its time.
+    fn accept(&mut self, sender_id: u64, kind: MeasurementKind) -> u64 {
+        assert_eq!(self.take(sender_id, kind), Outcome::Accepted);
+        self.now_ns
+    }
+
+    /// Time stamps of the newest measurement, and of the newest tip beside it.
+    fn newest(&self) -> (Option<u64>, Option<u64>) {
+        let stamp = |timed: Option<TimedMeasurement>| timed.map(|timed| timed.measured_ns);
+        (stamp(self.desk.newest()), stamp(self.desk.newest_tip()))
+    }
+}
+
+const BENDS: MeasurementKind = MeasurementKind::Configuration;
+const TIP: MeasurementKind = MeasurementKind::TipPose;
+
+/// A bend and errors of zeros of some millimetres are taken; a cable that runs free later is a fault of its own.
+#[test]
+fn first_cables_of_another_robot_unit_or_order_are_refused() {
+    const CABLES: MeasurementKind = MeasurementKind::CableLengths;
+    let mut rig = Rig::new("");
+    let bent = Configuration::from_slice(&[0.9, -0.4, 0.3, 1.2, -0.7, 0.2]).unwrap();
+    let good_m = rig.robot.cable_lengths(&bent);
+    let straight_m = rig.robot.cable_lengths(&Configuration::straight(3));
+    let mut swapped_m = good_m;
+    (3..6).for_each(|i| swapped_m.swap(i, i + 3));
+    let mut turned_m = good_m;
+    turned_m[..9].rotate_left(3);
+    let from_straight_m = core::array::from_fn(|i| good_m[i] - straight_m[i]);
+    for foreign_m in [
+        good_m.map(|m| 1e3 * m),
+        from_straight_m,
+        swapped_m,
+        turned_m,
+    ] {
+        assert_eq!(rig.take_cables(1, CABLES, foreign_m), Outcome::CableMean);
+    }
+    assert_eq!(rig.newest().0, None);
+    let mut off_m = good_m;
+    off_m[4] += 0.01;
+    assert_eq!(rig.take_cables(1, CABLES, off_m), Outcome::Accepted);
+    assert_eq!(rig.take_cables(1, CABLES, swapped_m), Outcome::Accepted);
+    // The next driver has to prove itself.
+    rig.desk.driver = BoundSender::new(0);
+    assert_eq!(rig.take_cables(2, CABLES, swapped_m), Outcome::CableMean);
+    assert_eq!(rig.take_cables(2, CABLES, good_m), Outcome::Accepted);
+}
+
+#[test]
+fn the_tip_counts_alone_until_something_tells_the_bends() {
+    let mut rig = Rig::new("");
+    rig.accept(1, TIP);
+    rig.now_ns += BENDS_LATE_NS;
+    let tip = rig.accept(1, TIP);
+    assert_eq!(rig.newest(), (Some(tip), None));
+    let bends = rig.accept(1, BENDS);
+    assert_eq!(rig.newest().0, Some(bends));
+    let tip = rig.accept(1, TIP);
+    assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+    // Bends measured by a lost driver do not count for one without encoders.
+    rig.desk.driver = BoundSender::new(0);
+    rig.accept(2, TIP);
+    assert_eq!(rig.newest(), (Some(bends), None));
+    rig.now_ns += BENDS_LATE_NS;
+    let tip = rig.accept(2, TIP);
+    assert_eq!(rig.newest(), (Some(tip), None));
+}
+
+/// Of a tip alone, control would begin at a guess.
+#[test]
+fn a_tip_waits_for_the_first_bends() {
+    let mut rig = Rig::new("");
+    rig.accept(1, TIP);
+    rig.accept(1, TIP);
+    assert_eq!(rig.newest(), (None, None));
+    // No time counts in which nothing was gathered.
+    rig.now_ns += BENDS_LATE_NS;
+    rig.desk.extend(BENDS_LATE_NS);
+    rig.accept(1, TIP);
+    assert_eq!(rig.newest(), (None, None));
+    let bends = rig.accept(1, BENDS);
+    let tip = rig.accept(1, TIP);
+    assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+    // Of the next driver, too.
+    rig.desk.driver = BoundSender::new(0);
+    rig.accept(2, TIP);
+    assert_eq!(rig.newest(), (Some(bends), None));
+    let bends = rig.accept(2, BENDS);
+    assert_eq!(rig.newest(), (Some(bends), None));
+}
+
+#[test]
+fn bends_count_though_each_tip_comes_before_them_with_their_time_stamp() {
+    let mut rig = Rig::new("");
+    rig.accept(1, TIP);
+    rig.now_ns += BENDS_LATE_NS;
+    for _ in 0..2 {
+        let stamp = rig.accept(1, TIP);
+        rig.now_ns -= 1_000_000;
+        assert_eq!(rig.accept(1, BENDS), stamp);
+        assert_eq!(rig.newest().0, Some(stamp));
+        assert!(rig.desk.newest().is_some_and(|newest| !is_a_tip(&newest)));
+    }
+}
+
+#[test]
+fn a_sender_of_tips_is_another_driver_unless_the_configuration_has_a_tip_sensor() {
+    let mut rig = Rig::new("");
+    rig.accept(1, BENDS);
+    assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);
+}
+
+#[test]
+fn a_tip_sensor_and_a_driver_are_bound_each_for_itself() {
+    let mut rig = Rig::new("tip_sensor = \"separate\"\n");
+    // In any order: the tip alone does not determine the configuration.
+    let tip = rig.accept(2, TIP);
+    assert_eq!(rig.newest(), (None, Some(tip)));
+    let bends = rig.accept(1, BENDS);
+    assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+    for (sender_id, kind) in [(3, TIP), (1, TIP), (3, BENDS), (2, BENDS)] {
+        assert_eq!(rig.take(sender_id, kind), Outcome::OtherDriver);
+    }
+    let tip = rig.accept(2, TIP);
+    assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+    // A silent tip sensor is replaced without a fault, a silent driver is not.
+    rig.now_ns += TIP_SENSOR_LOST_NS;
+    assert_eq!(rig.desk.tip_sensors(), 1);
+    let tip = rig.accept(3, TIP);
+    assert_eq!(rig.desk.tip_sensors(), 2);
+    assert_eq!(rig.take(3, BENDS), Outcome::OtherDriver);
+    assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+    // Time without gathers does not count as silence.
+    rig.now_ns += TIP_SENSOR_LOST_NS;
+    rig.desk.extend(TIP_SENSOR_LOST_NS);
+    assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);
+}
