@@ -28,6 +28,14 @@ fn tip_m(daemon: &Daemon) -> [f64; 3] {
     wait_record(&mut telemetry, |_| true).tip_position_m
 }
 
+fn wait_until_the_tip_rests(daemon: &Daemon) {
+    wait_until("the tip rests", || {
+        let before_m = tip_m(daemon);
+        std::thread::sleep(Duration::from_millis(200));
+        distance_m(tip_m(daemon), before_m) < 5e-4
+    });
+}
+
 fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
     squares.sum::<f64>().sqrt()
@@ -184,11 +192,7 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         let mut plant = daemon.place().start(&line);
         wait_mode(&mut daemon.connect().telemetry().unwrap(), Mode::Holding);
         // The estimate of the tip offset is still converging.
-        wait_until("the tip rests", || {
-            let before_m = tip_m(&daemon);
-            std::thread::sleep(Duration::from_millis(200));
-            distance_m(tip_m(&daemon), before_m) < 5e-4
-        });
+        wait_until_the_tip_rests(&daemon);
         let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
         let mut points = ["0.05,0.02,0.87", "0.02,0.05,0.87"].iter().cycle();
         until_undisturbed("the tip goes to a point", || {
@@ -233,14 +237,9 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
     let robot = daemon.place().start("cdcrctl plant");
     wait_mode(&mut telemetry, Mode::Holding);
     // The robot may still be on its way to where it is held.
-    wait_until("the tip is at the point", || {
-        let line = "cdcrctl goto 0.1,0,0.85 --speed 0.2 --max-error 20mm";
-        let gone = daemon.place().start(line).output();
-        let moves = text(&gone).contains("try again when it is at rest");
-        if !moves {
-            assert_says(&gone, 0, &[]);
-        }
-        !moves
+    wait_until_the_tip_rests(&daemon);
+    until_undisturbed("the tip goes to a point", || {
+        says_unless_stalled(&daemon, "goto 0.1,0,0.85 --speed 0.2 --max-error 20mm")
     });
     robot.signal(Signal::KILL);
     wait_mode(&mut telemetry, Mode::Faulted);
