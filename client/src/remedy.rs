@@ -97,8 +97,8 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
     match reason {
         Reason::Start => "The daemon was restarted: feed the reference again.",
         Reason::Request => {
-            "A client (cdcrctl stop, hold, ...), or the signal SIGUSR1, asked for it; where it stopped the robot, check that nobody is in its \
-             way, then cdcrctl reset."
+            "A client (cdcrctl hold, stop, ...) or the signal SIGUSR1 asked for it. After a hold, feed the reference again. After a stop, check \
+             that nobody is in the robot's way, then cdcrctl reset."
         }
         Reason::ReferenceEnded => {
             "The chunks came too late: give this program more time, or send further ahead."

@@ -6,8 +6,12 @@ use cdcr_controller::robot::SectionParameters;
 use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
-/// Largest rate of a bend that is taken to be meant \[rad/s\].
-const RATE_RAD_S_MAX: f64 = 30.0;
+/// Largest rate of a bend and largest speed of a tip that are taken to be meant \[rad/s, m/s\].
+const RATE_RAD_S_MAX: f64 = 10.0;
+const SPEED_M_S_MAX: f64 = 2.0;
+
+/// Longest validity of a command that is taken to be meant \[ms\].
+const VALID_MS_MAX: f64 = 1000.0;
 
 /// Warnings about valid but probably unintended settings, each with its keys.
 pub(crate) fn warnings(config: &Config) -> Vec<String> {
@@ -28,7 +32,6 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let rates = config.robot.sections.iter().map(|s| s.rate_max_rad_s);
     let fastest_rad_s = rates.fold(0.0, f64::max);
     let ramp_s = fastest_rad_s / motion.deceleration_rad_s2;
-    let unmeasured_rad = fastest_rad_s * link.measurement_timeout_ms * 1e-3;
     let warnings = [
         (left_ms <= 0.0).then(|| {
             format!(
@@ -66,20 +69,6 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         (link.kind == LinkKind::Simulated && link.tip_sensor == TipSensor::Separate).then(|| {
             "link.tip_sensor = \"separate\" has no effect: the simulated robot accepts no measurements".to_owned()
         }),
-        (link.kind == LinkKind::Driver && link.measurement_timeout_ms < period_ms).then(|| {
-            format!(
-                "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver that \
-                 measures once per period times out at once",
-                link.measurement_timeout_ms
-            )
-        }),
-        (link.kind == LinkKind::Driver && safety.measurement_frozen_rad < unmeasured_rad).then(|| {
-            format!(
-                "safety.measurement_frozen_rad = {}: a bend can be commanded by {unmeasured_rad} rad within \
-                 link.measurement_timeout_ms = {}, so that a late measurement counts as frozen",
-                safety.measurement_frozen_rad, link.measurement_timeout_ms
-            )
-        }),
         (!link.is_ideal() && config.robot.sections.len() > 1 && controller.rate_weight == RateWeight::Of(0.0)).then(|| {
             "controller.rate_weight = 0: sensor noise makes the robot drift around its tip; set \"auto\", or remove \
              the key"
@@ -110,17 +99,130 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     ];
     let of_sections = config.robot.sections.iter().enumerate();
     let of_sections = of_sections.flat_map(|(j, section)| of_section(j, section));
-    warnings.into_iter().flatten().chain(of_sections).collect()
+    let warnings = warnings.into_iter().flatten().chain(of_sections);
+    warnings
+        .chain(of_units(config))
+        .chain(of_checks(config))
+        .collect()
+}
+
+/// Values that are probably in another unit.
+fn of_units(config: &Config) -> Vec<String> {
+    let (motion, actuator) = (&config.motion, &config.actuator);
+    let is_short = |ms: f64| ms > 0.0 && ms < 1.0;
+    let full_m = config.robot.full_stroke_m();
+    let stroke_m = config.robot.cable_stroke_max_m;
+    [
+        (
+            motion.home_rate_rad_s > RATE_RAD_S_MAX,
+            format!("motion.home_rate_rad_s = {}: in degrees?", motion.home_rate_rad_s),
+        ),
+        (
+            motion.approach_speed_m_s > SPEED_M_S_MAX,
+            format!("motion.approach_speed_m_s = {}: in mm/s?", motion.approach_speed_m_s),
+        ),
+        (
+            is_short(actuator.delay_ms),
+            format!("actuator.delay_ms = {}: in seconds?", actuator.delay_ms),
+        ),
+        (
+            is_short(actuator.time_constant_ms),
+            format!("actuator.time_constant_ms = {}: in seconds?", actuator.time_constant_ms),
+        ),
+        (
+            stroke_m > 10.0 * full_m,
+            format!(
+                "robot.cable_stroke_max_m = {stroke_m} limits nothing: at full bend no cable moves by more than {full_m:.3} m; \
+                 in millimetres?"
+            ),
+        ),
+    ]
+    .into_iter()
+    .filter_map(|(is_doubtful, text)| is_doubtful.then_some(text))
+    .collect()
+}
+
+/// Checks of a robot behind a driver that these values switch off, or that act too early.
+fn of_checks(config: &Config) -> Vec<String> {
+    let (safety, link, period_ms) = (&config.safety, &config.link, config.cycle.period_ms);
+    if link.kind != LinkKind::Driver {
+        return Vec::new();
+    }
+    let sections = &config.robot.sections;
+    let least_rad = sections
+        .iter()
+        .map(|s| s.bend_max_rad)
+        .fold(f64::INFINITY, f64::min);
+    let fastest_rad_s = sections
+        .iter()
+        .map(|s| s.rate_max_rad_s)
+        .fold(0.0, f64::max);
+    let unmeasured_rad = fastest_rad_s * link.measurement_timeout_ms * 1e-3;
+    let of_bends = [
+        ("following_fault_rad", safety.following_fault_rad),
+        ("measurement_jump_rad", safety.measurement_jump_rad),
+        ("measurement_frozen_rad", safety.measurement_frozen_rad),
+    ];
+    let beyond = of_bends.into_iter().filter(|(_, value)| *value > least_rad);
+    let of_bends = beyond.map(|(key, value)| {
+        format!(
+            "safety.{key} = {value} switches this check off where a section bends by {least_rad} rad at most; in degrees?"
+        )
+    });
+    let others = [
+        (link.measurement_timeout_ms < period_ms).then(|| {
+            format!(
+                "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver that \
+                 measures once per period times out at once",
+                link.measurement_timeout_ms
+            )
+        }),
+        (safety.measurement_frozen_rad < unmeasured_rad).then(|| {
+            format!(
+                "safety.measurement_frozen_rad = {}: a bend can be commanded by {unmeasured_rad:.3} rad within \
+                 link.measurement_timeout_ms = {}, so that a late measurement counts as frozen",
+                safety.measurement_frozen_rad, link.measurement_timeout_ms
+            )
+        }),
+        (safety.clearance_fault_m < 0.0).then(|| {
+            format!(
+                "safety.clearance_fault_m = {}: a body inside an obstacle by less than that is no fault",
+                safety.clearance_fault_m
+            )
+        }),
+        (safety.cable_common_m == 0.0).then(|| {
+            "safety.cable_common_m = 0: a broken or slack cable is no fault".to_owned()
+        }),
+        (link.command_valid_ms > VALID_MS_MAX).then(|| {
+            format!(
+                "link.command_valid_ms = {}: a robot moves on for so long after its daemon has died",
+                link.command_valid_ms
+            )
+        }),
+    ];
+    of_bends.chain(others.into_iter().flatten()).collect()
 }
 
 /// Of one section. Lists of a configuration count from 0.
 fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
     let warnings = [
-        (section.body_radius_m < section.cable_radius_m).then(|| {
+        (section.cable_radius_m > section.body_radius_m).then(|| {
+            let is_other = section.cable_radius_m > 3.0 * section.body_radius_m;
+            let consequence = if is_other {
+                "is one of them in another unit? A wrong cable_radius_m bends the robot by a wrong factor"
+            } else {
+                "cables and discs stand out of the body from which obstacles are kept away"
+            };
             format!(
-                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: cables and discs stand out of the \
-                 body from which obstacles are kept away",
+                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: {consequence}",
                 section.body_radius_m, section.cable_radius_m
+            )
+        }),
+        (section.cable_radius_m < 0.2 * section.body_radius_m).then(|| {
+            format!(
+                "robot.sections[{j}].cable_radius_m = {} is far inside the body of {} m: in another unit? A wrong \
+                 cable_radius_m bends the robot by a wrong factor",
+                section.cable_radius_m, section.body_radius_m
             )
         }),
         (section.rate_max_rad_s > RATE_RAD_S_MAX).then(|| {

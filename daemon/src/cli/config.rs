@@ -218,10 +218,12 @@ fn summary(validated: &Validated) -> Vec<String> {
     let (kind, root) = (as_written(&config.link.kind), location.root().display());
     let (mode, period_ms) = (as_written(&config.realtime.mode), config.cycle.period_ms);
     let sections = robot.sections().iter().zip(1..).map(|(section, number)| {
-        let SectionParameters { length_m, bend_max_rad, rate_max_rad_s, cable_radius_m, .. } = section;
+        let SectionParameters { length_m, bend_max_rad, rate_max_rad_s, cable_radius_m, cable_offset_rad, body_radius_m } =
+            section;
+        let first_deg = cable_offset_rad.to_degrees();
         format!(
             "  section {number}  length {length_m} m, bend ≤ {bend_max_rad} rad, rate ≤ {rate_max_rad_s} rad/s, cables at \
-             {cable_radius_m} m"
+             {cable_radius_m} m, the first at {first_deg:.1}°, body radius {body_radius_m} m"
         )
     });
     let mut lines = vec![
@@ -229,7 +231,18 @@ fn summary(validated: &Validated) -> Vec<String> {
         format!("robot      {name} ({kind}), reach {:.3} m", robot.reach_m()),
     ];
     lines.extend(sections);
+    let actuator = &config.actuator;
     lines.extend([
+        format!(
+            "motors     {}, delay {} ms, lag {} ms, play {} m; cables ≤ {} m/s, stroke ≤ {} m (at full bend {:.3} m)",
+            as_written(&config.link.interface),
+            actuator.delay_ms,
+            actuator.time_constant_ms,
+            actuator.play_m,
+            config.robot.cable_speed_max_m_s,
+            config.robot.cable_stroke_max_m,
+            config.robot.full_stroke_m()
+        ),
         format!("cycle      {period_ms} ms, real time: {mode}"),
         format!(
             "controller {}, N = {}, swarm {} x {}, {} refinement steps",

@@ -19,6 +19,15 @@ table! {
 }
 
 impl RobotConfig {
+    /// Largest stroke of a cable with every section at its largest bend \[m\].
+    pub(crate) fn full_stroke_m(&self) -> f64 {
+        let strokes_m = self
+            .sections
+            .iter()
+            .map(|s| s.cable_radius_m * s.bend_max_rad);
+        strokes_m.sum()
+    }
+
     /// The robot described by the keys.
     pub(super) fn robot(&self, origins: &Origins) -> Result<Robot, ConfigError> {
         Service::Status

@@ -147,13 +147,15 @@ pub(crate) enum Task {
         after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      wait until the robot is at rest"
     )]
     Hold(WaitOptions),
-    /// Move to the straight configuration
+    /// Straighten the robot; this moves it. Ctrl-C with --wait holds it
     #[command(
         after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        wait until the robot is there and at rest"
     )]
     Home(WaitOptions),
     /// Stop the robot and latch: it moves again only after a reset
-    #[command(after_help = "Example:\n  cdcrctl stop && cdcrctl reset")]
+    #[command(
+        after_help = "Example:\n  cdcrctl stop     then check the robot, then: cdcrctl reset"
+    )]
     Stop,
     /// Leave mode stopped or faulted, and hold
     #[command(after_help = "Example:\n  cdcrctl reset --wait")]
@@ -222,7 +224,7 @@ pub(crate) enum Task {
     #[command(
         after_help = "Examples:\n  cdcrctl scope --trigger 'error>5mm'\n  cdcrctl scope --trigger fault --before 10s -o fault.mcap\n\n\
         On a terminal, plots error, clearance, response time, fastest bend rate and mode over time while it waits and records, with the trigger \
-        level and a line at the cycle that fired: the first that meets the condition after one that does not. q quits. \
+        level and a line at the cycle that fired: it meets the condition, and the one before did not. q quits. \
         At the end it prints the same charts. The file includes the time before the trigger."
     )]
     Scope(ScopeOptions),

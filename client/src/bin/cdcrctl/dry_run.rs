@@ -31,6 +31,8 @@ const NEARER_M: f64 = 1e-6;
 const STALL_CYCLES: u32 = 100;
 /// A robot this near to the safe distance is held back by an obstacle \[m\].
 const NEAR_M: f64 = 5e-3;
+/// A cable this near to its largest stroke, as a share of it, is held back by it.
+const AT_LIMIT: f64 = 1e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 /// A file with rows farther apart than this may have times in milliseconds \[s\].
@@ -328,9 +330,14 @@ impl Demands {
     /// Fails when a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
     pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_max_m > allowed_m {
+            let stroke = self.at_stroke_limit();
+            let cause = stroke.as_deref().unwrap_or("too fast, or obstructed");
+            let remedy = match stroke {
+                Some(_) => "use a smaller reference, or correct the limit",
+                None => "use a lower --speed, or remove obstacles",
+            };
             bail!(
-                "too fast, or obstructed: {}, though the robot's bends allow every point: use a lower --speed, or remove \
-                 obstacles; nothing moved",
+                "{cause}: {}, though the robot's bends allow every point: {remedy}; nothing moved",
                 self.missed()
             );
         }
@@ -354,6 +361,18 @@ impl Demands {
         Ok(())
     }
 
+    /// Names the limit at which a cable ended.
+    fn at_stroke_limit(&self) -> Option<String> {
+        let stroke_m = self.before.stroke_m.max(self.along.stroke_m);
+        let is_there = stroke_m > (1.0 - AT_LIMIT) * self.stroke_max_m;
+        is_there.then(|| {
+            format!(
+                "a cable is at its limit, robot.cable_stroke_max_m = {}",
+                self.stroke_max_m
+            )
+        })
+    }
+
     /// Text for the point with the largest error.
     fn missed(&self) -> String {
         let (time_s, point_m) = self.farthest;
@@ -363,9 +382,11 @@ impl Demands {
     /// Fails when the end is missed by more than `allowed_m`.
     pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_end_m > allowed_m {
+            let stroke = self.at_stroke_limit();
             bail!(
-                "not reachable: {}{}; nothing moved",
+                "not reachable: {}{}{}; nothing moved",
                 away(self.error_end_m, self.end_m),
+                stroke.map_or_else(String::new, |limit| format!(", because {limit}")),
                 self.obstruction()
             );
         }
@@ -405,7 +426,7 @@ impl fmt::Display for Demands {
                 format!("  {name:<14}{along:<26}{before}").trim_end()
             )
         };
-        line("", "along the reference", "directly to its first point")?;
+        line("", "along the reference", "fastest way to its first point")?;
         let distance = format!("{:.1} mm from the tip", 1e3 * self.distance_m);
         line("first point", "", &distance)?;
         line("rate", &along.rate(), &before.rate())?;

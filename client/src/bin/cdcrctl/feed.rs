@@ -25,6 +25,8 @@ use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
 
+/// From a first point farther away than this, the tip is visibly beside the reference for a while \[m\].
+const FAR_M: f64 = 0.02;
 /// Delay of the start of `goto` and `jog`.
 const GO_LEAD: Duration = Duration::from_millis(500);
 /// Default tolerance for reaching a point \[m\].
@@ -54,9 +56,14 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);
         demands.check_orientation(allowed_m, positions)?;
         demands.check(allowed_m)?;
+        note_distance(&newest(&connection)?, &*trajectory);
         return Ok(Done::Good);
     }
-    reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
+    let before = newest(&connection)?;
+    reach::check(&before, &*trajectory, allowed_m)?;
+    if arguments.track && !arguments.blend {
+        note_distance(&before, &*trajectory);
+    }
     if arguments.blend {
         let (speed, acceleration) = GENTLE;
         let way = StraightArguments {
@@ -76,6 +83,18 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         error.print(arguments.max_error)?;
     }
     Ok(done)
+}
+
+/// Says where a smooth approach would lead the tip far from the reference.
+fn note_distance(before: &Telemetry, trajectory: &dyn Trajectory) {
+    let away_m = distance_m(before.tip_position_m, trajectory.position_m(0.0));
+    if away_m > FAR_M {
+        tell!(
+            "note: the tip is {:.0} mm from the first point. With --track it approaches while the reference moves, beside the reference by \
+             up to that distance; --blend brings it to the first point before",
+            1e3 * away_m
+        );
+    }
 }
 
 /// `cdcrctl goto …`, `cdcrctl jog …`: moves to the point that `end_m` computes from the tip position.

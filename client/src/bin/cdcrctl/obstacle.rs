@@ -17,6 +17,7 @@ use crate::Done;
 use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
 use crate::echo::json;
 use crate::known_obstacles::known;
+use crate::value::SPEED_M_S_MAX;
 
 /// An obstacle farther away than this, in robot lengths, needs a confirmation. (Mistaking millimetres for
 /// metres gives a factor of about a thousand.)
@@ -154,10 +155,15 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
     };
     let from_base_m = distance_m(obstacle.start_m, end_m) - obstacle.radius_m;
     let reach_m: f64 = section_lengths_m(&status.robot).iter().sum();
+    let speed_m_s = distance_m(obstacle.velocity_m_s, obstacle.velocity_m_s);
     let odd = if from_base_m > FAR * reach_m {
         format!("is {from_base_m:.1} m away")
     } else if from_base_m < 0.0 {
         format!("contains the base, which is {:.3} m inside", -from_base_m)
+    } else if speed_m_s > SPEED_M_S_MAX && !far {
+        bail!(
+            "the obstacle moves at {speed_m_s} m/s: are these mm/s?\na velocity is in m/s: 20 mm/s are 0.02. To add it anyway: --far"
+        );
     } else {
         return Ok(());
     };
@@ -276,6 +282,12 @@ mod tests {
         assert!(error.contains("contains the base"), "{error}");
         through.far = true;
         assert!(checked(&through, &status()).is_ok());
+        let mut fast = add([0.0, 0.17, 0.22], 0.02);
+        fast.velocity = [-20.0, 0.0, 0.0];
+        let error = checked(&fast, &status()).expect_err("fast").to_string();
+        assert!(error.contains("20 m/s: are these mm/s?"), "{error}");
+        fast.far = true;
+        assert!(checked(&fast, &status()).is_ok());
     }
 
     #[test]

@@ -1,7 +1,8 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{RequestError, Requester};
+use anyhow::anyhow;
+use cdcr_client::{ConnectError, RequestError, Requester, StopError};
 use cdcr_shared_types::codes::{Outcome, RequestKind};
 use cdcr_shared_types::{Location, Response};
 
@@ -30,10 +31,32 @@ pub(crate) fn run(
 /// Sends a request to a daemon; a stop by every available means.
 pub(crate) fn ask(location: &Location, robot: &str, kind: RequestKind) -> anyhow::Result<Response> {
     Ok(match kind {
-        RequestKind::Stop => Requester::stop(location, robot)?,
+        RequestKind::Stop => Requester::stop(location, robot).map_err(not_stopped)?,
         RequestKind::Track => track(&Requester::open(location, robot)?)?,
         _ => Requester::open(location, robot)?.request(kind)?,
     })
+}
+
+/// Where no daemon runs, the answer is about the robot, not about how to start one.
+fn not_stopped(error: StopError) -> anyhow::Error {
+    let StopError::Connect(ConnectError::DaemonNotRunning {
+        place,
+        found,
+        running,
+        ..
+    }) = &error
+    else {
+        return error.into();
+    };
+    let others = match running.as_slice() {
+        [] => String::new(),
+        others => format!("daemons run there for: {}\n", others.join(", ")),
+    };
+    anyhow!(
+        "nothing was stopped: no daemon is running for {place}: {found}\n{others}\
+         a driver rests when its last command ends. If the robot moves, use its emergency stop. A daemon that starts later is not \
+         stopped by this: repeat it then"
+    )
 }
 
 fn track(requester: &Requester) -> Result<Response, RequestError> {

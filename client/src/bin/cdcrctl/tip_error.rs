@@ -196,19 +196,22 @@ impl TipError {
 
     /// Prints the error.
     pub(crate) fn show(&self) -> anyhow::Result<()> {
-        if self.approach_cycles > 0 {
-            let seconds = (self.approach_cycles * self.period_ns) as f64 * 1e-9;
-            writeln!(
-                std::io::stdout(),
-                "approached in {seconds:.2} s from {:.1} mm",
-                1e3 * self.approach_max_m
-            )?;
-        }
+        let (approached_mm, approached_s) = (
+            1e3 * self.approach_max_m,
+            (self.approach_cycles * self.period_ns) as f64 * 1e-9,
+        );
         if self.approach_cycles > 0 && self.cycles == 0 {
             bail!(
-                "the reference ended before the tip reached it: bring the tip nearer first (cdcrctl goto), use a \
-                 longer reference, or increase motion.approach_speed_m_s and motion.approach_acceleration_m_s2"
+                "the tip, {approached_mm:.1} mm away at first, did not reach the reference in {approached_s:.2} s: bring it nearer \
+                 first (--blend, or cdcrctl goto), use a longer reference, or increase motion.approach_speed_m_s and \
+                 motion.approach_acceleration_m_s2"
             );
+        }
+        if self.approach_cycles > 0 {
+            writeln!(
+                std::io::stdout(),
+                "approached in {approached_s:.2} s from {approached_mm:.1} mm"
+            )?;
         }
         if let Some(error_m) = self.mean_max_final_m() {
             let [mean, max, last] = error_m.map(|m| 1e3 * m);

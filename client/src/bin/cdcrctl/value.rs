@@ -53,6 +53,19 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Largest speed of a tip or an obstacle that is taken to be meant \[m/s\].
+pub(crate) const SPEED_M_S_MAX: f64 = 2.0;
+
+/// A speed of a tip in m/s.
+pub(crate) fn speed(text: &str) -> Result<f64, String> {
+    match positive(text)? {
+        value if value > SPEED_M_S_MAX => Err(format!(
+            "{value} m/s is more than {SPEED_M_S_MAX}: is it in mm/s? 50 mm/s are 0.05"
+        )),
+        value => Ok(value),
+    }
+}
+
 /// A number in a range.
 pub(crate) fn number_in(
     range: RangeInclusive<f64>,

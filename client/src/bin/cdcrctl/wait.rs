@@ -42,7 +42,15 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
             drop(bar);
-            tell!("interrupted: the robot continues; end it with cdcrctl hold or stop");
+            if kind == RequestKind::Home {
+                let response = connection.request(RequestKind::Hold)?;
+                tell!(
+                    "interrupted: {}",
+                    outcome_text(RequestKind::Hold, &response)
+                );
+            } else {
+                tell!("interrupted: the daemon continues what was requested");
+            }
             return Ok(Done::Interrupted);
         }
         let Some(record) = telemetry.next_within(INTERRUPT_INTERVAL)? else {

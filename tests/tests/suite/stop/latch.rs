@@ -84,6 +84,11 @@ fn a_stop_holds_beyond_an_orderly_end_and_an_end_alone_is_none() {
     let mut daemon = Daemon::start(CALM);
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert!(!latch_of(&daemon).exists(), "nobody stopped the robot");
+    let nothing = [
+        "nothing was stopped: no daemon is running",
+        "emergency stop",
+    ];
+    daemon.place().says("cdcrctl stop", 1, &nothing);
     daemon.restart();
     let connection = daemon.connect();
     assert_eq!(mode_after_start(&connection).0, Mode::Holding.code());

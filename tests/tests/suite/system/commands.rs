@@ -10,6 +10,7 @@ use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, assert_says, text, wait_mode, wait_status};
+use rustix::process::Signal;
 
 /// Output of a command that fails.
 fn refused(daemon: &Daemon, line: &str) -> String {
@@ -147,6 +148,17 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     );
     wait_status(&connection, |status| status.mode == Mode::Homing.code());
     done(&daemon, "hold --wait");
+    let mut home = daemon.place().start("cdcrctl home --wait");
+    wait_status(&connection, |status| status.mode == Mode::Homing.code());
+    home.signal(Signal::INT);
+    let output = home.output();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output));
+    assert!(
+        text(&output).contains("interrupted: hold: accepted in cycle"),
+        "{}",
+        text(&output)
+    );
+    wait_status(&connection, |status| status.mode == Mode::Holding.code());
     let printed = done(&daemon, "home --wait");
     assert!(
         printed.contains("home: done, commanded to rest since cycle"),

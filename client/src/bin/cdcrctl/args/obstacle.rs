@@ -20,10 +20,10 @@ pub(crate) enum ObstacleAction {
     #[command(
         visible_alias = "move",
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
-        cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s\n  \
+        cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01\n  \
         cdcrctl obstacle add --id 3 --at 0.5,0,0.6 --radius 0.05 --velocity -0.02,0,0 --lifetime 10s\n\n\
-        The body keeps controller.safe_distance_m away from it in every mode: no command brings it \
-        nearer. A robot at rest does not evade an obstacle that moves towards it."
+        Behind a driver, omit --lifetime and remove the obstacle afterwards. The body keeps controller.safe_distance_m away from it \
+        in every mode: no command brings it nearer. A robot at rest does not evade an obstacle that moves towards it."
     )]
     Add(ObstacleAdd),
     /// Show the obstacles of the newest cycle at their positions in it
@@ -64,7 +64,7 @@ pub(crate) enum ObstacleAction {
 pub(crate) struct ObstacleFile {
     /// Scene file
     pub(crate) path: PathBuf,
-    /// Accept obstacles that are far away or contain the base (values are in m)
+    /// Accept obstacles that are far away, faster than 2 m/s, or contain the base (values are in m and m/s)
     #[arg(long)]
     pub(crate) far: bool,
 }
@@ -72,7 +72,7 @@ pub(crate) struct ObstacleFile {
 /// Obstacles from elsewhere.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleStdin {
-    /// Accept obstacles that are far away or contain the base (values are in m)
+    /// Accept obstacles that are far away, faster than 2 m/s, or contain the base (values are in m and m/s)
     #[arg(long)]
     pub(crate) far: bool,
 }
@@ -105,9 +105,9 @@ pub(crate) struct ObstacleAdd {
     pub(crate) velocity: Vector,
     /// Lifetime [default: until removed]. Rejected where the daemon
     /// supervises the sources of obstacles
-    #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
+    #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S), allow_hyphen_values = true)]
     pub(crate) lifetime: Option<Duration>,
-    /// Accept an obstacle that is far away or contains the base (values are in m)
+    /// Accept an obstacle that is far away, faster than 2 m/s, or contains the base (values are in m and m/s)
     #[arg(long)]
     pub(crate) far: bool,
 }

@@ -61,7 +61,7 @@ pub(crate) struct FeedArguments {
     #[arg(long)]
     pub(crate) track: bool,
     /// First move the tip to the first point along a straight line, from rest to rest, as cdcrctl goto
-    #[arg(long, requires = "track")]
+    #[arg(long, requires = "track", conflicts_with = "dry_run")]
     pub(crate) blend: bool,
     /// Move nothing: report the error that the robot can reach, the rate, acceleration, cable stroke and
     /// clearance that it needs, and the direct path to the first point; fail when a point is missed by more than --max-error (1 mm if not given)
@@ -70,13 +70,13 @@ pub(crate) struct FeedArguments {
     /// Interpolation between the points in the daemon: straight lines or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
-    /// Largest tip error, such as 2mm or 0.002m. Fail when an error after the approach exceeds it, estimated or measured by a tip sensor, noise
-    /// included, or when nothing was tracked. Without the option, fail when the last error, estimated or measured, exceeds 20 mm,
-    /// or an estimated one on the way 50 mm. The latter counts once the tip has arrived, after obstacles once it has arrived again.
-    /// A reference with a point that the robot cannot reach within this error (1 mm if not given) is rejected before anything moves
+    /// Largest allowed tip error, such as 2mm or 0.002m, estimated or measured by a tip sensor, noise included, once the tip has arrived. Default
+    /// limits: 20 mm at the end; 50 mm, estimated, on the way. While an obstacle pushes the tip aside, the second limit pauses until the
+    /// tip is back. If nothing was tracked, the command fails. If the robot cannot reach a point within this error (1 mm if
+    /// not given), nothing moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
-    /// Time until the reference begins
+    /// Delay from this command to the first point
     #[arg(long, value_name = "TIME", default_value = "300ms", value_parser = value::duration)]
     pub(crate) lead: Duration,
     /// Time between two points of a curve
@@ -105,7 +105,7 @@ pub(crate) struct ChangeArguments {
     /// Speed factor
     #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1", allow_negative_numbers = true)]
     pub(crate) speed: f64,
-    /// Number of passes; an open curve is followed forth and back
+    /// Number of passes; an open curve is followed to its end, back to its start, and so on
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1, allow_negative_numbers = true)]
     pub(crate) repeat: u32,
     /// Scale factor, about the first point
@@ -229,7 +229,7 @@ pub(crate) struct StdinOptions {
 
 #[derive(Debug, Args)]
 pub(crate) struct FileOptions {
-    /// CSV file; its rows are sent unchanged, time counts from the first row
+    /// CSV file. Its rows are sent as they are, unless --speed, --scale, --plane or --repeat change them; time counts from the first row
     pub(crate) path: PathBuf,
     #[command(flatten)]
     pub(crate) change: ChangeArguments,

@@ -8,8 +8,8 @@ pub(crate) const GENTLE: (f64, f64) = (0.05, 0.5);
 /// How a straight way is gone.
 #[derive(Debug, Args)]
 pub(crate) struct StraightArguments {
-    /// Largest speed of the tip, in m/s
-    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value_t = GENTLE.0, allow_negative_numbers = true)]
+    /// Largest speed of the tip, in m/s, at most 2
+    #[arg(long, value_name = "M/S", value_parser = value::speed, default_value_t = GENTLE.0, allow_negative_numbers = true)]
     pub(crate) speed: f64,
     /// Largest acceleration of the tip, in m/s²
     #[arg(long, value_name = "M/S2", value_parser = value::positive, default_value_t = GENTLE.1, allow_negative_numbers = true)]

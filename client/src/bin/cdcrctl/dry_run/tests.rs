@@ -66,6 +66,20 @@ fn an_orientation_that_the_robot_cannot_hold_is_not_called_too_fast() {
 }
 
 #[test]
+fn a_cable_at_its_limit_is_not_called_too_fast() {
+    let mut record = two_sections();
+    record.robot.cable_stroke_max_m = 0.01;
+    let file = reference("t_s,x_m,y_m,z_m\n0,0.05,0,0.59\n4,0.3,0,0.45\n");
+    let settings = NmpcSettings::default();
+    let demands = simulate(&record, settings, &file, &FeedOptions::default()).unwrap();
+    for error in [demands.check(1e-3), demands.check_end(1e-3)] {
+        let text = error.unwrap_err().to_string();
+        let limit = "a cable is at its limit, robot.cable_stroke_max_m = 0.01";
+        assert!(text.contains(limit), "{text}");
+    }
+}
+
+#[test]
 fn rows_seconds_apart_are_asked_about() {
     let error = |rows: &str| {
         check_duration(&reference(rows), 1000.0)
