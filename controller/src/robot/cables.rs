@@ -10,12 +10,19 @@
 //! The lengths are linear in the bend vector. Cables are modelled parallel to the backbone, as in a continuous guide.
 //! With n disks per section they are chords: shorter at the outside, by 0.05 mm with 20 disks at 75°.
 
-use super::{BendRates, CABLES_MAX, Configuration, Robot};
+use super::{BendRates, CABLES_MAX, Configuration, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
 /// Largest difference of the mean length of a section's cables from its backbone, as a part of the backbone. Strokes of a bend cancel in the
 /// mean; errors of encoders' zeros and of lengths in a configuration are smaller.
 const CABLE_MEAN_TOLERANCE: f64 = 0.1;
+
+/// Common mode of each section: the mean length of its three cables (m), which does not depend on the bends. Sections that the robot does
+/// not have follow.
+pub(crate) fn common_modes_m(lengths_m: &[f64; CABLES_MAX]) -> [f64; SECTIONS_MAX] {
+    let (sections_m, _) = lengths_m.as_chunks::<3>();
+    core::array::from_fn(|j| sections_m[j].iter().sum::<f64>() / 3.0)
+}
 
 impl Robot {
     /// Length of each cable (m): three for each section, base section first; 3n are used, the rest are 0. The three
@@ -31,19 +38,15 @@ impl Robot {
         lengths_m
     }
 
-    /// The first section whose three cables have a mean length that differs by more than a tenth from the backbone up to its end. The mean
-    /// does not depend on the bends, so such lengths are of another robot, unit or order of sections, or have no zero.
+    /// The first section whose common mode differs by more than a tenth from the backbone up to its end: such lengths are of another robot,
+    /// unit or order of sections, or have no zero.
     pub fn section_of_foreign_cables(&self, lengths_m: &[f64; CABLES_MAX]) -> Option<usize> {
-        let (cables, _) = lengths_m.as_chunks::<3>();
         let mut backbone_m = 0.0;
-        self.sections()
-            .iter()
-            .zip(cables)
-            .position(|(section, cables)| {
-                backbone_m += section.length_m;
-                let mean_m = cables.iter().sum::<f64>() / 3.0;
-                (mean_m - backbone_m).abs() > CABLE_MEAN_TOLERANCE * backbone_m
-            })
+        let mut sections = self.sections().iter().zip(common_modes_m(lengths_m));
+        sections.position(|(section, mean_m)| {
+            backbone_m += section.length_m;
+            (mean_m - backbone_m).abs() > CABLE_MEAN_TOLERANCE * backbone_m
+        })
     }
 
     /// Speed of each cable (m/s) in the order of [`Self::cable_lengths`]; positive when the cable is paid out. 3n are

@@ -49,6 +49,7 @@ mod tube;
 mod wide;
 
 pub use body_motion::BodyMotion;
+pub(crate) use cables::common_modes_m;
 pub(crate) use clearance::Closest;
 #[cfg(test)]
 pub(crate) use clearance::EXACT;

@@ -1,4 +1,4 @@
-use crate::robot::{CABLES_MAX, Robot, SECTIONS_MAX};
+use crate::robot::{CABLES_MAX, Robot, SECTIONS_MAX, common_modes_m};
 
 /// Supervision of the common mode of each section: the mean length of its three cables. With cables at equal
 /// angles it is the length of the backbone, independent of the bend (§2 of docs/model.md); angles that are
@@ -28,8 +28,7 @@ impl CommonModeWatch {
     /// Whether the common mode of a section left its permitted range. Reported once: the next lengths then
     /// are the new reference.
     pub fn is_broken(&mut self, robot: &Robot, lengths_m: &[f64; CABLES_MAX]) -> bool {
-        let (sections_m, _) = lengths_m.as_chunks::<3>();
-        let mean_m = core::array::from_fn(|j| sections_m[j].iter().sum::<f64>() / 3.0);
+        let mean_m = common_modes_m(lengths_m);
         let begin_m = *self.begin_m.get_or_insert(mean_m);
         let mut changes_m = mean_m.iter().zip(begin_m).take(robot.section_count());
         let is_broken = self.most_m > 0.0
