@@ -43,9 +43,11 @@ pub(super) fn measure(
             continue;
         }
         match stop(watcher, &mut phases)? {
-            Some(stopped) if number >= WARM_UP => {
+            Some((passage, [handover_ns, command_ns])) if number >= WARM_UP => {
                 recorded += 1;
-                stopped.record(round);
+                round.record_way("stop.command", passage);
+                round.record("stop.zero_handover", handover_ns);
+                round.record("stop.zero_command", command_ns);
             }
             Some(_) => {}
             None => {
@@ -112,36 +114,66 @@ fn stop(watcher: &mut Watcher, phases: &mut Phases) -> Result<Option<Stopped>> {
         }
         let rests = |seen: &Seen| seen.is_in(Mode::Stopped) && speed_rad_s(&seen.record) == 0.0;
         if !watcher.waits_for_answer() && records.last().is_some_and(rests) {
-            return Ok(Stopped::of(&records, sent_ns));
+            return Ok(evaluate(&records, sent_ns));
         }
     }
     bail!("the robot does not come to rest")
 }
 
-struct Stopped {
-    first: Passage,
-    /// Time from sending to the hand-over of the first zero rates, less the ramp \[ns\].
-    zero_handover_ns: u64,
-    /// The same until the client has received them \[ns\].
-    zero_command_ns: u64,
+/// Passage of the request; times from sending it to the hand-over and to the receipt of the first zero rates, less the
+/// ramp \[ns\].
+type Stopped = (Passage, [u64; 2]);
+
+/// Evaluates the records of one stop, the last of which is at rest. `None` if a record or command is missing, or if the
+/// robot was hardly moving.
+fn evaluate(seen: &[Seen], sent_ns: u64) -> Option<Stopped> {
+    let stop = Stop::find(seen.iter().map(|seen| &*seen.record))?;
+    let (first, rest) = (&seen[stop.first], &seen[stop.rest]);
+    let passage = [sent_ns, first.record.gather_ns, first.received_ns?];
+    let zeros_ns = [rest.record.handed_over_ns, rest.received_ns?];
+    Some((
+        passage,
+        zeros_ns.map(|zero_ns| stop.less_ramp_ns(sent_ns, zero_ns)),
+    ))
 }
 
-impl Stopped {
-    /// Evaluates the records of one stop, the last of which is at rest. `None` if a record or command is missing,
-    /// or if the robot was hardly moving.
-    fn of(seen: &[Seen], sent_ns: u64) -> Option<Self> {
-        let stop = Stop::find(seen.iter().map(|seen| &*seen.record))?;
-        let (first, rest) = (&seen[stop.first], &seen[stop.rest]);
-        Some(Self {
-            first: [sent_ns, first.record.gather_ns, first.received_ns?],
-            zero_handover_ns: stop.less_ramp_ns(sent_ns, rest.record.handed_over_ns),
-            zero_command_ns: stop.less_ramp_ns(sent_ns, rest.received_ns?),
-        })
+#[cfg(test)]
+mod tests {
+    use cdcr_shared_types::Telemetry;
+
+    use super::*;
+
+    /// Tracks at 0.25 rad/s, then slows down by 0.1 rad/s a cycle of 5 ms; every command comes 10 µs after its hand-over.
+    fn seen(index: u64) -> Seen {
+        let mode = [Mode::Tracking, Mode::Stopped][usize::from(index > 0)];
+        let mut record = Box::new(Telemetry {
+            mode: mode.code(),
+            gather_ns: 5_000_000 * index,
+            handed_over_ns: 5_000_000 * index + 50_000,
+            period_ns: 5_000_000,
+            deceleration_rad_s2: 20.0,
+            ..Telemetry::default()
+        });
+        record.header.sequence = index;
+        record.previous_rate_rad_s[0] = [0.25, 0.25, 0.15, 0.05][index as usize];
+        record.command.bend_rate_rad_s[0] = [0.25, 0.15, 0.05, 0.0][index as usize];
+        let received_ns = Some(record.handed_over_ns + 10_000);
+        Seen {
+            record,
+            received_ns,
+        }
     }
 
-    fn record(&self, round: &mut Round) {
-        round.record_way("stop.command", self.first);
-        round.record("stop.zero_handover", self.zero_handover_ns);
-        round.record("stop.zero_command", self.zero_command_ns);
+    #[test]
+    fn a_stop_ends_with_the_receipt_of_zero_rates_and_has_no_result_without_it() {
+        let mut records: Vec<Seen> = (0..4).map(seen).collect();
+        // Three steps: the ramp is two periods.
+        let expected = ([4_000_000, 5_000_000, 5_060_000], [1_050_000, 1_060_000]);
+        assert_eq!(evaluate(&records, 4_000_000), Some(expected));
+        for lost in [3, 1] {
+            records[lost].received_ns = None;
+            assert_eq!(evaluate(&records, 4_000_000), None);
+            records[lost] = seen(lost as u64);
+        }
     }
 }
