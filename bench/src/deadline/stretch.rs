@@ -1,6 +1,6 @@
 //! One stretch of one subject under one load: start, warm-up, measurement, end.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -15,6 +15,7 @@ use crate::dataset::joined;
 use crate::interrupt;
 use crate::load::{Load, Running};
 use crate::named::named;
+use crate::quantiles::histogram;
 use crate::subject::baseline::Baseline;
 use crate::subject::cyclictest::Cyclictest;
 use crate::subject::daemon::{Daemon, Launch};
@@ -165,14 +166,23 @@ impl<'a> Runner<'a> {
         let end_ns = begin_ns + self.options.segment().as_nanos() as u64;
         watcher.watch_until(begin_ns)?;
         let (lost_before, before_ms) = (watcher.telemetry.lost(), self.stolen_ms(setup));
-        let mut records = Vec::new();
+        let (mut cycles, mut commands_ns) = (BTreeMap::new(), histogram());
+        let [mut tracking, mut budget_hits] = [0_u64; 2];
         // Incidents have more information than records: the time taken by the hypervisor.
         let mut causes = HashMap::new();
         let mut watch_until = |until_ns: u64| {
             // Only between releases: other work while waiting for a command would delay its receipt.
             while watcher.watch(until_ns)? {
-                let seen = watcher.seen.drain(..).map(|seen| Record::of(&seen));
-                records.extend(seen.filter(|it| (begin_ns..end_ns).contains(&it.cycle.due_ns)));
+                let is_counted = |seen: &Seen| (begin_ns..end_ns).contains(&seen.record.due_ns);
+                for seen in watcher.seen.drain(..).filter(is_counted) {
+                    let record = &seen.record;
+                    tracking += u64::from(seen.is_in(Mode::Tracking));
+                    budget_hits += u64::from(record.report.budget_spent != 0);
+                    if let Some(received_ns) = seen.received_ns {
+                        commands_ns.saturating_record(received_ns.saturating_sub(record.due_ns));
+                    }
+                    cycles.insert(record.cycle, Cycle::of(record));
+                }
                 while let Some(incident) = incidents.try_next()? {
                     let cause = LateCause::try_from(incident.telemetry.scheduling.late_cause);
                     causes.extend(cause.map(|cause| (incident.telemetry.cycle, cause)));
@@ -183,12 +193,20 @@ impl<'a> Runner<'a> {
         watch_until(end_ns)?;
         let stolen_ms = self.stolen_ms(setup) - before_ms;
         watch_until(end_ns + LAST_NS)?;
-        for record in &mut records {
-            let cause = causes.get(&record.number);
-            record.cycle.cause = cause.copied().unwrap_or(record.cycle.cause);
+        for (number, cycle) in &mut cycles {
+            cycle.cause = causes.get(number).copied().unwrap_or(cycle.cause);
         }
-        let mut tally = tally(&records, watcher.telemetry.lost() - lost_before);
-        tally.counts["steal_ms"] = stolen_ms.into();
+        let count = cycles.len() as u64;
+        let of_clients = json!({
+            "steal_ms": stolen_ms,
+            "lost_records": watcher.telemetry.lost() - lost_before,
+            "lost_commands": count - commands_ns.len(),
+            "budget_hits": budget_hits,
+            "tracking_share": tracking as f64 / count.max(1) as f64,
+        });
+        let mut tally = Tally::of(&cycles.into_values().collect::<Vec<_>>(), true);
+        tally.counts = joined([tally.counts, of_clients]);
+        tally.times[COMMAND] = commands_ns;
         Ok(tally)
     }
 
@@ -218,43 +236,4 @@ fn launch(options: &DeadlineOptions) -> Launch {
         Some(period) => launch.with_period(period.as_secs_f64() * 1e3),
         None => launch,
     }
-}
-
-struct Record {
-    number: u64,
-    cycle: Cycle,
-    tracking: bool,
-    budget_spent: bool,
-    command_ns: Option<u64>,
-}
-
-impl Record {
-    fn of(seen: &Seen) -> Self {
-        let record = &seen.record;
-        let received_ns = seen.received_ns;
-        Self {
-            number: record.cycle,
-            cycle: Cycle::of(record),
-            tracking: seen.is_in(Mode::Tracking),
-            budget_spent: record.report.budget_spent != 0,
-            command_ns: received_ns.map(|time_ns| time_ns.saturating_sub(record.due_ns)),
-        }
-    }
-}
-
-fn tally(records: &[Record], lost_records: u64) -> Tally {
-    let cycles: Vec<Cycle> = records.iter().map(|record| record.cycle).collect();
-    let mut tally = Tally::of(&cycles, true);
-    for command_ns in records.iter().filter_map(|record| record.command_ns) {
-        tally.times[COMMAND].saturating_record(command_ns);
-    }
-    let count = |is: fn(&&Record) -> bool| records.iter().filter(is).count();
-    let of_clients = json!({
-        "lost_records": lost_records,
-        "lost_commands": count(|record| record.command_ns.is_none()),
-        "budget_hits": count(|record| record.budget_spent),
-        "tracking_share": count(|record| record.tracking) as f64 / records.len().max(1) as f64,
-    });
-    tally.counts = joined([tally.counts, of_clients]);
-    tally
 }
