@@ -249,13 +249,9 @@ pub(super) fn learn_lead_ns(watcher: &mut Watcher) -> Result<u64> {
     for _ in 0..LEAD_RECORDS {
         watcher.watch_release()?;
     }
-    let seen = watcher.seen.drain(..);
-    let leads_ns = seen.filter_map(|seen| Some(lead_ns(&seen.record)? as f64));
+    let records = watcher.seen.drain(..).map(|seen| seen.record);
+    let fresh = records.filter(|record| record.timing_flags & timing::STALE_INPUTS == 0);
+    let lead_ns = |record: Box<Telemetry>| record.due_ns.saturating_sub(record.gather_ns);
+    let leads_ns = fresh.map(|record| record.period_ns.min(lead_ns(record)) as f64);
     Ok(median(leads_ns).unwrap_or(0.0) as u64)
-}
-
-fn lead_ns(record: &Telemetry) -> Option<u64> {
-    let is_fresh = record.timing_flags & timing::STALE_INPUTS == 0;
-    let lead_ns = record.due_ns.saturating_sub(record.gather_ns);
-    is_fresh.then_some(lead_ns.min(record.period_ns))
 }

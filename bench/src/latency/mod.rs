@@ -1,7 +1,7 @@
 //! Latency of messages into the daemon, through it and back to a client.
 //!
-//! `inputs` measures the time from a message or request to
-//! its effect; `stops` that from a stop to zero rates. `latency.toml` defines the stamps of each leg.
+//! `inputs` measures the time from a message or request to its effect; `stops` that from a stop to zero rates.
+//! `latency.toml` defines the stamps of each leg.
 
 mod inputs;
 mod leg;
@@ -251,21 +251,19 @@ impl OfDaemon {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Instant;
+
     use rustix::time::{ClockId, clock_gettime};
 
     use super::*;
 
     /// Share of the time of `work` in which this thread had a core.
-    fn share_of_core<R>(work: impl FnOnce() -> R) -> (f64, R) {
-        let now_s = |clock| {
-            let now = clock_gettime(clock);
-            now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
-        };
-        let clocks = [ClockId::ThreadCPUTime, ClockId::Monotonic];
-        let begin_s = clocks.map(now_s);
-        let result = work();
-        let [used_s, passed_s] = [0, 1].map(|index| now_s(clocks[index]) - begin_s[index]);
-        (used_s / passed_s, result)
+    fn share_of_core<R>(work: impl FnOnce() -> Result<R>) -> (f64, R) {
+        let used = || Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).expect("a time");
+        let (begin, used_before) = (Instant::now(), used());
+        let result = work().expect("it works");
+        let used = used() - used_before;
+        (used.div_duration_f64(begin.elapsed()), result)
     }
 
     #[test]
@@ -276,13 +274,11 @@ mod tests {
         let mut watcher = Watcher::open(daemon.location(), EARLY_NS).expect("a client");
         // Without a first measurement there is no command.
         let end_ns = monotonic_ns() + 300_000_000;
-        let (share, watched) = share_of_core(|| watcher.watch_until(end_ns));
-        watched.expect("records");
+        let (share, ()) = share_of_core(|| watcher.watch_until(end_ns));
         assert!(share < 0.75, "{share} of a core to watch");
         let driver = watcher.connection.driver(Interface::Velocity);
         let driver = Source::Measurement(Box::new(driver.expect("a driver")));
-        let (share, feed) = share_of_core(|| scene::follow(&mut watcher, Some(&driver)));
-        feed.expect("it follows");
+        let (share, _feed) = share_of_core(|| scene::follow(&mut watcher, Some(&driver)));
         assert!(share < 0.75, "{share} of a core until the robot follows");
         daemon.stop().expect("it ends");
     }
