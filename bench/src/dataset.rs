@@ -15,7 +15,7 @@ use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
-pub use declaration::{Column, Declaration, Table};
+pub use declaration::{Column, Declaration, Plot, Table};
 
 use crate::metric::{Better, Metric, median};
 
@@ -29,19 +29,11 @@ pub struct Dataset {
     pub warns: bool,
     /// Keys of the JSON in addition to those of the tables.
     pub facts: Map<String, Value>,
-    pub sheets: Vec<Sheet>,
-    pub plots: Vec<Plot>,
     pub metrics: Vec<Metric>,
     /// Rows of the targets that are not for a metric: see [`Self::target`].
     pub targets: Vec<Value>,
     /// All measured latencies, from which other percentiles can be computed.
     pub recordings: Vec<Recording>,
-}
-
-pub struct Plot {
-    pub name: String,
-    pub caption: String,
-    pub svg: String,
 }
 
 #[derive(Debug, Clone)]
@@ -63,20 +55,12 @@ impl Dataset {
         }
     }
 
-    pub fn heading(&self) -> &str {
-        &self.declaration.heading
-    }
-
     /// Adds a metric of which less is better; nothing if no round measured it.
     pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
         self.add_metric(Metric::new(name, unit, Better::Lower, rounds));
     }
 
-    pub fn higher(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
-        self.add_metric(Metric::new(name, unit, Better::Higher, rounds));
-    }
-
-    fn add_metric(&mut self, metric: Metric) {
+    pub fn add_metric(&mut self, metric: Metric) {
         let measured = Some(metric).filter(|metric| !metric.rounds.is_empty());
         self.metrics.extend(measured);
     }
@@ -117,28 +101,29 @@ impl Dataset {
         all.targets
     }
 
-    pub(crate) fn declared(&self, table: &str) -> (usize, Table) {
-        let mut tables = self.declaration.tables.iter().enumerate();
-        let found = tables.find(|(_, declared)| declared.name == table);
-        let (place, table) = found.unwrap_or_else(|| panic!("{} declares no {table}", self.name));
-        (place, table.clone())
+    pub(crate) fn table(&mut self, name: &str) -> &mut Table {
+        let mut tables = self.declaration.tables.iter_mut();
+        let found = tables.find(|table| table.name == name);
+        found.unwrap_or_else(|| panic!("{} declares no table {name}", self.name))
     }
 
     /// Adds the declared metrics of a row of a table from its rounds. Shares with the unit % are scaled by 100.
     pub fn compare(&mut self, table: &str, row: &Value, rounds: &[Value]) {
-        let table = self.declared(table).1;
-        for (name, unit, key) in &table.metrics {
+        let table = self.table(table);
+        let metric = |(name, unit, key): &(String, String, String)| {
             let factor = if unit == "%" { 100.0 } else { 1.0 };
             let values = each(rounds, key).map(|value| factor * value);
             let better = [Better::Lower, Better::Higher][usize::from(table.higher.contains(name))];
             let name = filled(&format!("{}/{name}", table.path), row);
-            self.add_metric(Metric::new(name, unit, better, values));
-        }
+            Metric::new(name, unit, better, values)
+        };
+        let metrics: Vec<Metric> = table.metrics.iter().map(metric).collect();
+        metrics.into_iter().for_each(|it| self.add_metric(it));
     }
 
     /// Merges the rounds of one row of a table, see [`together`], and adds its metrics.
     pub fn merge(&mut self, table: &str, rounds: &[Value]) -> Value {
-        let row = together(rounds, &self.declared(table).1.counts);
+        let row = together(rounds, &self.table(table).counts);
         self.compare(table, &row, rounds);
         row
     }
@@ -159,33 +144,39 @@ impl Dataset {
 
     /// Adds the rows of a declared table. Words replace the pairs of braces in its title.
     pub fn add_titled(&mut self, table: &str, words: &[&str], rows: Vec<Value>) {
-        let (place, mut table) = self.declared(table);
+        let table = self.table(table);
         for word in words {
             table.title = table.title.replacen("{}", word, 1);
         }
-        self.sheets.push(Sheet { place, table, rows });
-        self.sheets.sort_by_key(|sheet| sheet.place);
+        table.rows = Some(rows);
     }
 
     /// Draws a declared plot; nothing without panels.
     pub fn plot(&mut self, name: &str, panels: &[Panel]) -> Result<()> {
-        let mut plots = self.declaration.plots.iter();
-        let declared = plots.find(|declared| declared.name == name);
-        let declared = declared.unwrap_or_else(|| panic!("{} declares no plot {name}", self.name));
+        let mut plots = self.declaration.plots.iter_mut();
+        let plot = plots.find(|declared| declared.name == name);
+        let plot = plot.unwrap_or_else(|| panic!("{} declares no plot {name}", self.name));
         if !panels.is_empty() {
-            self.plots.push(Plot {
-                name: name.to_owned(),
-                caption: declared.caption.clone(),
-                svg: cdcr_chart::svg(declared.size, panels)?,
-            });
+            plot.svg = cdcr_chart::svg(plot.size, panels)?;
         }
         Ok(())
     }
 
+    /// The plots that were drawn.
+    pub fn plots(&self) -> impl Iterator<Item = &Plot> {
+        let plots = self.declaration.plots.iter();
+        plots.filter(|plot| !plot.svg.is_empty())
+    }
+
+    fn filled_tables(&self) -> impl Iterator<Item = (&Table, &Vec<Value>)> {
+        let tables = self.declaration.tables.iter();
+        tables.filter_map(|table| Some((table, table.rows.as_ref()?)))
+    }
+
     pub fn rows(&self, table: &str) -> &[Value] {
-        let mut sheets = self.sheets.iter();
-        let sheet = sheets.find(|sheet| sheet.table.name == table);
-        sheet.map_or(&[], |sheet| &sheet.rows)
+        let mut tables = self.filled_tables();
+        let found = tables.find(|(declared, _)| declared.name == table);
+        found.map_or(&[], |(_, rows)| rows)
     }
 
     pub fn fact(&mut self, key: &str, value: impl Into<Value>) {
@@ -194,48 +185,41 @@ impl Dataset {
 
     pub fn json(&self) -> Map<String, Value> {
         let mut json = self.facts.clone();
-        for sheet in self.sheets.iter().filter(|sheet| sheet.table.json) {
-            json.insert(sheet.table.name.clone(), sheet.rows.clone().into());
-        }
+        let tables = self.filled_tables().filter(|(table, _)| table.json);
+        json.extend(tables.map(|(table, rows)| (table.name.clone(), rows.clone().into())));
         json
     }
 
-    pub fn tables(&self) -> impl Iterator<Item = &Sheet> {
-        let is_shown = |sheet: &&Sheet| !sheet.table.title.is_empty();
-        self.sheets.iter().filter(is_shown)
+    /// The filled tables that have a title, as people read them.
+    pub fn tables(&self) -> impl Iterator<Item = ShownTable> {
+        let shown = (self.filled_tables()).filter(|(table, _)| !table.title.is_empty());
+        shown.map(|(table, _)| table.shown())
     }
 
     pub fn text(&self) -> String {
-        self.joined(|sheet| sheet.shown().text())
+        self.joined(ShownTable::text)
     }
 
     pub fn markdown(&self) -> String {
-        self.joined(|sheet| sheet.shown().markdown())
+        self.joined(ShownTable::markdown)
     }
 
-    fn joined(&self, form: fn(&Sheet) -> String) -> String {
+    fn joined(&self, form: fn(&ShownTable) -> String) -> String {
         let note = Some(format!("{}\n", self.note)).filter(|_| !self.note.is_empty());
-        let texts: Vec<String> = self.tables().map(form).chain(note).collect();
-        texts.join("\n")
+        let texts = self.tables().map(|table| form(&table)).chain(note);
+        texts.collect::<Vec<_>>().join("\n")
     }
 
     pub fn csv(&self) -> impl Iterator<Item = (&str, Result<String>)> {
-        let sheets = self.sheets.iter();
-        sheets.filter_map(|sheet| Some((sheet.table.file.as_deref()?, sheet.csv())))
+        let tables = self.filled_tables();
+        tables.filter_map(|(table, rows)| Some((table.file.as_deref()?, table.csv(rows))))
     }
 }
 
-#[derive(Debug, Default)]
-pub struct Sheet {
-    place: usize,
-    pub table: Table,
-    pub rows: Vec<Value>,
-}
-
-impl Sheet {
+impl Table {
     /// Every value of the rows, beginning with the columns of the table.
-    fn csv(&self) -> Result<String> {
-        let rows: Vec<_> = self.rows.iter().map(flat).collect();
+    fn csv(&self, rows: &[Value]) -> Result<String> {
+        let rows: Vec<_> = rows.iter().map(flat).collect();
         let keys: BTreeSet<&String> = rows.iter().flat_map(BTreeMap::keys).collect();
         // A key that is null in all rows gets a column. An object that is null in some rows gets the columns
         // of its fields.
@@ -246,7 +230,7 @@ impl Sheet {
         };
         let mut known: Vec<&str> = keys.iter().map(|key| key.as_str()).collect();
         known.retain(|key| !is_object(key));
-        let shown = self.table.columns.iter().map(|column| &*column.key);
+        let shown = self.columns.iter().map(|column| &*column.key);
         let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
         known.retain(|key| !heads.contains(key));
         heads.extend(known);
@@ -263,16 +247,17 @@ impl Sheet {
     }
 
     pub fn shown(&self) -> ShownTable {
-        let columns = &self.table.columns;
+        let columns = || self.columns.iter();
         let cells = |row: &Value| {
             let values = flat(row);
-            columns.iter().map(|column| column.cell(&values)).collect()
+            let cell = |column: &Column| column.cell(values.get(&column.key));
+            columns().map(cell).collect()
         };
         ShownTable {
-            title: self.table.title.clone(),
-            heads: columns.iter().map(|column| column.head.clone()).collect(),
-            words: columns.iter().map(Column::is_word).collect(),
-            lines: self.rows.iter().map(cells).collect(),
+            title: self.title.clone(),
+            heads: columns().map(|column| column.head.clone()).collect(),
+            words: columns().map(Column::is_word).collect(),
+            lines: self.rows.iter().flatten().map(cells).collect(),
         }
     }
 }
@@ -330,7 +315,7 @@ pub(crate) fn filled(name: &str, row: &Value) -> String {
     let parts = name.split(['{', '}']).enumerate();
     let part = |(place, part): (usize, &str)| match place % 2 {
         0 => part.to_owned(),
-        _ => Column::new("", part, "plain").cell(&values),
+        _ => Column::default().cell(values.get(part)),
     };
     parts.map(part).collect()
 }
@@ -377,12 +362,8 @@ fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
 }
 
 pub fn joined<const N: usize>(objects: [Value; N]) -> Value {
-    let mut all = Map::new();
-    for mut object in objects {
-        let fields = object.as_object_mut().map(std::mem::take);
-        all.extend(fields.unwrap_or_default());
-    }
-    Value::Object(all)
+    let fields = |object| serde_json::from_value::<Map<_, _>>(object).unwrap_or_default();
+    objects.into_iter().flat_map(fields).collect()
 }
 
 /// Flattens nested JSON objects into joined names. A list stays one value.

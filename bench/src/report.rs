@@ -15,7 +15,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::dataset::{Dataset, Sheet};
+use crate::dataset::Dataset;
 use crate::environment::Environment;
 use crate::hlog;
 use crate::interrupt;
@@ -74,7 +74,7 @@ impl Start {
     pub fn files_of(&self, dataset: &Dataset) -> Result<Files> {
         let all = [dataset, &self.machine()];
         let (name, json) = (dataset.name, self.json_of(dataset)?);
-        let mut files = documents(name, dataset.heading(), "", &all, json);
+        let mut files = documents(name, &dataset.declaration.heading, "", &all, json);
         add_data(&mut files, self.time, dataset)?;
         Ok(files)
     }
@@ -93,7 +93,7 @@ fn add_data(files: &mut Files, started: SystemTime, dataset: &Dataset) -> Result
     for (file, csv) in dataset.csv() {
         files.insert(format!("{file}.csv"), csv?);
     }
-    for plot in &dataset.plots {
+    for plot in dataset.plots() {
         files.insert(format!("{}.svg", plot.name), plot.svg.clone());
     }
     if let Some(log) = hlog::log(started, &dataset.recordings)? {
@@ -240,7 +240,7 @@ impl BenchReport {
         }
         dataset.add("targets", rows);
         if dataset.rows("targets").is_empty() {
-            dataset.sheets[0].table.title.clear();
+            dataset.table("targets").title.clear();
         }
         dataset
     }
@@ -264,8 +264,7 @@ impl BenchReport {
     }
 
     fn json(&self) -> Result<String> {
-        let shown =
-            |dataset: &Dataset| json!(dataset.tables().map(Sheet::shown).collect::<Vec<_>>());
+        let shown = |dataset: &Dataset| json!(dataset.tables().collect::<Vec<_>>());
         let targets = self.targets();
         let mut all = targets.json();
         let (mut tables, mut took_s) = (json!({ "targets": shown(&targets) }), json!({}));

@@ -1,12 +1,10 @@
 //! What a benchmark declares in the TOML file beside it: its heading and explanation, the columns and metrics of
 //! its tables, the captions of its plots.
 
-use std::collections::BTreeMap;
-
 use serde::Deserialize;
 use serde_json::Value;
 
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 pub struct Declaration {
     pub heading: String,
     /// Method and reading guide: paragraphs of HTML.
@@ -15,22 +13,25 @@ pub struct Declaration {
     #[serde(default)]
     pub tables: Vec<Table>,
     #[serde(default)]
-    pub plots: Vec<PlotDeclaration>,
+    pub plots: Vec<Plot>,
     #[serde(default)]
     pub targets: Vec<Target>,
 }
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PlotDeclaration {
+pub struct Plot {
     pub name: String,
     /// Panels per row, and their height: see [`cdcr_chart::svg`].
     pub size: (usize, u32),
     pub caption: String,
+    /// Empty until it is drawn.
+    #[serde(skip)]
+    pub svg: String,
 }
 
 /// A target of the project for the median of a metric.
-#[derive(Debug, Clone, Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
     pub what: String,
@@ -42,7 +43,7 @@ pub struct Target {
     pub most: f64,
 }
 
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Table {
     pub name: String,
@@ -61,42 +62,27 @@ pub struct Table {
     pub metrics: Vec<(String, String, String)>,
     /// Names of the metrics of which more is better.
     pub higher: Vec<String>,
+    /// `None` if nothing of it was measured.
+    #[serde(skip)]
+    pub rows: Option<Vec<Value>>,
 }
 
-/// A column: its head, the key of its value in a row, and its format.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(from = "(String, String, String)")]
+/// A column: its head, the key of its value in a row, and its format with the number of digits.
+#[derive(Debug, Default, Deserialize)]
 pub struct Column {
     pub head: String,
     pub key: String,
     format: String,
-    digits: usize,
-}
-
-impl From<(String, String, String)> for Column {
-    fn from((head, key, format): (String, String, String)) -> Self {
-        let (format, digits) = format.split_once(' ').unwrap_or((&format, ""));
-        Self {
-            digits: digits.parse().unwrap_or_default(),
-            format: format.to_owned(),
-            head,
-            key,
-        }
-    }
 }
 
 impl Column {
-    pub fn new(head: &str, key: &str, format: &str) -> Self {
-        Self::from((head.to_owned(), key.to_owned(), format.to_owned()))
-    }
-
     /// Words are left-aligned, all others right-aligned.
     pub fn is_word(&self) -> bool {
         self.format == "word"
     }
 
-    pub(super) fn cell(&self, values: &BTreeMap<String, Value>) -> String {
-        match values.get(&self.key) {
+    pub(super) fn cell(&self, value: Option<&Value>) -> String {
+        match value {
             Some(Value::String(text)) if !text.is_empty() => text.clone(),
             Some(Value::Bool(true)) => "yes".to_owned(),
             Some(Value::Bool(false)) => "no".to_owned(),
@@ -114,8 +100,9 @@ impl Column {
     }
 
     fn number(&self, value: f64) -> String {
-        let digits = self.digits;
-        match &*self.format {
+        let (format, digits) = self.format.split_once(' ').unwrap_or((&self.format, "0"));
+        let digits: usize = digits.parse().unwrap_or_default();
+        match format {
             "short" => short(value),
             "fixed" => format!("{value:.digits$}"),
             "signed" => format!("{value:+.1}"),

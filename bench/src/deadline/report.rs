@@ -146,8 +146,8 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     };
     let rounds: Vec<Value> = (0..daemon.rounds.len()).map(of_round).collect();
     let mut row = dataset.merge("ratios", &rounds);
-    for (_, _, name) in dataset.declared("ratios").1.metrics {
-        row[format!("{name}_range")] = json!(range(each(&rounds, &name)));
+    for (_, _, name) in &dataset.table("ratios").metrics {
+        row[format!("{name}_range")] = json!(range(each(&rounds, name)));
     }
     let (ours, theirs) = (misses(&daemon.rounds), misses(&bare.rounds));
     let p_value = misses_p_value(ours, theirs);

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREY, Panel, Scale};
 use crate::dataset::{Dataset, each, filled, joined, number, together};
-use crate::metric::{median, range};
+use crate::metric::{Better, Metric, median, range};
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
@@ -86,7 +86,7 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     let mut dataset = Dataset::new("footprint", include_str!("footprint.toml"));
     dataset.fact("realtime", realtime);
     let mut figures = Vec::new();
-    for (what, unit, key) in dataset.declared("figures").1.metrics {
+    for (what, unit, key) in dataset.table("figures").metrics.clone() {
         figures.extend(figure(&mut dataset, [&what, &key, &unit], &rounds));
     }
     let (threads, programs) = (threads(&rounds), programs());
@@ -121,7 +121,7 @@ fn figure(dataset: &mut Dataset, [what, key, unit]: [&str; 3], rounds: &[Value])
         let words = ["memory is locked (1: in every round)", "1", ""];
         let found = (least, json!([least, most]), String::new());
         dataset.target(words, Some(found), 1.0..=1.0);
-        dataset.higher(metric, unit, each(rounds, key));
+        dataset.add_metric(Metric::new(metric, unit, Better::Higher, each(rounds, key)));
     } else {
         dataset.lower(metric, unit, each(rounds, key));
     }

@@ -66,7 +66,7 @@ fn how(realtime: bool, spin_us: Option<f64>) -> String {
 pub fn picture(rows: &[Value]) -> Result<String> {
     let mut dataset = declared();
     dataset.plot("rate", &panels(rows))?;
-    Ok(dataset.plots.remove(0).svg)
+    Ok(dataset.declaration.plots.remove(0).svg)
 }
 
 fn panels(rows: &[Value]) -> [Panel; 2] {

@@ -14,14 +14,19 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
     let heading = escape(title);
     let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{words}</li>\n");
     let links: String = if introduction.is_empty() {
-        let plots = all.iter().flat_map(|dataset| &dataset.plots);
+        let plots = all.iter().flat_map(|dataset| dataset.plots());
         let words = |plot: &Plot| (plot.name.replace('-', " "), escape(&plot.caption));
         let words = plots.map(|plot| (&*plot.name, words(plot)));
         words
             .map(|(name, (words, caption))| link(name, &format!("{words}</a>: {caption}")))
             .collect()
     } else {
-        let link = |dataset: &&Dataset| link(dataset.name, &(escape(dataset.heading()) + "</a>"));
+        let link = |dataset: &&Dataset| {
+            link(
+                dataset.name,
+                &(escape(&dataset.declaration.heading) + "</a>"),
+            )
+        };
         all.iter().map(link).collect()
     };
     let contents = match links.as_str() {
@@ -34,19 +39,19 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
          <title>{heading}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{heading}</h1>\n{introduction}{contents}"
     );
     for dataset in all {
-        let (name, heading) = (dataset.name, escape(dataset.heading()));
-        if dataset.heading() != title {
-            let _ = writeln!(html, "<h2 id=\"{name}\">{heading}</h2>");
+        let (name, heading) = (dataset.name, &dataset.declaration.heading);
+        if heading != title {
+            let _ = writeln!(html, "<h2 id=\"{name}\">{}</h2>", escape(heading));
         }
         let _ = writeln!(html, "{}", dataset.declaration.explanation);
         if !dataset.note.is_empty() {
             let class = ["", " class=\"failed\""][usize::from(dataset.warns)];
             let _ = writeln!(html, "<p{class}>{}</p>", escape(&dataset.note));
         }
-        for table in dataset.tables().map(|sheet| sheet.shown().text()) {
-            let _ = writeln!(html, "<pre>\n{}</pre>", escape(&table));
+        for table in dataset.tables() {
+            let _ = writeln!(html, "<pre>\n{}</pre>", escape(&table.text()));
         }
-        for plot in &dataset.plots {
+        for plot in dataset.plots() {
             let (id, svg, caption) = (&plot.name, plot.svg.trim(), escape(&plot.caption));
             let caption = format!("<figcaption>{caption}</figcaption>");
             let _ = writeln!(html, "<figure id=\"{id}\">\n{svg}\n{caption}\n</figure>");

@@ -248,7 +248,7 @@ pub fn shown(rows: &[Value]) -> [ShownTable; 2] {
     let mut dataset = declared();
     dataset.add("comparison", comparison(rows));
     dataset.add("parts", parts::rows(rows));
-    [0, 1].map(|place| dataset.sheets[place].shown())
+    ["comparison", "parts"].map(|name| dataset.table(name).shown())
 }
 
 fn comparison(rows: &[Value]) -> Vec<Value> {

@@ -139,13 +139,13 @@ pub fn knob(knob: &str, rows: &[Value]) -> ShownTable {
     let mut dataset = declared();
     let of_knob = rows.iter().filter(|row| row["knob"] == knob);
     dataset.add("knobs", of_knob.cloned().collect());
-    let table = &mut dataset.sheets[0].table;
+    let table = dataset.table("knobs");
     table.title.clear();
     table.columns.remove(0);
     if knob == PRESET {
         PRESET.clone_into(&mut table.columns[0].head);
     }
-    dataset.sheets[0].shown()
+    table.shown()
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ fn the_result_holds_every_variant() {
         }
     }
     let plots = ["error", "clearance", "stuck"].map(|name| format!("quality-{name}"));
-    assert!(report.plots.iter().map(|plot| &plot.name).eq(&plots));
+    assert!(report.plots().map(|plot| &plot.name).eq(&plots));
     let mut json = report.json();
     json.insert("metrics".to_owned(), serde_json::json!(report.metrics));
     is_sound(&json.into(), &[2]);
