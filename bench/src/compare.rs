@@ -64,15 +64,14 @@ impl Input {
         })
     }
 
-    /// Metrics by name and unit; a number with another unit is another number.
-    fn named(&self) -> BTreeMap<(&str, &str), &Metric> {
-        let metrics = self.metrics.iter();
-        let known = metrics.filter(|metric| !metric.rounds.is_empty());
-        known
-            .map(|metric| ((&*metric.name, &*metric.unit), metric))
-            .collect()
+    fn named(&self) -> Named<'_> {
+        let known = self.metrics.iter().filter(|it| !it.rounds.is_empty());
+        known.map(|it| ((&*it.name, &*it.unit), it)).collect()
     }
 }
+
+/// Metrics by name and unit; a number with another unit is another number.
+type Named<'a> = BTreeMap<(&'a str, &'a str), &'a Metric>;
 
 #[derive(Debug, Clone, Serialize)]
 pub struct Comparison {
@@ -90,17 +89,14 @@ pub struct Comparison {
 impl Comparison {
     pub fn of(before: &Input, after: &Input) -> Self {
         let (old, new) = (before.named(), after.named());
-        let both = old.iter();
-        let both = both.filter_map(|(key, old)| Change::of(old, new.get(key)?));
-        let mut metrics: Vec<Change> = both.collect();
+        let both = |(key, old): (_, &&Metric)| Change::of(old, new.get(key)?);
+        let mut metrics: Vec<Change> = old.iter().filter_map(both).collect();
         // From zero, every change is large.
         let size = |change: &Change| change.percent.map_or(f64::INFINITY, f64::abs);
-        metrics.sort_by(|one, other| {
-            let by_verdict = one.verdict.cmp(&other.verdict);
-            let by_size = size(other).total_cmp(&size(one));
-            by_verdict.then(by_size).then(one.name.cmp(&other.name))
-        });
-        let only = |these: &BTreeMap<(&str, &str), _>, others: &BTreeMap<(&str, &str), _>| {
+        // Stable: in the order of the names otherwise.
+        metrics.sort_by(|one, other| size(other).total_cmp(&size(one)));
+        metrics.sort_by_key(|change| change.verdict);
+        let only = |these: &Named, others: &Named| {
             let missing = these.keys().filter(|key| !others.contains_key(*key));
             missing.map(|(name, _)| (*name).to_owned()).collect()
         };
@@ -115,8 +111,7 @@ impl Comparison {
         }
     }
 
-    /// How many numbers may get worse by chance: half of `changed_by_chance`, rounded up, plus a margin of
-    /// two.
+    /// How many numbers may get worse by chance: half of those that change by chance, and a margin.
     pub fn worse_by_chance(&self) -> usize {
         (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
     }
@@ -166,22 +161,18 @@ impl Comparison {
 
 fn warnings(before: &Input, after: &Input) -> Vec<String> {
     let machine = before.environment.differing(&after.environment);
-    let mut warnings = another("", &machine, OTHER_MACHINE);
-    match (&before.options, &after.options) {
-        (Some(old), Some(new)) => {
-            warnings.extend(another("value of ", &old.differing(new), OTHER_OPTIONS));
-        }
-        (None, None) => {}
+    let options = match (&before.options, &after.options) {
+        (Some(old), Some(new)) => another("value of ", &old.differing(new), OTHER_OPTIONS),
+        (None, None) => Vec::new(),
         (old, _) => {
             let when = if old.is_none() { "before" } else { "after" };
             let words = "does not contain its options: it may have measured something else";
-            warnings.push(format!("the run {when} {words}"));
+            vec![format!("the run {when} {words}")]
         }
-    }
-    warnings
+    };
+    [another("", &machine, OTHER_MACHINE), options].concat()
 }
 
-/// A warning for each difference, then its consequence.
 fn another<T: Display>(kind: &str, all: &[(&str, T, T)], consequence: &str) -> Vec<String> {
     let one = |(name, old, new): &(&str, T, T)| {
         format!("another {kind}{name}: {old} before, {new} after")
@@ -209,7 +200,6 @@ pub struct Change {
 }
 
 impl Change {
-    /// `None` unless both runs measured the number at least once.
     fn of(old: &Metric, new: &Metric) -> Option<Self> {
         let (before, after) = (old.median()?, new.median()?);
         let (old_range, new_range) = (old.range()?, new.range()?);
@@ -240,8 +230,7 @@ impl Change {
     }
 }
 
-/// Probability that `before` and `after` values of one source are disjoint: 2 · n! · m! / (n + m)!, the
-/// extreme case of the two-sided rank test.
+/// Probability that values of one source are disjoint: the extreme case of the two-sided rank test.
 fn chance_apart([before, after]: [usize; 2]) -> f64 {
     let ways = binomial((before + after) as u64, after as u64);
     // Limited for an empty side and for one value each, which are always disjoint.
