@@ -3,7 +3,6 @@
 //!
 //! An offline closed loop; the same seed gives the same bits.
 
-mod parts;
 mod scenario;
 mod tuning;
 
@@ -22,12 +21,18 @@ pub use tuning::knob;
 
 use crate::benchmark::Benchmark;
 use crate::chart::{Curve, Panel, Scale};
-use crate::dataset::{Dataset, ShownTable};
+use crate::dataset::{Dataset, ShownTable, number};
 use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Scenario};
 
 const DECLARATION: &str = include_str!("robustness.toml");
+
+#[derive(serde::Deserialize)]
+struct Parts {
+    shown_parts: Vec<[String; 5]>,
+}
+
 /// Tolerance for rounding of the limits of a command, as a share.
 const LIMIT_EXCESS_MAX: f64 = 1e-9;
 /// Smallest drawn error \[mm\].
@@ -108,7 +113,7 @@ impl Benchmark for RobustnessOptions {
         panels.retain(|panel| !panel.is_below(DRAWN_MM));
         dataset.plot("robustness-error", &panels)?;
         dataset.add("comparison", comparison(&rows));
-        dataset.add("parts", parts::rows(&rows));
+        dataset.add("parts", parts(&rows));
         dataset.add("scenarios", rows);
         Ok(dataset)
     }
@@ -243,11 +248,30 @@ fn declared() -> Dataset {
     Dataset::new("robustness", DECLARATION)
 }
 
+/// Effect of each part of the controller: a number of a robot that needs it, with the part and without.
+fn parts(rows: &[Value]) -> Vec<Value> {
+    let declared: Parts = toml::from_str(DECLARATION).expect("a declaration");
+    let row = |[part, without, robot, key, figure]: &[String; 5]| {
+        let of = |controller: &str| {
+            let mut rows = rows.iter().filter(|row| row["interface"] == "position");
+            let row = rows.find(|row| row["name"] == **robot && row["controller"] == controller)?;
+            let value = number(row, key)?;
+            let digits = (2.0 - value.abs().log10().floor()).clamp(0.0, 4.0) as usize;
+            Some(format!("{value:.digits$}"))
+        };
+        let (with, without) = (of("full")?, of(without)?);
+        Some(
+            json!({ "part": part, "robot": robot, "figure": figure, "with": with, "without": without }),
+        )
+    };
+    declared.shown_parts.iter().filter_map(row).collect()
+}
+
 /// The tables for the documents, from the rows of a result: all robots, then the parts of the controller.
 pub fn shown(rows: &[Value]) -> [ShownTable; 2] {
     let mut dataset = declared();
     dataset.add("comparison", comparison(rows));
-    dataset.add("parts", parts::rows(rows));
+    dataset.add("parts", parts(rows));
     ["comparison", "parts"].map(|name| dataset.table(name).shown())
 }
 

@@ -158,8 +158,7 @@ impl Scenario {
         targets.remove(&self.targets).expect("declared targets")
     }
 
-    /// Whether a row reaches all targets; targets that were not measured count as reached. `ideal_change`:
-    /// `rate_change_rms` of the ideal robot.
+    /// Targets that were not measured count as reached. `ideal_change`: `rate_change_rms` of the ideal robot.
     pub(super) fn is_reached(&self, row: &Value, ideal_change: Option<f64>) -> bool {
         self.targets().iter().all(|(key, _, bound)| {
             let found = row[key].as_f64();
@@ -221,8 +220,7 @@ mod tests {
     use crate::closed_loop::Scene;
     use crate::experiment::Task;
 
-    /// A controller that knows the shorter sections keeps the tip at the nearest reachable point: the target
-    /// `nearest`.
+    /// The tip at the nearest reachable point of a shorter robot: the target `nearest`.
     #[test]
     fn the_part_of_the_spiral_that_is_out_of_reach_is_that_far_away() {
         let mut shorter = RobotParameters::paper(3);
