@@ -84,10 +84,8 @@ impl Scene {
     }
 }
 
-/// The ideal robot in a scene, with the safety checks of its commands, around any solver. The solver gets the
-/// exact curve at each step of its horizon. No command is lost, and the robot stops at once. Therefore the
-/// clearance guard certifies each command for one period, whereas a daemon certifies three periods and a
-/// ramp.
+/// The ideal robot in a scene, with the safety checks of its commands. No command is lost, and the robot stops at
+/// once: the clearance guard certifies each command for one period, a daemon for three periods and a ramp.
 pub type ClosedLoop<'a> = closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>;
 
 #[derive(Debug, Clone)]
@@ -119,11 +117,9 @@ pub enum End {
     AfterQuanta(u32),
 }
 
-pub fn timed_solve(
-    nmpc: &mut Nmpc,
-    input: &SolveInput,
-    end: End,
-) -> (BendRates, SolveReport, Duration) {
+type Solved = (BendRates, SolveReport, Duration);
+
+pub fn timed_solve(nmpc: &mut Nmpc, input: &SolveInput, end: End) -> Solved {
     let begin = Instant::now();
     let mut is_spent = || matches!(end, End::After(time) if begin.elapsed() >= time);
     let mut budget = match end {

@@ -23,12 +23,12 @@ impl RunOptions {
         let mut options = BTreeMap::from([("command".to_owned(), name.to_owned())]);
         let arguments = command.find_subcommand(name).into_iter();
         for argument in arguments.flat_map(clap::Command::get_arguments) {
-            let (long, id) = (argument.get_long(), argument.get_id().as_str());
-            let long = long.filter(|long| !["out", "format"].contains(long));
+            let id = argument.get_id().as_str();
+            let long = argument.get_long().unwrap_or("out");
             let is_given = matches.value_source(id) == Some(ValueSource::CommandLine);
-            let Some(long) = long.filter(|_| is_given) else {
+            if !is_given || ["out", "format"].contains(&long) {
                 continue;
-            };
+            }
             let text = |value: &OsStr| match long {
                 // The content of the file instead of its path.
                 "config" => hash(Path::new(value)),

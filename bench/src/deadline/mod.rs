@@ -155,7 +155,7 @@ impl Benchmark for DeadlineOptions {
                 let start = Instant::now();
                 // A failed stretch is repeated once, and the failure is reported. A long stall must not
                 // discard half an hour of measurements.
-                let measure = || runner.run(key.subject, key.load, key.setup);
+                let measure = || runner.run(key);
                 let tally = measure().or_else(|failure| {
                     interrupt::check()?;
                     failures.push(format!("{what}: {failure:#}"));

@@ -110,9 +110,8 @@ fn per_million((misses, due): (u64, u64)) -> f64 {
     1e6 * misses as f64 / due.max(1) as f64
 }
 
-/// Probability that chance alone gives the daemon at least its part of the misses of both, each given as
-/// misses and due cycles. Conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31,
-/// 1940). 1 when the daemon missed nothing.
+/// Probability that chance alone gives the daemon at least its part of the misses of both: conditional test of two
+/// Poisson rates (Przyborowski and Wilenski, Biometrika 31, 1940).
 fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
     let (misses, due) = (ours.0 + theirs.0, ours.1 + theirs.1);
     if ours.0 == 0 || due == 0 {

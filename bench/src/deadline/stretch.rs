@@ -9,11 +9,12 @@ use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{LateCause, Mode};
 use serde_json::json;
 
+use super::report::Key;
 use super::tally::{COMMAND, Tally};
 use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::dataset::joined;
 use crate::interrupt;
-use crate::load::{Load, Running};
+use crate::load::Running;
 use crate::named::named;
 use crate::quantiles::histogram;
 use crate::subject::baseline::Baseline;
@@ -27,8 +28,7 @@ use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
 
 const CYCLE_PRIORITY: u8 = 80;
-/// Time by which the client wakes up before a release \[ns\], about the length of a late wake-up. At most a
-/// quarter of the period.
+/// Time by which the client wakes up before a release \[ns\], about the length of a late wake-up.
 const EARLY_NS: u64 = 100_000;
 /// Time limit for the last records and incidents \[ns\]: the daemon's reporter is late on a stalled machine.
 const LAST_NS: u64 = 300_000_000;
@@ -89,32 +89,26 @@ impl<'a> Runner<'a> {
 
     /// Measures the subject under the load. The counts of the load include the warm-up. A load with clients
     /// needs a daemon: if the subject is none, the load gets a decoy daemon off the measured core.
-    pub(super) fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Tally> {
+    pub(super) fn run(&self, key: Key) -> Result<Tally> {
         let others = self.cores.without_realtime();
         let decoy = || Daemon::start(&self.launch(Setup::Ordinary), &others);
-        let daemon = match subject {
-            Subject::Daemon => Some(Daemon::start(&self.launch(setup), &self.cores)?),
-            _ => load.needs_daemon().then(decoy).transpose()?,
+        let daemon = match key.subject {
+            Subject::Daemon => Some(Daemon::start(&self.launch(key.setup), &self.cores)?),
+            _ => key.load.needs_daemon().then(decoy).transpose()?,
         };
-        let location = daemon.as_ref().map(Daemon::location);
-        let tally = self.beside_load(subject, load, setup, location);
+        let tally = self.beside_load(key, daemon.as_ref().map(Daemon::location));
         let words = || daemon.as_ref().map(Daemon::stderr_tail);
         let tally = tally.with_context(|| words().unwrap_or_default())?;
         daemon.map_or(Ok(()), Daemon::stop)?;
         Ok(tally)
     }
 
-    fn beside_load(
-        &self,
-        subject: Subject,
-        load: Load,
-        setup: Setup,
-        location: Option<&Location>,
-    ) -> Result<Tally> {
+    fn beside_load(&self, key: Key, location: Option<&Location>) -> Result<Tally> {
+        let (setup, subject) = (key.setup, key.subject);
         let followed = location.filter(|_| subject == Subject::Daemon);
         let follow = |location| Tracking::start(location, self.cores.client());
         let tracking = followed.map(follow).transpose()?;
-        let load = Running::start(load, &self.cores, location)?;
+        let load = Running::start(key.load, &self.cores, location)?;
         let tally = match (subject, followed) {
             (_, Some(location)) => {
                 let observe = || self.observe(location, setup);

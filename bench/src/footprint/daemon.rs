@@ -61,19 +61,17 @@ fn late(daemon: &Daemon, missing: &str) -> String {
     format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 
-pub(super) fn usage(
-    launch: &Launch,
-    cores: &Cores,
-    idle: Duration,
-    tracking: Duration,
-) -> Result<Value> {
+/// Durations without a client, and with tracking.
+type Durations = [Duration; 2];
+
+pub(super) fn usage(launch: &Launch, cores: &Cores, durations: Durations) -> Result<Value> {
     let (daemon, start) = ManagedStart::begin(launch, cores)?;
     ready_ns(&daemon, start)?;
-    let measured = measure(&daemon, cores, idle, tracking);
+    let measured = measure(&daemon, cores, durations);
     daemon.stop().and(measured)
 }
 
-fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Value> {
+fn measure(daemon: &Daemon, cores: &Cores, [idle, tracking]: Durations) -> Result<Value> {
     let memory = || {
         let kib = status(daemon.id(), MEMORY)?;
         anyhow::Ok(kib.map(|kib| kib as f64 * 1024.0 / MB))

@@ -67,12 +67,12 @@ impl Benchmark for FootprintOptions {
         cores.stay_off();
         let realtime = may_be_realtime();
         let launch = Launch::patient(None).placed(&cores, realtime);
-        let idle = self.duration.mul_f64(IDLE_SHARE);
+        let durations = [self.duration.mul_f64(IDLE_SHARE), self.duration];
         let mut rounds = Vec::new();
         for round in 1..=self.rounds {
             progress.begin(&format!("daemon {round} of {}", self.rounds));
             let start = daemon::start_times(&launch, &cores)?;
-            let usage = daemon::usage(&launch, &cores, idle, self.duration)?;
+            let usage = daemon::usage(&launch, &cores, durations)?;
             rounds.push(joined([start, usage]));
             progress.advance(self.round_s());
         }

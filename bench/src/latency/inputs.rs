@@ -43,7 +43,7 @@ impl Source {
         matches!(self, Self::Request(_))
     }
 
-    /// Sends message number `index`. Returns its identification in a record, and its time stamp.
+    /// Returns the identification of the message in a record, and its time stamp.
     pub(super) fn send(&self, index: usize, watcher: &mut Watcher) -> Result<(u64, u64)> {
         let length_m = scene::length_m(watcher);
         let header = match self {

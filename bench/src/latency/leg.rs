@@ -8,7 +8,6 @@ use serde::Deserialize;
 use crate::dataset::Recording;
 use crate::quantiles::histogram;
 
-/// What `latency.toml` declares.
 #[derive(Debug, Deserialize)]
 pub struct Declared {
     pub legs: Vec<[String; 3]>,
@@ -56,8 +55,7 @@ impl Round {
         recording.histogram_ns.saturating_record(latency_ns);
     }
 
-    /// Adds a whole leg, its wait for the grid, and the machinery. A message that came during its gather did
-    /// not wait.
+    /// Adds a whole leg, its wait for the grid (none if it came during the gather), and the machinery.
     pub(super) fn record_way(&mut self, whole: &str, passage: Passage) {
         let [sent_ns, gather_ns, received_ns] = passage;
         let whole_ns = received_ns.saturating_sub(sent_ns);

@@ -75,8 +75,7 @@ impl LatencyOptions {
         let deceleration = format!("{:.1}", stops::DECELERATION_RAD_S2);
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
-            // A stall of the machine is not a sensor failure. The driver measures the target of its newest
-            // command.
+            // A stall is no sensor failure. The driver measures the target of its newest command.
             .with("link.measurement_timeout_ms", "10000.0")
             .with("safety.measurement_jump_rad", "1000.0")
             .with("safety.measurement_frozen_rad", "1000.0")
@@ -192,8 +191,7 @@ impl Bench<'_> {
         let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
         inputs::measure(watcher, lead_ns, requests.into(), samples, round)?;
 
-        let feed = watcher.connection.reference_feed()?;
-        stops::measure(watcher, &feed, self.options.stops(), round)
+        stops::measure(watcher, self.options.stops(), round)
     }
 
     fn driven(&self, watcher: &mut Watcher, lead_ns: u64, round: &mut Round) -> Result<()> {
@@ -262,7 +260,7 @@ mod tests {
         let used = || Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).expect("a time");
         let (begin, used_before) = (Instant::now(), used());
         let result = work().expect("it works");
-        let used = used() - used_before;
+        let used = used().saturating_sub(used_before);
         (used.div_duration_f64(begin.elapsed()), result)
     }
 

@@ -3,7 +3,7 @@
 //! The robot is sent from one far position to another and stopped at speed. The time of the ramp is subtracted.
 
 use anyhow::{Context, Result, bail, ensure};
-use cdcr_client::{ReferenceFeed, monotonic_ns};
+use cdcr_client::monotonic_ns;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
 use super::leg::{Passage, Round};
@@ -22,20 +22,15 @@ const SPEED_UP_MAX: u32 = 100;
 /// Releases from there to rest: 15 to 40 are needed, more on a machine that stalls.
 const REST_MAX: u32 = 1000;
 
-/// Stops the robot until `samples` stops count. A stop without a result has missing records, or the robot was
-/// hardly moving.
-pub(super) fn measure(
-    watcher: &mut Watcher,
-    feed: &ReferenceFeed,
-    samples: usize,
-    round: &mut Round,
-) -> Result<()> {
+/// Stops the robot until `samples` stops have a result.
+pub(super) fn measure(watcher: &mut Watcher, samples: usize, round: &mut Round) -> Result<()> {
+    let feed = watcher.connection.reference_feed()?;
     let (mut recorded, mut spoilt, most) = (0, 0, samples + WARM_UP);
     let (mut phases, length_m) = (Phases::default(), scene::length_m(watcher));
     watcher.before_ns = early_ns(watcher);
     watcher.begin()?;
     for number in 0.. {
-        scene::send(feed, scene::aside(number, length_m))?;
+        scene::send(&feed, scene::aside(number, length_m))?;
         // Rejected if the robot is tracking already; it then follows the new reference.
         ask(watcher, RequestKind::Reset, Outcome::WrongMode)?;
         // The request was so late that the chunk was missing, or no longer in the future.

@@ -21,7 +21,8 @@ use std::collections::BTreeSet;
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use serde_json::Value;
+use cdcr_bench::dataset::Dataset;
+use serde_json::{Value, json};
 
 /// Allows one measurement of a daemon at a time, because all use the same real-time core. While commands are
 /// late, a client that polls for them does not pause. It would delay the reporters of other daemons, whose
@@ -55,6 +56,12 @@ fn needs_nothing_else(page: &str) {
     for word in ["src=", "href=", "url(", "<script", "@import"] {
         assert!(!page.contains(word), "{word} in a page");
     }
+}
+
+fn dataset_is_sound(dataset: &Dataset, rounds: &[usize]) {
+    let mut json = dataset.json();
+    json.insert("metrics".to_owned(), json!(dataset.metrics));
+    is_sound(&json.into(), rounds);
 }
 
 /// What holds for the result of every benchmark: quantiles grow, shares are shares, no time is negative. Each
