@@ -1,8 +1,5 @@
-//! Budget of a solve: how much later than its budget it ends, and whether its plan is ever worse than the
-//! warm start.
-//!
-//! Before each solve, a loop without work waits for the same budget. Its delay is that of the machine; the
-//! rest is the solver's.
+//! How much later than its budget a solve ends, and whether its plan is ever worse than the warm start. Before
+//! each solve, a loop without work waits for the same budget: its delay is the machine's.
 
 use std::time::{Duration, Instant};
 

@@ -21,7 +21,7 @@ impl Causes {
         Self(statistics.causes)
     }
 
-    /// Counts a cycle. A cycle without a known cause counts as a stall.
+    /// A cycle without a known cause counts as a stall.
     pub fn count(&mut self, cause: LateCause) {
         let cause = if cause == LateCause::None {
             Stall
@@ -35,7 +35,7 @@ impl Causes {
         self.0[cause.code() as usize]
     }
 
-    /// Causes within the daemon: a computation that took too long, or a page fault.
+    /// Cycles that were late because of the daemon itself.
     pub fn own(&self) -> u64 {
         self.of(PageFault) + self.of(Compute)
     }

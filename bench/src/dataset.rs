@@ -1,7 +1,5 @@
-//! Result of a benchmark: rows under columns, plots, metrics, raw latencies.
-//!
-//! A row is anything that serde serialises as an object. Only this module formats it as text, Markdown, CSV
-//! and JSON. A column names its value by the keys that lead to it, joined by `_`, as in CSV.
+//! Result of a benchmark: rows under columns, plots, metrics, raw latencies. Only this module formats them as text,
+//! Markdown, CSV and JSON. A column names its value by the keys that lead to it, joined by `_`.
 
 mod declaration;
 
@@ -25,7 +23,6 @@ pub struct Dataset {
     pub declaration: Declaration,
     /// The most important remark, one sentence.
     pub note: String,
-    /// Whether the note is a warning about a failure or about meaningless numbers.
     pub warns: bool,
     /// Keys of the JSON in addition to those of the tables.
     pub facts: Map<String, Value>,
@@ -40,7 +37,7 @@ pub struct Dataset {
 pub struct Recording {
     /// What was measured: words joined by dots, like `none.daemon.response`.
     pub tag: String,
-    /// Start of the recording after the start of the run \[s\].
+    /// After the start of the run \[s\].
     pub start_s: f64,
     pub duration_s: f64,
     pub histogram_ns: Histogram<u64>,
@@ -81,7 +78,6 @@ impl Dataset {
         }));
     }
 
-    /// The rows of all targets that were measured.
     pub fn all_targets(&self) -> Vec<Value> {
         let mut all = Self::default();
         for target in &self.declaration.targets {
@@ -118,7 +114,9 @@ impl Dataset {
             Metric::new(name, unit, better, values)
         };
         let metrics: Vec<Metric> = table.metrics.iter().map(metric).collect();
-        metrics.into_iter().for_each(|it| self.add_metric(it));
+        for metric in metrics {
+            self.add_metric(metric);
+        }
     }
 
     /// Merges the rounds of one row of a table, see [`together`], and adds its metrics.
@@ -162,7 +160,6 @@ impl Dataset {
         Ok(())
     }
 
-    /// The plots that were drawn.
     pub fn plots(&self) -> impl Iterator<Item = &Plot> {
         let plots = self.declaration.plots.iter();
         plots.filter(|plot| !plot.svg.is_empty())
@@ -221,8 +218,7 @@ impl Table {
     fn csv(&self, rows: &[Value]) -> Result<String> {
         let rows: Vec<_> = rows.iter().map(flat).collect();
         let keys: BTreeSet<&String> = rows.iter().flat_map(BTreeMap::keys).collect();
-        // A key that is null in all rows gets a column. An object that is null in some rows gets the columns
-        // of its fields.
+        // A key that is null in all rows is a column; an object that is null in some rows is not.
         let is_object = |key: &str| {
             let fields = format!("{key}_");
             keys.iter().any(|other| other.starts_with(&fields))
@@ -262,8 +258,7 @@ impl Table {
     }
 }
 
-/// A table as people read it. `report.json` has those of all benchmarks, and `docs/results.md` is made from
-/// them.
+/// A table as people read it: `report.json` has them, and `docs/results.md` is made from them.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ShownTable {
     pub title: String,

@@ -73,8 +73,7 @@ impl Environment {
         rows.collect()
     }
 
-    /// Properties that differ between two machines and affect absolute times. An older file may lack a
-    /// property.
+    /// Properties that differ and affect absolute times. An older file may lack a property.
     pub(crate) fn differing(&self, other: &Self) -> Vec<(&'static str, Value, Value)> {
         let empty = [json!(null), json!(""), json!(false), json!(0), json!([])];
         let mut both = Vec::from(MOVING.map(|name| (name, self.value(name), other.value(name))));

@@ -177,8 +177,8 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    /// All experiments. The circle only in bend vectors: it starts straight, where bend angles have no
-    /// direction, and its twenty steps have many local minima in angles.
+    /// The circle only in bend vectors: it starts straight, where bend angles have no direction, and its twenty steps
+    /// have many local minima in angles.
     pub fn all() -> Vec<Self> {
         let mut all = Vec::new();
         for task in Task::all() {

@@ -1,7 +1,4 @@
-//! Raw latencies in the log format of HDR histograms, so that percentiles can be recomputed by other
-//! programs.
-//!
-//! Values are in nanoseconds, except the readable column of the largest value, in microseconds.
+//! Raw latencies \[ns\] in the log format of HDR histograms, so that other programs can compute percentiles.
 
 use std::time::{Duration, SystemTime};
 
@@ -13,7 +10,6 @@ use crate::dataset::Recording;
 
 const NS_PER_US: f64 = 1e3;
 
-/// The log of one benchmark whose run began at `started`; `None` without recordings.
 pub fn log(started: SystemTime, recordings: &[Recording]) -> Result<Option<String>> {
     if recordings.is_empty() {
         return Ok(None);

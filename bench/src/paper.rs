@@ -100,8 +100,7 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
     Ok(dataset)
 }
 
-/// Keeps the first run whole, and only the row data of the others, so that memory does not grow with the
-/// number of seeds.
+/// Keeps only the first run whole, so that memory does not grow with the number of seeds.
 pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
     let (mut first, mut runs, mut solve_ns) = (None, Vec::new(), histogram());
@@ -195,9 +194,8 @@ fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
     row
 }
 
-/// For a run around an obstacle, after the approach: mean error outside the detour, and largest error \[mm\];
-/// `None` without such samples. A sample is the distance of its reference from the obstacle \[m\] and its
-/// error \[mm\].
+/// After the approach: mean error outside the detour, and largest error \[mm\]. A sample is the distance of its
+/// reference from the obstacle \[m\] and its error \[mm\].
 fn errors_mm(
     samples: impl Iterator<Item = (f64, f64)> + Clone,
     safe_distance_m: f64,
@@ -219,8 +217,7 @@ mod tests {
     #[test]
     fn approach_and_detour_are_left_out_of_the_mean_and_only_the_approach_of_the_peak() {
         let errors = |samples: &[(f64, f64)]| errors_mm(samples.iter().copied(), 0.01);
-        // The third error is above the threshold again, but the approach is over. The next two are the
-        // detour.
+        // The third error is above the threshold again, but the approach is over.
         let approach = [(0.1, 100.0), (0.09, 0.01), (0.08, 0.03)];
         let detour = [(0.019, 12.0), (0.0, 10.0), (0.021, 0.02)];
         let (mean_mm, peak_mm) = errors(&[approach, detour].concat());

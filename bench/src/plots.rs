@@ -91,7 +91,6 @@ fn over_time(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     samples.iter().map(|s| (s.time_s, value(s))).collect()
 }
 
-/// For each value, the share of samples that are equal or larger.
 fn exceeded(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     let mut values: Vec<f64> = samples.iter().map(value).collect();
     values.retain(|value| *value > 0.0);

@@ -7,8 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// Progress of a measurement of known duration, in seconds: a bar on a terminal, otherwise occasional lines,
-/// both on standard error.
+/// A bar on a terminal, otherwise occasional lines, both on standard error.
 #[derive(Debug)]
 pub struct Progress {
     /// The current part, a prefix of every message.

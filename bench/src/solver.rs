@@ -1,6 +1,5 @@
-//! Solve time on every SIMD path of this processor, and its growth with sections, steps, particles,
-//! iterations and obstacles. Also the time of the estimate before a solve, and of the safety checks after it
-//! among many obstacles.
+//! Solve time on every SIMD path and its growth with each size; times of the estimate before a solve and of the
+//! safety checks after it.
 
 pub mod estimate;
 pub mod growth;
@@ -26,8 +25,7 @@ use crate::quantiles::{histogram, quantile_us};
 use crate::study::{self, Case};
 
 const CYCLES_MAX: u64 = 400;
-/// Cycles of a case with obstacles: in the first second the robot bends little, so that all obstacles stay
-/// within reach and off its path.
+/// In the first second the robot bends little: all obstacles stay within reach and off its path.
 const OBSTACLE_CYCLES_MAX: u64 = 200;
 /// Approximate time of one size, unless `CYCLES_MIN` take longer.
 const SIZE_TIME: Duration = Duration::from_millis(1200);
@@ -190,8 +188,7 @@ impl Size {
     }
 }
 
-/// Obstacles beside the lower quarter of the last section, on a spiral up the straight robot: spheres, and
-/// every fourth a vertical capsule.
+/// Spheres, and every fourth a vertical capsule, beside the lower quarter of the last section.
 fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Obstacle>> {
     let (last, below) = robot.sections().split_last().context("no section")?;
     let base_m: f64 = below.iter().map(|section| section.length_m).sum();
@@ -274,8 +271,7 @@ mod tests {
             };
             let scene = size.scene().expect("a scene");
             let settings = size.settings;
-            // The obstacles that the solver considers: all that move within the horizon, with the body at its
-            // rate limits.
+            // The obstacles that the solver considers, with the body at its rate limits.
             let horizon_s = f64::from(settings.horizon_steps) * PERIOD_S;
             let change_rad = SQRT_2 * scene.robot.sections()[0].rate_max_rad_s * horizon_s;
             let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);

@@ -1,5 +1,4 @@
-//! A study: cases measured in turn, round by round. A temporary disturbance of the machine affects only one
-//! round.
+//! Cases measured in turn, round by round: a disturbance of the machine affects only one round.
 
 use std::collections::BTreeMap;
 

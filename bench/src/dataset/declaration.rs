@@ -1,5 +1,4 @@
-//! What a benchmark declares in the TOML file beside it: its heading and explanation, the columns and metrics of
-//! its tables, the captions of its plots.
+//! What a benchmark declares in the TOML file beside it.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -47,8 +46,7 @@ pub struct Target {
 #[serde(default, deny_unknown_fields)]
 pub struct Table {
     pub name: String,
-    /// A pair of braces stands for what is only known after the run. Without a title, the rows are only in JSON
-    /// and CSV.
+    /// Braces stand for what is only known after the run. Without a title, the rows are only in JSON and CSV.
     pub title: String,
     pub file: Option<String>,
     /// Whether the rows are in the JSON, under the name of the table.
@@ -60,7 +58,7 @@ pub struct Table {
     pub path: String,
     /// Metrics of the rounds of each row: name, unit and key.
     pub metrics: Vec<(String, String, String)>,
-    /// Names of the metrics of which more is better.
+    /// The metrics of which more is better.
     pub higher: Vec<String>,
     /// `None` if nothing of it was measured.
     #[serde(skip)]

@@ -27,8 +27,7 @@ named! {
         Line = "line",
         /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
         Circle = "circle",
-        /// The tip moves through a gap between two posts and then to one side, so that the body has to turn
-        /// in the gap.
+        /// The tip moves through a gap between two posts, then to one side: the body has to turn in the gap.
         Gap = "gap",
         /// A ball crosses the robot below its tip while the tip follows a line: the body has to give way.
         Crossing = "crossing",
@@ -106,9 +105,8 @@ impl Course {
         })
     }
 
-    /// Settings with the default solver and swarm: the paper's for its scenes, otherwise a suitable horizon
-    /// with separate controls for each step. With blocks of several steps, the plan of one cycle does not fit
-    /// the next, and the robot misses the gap.
+    /// The paper's for its scenes, otherwise separate controls for each step: with blocks of several steps, the plan of
+    /// one cycle does not fit the next, and the robot misses the gap.
     pub fn settings(self) -> NmpcSettings {
         if let Some((task, _)) = self.paper() {
             return task.settings(Solver::KpsoRefined);

@@ -1,5 +1,4 @@
-//! Effect of computing time: tracking error, clearance and cost of plans over the solve time, the swarm and
-//! the horizon. Also how often a solver gets stuck.
+//! Error, clearance and cost over the solve time, the swarm and the horizon; how often a solver gets stuck.
 
 pub mod course;
 mod report;

@@ -1,5 +1,4 @@
-//! Random restarts: how often a solver ends above the best known cost. A problem leads from a random shape to
-//! the tip position of another one.
+//! How often a solver ends above the best known cost, from a random shape to the tip position of another one.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -18,8 +17,7 @@ use crate::experiment::Solver;
 use crate::named::named;
 use crate::numbers::Numbers;
 
-/// Long step, so that the horizon reaches the target \[s\]. The tip moves 40 mm in it; no obstacle is thin
-/// enough to be passed between two steps.
+/// So long that the horizon reaches the target; so short that no obstacle is passed between two steps \[s\].
 const PERIOD_S: f64 = 0.03;
 const HORIZON_STEPS: u32 = 30;
 const BLOCKS: u32 = 5;
@@ -46,8 +44,7 @@ const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
 /// A plan that ends farther from the target has not arrived \[mm\].
 const ARRIVED_MM: f64 = 10.0;
 const SOLVES_MAX: u32 = 20;
-/// Solves without progress after which a solver has ended. More than one, because each solve has other random
-/// numbers.
+/// Solves without progress that end it: more than one, because each has other random numbers.
 const IDLE_SOLVES_MAX: u32 = 2;
 /// A smaller decrease of the cost, as a share, is no progress.
 const PROGRESS_SHARE: f64 = 1e-4;
@@ -118,8 +115,7 @@ impl Field {
     }
 }
 
-/// A shape at rest, a reachable target for its tip, and obstacles. Start and target shapes are clear of the
-/// obstacles.
+/// A shape at rest, a reachable target for its tip, and obstacles that both are clear of.
 struct Problem {
     start: Configuration,
     target_m: Vector3<f64>,
@@ -195,8 +191,7 @@ pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     Ok(rows)
 }
 
-/// The best plan of a contender, from rest and from its random plans. From each, it solves repeatedly from its
-/// own plan until the cost no longer decreases.
+/// Solves from rest and from each random plan, again and again until the cost no longer decreases.
 fn compete(
     contender: &Contender,
     robot: &Robot,

@@ -1,7 +1,4 @@
-//! Fastest rate of the loop: the shortest period that holds.
-//!
-//! `bench/README.md` defines when a period *holds*, and how often a trial is repeated. The report contains
-//! every trial.
+//! The shortest period that *holds*: `bench/README.md` defines it, and how often a trial is repeated.
 
 mod report;
 mod trial;
@@ -172,8 +169,7 @@ impl Case {
 struct Stage {
     cores: Cores,
     realtime: bool,
-    /// Time before a release at which the cycle thread begins to spin \[µs\], at most a quarter of the
-    /// period; `None`: the daemon's default.
+    /// Time before a release at which the cycle thread begins to spin \[µs\]; `None`: the daemon's default.
     spin_us: Option<f64>,
     begun: Instant,
 }
@@ -227,9 +223,8 @@ impl Shortest {
     }
 }
 
-/// The shortest of these periods that holds; they are sorted, longest first. Moves step by step from the
-/// guess towards the border, so a good guess costs two trials. Assumes that a longer period holds whenever a
-/// shorter one does.
+/// Moves step by step from the guess towards the border, so a good guess costs two trials. Assumes that a longer
+/// period holds whenever a shorter one does.
 fn search(
     case: Case,
     periods_ms: &[f64],
@@ -284,7 +279,7 @@ mod tests {
         Trial::new(Case::DEFAULT, period_ms, None, outcome, remarks, row)
     }
 
-    /// Searches with simulated trials: `outcome` gets the index of the period and the number of its trial.
+    /// `outcome` gets the index of the period and the number of its trial.
     fn find(guess: usize, outcome: impl Fn(usize, usize) -> TrialOutcome) -> Shortest {
         let mut counts = [0; PERIODS_MS.len()];
         let found = search(Case::DEFAULT, &PERIODS_MS, guess, |period_ms| {

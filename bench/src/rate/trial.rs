@@ -22,8 +22,7 @@ use crate::system::counts::{core_share, threads};
 const WARM_UP: Duration = Duration::from_millis(300);
 /// Interval between reads of the records: short enough that their queue of 256 does not fill at 10 kHz.
 const READ_EVERY: Duration = Duration::from_millis(2);
-/// A robot that does not follow with this or a longer period fails because of the set-up, not because of the
-/// rate \[ms\].
+/// With this or a longer period, a robot that does not follow fails because of the set-up \[ms\].
 const EASY_MS: f64 = 2.0;
 /// Restarts of a trial in which the daemon sent nothing for a second; such a trial does not rate its period.
 const HELD_UP_MAX: usize = 2;
@@ -39,12 +38,10 @@ pub(super) enum TrialOutcome {
     Holds,
     /// A cycle was late because of the daemon itself; decisive.
     Own,
-    /// Too many releases were lost because of the machine (late wake-ups, stalls, other tasks); the work
-    /// itself fits into the period.
+    /// Too many releases were lost because of the machine; the work itself fits into the period.
     Machine,
     /// Too many releases were lost, without evidence that only the machine is the cause.
     Slow,
-    /// The robot did not follow its reference all the time.
     NotFollowed,
 }
 

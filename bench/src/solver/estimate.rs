@@ -1,5 +1,4 @@
-//! Time of the estimate beside that of the following solve: three sections on the figure eight, without a
-//! daemon.
+//! Time of the estimate beside that of the following solve: three sections on the figure eight.
 
 use std::time::Instant;
 
@@ -41,8 +40,7 @@ named! {
     }
 }
 
-/// All kinds of measurement, one after the other. `more_p50_us` is the time beyond the first kind, the
-/// controller without filters and models.
+/// `more_p50_us`: beyond the first kind, the controller without filters and models.
 pub fn measure(divisor: u64) -> Result<Vec<Value>> {
     let kinds = Sensed::ALL.iter();
     let rows = kinds.map(|sensed| sensed.measure(CYCLES / divisor));

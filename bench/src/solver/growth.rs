@@ -1,5 +1,4 @@
-//! Growth of the solve time with one quantity while all others stay: straight-line fits over the medians of
-//! the fastest path.
+//! Growth of the solve time with one quantity: straight-line fits over the medians of the fastest path.
 
 use serde_json::{Value, json};
 use statrs::statistics::Statistics as _;
@@ -25,8 +24,7 @@ pub fn rows(cases: &[Value]) -> Vec<Value> {
     all.flatten().collect()
 }
 
-/// The median of a solver on the fastest path over one quantity, from the cases that equal the paper's in all
-/// others.
+/// Medians over one quantity, from the cases that equal the paper's in all others.
 pub fn series(cases: &[Value], solver: Solver, (_, per, _): Quantity) -> Vec<(f64, f64)> {
     let fastest = cases.last().map(|case| &case["path"]);
     let is_like = |case: &Value, (_, key, paper): &Quantity| {

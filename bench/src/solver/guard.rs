@@ -36,7 +36,6 @@ const CROWDS: [Crowd; 4] = [
     ("half-capsules-moving", true, true),
 ];
 
-/// Every crowd at the same moments in each round.
 pub fn measure(divisor: u64) -> Result<Vec<Value>> {
     let measure = |crowd| measure_crowd(crowd, MOMENTS / divisor);
     CROWDS.into_iter().map(measure).collect()

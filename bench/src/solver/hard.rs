@@ -1,5 +1,4 @@
-//! Long horizons in hard cases: a spiral so fast that rates saturate, with and without obstacles around the
-//! body, with one deadline.
+//! Long horizons on a spiral so fast that rates saturate, with and without obstacles around the body.
 
 use std::time::Duration;
 
@@ -94,8 +93,7 @@ struct Run {
     times: Vec<Duration>,
 }
 
-/// Follows a spiral at a multiple of the paper's speed. The robot executes the plan; no guard corrects it. As in a
-/// daemon, the first solve was rehearsed.
+/// The robot executes the plan; no guard corrects it. As in a daemon, the first solve was rehearsed.
 fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Result<Run> {
     let paper = Size::paper(Task::Spiral { sections: 3 }, solver);
     let long = paper.with(|it| it.horizon_steps = HORIZON);
