@@ -32,7 +32,6 @@ pub use leg::declared;
 
 const DECLARATION: &str = include_str!("latency.toml");
 
-const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
 const STOP_S: f64 = 0.25;
 const BARE_PER_SAMPLE: usize = 8;
 const AROUND_S: f64 = 1.0;
@@ -63,8 +62,7 @@ impl LatencyOptions {
     }
 
     fn stops(&self) -> usize {
-        let (stops, samples) = STOPS_PER_SAMPLES;
-        (self.samples() * stops).div_ceil(samples)
+        (2 * self.samples()).div_ceil(5)
     }
 
     fn bare(&self) -> usize {

@@ -153,7 +153,6 @@ mod tests {
         for course in Course::ALL {
             let scene = course.scene().unwrap();
             let settings = course.settings();
-            settings.validate().unwrap();
             let clearance_m = scene.robot.body(&scene.start);
             let clearance_m = clearance_m.least_clearance_m(scene.obstacles.iter().copied());
             let is_clear = clearance_m > settings.safe_distance_m;

@@ -50,14 +50,9 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let is_told = text.contains("a/4") && text.contains(counts);
     assert!(found.status.success() && is_told, "{text}");
 
-    let few = write(folder.path(), "few.json", &[], &[("a/0", "µs", &[1.0])]);
-    let more = write(
-        folder.path(),
-        "more.json",
-        &[],
-        &[("a/0", "µs", &[1.0, 2.0])],
-    );
-    let text = String::from_utf8(compare("", [&few, &more]).stdout).expect("a text");
+    let two = [("a/0", "µs", &[1.0, 2.0][..])];
+    let few = write(folder.path(), "few.json", &[], &two);
+    let text = String::from_utf8(compare("", [&few, &few]).stdout).expect("a text");
     assert!(text.contains("Nothing can be compared"), "{text}");
 
     let failing = "--fail-on-worse --format json";
