@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_controller::nmpc::{NmpcSettings, SolveInput};
+use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::BendRates;
 use serde_json::{Value, json};
@@ -138,10 +138,8 @@ impl Way {
         // Touches all memory that a solve may need.
         nmpc.solve(&closed.input(), &mut Budget::unlimited());
         for solve in 0..solves {
-            let input = SolveInput {
-                seed: cycle_seed(self.settings.seed, solve),
-                ..closed.input()
-            };
+            let mut input = closed.input();
+            input.seed = cycle_seed(self.settings.seed, solve);
             bare_ns.saturating_record(over_ns(wait(budget)));
             nmpc.forget_plan();
             let (_, report, time) = timed_solve(&mut nmpc, &input, End::After(budget));

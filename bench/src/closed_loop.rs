@@ -28,11 +28,9 @@ pub struct Scene {
 
 impl Scene {
     #[must_use]
-    pub fn at_most(self, cycles: u64) -> Self {
-        Self {
-            cycles: self.cycles.min(cycles),
-            ..self
-        }
+    pub fn at_most(mut self, cycles: u64) -> Self {
+        self.cycles = self.cycles.min(cycles);
+        self
     }
 
     pub fn time_s(&self, cycle: u64) -> f64 {
@@ -60,14 +58,9 @@ impl Scene {
             orientation: orientation_of(self.curve.orientation(time_s)),
             ..ReferenceSample::at(self.curve.position_m(time_s).into())
         };
-        closed_loop::ClosedLoop::new(
-            &self.robot,
-            PERIOD_S,
-            settings,
-            self.start,
-            &self.obstacles,
-            Box::new(reference_at),
-        )
+        let (robot, start, obstacles) = (&self.robot, self.start, &self.obstacles);
+        let reference_at = Box::new(reference_at);
+        ClosedLoop::new(robot, PERIOD_S, settings, start, obstacles, reference_at)
     }
 
     pub fn sample(&self, closed: &ClosedLoop<'_>, solve_time: Duration) -> Sample {
@@ -147,21 +140,15 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
 pub struct PlanEvaluator(Nmpc);
 
 impl PlanEvaluator {
-    pub fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
-        let settings = NmpcSettings {
-            solver: SolverKind::GaussNewton,
-            refinement_steps: 0,
-            ..settings
-        };
+    pub fn new(scene: &Scene, mut settings: NmpcSettings) -> Result<Self> {
+        (settings.solver, settings.refinement_steps) = (SolverKind::GaussNewton, 0);
         Ok(Self(scene.solver(settings)?))
     }
 
     pub fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
         self.0.restore_plan(plan, 0);
-        let input = SolveInput {
-            elapsed_periods: 0,
-            ..*input
-        };
+        let mut input = *input;
+        input.elapsed_periods = 0;
         self.0.solve(&input, &mut Budget::unlimited()).1.warm_cost
     }
 }

@@ -61,10 +61,8 @@ impl Task {
         let mut obstacles = Vec::new();
         let (curve, cycles): (Box<dyn Trajectory + Send>, _) = match *self {
             Self::Spiral { .. } => {
-                let spiral = Spiral {
-                    duration_s: Spiral::DURATION_S + BEYOND_S,
-                    ..Spiral::for_sections(&lengths_m)
-                };
+                let mut spiral = Spiral::for_sections(&lengths_m);
+                spiral.duration_s += BEYOND_S;
                 start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&spiral.start_bend_rad());
                 (Box::new(spiral), 994)
             }
@@ -72,20 +70,16 @@ impl Task {
                 for section in &mut parameters.sections {
                     section.rate_max_rad_s = rate_limit_rad_s;
                 }
-                let line = Line {
-                    duration_s: Line::DURATION_S + BEYOND_S,
-                    tip_axis: Some([0.0, 0.0, 1.0]),
-                    ..Line::for_sections(&lengths_m)
-                };
+                let mut line = Line::for_sections(&lengths_m);
+                line.duration_s += BEYOND_S;
+                line.tip_axis = Some([0.0, 0.0, 1.0]);
                 (Box::new(line), 510)
             }
             Self::Circle { .. } => {
                 // Body and point have no radius, so clearance is the distance from the backbone.
                 parameters.sections[0].body_radius_m = 0.0;
-                let circle = Circle {
-                    duration_s: TAU + 2.0 * BEYOND_S,
-                    ..Circle::for_sections(&lengths_m)
-                };
+                let mut circle = Circle::for_sections(&lengths_m);
+                circle.duration_s = TAU + 2.0 * BEYOND_S;
                 let centre_m = Vector3::from(circle.position_m(FRAC_PI_2));
                 let point = Shape::Sphere { centre_m };
                 obstacles.push(Obstacle::new(point, 0.0, Vector3::zeros())?);
@@ -104,31 +98,29 @@ impl Task {
 
     /// The paper's parameters, completed by the project's defaults.
     pub fn settings(self, solver: Solver) -> NmpcSettings {
-        let base = solver.of(NmpcSettings::default());
+        let mut settings = solver.of(NmpcSettings::default());
         match self {
-            Self::Spiral { .. } => base,
-            Self::Line { .. } => NmpcSettings {
-                swarm_size: 15,
-                swarm_iterations: 70,
+            Self::Spiral { .. } => {}
+            Self::Line { .. } => {
+                (settings.swarm_size, settings.swarm_iterations) = (15, 70);
                 // Per rad², beside 1 per m² of position.
-                orientation_weight: 0.1,
+                settings.orientation_weight = 0.1;
                 // Zero, although the paper allows 10⁻²: a vertical tip is possible, and a penalty that begins at
                 // the bound would allow the tip to exceed it.
-                orientation_tolerance_rad: 0.0,
-                ..base
-            },
-            Self::Circle { safe_distance_m } => NmpcSettings {
+                settings.orientation_tolerance_rad = 0.0;
+            }
+            Self::Circle { safe_distance_m } => {
                 // 0.1 s, enough to begin the detour before the obstacle.
-                horizon_steps: 20,
+                settings.horizon_steps = 20;
                 // One for each step. Fewer cannot follow the circle between them, and leave a larger error than
                 // its rounded constants.
-                control_blocks: 0,
+                settings.control_blocks = 0;
                 // With the default of 3, a cycle ends before convergence, and the detour is up to a tenth wider.
-                refinement_steps: 6,
-                safe_distance_m,
-                ..base
-            },
+                settings.refinement_steps = 6;
+                settings.safe_distance_m = safe_distance_m;
+            }
         }
+        settings
     }
 
     /// The paper's mean error \[mm\], if it gives one, and mean time of a solve \[ms\].
@@ -154,18 +146,16 @@ named! {
 
 impl Solver {
     #[must_use]
-    pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
-        let (solver, velocity_rule) = match self {
-            Self::Kpso => (SolverKind::Kpso, settings.velocity_rule),
-            Self::KpsoVerbatim => (SolverKind::Kpso, VelocityRule::Verbatim),
-            Self::GaussNewton => (SolverKind::GaussNewton, settings.velocity_rule),
-            Self::KpsoRefined => (SolverKind::KpsoRefined, settings.velocity_rule),
+    pub fn of(self, mut settings: NmpcSettings) -> NmpcSettings {
+        settings.solver = match self {
+            Self::Kpso | Self::KpsoVerbatim => SolverKind::Kpso,
+            Self::GaussNewton => SolverKind::GaussNewton,
+            Self::KpsoRefined => SolverKind::KpsoRefined,
         };
-        NmpcSettings {
-            solver,
-            velocity_rule,
-            ..settings
+        if self == Self::KpsoVerbatim {
+            settings.velocity_rule = VelocityRule::Verbatim;
         }
+        settings
     }
 }
 
@@ -196,10 +186,9 @@ impl Experiment {
     }
 
     pub fn settings(&self) -> NmpcSettings {
-        NmpcSettings {
-            coordinates: self.coordinates,
-            ..self.task.settings(self.solver)
-        }
+        let mut settings = self.task.settings(self.solver);
+        settings.coordinates = self.coordinates;
+        settings
     }
 }
 

@@ -1,7 +1,6 @@
 //! The paper's simulations as a benchmark: each experiment with several seeds, and its row.
 
 use anyhow::{Context, Result};
-use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::ZyxAngles;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
@@ -105,10 +104,8 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
     let (mut first, mut runs, mut solve_ns) = (None, Vec::new(), histogram());
     for seed in 1..=effort.runs(&experiment) {
-        let settings = NmpcSettings {
-            seed,
-            ..experiment.settings()
-        };
+        let mut settings = experiment.settings();
+        settings.seed = seed;
         let samples = closed_loop::run(&scene, settings)?;
         for sample in &samples {
             solve_ns.saturating_record(sample.solve_ns);
@@ -157,11 +154,10 @@ fn run_row(experiment: &Experiment, scene: &Scene, samples: &[Sample]) -> Value 
         Task::Circle { safe_distance_m } => {
             let clearances_m = samples.iter().map(|sample| sample.clearance_m);
             let obstacle_m = scene.obstacle_m();
-            let errors = samples.iter().map(|sample| {
-                let distance_m = (sample.reference_m - obstacle_m).norm();
-                (distance_m, sample.error_mm())
-            });
-            let (outside_mm, peak_mm) = errors_mm(errors, safe_distance_m);
+            let distance_m = |sample: &Sample| (sample.reference_m - obstacle_m).norm();
+            let errors = samples.iter().map(|it| (distance_m(it), it.error_mm()));
+            let errors: Vec<_> = errors.collect();
+            let [outside_mm, peak_mm] = errors_mm(&errors, safe_distance_m);
             json!({
                 "safe_distance_mm": 1e3 * safe_distance_m,
                 "min_clearance_mm": 1e3 * clearances_m.fold(f64::INFINITY, f64::min),
@@ -196,18 +192,16 @@ fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
 
 /// After the approach: mean error outside the detour, and largest error \[mm\]. A sample is the distance of its
 /// reference from the obstacle \[m\] and its error \[mm\].
-fn errors_mm(
-    samples: impl Iterator<Item = (f64, f64)> + Clone,
-    safe_distance_m: f64,
-) -> (Option<f64>, Option<f64>) {
-    let arrived = samples.skip_while(|(_, error_mm)| *error_mm >= ARRIVED_MM);
+fn errors_mm(samples: &[(f64, f64)], safe_distance_m: f64) -> [Option<f64>; 2] {
+    let arrived = samples.iter();
+    let arrived = arrived.skip_while(|(_, error_mm)| *error_mm >= ARRIVED_MM);
     let peak_mm = arrived.clone().map(|sample| sample.1).reduce(f64::max);
     let reach_m = DETOUR_DISTANCES * safe_distance_m;
     let outside = arrived.filter(|(distance_m, _)| *distance_m >= reach_m);
     let outside_mm: Vec<f64> = outside.map(|sample| sample.1).collect();
     let sum_mm: f64 = outside_mm.iter().sum();
     let mean_mm = (!outside_mm.is_empty()).then(|| sum_mm / outside_mm.len() as f64);
-    (mean_mm, peak_mm)
+    [mean_mm, peak_mm]
 }
 
 #[cfg(test)]
@@ -216,15 +210,14 @@ mod tests {
 
     #[test]
     fn approach_and_detour_are_left_out_of_the_mean_and_only_the_approach_of_the_peak() {
-        let errors = |samples: &[(f64, f64)]| errors_mm(samples.iter().copied(), 0.01);
         // The third error is above the threshold again, but the approach is over.
         let approach = [(0.1, 100.0), (0.09, 0.01), (0.08, 0.03)];
         let detour = [(0.019, 12.0), (0.0, 10.0), (0.021, 0.02)];
-        let (mean_mm, peak_mm) = errors(&[approach, detour].concat());
+        let [mean_mm, peak_mm] = errors_mm(&[approach, detour].concat(), 0.01);
         let mean_mm = mean_mm.expect("some outside");
         assert!((mean_mm - 0.02).abs() < 1e-12, "{mean_mm}");
         assert_eq!(peak_mm, Some(12.0));
-        let never = errors(&[(0.5, 3.0), (0.5, 0.02)]);
-        assert_eq!(never, (None, None), "it never arrives");
+        let never = errors_mm(&[(0.5, 3.0), (0.5, 0.02)], 0.01);
+        assert_eq!(never, [None; 2], "it never arrives");
     }
 }

@@ -265,10 +265,8 @@ mod tests {
     #[test]
     fn every_obstacle_stays_within_reach_and_the_task_feasible() {
         for sections in [3, 6] {
-            let size = Size {
-                obstacles: 64,
-                ..Size::paper(Task::Spiral { sections }, Solver::GaussNewton)
-            };
+            let mut size = Size::paper(Task::Spiral { sections }, Solver::GaussNewton);
+            size.obstacles = 64;
             let scene = size.scene().expect("a scene");
             let settings = size.settings;
             // The obstacles that the solver considers, with the body at its rate limits.

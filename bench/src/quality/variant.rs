@@ -109,10 +109,8 @@ impl Variant {
     }
 
     pub(super) fn drive(&self, scene: &Scene, seed: u64) -> Result<Value> {
-        let settings = NmpcSettings {
-            seed,
-            ..self.settings
-        };
+        let mut settings = self.settings;
+        settings.seed = seed;
         let mut nmpc = scene.solver(settings)?;
         let mut evaluator = PlanEvaluator::new(scene, settings)?;
         let mut closed = scene.begin(settings)?;
@@ -171,11 +169,8 @@ impl Variant {
 pub(super) fn iteration_us(course: Course) -> Result<f64> {
     let scene = course.scene()?;
     let driving = Solver::GaussNewton.of(course.settings());
-    let timed = NmpcSettings {
-        swarm_size: BUDGET_SWARM,
-        swarm_iterations: TIMED_ITERATIONS,
-        ..Solver::Kpso.of(course.settings())
-    };
+    let mut timed = Solver::Kpso.of(course.settings());
+    (timed.swarm_size, timed.swarm_iterations) = (BUDGET_SWARM, TIMED_ITERATIONS);
     let (mut driver, mut swarm) = (scene.solver(driving)?, scene.solver(timed)?);
     let mut closed = scene.begin(driving)?;
     let mut times_us = Vec::new();

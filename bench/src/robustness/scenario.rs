@@ -123,8 +123,7 @@ impl Scenario {
     pub(super) fn flaws(&self) -> Flaws {
         let mut presets = Preset::ALL.into_iter();
         let plant = presets.find(|preset| preset.name() == self.plant());
-        let flaws = plant.map(Preset::flaws).unwrap_or_default();
-        with(flaws, &self.flaws)
+        with(plant.map(Preset::flaws).unwrap_or_default(), &self.flaws)
     }
 
     /// The controller's model of the motors.
@@ -217,7 +216,6 @@ mod tests {
 
     use super::*;
     use crate::closed_loop;
-    use crate::closed_loop::Scene;
     use crate::experiment::Task;
 
     /// The tip at the nearest reachable point of a shorter robot: the target `nearest`.
@@ -227,10 +225,8 @@ mod tests {
         for section in &mut shorter.sections {
             section.length_m *= 0.95;
         }
-        let scene = Scene {
-            robot: Robot::new(&shorter).unwrap(),
-            ..Task::Spiral { sections: 3 }.scene().unwrap()
-        };
+        let mut scene = Task::Spiral { sections: 3 }.scene().unwrap();
+        scene.robot = Robot::new(&shorter).unwrap();
         let samples = closed_loop::run(&scene, NmpcSettings::default()).unwrap();
         // The evaluated cycles: see `FigureEightRun::settled_mm`.
         let settled = &samples[597..];

@@ -1,7 +1,7 @@
 //! Effect of each setting between precision and quiet motors, on the robot of the laboratory.
 
 use anyhow::{Context, Result};
-use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun};
+use cdcr_controller::closed_loop::{FigureEight, FigureEightRun};
 use cdcr_controller::nmpc::NmpcSettings;
 use serde_json::{Value, json};
 
@@ -10,6 +10,8 @@ use crate::chart::{BLUE, ORANGE, Panel, Scale, of_rows};
 use crate::dataset::{Dataset, ShownTable};
 use crate::interrupt;
 use crate::progress::Progress;
+
+const DECLARATION: &str = include_str!("tuning.toml");
 
 /// Key, its head in a plot, and the values of each knob.
 #[rustfmt::skip]
@@ -86,14 +88,10 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
             "cables_rate_change_rms": cables.rate_change_square().sqrt(),
         }));
     }
-    let mut dataset = declared();
+    let mut dataset = Dataset::new("tuning", DECLARATION);
     dataset.plot("tuning", &panels(&rows))?;
     dataset.add("knobs", rows);
     Ok(dataset)
-}
-
-fn declared() -> Dataset {
-    Dataset::new("tuning", include_str!("tuning.toml"))
 }
 
 fn follow(eight: &FigureEight, knobs: Turned, sensor: &str) -> Result<FigureEightRun> {
@@ -107,10 +105,8 @@ fn follow(eight: &FigureEight, knobs: Turned, sensor: &str) -> Result<FigureEigh
     let laboratory = robots.find(|robot| robot.name == "laboratory");
     let mut robot = laboratory.context("no robot of the laboratory")?;
     sensor.clone_into(&mut robot.sensor);
-    let driven = Driven {
-        time_constant_s: 1e-3 * time_constant_ms,
-        ..robot.driven(&CONTROLS[0], true, 1)
-    };
+    let mut driven = robot.driven(&CONTROLS[0], true, 1);
+    driven.time_constant_s = 1e-3 * time_constant_ms;
     Ok(eight.clone().with_settings(settings).run(driven, &[])?)
 }
 
@@ -136,7 +132,7 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
 }
 
 pub fn knob(knob: &str, rows: &[Value]) -> ShownTable {
-    let mut dataset = declared();
+    let mut dataset = Dataset::new("tuning", DECLARATION);
     let of_knob = rows.iter().filter(|row| row["knob"] == knob);
     dataset.add("knobs", of_knob.cloned().collect());
     let table = dataset.table("knobs");

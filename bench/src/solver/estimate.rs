@@ -76,18 +76,16 @@ impl Sensed {
         for cycle in 0..WARM_UP + cycles {
             truth = truth.advanced(&rates, FigureEight::PERIOD_S);
             let mut noise_m = |most_m: f64| numbers.between(-most_m, most_m);
-            let lengths_m = robot
-                .cable_lengths(&truth)
-                .map(|m| m + noise_m(CABLE_NOISE_M));
+            let lengths_m = robot.cable_lengths(&truth);
+            let lengths_m = lengths_m.map(|m| m + noise_m(CABLE_NOISE_M));
             let tip_m = robot.tip_position(&truth).map(|m| m + noise_m(TIP_NOISE_M));
             let first = match self {
                 Self::Tip => Measurement::TipPosition(tip_m),
                 _ => Measurement::CableLengths(lengths_m),
             };
             let time_s = |step: u64| (cycle + step) as f64 * FigureEight::PERIOD_S;
-            let steps = 1..=u64::from(settings.horizon_steps);
-            let reference = steps.map(|step| FigureEight::reference(time_s(step)));
-            let reference: Vec<_> = reference.collect();
+            let steps = (1..=u64::from(settings.horizon_steps)).map(time_s);
+            let reference: Vec<_> = steps.map(FigureEight::reference).collect();
             let begin = Instant::now();
             estimator.predict(&rates, FigureEight::PERIOD_S);
             estimator.correct(&robot, &first, 0.0);

@@ -98,13 +98,12 @@ impl Moment {
         let fastest_rad_s = RATES_RAD_S[seed as usize % RATES_RAD_S.len()];
         let (bends, rates) = (vector(BEND_RAD), vector(fastest_rad_s));
         let slower: Vec<f64> = rates.iter().map(|rate| 0.9 * rate).collect();
-        let [desired, previous] = [&rates, &slower].map(|rates| BendRates::from_slice(rates));
         let at = Configuration::from_slice(&bends).context("a shape")?;
         let obstacles = (0..OBSTACLES).map(|_| obstacle(crowd, robot, &at, &mut numbers));
         Ok(Self {
             obstacles: obstacles.collect::<Result<_>>()?,
-            desired: desired.context("rates")?,
-            previous: previous.context("rates")?,
+            desired: BendRates::from_slice(&rates).context("rates")?,
+            previous: BendRates::from_slice(&slower).context("rates")?,
             at,
         })
     }

@@ -95,16 +95,14 @@ struct Run {
 
 /// The robot executes the plan; no guard corrects it. As in a daemon, the first solve was rehearsed.
 fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Result<Run> {
-    let paper = Size::paper(Task::Spiral { sections: 3 }, solver);
-    let long = paper.with(|it| it.horizon_steps = HORIZON);
-    let size = Size { obstacles, ..long };
+    let mut size = Size::paper(Task::Spiral { sections: 3 }, solver);
+    (size.settings.horizon_steps, size.obstacles) = (HORIZON, obstacles);
     let (scene, settings) = (size.scene()?, size.settings);
     let mut nmpc = scene.solver(settings)?;
     let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
     let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
-    let (mut errors_mm, mut all_rates, mut times, mut cut_short) =
-        (Vec::new(), Vec::new(), Vec::new(), 0);
-    let mut spare_m = f64::INFINITY;
+    let (mut errors_mm, mut all_rates, mut times) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut cut_short, mut spare_m) = (0, f64::INFINITY);
     let cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
     for cycle in 0..cycles {
         let steps = 1..=u64::from(HORIZON);
