@@ -85,10 +85,8 @@ fn the_folder_holds_figures_a_page_and_tables() {
 
 /// A whole simulation with one seed.
 fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
-    let effort = Effort {
-        cycles_max: u64::MAX,
-        ..QUICK
-    };
+    let mut effort = QUICK;
+    effort.cycles_max = u64::MAX;
     let experiment = Experiment {
         task,
         solver,

@@ -1,7 +1,6 @@
 //! Results of `cdcr-bench rate`, from short trials with real daemons.
 
 use cdcr_bench::benchmark::Benchmark;
-use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::rate::{Case, RateOptions};
 use serde_json::Value;
@@ -11,19 +10,11 @@ use crate::{list, machine, number, values_are_sound};
 #[test]
 fn the_border_lies_between_what_held_and_what_failed() {
     let _machine = machine();
-    let case = Case {
-        sections: 1,
-        solver: Solver::GaussNewton,
-        horizon_steps: 2,
-    };
-    let options = RateOptions {
-        rounds: 1,
-        length: (0.2, 60.0),
-        cases: vec![case],
-        periods_ms: vec![5.0, 2.0],
-        steps_ms: vec![5.0],
-        ..RateOptions::of_report(true, &[])
-    };
+    // One section, gauss-newton, two steps.
+    let case = Case::all()[0];
+    let mut options = RateOptions::of_report(true, &[]);
+    (options.length, options.cases) = ((0.2, 60.0), vec![case]);
+    (options.periods_ms, options.steps_ms) = (vec![5.0, 2.0], vec![5.0]);
     let found = options.run(&mut Progress::silent()).unwrap();
     assert!(!found.recordings[0].histogram_ns.is_empty());
     let json = Value::Object(found.json());

@@ -87,14 +87,10 @@ pub(crate) fn result(file: &str) -> Value {
     let mut document: Value = serde_json::from_str(&json).expect("one object");
     if document.get("environment").is_some() {
         assert!(generates(), "{} describes a machine: {HOW}", file.display());
-        if let Some(tables) = document.get_mut("tables") {
-            let tables = tables.take();
-            document =
-                json!({ "tables": tables, "rate": { "default": document["rate"]["default"] } });
-            document["tables"]
-                .as_object_mut()
-                .unwrap()
-                .remove("robustness");
+        if let Some(Value::Object(tables)) = document.get_mut("tables") {
+            tables.remove("robustness");
+            let default = json!({ "default": document["rate"]["default"] });
+            document = json!({ "tables": document["tables"], "rate": default });
         }
         document.as_object_mut().unwrap().remove("environment");
         std::fs::write(&file, format!("{document}\n")).expect("written");
