@@ -227,8 +227,7 @@ impl Output {
         drop(progress);
         if self.quick {
             let note = format!("{} {}", report::QUICK, dataset.note);
-            note.trim_end().clone_into(&mut dataset.note);
-            dataset.warns = true;
+            (dataset.note, dataset.warns) = (note.trim_end().to_owned(), true);
         }
         // Written before printing, because the reader may close the pipe.
         if let Some(folder) = &self.out {
@@ -240,8 +239,7 @@ impl Output {
             Format::Markdown => format!("{}\n{machine}\n", dataset.markdown()),
             Format::Json => start.json_of(&dataset)?,
             Format::Csv => {
-                let mut all = dataset.csv();
-                let own = all.find(|(name, _)| *name == dataset.name);
+                let own = dataset.csv().find(|(name, _)| *name == dataset.name);
                 own.map_or(Ok(String::new()), |(_, csv)| csv)?
             }
         })
@@ -274,12 +272,10 @@ impl AllArguments {
         keep(&report.files()?, &self.folder(&report)?)?;
         show(&report.summary())?;
         let failed = report.failed();
+        let (count, all, names) = (failed.len(), report.parts.len(), failed.join(", "));
         ensure!(
-            failed.is_empty(),
-            "{} of {} benchmarks failed: {}; see the report, which includes the others",
-            failed.len(),
-            report.parts.len(),
-            failed.join(", ")
+            count == 0,
+            "{count} of {all} benchmarks failed: {names}; see the report, which includes the others"
         );
         Ok(())
     }

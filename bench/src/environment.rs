@@ -95,11 +95,9 @@ impl Environment {
 
     pub(crate) fn run(&self) -> String {
         let [version, started] = ["cdcr version", "started utc"].map(|name| self.text(name));
-        let commit = match &*self.text("commit") {
-            "" => String::new(),
-            commit => format!(" ({commit})"),
-        };
-        let machine = self.model_and_kernel();
+        let commit = self.text("commit");
+        let commit = Some(format!(" ({commit})")).filter(|_| !commit.is_empty());
+        let (commit, machine) = (commit.unwrap_or_default(), self.model_and_kernel());
         format!("cdcr {version}{commit}, {started}, {machine}")
     }
 }

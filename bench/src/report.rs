@@ -2,7 +2,7 @@
 
 mod page;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -249,8 +249,7 @@ impl BenchReport {
         let mut front = vec![self.start.machine(), self.targets()];
         front.retain(|dataset| dataset.tables().next().is_some() || !dataset.note.is_empty());
         if self.extent.quick {
-            QUICK.clone_into(&mut front[0].note);
-            front[0].warns = true;
+            (front[0].note, front[0].warns) = (QUICK.to_owned(), true);
         }
         front
     }
@@ -305,11 +304,9 @@ impl BenchReport {
                 && value.get(ERROR).is_none()
                 && !here.clone().any(|part| part.dataset.name == name.as_str())
         };
-        let lost = older.iter().filter(is_lost);
-        let mut lost: Vec<String> = lost.map(|(name, _)| name.clone()).collect();
-        // The order of JSON keys depends on the features of other crates in the build.
-        lost.sort_unstable();
-        lost
+        // Sorted: the order of JSON keys depends on the features of other crates in the build.
+        let lost = older.iter().filter(is_lost).map(|(name, _)| name.clone());
+        lost.collect::<BTreeSet<_>>().into_iter().collect()
     }
 }
 

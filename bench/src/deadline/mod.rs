@@ -97,9 +97,7 @@ impl DeadlineOptions {
 
     fn loads(&self, setup: Setup) -> Vec<Load> {
         let usual: &[Load] = match (setup, self.setup, self.quick) {
-            (Setup::Realtime, Setups::Ordinary, _) | (Setup::Ordinary, Setups::Realtime, _) => {
-                return Vec::new();
-            }
+            (Setup::Realtime, Setups::Ordinary, _) | (Setup::Ordinary, Setups::Realtime, _) => &[],
             _ if !self.load.is_empty() => &self.load,
             (Setup::Realtime, _, false) => &Load::OWN,
             (Setup::Realtime, _, true) => &[Load::None, Load::Flood],
@@ -132,9 +130,8 @@ impl Benchmark for DeadlineOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        let stretches = self.stretches(may_be_realtime(), 1).len();
-        let segment_s = self.segment().as_secs_f64() + WARM_UP.as_secs_f64() + AROUND_S;
-        segment_s * stretches as f64 * f64::from(self.rounds)
+        let stretches = self.rounds as usize * self.stretches(may_be_realtime(), 1).len();
+        stretches as f64 * ((self.segment() + WARM_UP).as_secs_f64() + AROUND_S)
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {

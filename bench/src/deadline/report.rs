@@ -205,15 +205,14 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
         time_table.extend(time_rows(*key, &all));
         rounds.extend_from_slice(&case.rounds);
         for (round, times) in case.rounds.iter().zip(&case.times) {
-            let measured = TIME_NAMES.iter().zip(times);
-            let measured = measured.filter(|(_, times)| !times.is_empty());
-            let recordings = measured.map(|(name, times)| Recording {
+            let recordings = TIME_NAMES.iter().zip(times).map(|(name, times)| Recording {
                 tag: format!("{}.{name}", key.path(".")),
                 start_s: number(round, "start_s").unwrap_or(0.0),
                 duration_s: segment_s,
                 histogram_ns: times.clone(),
             });
-            dataset.recordings.extend(recordings);
+            let measured = recordings.filter(|it| !it.histogram_ns.is_empty());
+            dataset.recordings.extend(measured);
         }
         // The last subject is drawn first.
         let of_load = curves.entry((key.setup, key.load)).or_default();
@@ -237,18 +236,15 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) 
 }
 
 fn drawn(subject: Subject, times: &Times) -> Vec<Curve> {
-    let shown: &[_] = match subject {
-        Subject::Bare => &[(WAKE, "bare loop", GREEN)],
-        Subject::Daemon => &[
-            (COMMAND, "command at the client", GREY),
-            (WAKE, "daemon", BLUE),
+    let curve = |time: usize, label, colour| Curve::line(label, longer(&times[time]), colour);
+    match subject {
+        Subject::Bare => vec![curve(WAKE, "bare loop", GREEN)],
+        Subject::Daemon => vec![
+            curve(COMMAND, "command at the client", GREY),
+            curve(WAKE, "daemon", BLUE),
         ],
-        Subject::Cyclictest => &[(WAKE, "cyclictest", ORANGE)],
-    };
-    let curve = |&(time, label, colour): &(usize, &str, _)| {
-        Curve::line(label, longer(&times[time]), colour)
-    };
-    shown.iter().map(curve).collect()
+        Subject::Cyclictest => vec![curve(WAKE, "cyclictest", ORANGE)],
+    }
 }
 
 fn panel(load: Load, mut curves: Vec<Curve>, period_us: f64) -> Panel {

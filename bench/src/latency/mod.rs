@@ -33,7 +33,6 @@ pub use leg::declared;
 const DECLARATION: &str = include_str!("latency.toml");
 
 const STOP_S: f64 = 0.25;
-const BARE_PER_SAMPLE: usize = 8;
 const AROUND_S: f64 = 1.0;
 const PERIOD_S: f64 = 5e-3;
 /// Time by which the client wakes up early \[ns\]; on a short period, a quarter of the period.
@@ -57,16 +56,10 @@ pub struct LatencyOptions {
 }
 
 impl LatencyOptions {
-    fn samples(&self) -> usize {
-        self.samples.into()
-    }
-
-    fn stops(&self) -> usize {
-        (2 * self.samples()).div_ceil(5)
-    }
-
-    fn bare(&self) -> usize {
-        self.samples() * BARE_PER_SAMPLE
+    /// Samples of each kind, of stops and of iceoryx2 alone.
+    fn samples(&self) -> [usize; 3] {
+        let samples = usize::from(self.samples);
+        [samples, (2 * samples).div_ceil(5), 8 * samples]
     }
 
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
@@ -104,14 +97,14 @@ impl Benchmark for LatencyOptions {
             cores: Cores::find()?,
             may_be_realtime: may_be_realtime(),
         };
-        let began_ns = monotonic_ns();
+        let (began_ns, [.., bare]) = (monotonic_ns(), self.samples());
         let (mut rounds, mut daemon) = (Vec::new(), OfDaemon::default());
         for number in 1..=self.rounds {
             let mut round = Round::new(began_ns);
             for (part, seconds) in PARTS.into_iter().zip(seconds(self)) {
                 progress.begin(&format!("round {number} of {}, {part}", self.rounds));
                 match part {
-                    BARE => transport::measure(&bench.cores, self.bare(), |leg, latency_ns| {
+                    BARE => transport::measure(&bench.cores, bare, |leg, latency_ns| {
                         round.record(&format!("bare.{leg}"), latency_ns);
                     })?,
                     link => bench.with_daemon(link, &mut round, &mut daemon)?,
@@ -132,10 +125,11 @@ const PARTS: [&str; 3] = [BARE, SIMULATED, "driver"];
 /// Approximate duration of each part of a round \[s\].
 fn seconds(options: &LatencyOptions) -> [f64; 3] {
     let period = options.period.map(|period| period.as_secs_f64());
-    let samples_s = (options.samples() + inputs::WARM_UP) as f64 * period.unwrap_or(PERIOD_S);
-    let stops_s = STOP_S * options.stops() as f64;
+    let [samples, stops, bare] = options.samples();
+    let samples_s = (samples + inputs::WARM_UP) as f64 * period.unwrap_or(PERIOD_S);
+    let stops_s = STOP_S * stops as f64;
     [
-        transport::expected_s(options.bare()),
+        transport::expected_s(bare),
         // References and obstacles share their periods; there are two kinds of requests.
         AROUND_S + (2.0 + 4.0) * samples_s + stops_s,
         AROUND_S + 2.0 * samples_s,
@@ -178,7 +172,7 @@ impl Bench<'_> {
         lead_ns: u64,
         round: &mut Round,
     ) -> Result<()> {
-        let samples = self.options.samples();
+        let [samples, stops, _] = self.options.samples();
         let sources = vec![
             Source::Reference(scene::follow(watcher, None)?),
             Source::Obstacle(watcher.connection.obstacle_sender()?),
@@ -189,14 +183,14 @@ impl Bench<'_> {
         let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
         inputs::measure(watcher, lead_ns, requests.into(), samples, round)?;
 
-        stops::measure(watcher, self.options.stops(), round)
+        stops::measure(watcher, stops, round)
     }
 
     fn driven(&self, watcher: &mut Watcher, lead_ns: u64, round: &mut Round) -> Result<()> {
         let driver = watcher.connection.driver(Interface::Velocity)?;
         let measurement = Source::Measurement(Box::new(driver));
         let _feed = scene::follow(watcher, Some(&measurement))?;
-        let samples = self.options.samples();
+        let [samples, ..] = self.options.samples();
         inputs::measure(watcher, lead_ns, vec![measurement], samples, round)
     }
 
@@ -212,10 +206,11 @@ impl Bench<'_> {
     }
 
     fn setting(&self, daemon: &OfDaemon) -> Value {
+        let [samples, stops, _] = self.options.samples();
         json!({
             "rounds": self.options.rounds,
-            "samples": self.options.samples(),
-            "stops": self.options.stops(),
+            "samples": samples,
+            "stops": stops,
             "period_us": daemon.period_us,
             "gather_lead_us": daemon.gather_lead_us,
             "realtime": !daemon.refused,

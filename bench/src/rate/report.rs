@@ -53,13 +53,12 @@ fn rows(trials: &[Trial]) -> Vec<Value> {
 }
 
 fn how(realtime: bool, spin_us: Option<f64>) -> String {
-    let spin = match spin_us {
-        None => String::new(),
-        Some(0.0) => ", without rehearsal or spinning".to_owned(),
-        Some(us) => format!(", spinning {us} µs (at most a quarter of the period)"),
-    };
     let refused = [", without SCHED_FIFO (not granted)", ""][usize::from(realtime)];
-    spin + refused
+    match spin_us {
+        None => refused.to_owned(),
+        Some(0.0) => format!(", without rehearsal or spinning{refused}"),
+        Some(us) => format!(", spinning {us} µs (at most a quarter of the period){refused}"),
+    }
 }
 
 /// Plot of the default case at each rate, from the rows of its result, as SVG.

@@ -15,19 +15,15 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
     let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{words}</li>\n");
     let links: String = if introduction.is_empty() {
         let plots = all.iter().flat_map(|dataset| dataset.plots());
-        let words = |plot: &Plot| (plot.name.replace('-', " "), escape(&plot.caption));
-        let words = plots.map(|plot| (&*plot.name, words(plot)));
-        words
-            .map(|(name, (words, caption))| link(name, &format!("{words}</a>: {caption}")))
-            .collect()
-    } else {
-        let link = |dataset: &&Dataset| {
-            link(
-                dataset.name,
-                &(escape(&dataset.declaration.heading) + "</a>"),
-            )
+        let link = |plot: &Plot| {
+            let (words, caption) = (plot.name.replace('-', " "), escape(&plot.caption));
+            link(&plot.name, &format!("{words}</a>: {caption}"))
         };
-        all.iter().map(link).collect()
+        plots.map(link).collect()
+    } else {
+        let words = |dataset: &Dataset| escape(&dataset.declaration.heading) + "</a>";
+        let links = all.iter().map(|of| link(of.name, &words(of)));
+        links.collect()
     };
     let contents = match links.as_str() {
         "" => links,
