@@ -244,6 +244,22 @@ pub(crate) fn not_reached(
     }
 }
 
+impl ConnectError {
+    /// Where daemons run instead, a line each; empty: nowhere, or not known.
+    pub fn elsewhere(&self) -> String {
+        let Self::DaemonNotRunning {
+            running,
+            as_service,
+            ..
+        } = self
+        else {
+            return String::new();
+        };
+        let service = if *as_service { SERVICE_TEXT } else { "" };
+        format!("{}{service}", running_text(running))
+    }
+}
+
 /// Hint for a daemon that runs as the service: its root folder is not the default one.
 const SERVICE_TEXT: &str =
     "one runs as the service cdcrd: use its root folder, --root /run/cdcr or CDCR_ROOT=/run/cdcr\n";

@@ -6,8 +6,8 @@ use std::ops::RangeInclusive;
 /// The unit that ends a name, longest first.
 const UNITS: [(&str, &str); 8] = [
     ("_rad_s2", "rad/s²"),
-    ("_m_s2", "m/s²"),
     ("_rad_s", "rad/s"),
+    ("_m_s2", "m/s²"),
     ("_m_s", "m/s"),
     ("_rad", "rad"),
     ("_ms", "ms"),

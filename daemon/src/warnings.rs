@@ -6,10 +6,13 @@ use cdcr_controller::robot::SectionParameters;
 use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
-/// Largest rate of a bend and largest speed of a tip that are taken to be meant \[rad/s, m/s\].
+/// Largest rate of a bend that is taken to be meant \[rad/s\].
 const RATE_RAD_S_MAX: f64 = 10.0;
-const SPEED_M_S_MAX: f64 = 2.0;
+/// Largest speed of a tip or a cable that is taken to be meant \[m/s\].
+const SPEED_M_S_MAX: f64 = 5.0;
 
+/// Largest stroke of a cable that is taken to be meant \[m\].
+const STROKE_M_MAX: f64 = 2.0;
 /// Longest validity of a command that is taken to be meant \[ms\].
 const VALID_MS_MAX: f64 = 1000.0;
 
@@ -109,7 +112,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
 /// Values that are probably in another unit.
 fn of_units(config: &Config) -> Vec<String> {
     let (motion, actuator) = (&config.motion, &config.actuator);
-    let is_short = |ms: f64| ms > 0.0 && ms < 1.0;
+    let is_short = |ms: f64| ms > 0.0 && ms < 0.1 * config.cycle.period_ms;
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
     [
@@ -122,6 +125,13 @@ fn of_units(config: &Config) -> Vec<String> {
             format!("motion.approach_speed_m_s = {}: in mm/s?", motion.approach_speed_m_s),
         ),
         (
+            config.robot.cable_speed_max_m_s > SPEED_M_S_MAX,
+            format!(
+                "robot.cable_speed_max_m_s = {}: in mm/s?",
+                config.robot.cable_speed_max_m_s
+            ),
+        ),
+        (
             is_short(actuator.delay_ms),
             format!("actuator.delay_ms = {}: in seconds?", actuator.delay_ms),
         ),
@@ -130,7 +140,7 @@ fn of_units(config: &Config) -> Vec<String> {
             format!("actuator.time_constant_ms = {}: in seconds?", actuator.time_constant_ms),
         ),
         (
-            stroke_m > 10.0 * full_m,
+            stroke_m > STROKE_M_MAX.max(full_m),
             format!(
                 "robot.cable_stroke_max_m = {stroke_m} limits nothing: at full bend no cable moves by more than {full_m:.3} m; \
                  in millimetres?"
@@ -149,10 +159,7 @@ fn of_checks(config: &Config) -> Vec<String> {
         return Vec::new();
     }
     let sections = &config.robot.sections;
-    let least_rad = sections
-        .iter()
-        .map(|s| s.bend_max_rad)
-        .fold(f64::INFINITY, f64::min);
+    let most_rad = 2.0 * sections.iter().map(|s| s.bend_max_rad).fold(0.0, f64::max);
     let fastest_rad_s = sections
         .iter()
         .map(|s| s.rate_max_rad_s)
@@ -163,10 +170,11 @@ fn of_checks(config: &Config) -> Vec<String> {
         ("measurement_jump_rad", safety.measurement_jump_rad),
         ("measurement_frozen_rad", safety.measurement_frozen_rad),
     ];
-    let beyond = of_bends.into_iter().filter(|(_, value)| *value > least_rad);
+    let beyond = of_bends.into_iter().filter(|(_, value)| *value > most_rad);
     let of_bends = beyond.map(|(key, value)| {
         format!(
-            "safety.{key} = {value} switches this check off where a section bends by {least_rad} rad at most; in degrees?"
+            "safety.{key} = {value} is more than a section of this robot can change its bend ({most_rad} rad): the check of bends \
+             does not act; in degrees?"
         )
     });
     let others = [
@@ -186,12 +194,12 @@ fn of_checks(config: &Config) -> Vec<String> {
         }),
         (safety.clearance_fault_m < 0.0).then(|| {
             format!(
-                "safety.clearance_fault_m = {}: a body inside an obstacle by less than that is no fault",
-                safety.clearance_fault_m
+                "safety.clearance_fault_m = {}: a body up to {} m inside an obstacle is no fault",
+                safety.clearance_fault_m, -safety.clearance_fault_m
             )
         }),
         (safety.cable_common_m == 0.0).then(|| {
-            "safety.cable_common_m = 0: a broken or slack cable is no fault".to_owned()
+            "safety.cable_common_m = 0: where cable lengths are measured, a broken or slack cable is no fault".to_owned()
         }),
         (link.command_valid_ms > VALID_MS_MAX).then(|| {
             format!(
@@ -207,27 +215,25 @@ fn of_checks(config: &Config) -> Vec<String> {
 fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
     let warnings = [
         (section.cable_radius_m > section.body_radius_m).then(|| {
-            let is_other = section.cable_radius_m > 3.0 * section.body_radius_m;
-            let consequence = if is_other {
-                "is one of them in another unit? A wrong cable_radius_m bends the robot by a wrong factor"
-            } else {
-                "cables and discs stand out of the body from which obstacles are kept away"
-            };
+            let is_other = section.cable_radius_m > 3.0 * section.body_radius_m && section.body_radius_m > 0.0;
             format!(
-                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: {consequence}",
-                section.body_radius_m, section.cable_radius_m
+                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: cables and discs stand out of the \
+                 body from which obstacles are kept away{}",
+                section.body_radius_m,
+                section.cable_radius_m,
+                if is_other { "; is one of them in another unit?" } else { "" }
             )
         }),
         (section.cable_radius_m < 0.2 * section.body_radius_m).then(|| {
             format!(
                 "robot.sections[{j}].cable_radius_m = {} is far inside the body of {} m: in another unit? A wrong \
-                 cable_radius_m bends the robot by a wrong factor",
+                 radius bends the robot by a wrong factor",
                 section.cable_radius_m, section.body_radius_m
             )
         }),
         (section.rate_max_rad_s > RATE_RAD_S_MAX).then(|| {
             format!(
-                "robot.sections[{j}].rate_max_rad_s = {}: more than {RATE_RAD_S_MAX} rad/s is probably in degrees",
+                "robot.sections[{j}].rate_max_rad_s = {}: in degrees?",
                 section.rate_max_rad_s
             )
         }),

@@ -12,8 +12,10 @@ use serde::Serialize;
 
 use super::preset::Preset;
 use crate::config::{
-    ConfigError, DEFAULT_TEXT, Layers, Origin, SCHEMA_TEXT, Settings, Validated, explain,
+    ConfigError, DEFAULT_TEXT, Layers, Origin, RealtimeConfig, RealtimeMode, SCHEMA_TEXT, Settings,
+    Validated, explain,
 };
+use crate::doctor::can_be_pinned;
 use crate::instance::{InstanceError, is_in_memory};
 use crate::warnings::warnings;
 
@@ -176,6 +178,7 @@ pub(super) fn check(source: &Source) -> Result<()> {
     }
     let warnings = warnings(&validated.config).into_iter();
     let warnings = warnings.chain(root_warning(&validated.location));
+    let warnings = warnings.chain(core_warning(&validated.config.realtime));
     lines.extend(warnings.map(|warning| format!("warning: {warning}")));
     lines.push(String::new());
     say(&lines.join("\n"))
@@ -191,6 +194,17 @@ fn root_warning(location: &Location) -> Option<String> {
         let root = root.display().to_string();
         let refusal = InstanceError::RootOnDisk { root };
         format!("`cdcrd run` would be refused here: {refusal}")
+    })
+}
+
+/// Where no thread can be pinned to the configured core.
+fn core_warning(realtime: &RealtimeConfig) -> Option<String> {
+    let core = usize::try_from(realtime.core).ok()?;
+    let is_refused = realtime.mode != RealtimeMode::Off && !can_be_pinned(core);
+    is_refused.then(|| {
+        format!(
+            "realtime.core = {core}: no thread can be pinned to it here; `cdcrd doctor` names the cores that this machine has"
+        )
     })
 }
 
@@ -273,6 +287,20 @@ mod tests {
 
     fn warning(root: &Path) -> Option<String> {
         root_warning(&Location::new("cdcrtest_check_", root).unwrap())
+    }
+
+    #[test]
+    fn a_core_that_is_not_there_is_warned_of() {
+        let of = |core| {
+            core_warning(&RealtimeConfig {
+                core,
+                ..RealtimeConfig::default()
+            })
+        };
+        assert_eq!(of(-1), None);
+        let there = core_affinity::get_core_ids().unwrap()[0].id;
+        assert_eq!(of(i32::try_from(there).unwrap()), None);
+        assert!(of(1023).unwrap().contains("realtime.core = 1023"));
     }
 
     #[test]

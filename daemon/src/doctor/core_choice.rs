@@ -32,7 +32,7 @@ pub(crate) fn with_core(validated: &Validated) -> Validated {
 }
 
 /// This process may have a thread on `core`: its initial affinity does not include isolated cores.
-fn can_be_pinned(core: usize) -> bool {
+pub(crate) fn can_be_pinned(core: usize) -> bool {
     let pin = move || core_affinity::set_for_current(core_affinity::CoreId { id: core });
     std::thread::spawn(pin).join().unwrap_or(false)
 }

@@ -23,7 +23,7 @@ mod tests;
 
 use std::path::Path;
 
-pub(crate) use core_choice::with_core;
+pub(crate) use core_choice::{can_be_pinned, with_core};
 pub(crate) use finding::{DoctorReport, Finding, Severity};
 pub(crate) use scheduler::kernel_share;
 pub(crate) use system::System;

@@ -147,7 +147,9 @@ pub(crate) enum Task {
         after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      wait until the robot is at rest"
     )]
     Hold(WaitOptions),
-    /// Straighten the robot; this moves it. Ctrl-C with --wait holds it
+    /// Straighten the robot; this moves it
+    ///
+    /// An interrupt of --wait (Ctrl-C, SIGTERM, a closed terminal) holds the robot; after the time of --wait it continues.
     #[command(
         after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        wait until the robot is there and at rest"
     )]

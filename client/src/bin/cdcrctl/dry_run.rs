@@ -53,6 +53,8 @@ pub(crate) struct Demands {
     error_end_m: f64,
     /// Time \[s\] and point \[m\] of the largest error.
     farthest: (f64, [f64; 3]),
+    /// Whether a cable was at its largest stroke there.
+    missed_at_stroke_limit: bool,
     end_m: [f64; 3],
     stroke_max_m: f64,
     safe_distance_m: f64,
@@ -67,6 +69,8 @@ struct Motion {
     acceleration_rad_s2: f64,
     bend_rad: f64,
     stroke_m: f64,
+    /// Of the newest period.
+    is_at_stroke_limit: bool,
     clearance_m: f64,
 }
 
@@ -248,6 +252,7 @@ impl Motion {
         acceleration_rad_s2: 0.0,
         bend_rad: 0.0,
         stroke_m: 0.0,
+        is_at_stroke_limit: false,
         clearance_m: f64::INFINITY,
     };
 
@@ -278,6 +283,8 @@ impl Motion {
         let strokes_m = closed.robot().cable_strokes(closed.configuration());
         let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));
         self.stroke_m = self.stroke_m.max(largest_m);
+        self.is_at_stroke_limit =
+            largest_m > (1.0 - AT_LIMIT) * closed.robot().cable_stroke_max_m();
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
     }
 
@@ -298,6 +305,7 @@ impl Demands {
             error_max_m: 0.0,
             error_end_m: 0.0,
             farthest: (0.0, [0.0; 3]),
+            missed_at_stroke_limit: false,
             end_m: [0.0; 3],
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
@@ -311,6 +319,7 @@ impl Demands {
         (self.error_end_m, self.end_m) = (error_m, point_m);
         if error_m > self.error_max_m {
             (self.error_max_m, self.farthest) = (error_m, (time_s, point_m));
+            self.missed_at_stroke_limit = self.along.is_at_stroke_limit;
         }
     }
 
@@ -330,11 +339,16 @@ impl Demands {
     /// Fails when a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
     pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_max_m > allowed_m {
-            let stroke = self.at_stroke_limit();
-            let cause = stroke.as_deref().unwrap_or("too fast, or obstructed");
-            let remedy = match stroke {
-                Some(_) => "use a smaller reference, or correct the limit",
-                None => "use a lower --speed, or remove obstacles",
+            let (cause, remedy) = if self.missed_at_stroke_limit {
+                (
+                    self.stroke_limit(),
+                    "use a smaller reference, or correct a limit that is not the robot's",
+                )
+            } else {
+                (
+                    "too fast, or obstructed".to_owned(),
+                    "use a lower --speed, or remove obstacles",
+                )
             };
             bail!(
                 "{cause}: {}, though the robot's bends allow every point: {remedy}; nothing moved",
@@ -361,16 +375,11 @@ impl Demands {
         Ok(())
     }
 
-    /// Names the limit at which a cable ended.
-    fn at_stroke_limit(&self) -> Option<String> {
-        let stroke_m = self.before.stroke_m.max(self.along.stroke_m);
-        let is_there = stroke_m > (1.0 - AT_LIMIT) * self.stroke_max_m;
-        is_there.then(|| {
-            format!(
-                "a cable is at its limit, robot.cable_stroke_max_m = {}",
-                self.stroke_max_m
-            )
-        })
+    fn stroke_limit(&self) -> String {
+        format!(
+            "a cable is at its limit, robot.cable_stroke_max_m = {}",
+            self.stroke_max_m
+        )
     }
 
     /// Text for the point with the largest error.
@@ -382,11 +391,15 @@ impl Demands {
     /// Fails when the end is missed by more than `allowed_m`.
     pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_end_m > allowed_m {
-            let stroke = self.at_stroke_limit();
+            let at_limit = self.along.is_at_stroke_limit;
             bail!(
                 "not reachable: {}{}{}; nothing moved",
                 away(self.error_end_m, self.end_m),
-                stroke.map_or_else(String::new, |limit| format!(", because {limit}")),
+                if at_limit {
+                    format!(": {}", self.stroke_limit())
+                } else {
+                    String::new()
+                },
                 self.obstruction()
             );
         }

@@ -85,13 +85,13 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     Ok(done)
 }
 
-/// Says where a smooth approach would lead the tip far from the reference.
+/// Says that an approach may lead the tip far from the reference.
 fn note_distance(before: &Telemetry, trajectory: &dyn Trajectory) {
     let away_m = distance_m(before.tip_position_m, trajectory.position_m(0.0));
     if away_m > FAR_M {
         tell!(
-            "note: the tip is {:.0} mm from the first point. With --track it approaches while the reference moves, beside the reference by \
-             up to that distance; --blend brings it to the first point before",
+            "note: the tip is {:.0} mm from the first point. With --track it may approach while the reference moves, and be that far from \
+             it or farther; --blend brings it to the first point before",
             1e3 * away_m
         );
     }

@@ -11,11 +11,13 @@ use cdcr_client::{
     Connection, LinkError, ObstacleSender, TelemetryStream, monotonic_ns, remedy, section_lengths_m,
 };
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
-use cdcr_shared_types::{Header, Obstacle, Status};
+use cdcr_shared_types::{Header, Obstacle, Status, Telemetry};
 
 use crate::Done;
 use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
+use crate::dry_run::newest;
 use crate::echo::json;
+use crate::echo::line::clearance_text;
 use crate::known_obstacles::known;
 use crate::value::SPEED_M_S_MAX;
 
@@ -31,7 +33,9 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
         ObstacleAction::Add(add) => {
             let obstacle = obstacle(add, monotonic_ns());
             check(&obstacle, &connection.status(TIMEOUT)?, add.far, true)?;
-            change(&connection, |sender| sender.upsert(&[obstacle]))
+            let done = change(&connection, |sender| sender.upsert(&[obstacle]))?;
+            note_clearance(&newest(&connection)?);
+            Ok(done)
         }
         ObstacleAction::List(options) => list(&connection, options.format),
         ObstacleAction::Remove { ids } => {
@@ -58,6 +62,23 @@ fn change(
         "obstacles: accepted, {known} known to the daemon now"
     )?;
     Ok(Done::Good)
+}
+
+/// Says that the body is nearer to an obstacle than allowed.
+fn note_clearance(record: &Telemetry) {
+    let safe_m = record.settings.safe_distance_m;
+    if record.clearance_m < safe_m {
+        let consequence = if record.clearance_m < record.clearance_fault_m {
+            "which is a fault"
+        } else {
+            "and no command brings it nearer"
+        };
+        tell!(
+            "note: the body is {} mm from an obstacle, nearer than the safe distance of {} mm, {consequence}",
+            clearance_text(record.clearance_m),
+            clearance_text(safe_m)
+        );
+    }
 }
 
 /// Number of known obstacles after this message was accepted.
@@ -135,7 +156,7 @@ fn vector_text([x, y, z]: [f64; 3]) -> String {
 }
 
 /// Refuses obstacles that the daemon would accept but that are probably a mistake. A source that `ends` must
-/// send no lifetimes if the daemon monitors them.
+/// send no lifetimes if the daemon monitors them; one that goes on is not ended by a single fast estimate.
 fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow::Result<()> {
     let timeout_ms = status.obstacle_source_timeout_ns as f64 * 1e-6;
     if ends && obstacle.lifetime_ns > 0 && timeout_ms > 0.0 {
@@ -155,14 +176,15 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
     };
     let from_base_m = distance_m(obstacle.start_m, end_m) - obstacle.radius_m;
     let reach_m: f64 = section_lengths_m(&status.robot).iter().sum();
-    let speed_m_s = distance_m(obstacle.velocity_m_s, obstacle.velocity_m_s);
+    let squares = obstacle.velocity_m_s.iter().map(|v| v * v);
+    let speed_m_s = squares.sum::<f64>().sqrt();
     let odd = if from_base_m > FAR * reach_m {
         format!("is {from_base_m:.1} m away")
     } else if from_base_m < 0.0 {
         format!("contains the base, which is {:.3} m inside", -from_base_m)
-    } else if speed_m_s > SPEED_M_S_MAX && !far {
+    } else if speed_m_s > SPEED_M_S_MAX && ends && !far {
         bail!(
-            "the obstacle moves at {speed_m_s} m/s: are these mm/s?\na velocity is in m/s: 20 mm/s are 0.02. To add it anyway: --far"
+            "the obstacle moves at {speed_m_s:.1} m/s: are these mm/s?\na velocity is in m/s: 20 mm/s are 0.02. To add it anyway: --far"
         );
     } else {
         return Ok(());
@@ -285,7 +307,7 @@ mod tests {
         let mut fast = add([0.0, 0.17, 0.22], 0.02);
         fast.velocity = [-20.0, 0.0, 0.0];
         let error = checked(&fast, &status()).expect_err("fast").to_string();
-        assert!(error.contains("20 m/s: are these mm/s?"), "{error}");
+        assert!(error.contains("20.0 m/s: are these mm/s?"), "{error}");
         fast.far = true;
         assert!(checked(&fast, &status()).is_ok());
     }

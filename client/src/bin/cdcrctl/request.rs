@@ -39,23 +39,21 @@ pub(crate) fn ask(location: &Location, robot: &str, kind: RequestKind) -> anyhow
 
 /// Where no daemon runs, the answer is about the robot, not about how to start one.
 fn not_stopped(error: StopError) -> anyhow::Error {
-    let StopError::Connect(ConnectError::DaemonNotRunning {
-        place,
-        found,
-        running,
-        ..
-    }) = &error
-    else {
+    let StopError::Connect(connect) = &error else {
         return error.into();
     };
-    let others = match running.as_slice() {
-        [] => String::new(),
-        others => format!("daemons run there for: {}\n", others.join(", ")),
+    let ConnectError::DaemonNotRunning { place, found, .. } = connect else {
+        return error.into();
+    };
+    let elsewhere = connect.elsewhere();
+    let robot = if elsewhere.is_empty() {
+        "if the robot moves, use its emergency stop: without a daemon, it rests when its last command ends. "
+    } else {
+        &elsewhere
     };
     anyhow!(
-        "nothing was stopped: no daemon is running for {place}: {found}\n{others}\
-         a driver rests when its last command ends. If the robot moves, use its emergency stop. A daemon that starts later is not \
-         stopped by this: repeat it then"
+        "nothing was stopped: no daemon is running for {place}: {found}\n{robot}\
+         A daemon that starts later is not stopped by this: repeat it then"
     )
 }
 

@@ -202,8 +202,8 @@ impl TipError {
         );
         if self.approach_cycles > 0 && self.cycles == 0 {
             bail!(
-                "the tip, {approached_mm:.1} mm away at first, did not reach the reference in {approached_s:.2} s: bring it nearer \
-                 first (--blend, or cdcrctl goto), use a longer reference, or increase motion.approach_speed_m_s and \
+                "the tip, up to {approached_mm:.1} mm away, did not reach the reference in {approached_s:.2} s: bring it nearer \
+                 first (cdcrctl goto), use a longer reference, or increase motion.approach_speed_m_s and \
                  motion.approach_acceleration_m_s2"
             );
         }

@@ -2,6 +2,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
+use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind, guard};
 use cdcr_shared_types::{Response, Telemetry};
 
@@ -39,19 +40,11 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     let (mut heard, mut first) = (begun, None);
     let mut standstill = Standstill::default();
     let mut obstructed = String::new();
+    let mut mode = response.mode;
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
             drop(bar);
-            if kind == RequestKind::Home {
-                let response = connection.request(RequestKind::Hold)?;
-                tell!(
-                    "interrupted: {}",
-                    outcome_text(RequestKind::Hold, &response)
-                );
-            } else {
-                tell!("interrupted: the daemon continues what was requested");
-            }
-            return Ok(Done::Interrupted);
+            return Ok(interrupted(&connection, kind, mode));
         }
         let Some(record) = telemetry.next_within(INTERRUPT_INTERVAL)? else {
             if heard.elapsed() > QUIET {
@@ -64,6 +57,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
         if !is_later(&record, &response) {
             continue;
         }
+        mode = record.mode;
         obstructed = obstruction(&record);
         let left = left(kind, &record);
         bar.show_share(1.0 - left / *first.get_or_insert(left.max(f64::MIN_POSITIVE)));
@@ -83,6 +77,9 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
             ),
         }
     }
+    if interrupt.is_raised() {
+        return Ok(interrupted(&connection, kind, mode));
+    }
     if let Some(cycle) = standstill.commanded_cycle() {
         let moves = standstill.rate_rad_s().map_or_else(
             || "too few new measurements to evaluate".to_owned(),
@@ -95,6 +92,22 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     bail!(
         "{kind}: not done within {limit:?}{obstructed}; the robot continues (end it with cdcrctl hold or stop)"
     )
+}
+
+/// Holds a robot that is on its way home.
+fn interrupted(connection: &Connection, kind: RequestKind, mode: u32) -> Done {
+    if kind != RequestKind::Home || mode != Mode::Homing.code() {
+        tell!("interrupted: the daemon is {}", Mode::text_of(mode));
+        return Done::Interrupted;
+    }
+    match connection.request(RequestKind::Hold) {
+        Ok(response) => tell!(
+            "interrupted: {}",
+            outcome_text(RequestKind::Hold, &response)
+        ),
+        Err(error) => tell!("interrupted, and the robot was not held: {error}"),
+    }
+    Done::Interrupted
 }
 
 fn done(

@@ -29,6 +29,7 @@ track => no client feeds a reference
 settings set safe_distance_m=0.004 => safe_distance_m = 0.004 is below the configured 0.01: use at least that
 settings set control_blocks=9 => control_blocks = 9 is out of range: allowed is 0 to 2
 obstacle add --id 1 --at 500,0,0 --radius 20 => are these millimetres?
+obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --velocity 20,0,0 => are these mm/s?
 obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s => obstacles.source_timeout_ms = 500
 ref line --start 0,0,900 => are these millimetres?
 ref circle --radius 170 => are these millimetres?
@@ -55,6 +56,9 @@ fn errors_say_what_is_so_and_what_to_do() {
         &daemon,
         "obstacle add --id 1 --at 500,0,0 --radius 20 --far",
     );
+    let inside = "cdcrctl obstacle add --id 2 --at 0,0,0.5 --radius 0.02";
+    let near = "nearer than the safe distance of 10.00 mm, which is a fault";
+    daemon.place().says(inside, 0, &[near]);
     assert!(done(&daemon, "settings").contains("0.01 to 10; no less than in the configuration"));
 }
 

@@ -72,7 +72,7 @@ pub(crate) struct ObstacleFile {
 /// Obstacles from elsewhere.
 #[derive(Debug, Args)]
 pub(crate) struct ObstacleStdin {
-    /// Accept obstacles that are far away, faster than 2 m/s, or contain the base (values are in m and m/s)
+    /// Accept obstacles that are far away or contain the base (values are in m)
     #[arg(long)]
     pub(crate) far: bool,
 }

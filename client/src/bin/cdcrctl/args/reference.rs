@@ -70,10 +70,10 @@ pub(crate) struct FeedArguments {
     /// Interpolation between the points in the daemon: straight lines or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
-    /// Largest allowed tip error, such as 2mm or 0.002m, estimated or measured by a tip sensor, noise included, once the tip has arrived. Default
-    /// limits: 20 mm at the end; 50 mm, estimated, on the way. While an obstacle pushes the tip aside, the second limit pauses until the
-    /// tip is back. If nothing was tracked, the command fails. If the robot cannot reach a point within this error (1 mm if
-    /// not given), nothing moves
+    /// Largest allowed tip error, such as 2mm or 0.002m, once the tip has arrived: estimated, and measured where there is a tip sensor, noise
+    /// included. With it, the command also fails if nothing was tracked. Without it, the limits are 20 mm at the end, and 50 mm, estimated,
+    /// on the way; the latter is off while an obstacle is known, and then until the tip has arrived again. If the robot cannot
+    /// reach a point within this error (1 mm if not given), nothing moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Delay from this command to the first point
