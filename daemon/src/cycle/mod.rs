@@ -32,6 +32,7 @@ use crate::link::RobotLink;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
+use rehearsal::Rehearsal;
 use state::RobotState;
 use unsent::LastSent;
 
@@ -40,13 +41,8 @@ pub struct Cycle {
     robot: Robot,
     link: RobotLink,
     state: RobotState,
-    /// Separate state that only rehearsals advance and read.
-    rehearsed: RobotState,
+    rehearsal: Rehearsal,
     last_sent: LastSent,
-    /// The next cycle was rehearsed.
-    was_rehearsed: bool,
-    /// Cost of the part of a rehearsal that does not check the clock.
-    rehearsal_costs: RecentCosts,
     modes: ModeMachine,
     nmpc: Nmpc,
     budget_ns: u64,
@@ -115,9 +111,7 @@ impl Cycle {
             link,
             last_sent: LastSent::new(&state),
             state,
-            rehearsed: RobotState::new(robot.clone(), policy, period_ns, *initial),
-            was_rehearsed: false,
-            rehearsal_costs: RecentCosts::default(),
+            rehearsal: Rehearsal::new(RobotState::new(robot.clone(), policy, period_ns, *initial)),
             control_begins: false,
             stale_ns: 0,
             suspends: 0,
@@ -271,7 +265,7 @@ impl Cycle {
 
         CycleFacts {
             release,
-            rehearsed: core::mem::take(&mut self.was_rehearsed),
+            rehearsed: core::mem::take(&mut self.rehearsal.took_place),
             solve_start_ns,
             solve_end_ns,
             handed_over_ns,
@@ -379,7 +373,7 @@ impl Cycle {
             }
             self.control_begins = false;
             self.state.take_control();
-            self.rehearsed.take_control();
+            self.rehearsal.state.take_control();
             self.begin_unsent();
         } else if matches!(mode, Mode::Tracking { .. } | Mode::Homing) {
             self.control_begins = false;
