@@ -106,7 +106,7 @@ impl Cycle {
         true
     }
 
-    /// Rehearses what a cycle does beside its solve. Returns whether there was time to begin.
+    /// Rehearses what a cycle does beside its solve. Returns whether the release was still ahead.
     fn rehearse_rest(
         &mut self,
         cycle: u64,
@@ -117,7 +117,7 @@ impl Cycle {
         let begin_ns = clock.now_ns();
         if begin_ns + self.rehearsal.costs.high_by_clock_ns() >= release_ns {
             self.rehearsal.costs.note_omitted();
-            return false;
+            return begin_ns < release_ns;
         }
         self.rehearse_estimate(release_ns, inputs);
         black_box(inputs.window.get(cycle));
