@@ -24,9 +24,9 @@ int main(int count, char **text) {
   double *times = malloc(sizeof(double) * cycles * repetitions), sum_m = 0;
   for (int i = 0; i < bends; i++) if (scanf("%lf", start + i) != 1) return 3;
   for (int i = 0; i < 3 * (cycles + steps); i++) if (scanf("%lf", curve + i) != 1) return 3;
-  const double *arguments[step_SZ_ARG];
-  double *results[step_SZ_RES], work[step_SZ_W + 1];
-  casadi_int integers[step_SZ_IW + 1];
+  const double *arguments[step_SZ_ARG + tip_of_SZ_ARG];
+  double *results[step_SZ_RES + tip_of_SZ_RES], work[step_SZ_W + tip_of_SZ_W + 1];
+  casadi_int integers[step_SZ_IW + tip_of_SZ_IW + 1];
   for (int repetition = 0; repetition < repetitions; repetition++) {
     double q[12], rates[12] = {0}, next[12], tip[3];
     for (int i = 0; i < bends; i++) q[i] = start[i];
