@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x6094492288111caf)
+#define CDCR_LAYOUT UINT64_C(0x7ee7467646366635)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -381,7 +381,7 @@ typedef struct CdcrObstacleUpdate {
 } CdcrObstacleUpdate;
 CDCR_ASSERT_SIZE(CdcrObstacleUpdate, 6688);
 
-/* cdcr.Measurement.v2, 344 bytes. */
+/* cdcr.Measurement.v3, 360 bytes. */
 typedef struct CdcrMeasurement {
     /* 0: Sender, sequence, time of sending. */
     CdcrHeader header;
@@ -395,17 +395,25 @@ typedef struct CdcrMeasurement {
     uint32_t interface;
     /* 44: Zero. */
     uint32_t reserved;
-    /* 48: used: 2 * sections; where kind is 1. Bend vector (u₁, v₁, u₂, v₂, …) [rad]. */
+    /* 48: Begin of the newest time in which motors of speeds rested because their command had run out [ns,
+     * CLOCK_MONOTONIC], along the commands: where the driver took the last one 2 ms after its release, 2 ms before
+     * the time of its clock. The daemon compares it with the measured bends. */
+    uint64_t rested_from_ns;
+    /* 56: End of that time, or when this is sent if the motors still rest, likewise. 0: the driver does not say it,
+     * or the motors have not rested since the first command. Ignored where the driver obeys positions, whose motors
+     * make up for a rest. */
+    uint64_t rested_until_ns;
+    /* 64: used: 2 * sections; where kind is 1. Bend vector (u₁, v₁, u₂, v₂, …) [rad]. */
     double bend_rad[12];
-    /* 144: where kind is 2. Tip position in the base frame [m]. */
+    /* 160: where kind is 2. Tip position in the base frame [m]. */
     double tip_position_m[3];
-    /* 168: where kind is 2. Tip orientation, quaternion (x, y, z, w) base → tip: finite. For recordings and
+    /* 184: where kind is 2. Tip orientation, quaternion (x, y, z, w) base → tip: finite. For recordings and
      * calibration: the daemon controls by the position alone. */
     double tip_orientation[4];
-    /* 200: used: 3 * sections; where kind is 3. Cable lengths, section by section, three each [m]. */
+    /* 216: used: 3 * sections; where kind is 3. Cable lengths, section by section, three each [m]. */
     double cable_length_m[18];
 } CdcrMeasurement;
-CDCR_ASSERT_SIZE(CdcrMeasurement, 344);
+CDCR_ASSERT_SIZE(CdcrMeasurement, 360);
 
 /* cdcr.Command.v2, 552 bytes. */
 typedef struct CdcrCommand {
@@ -850,7 +858,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v9, 15552 bytes. */
+/* cdcr.Telemetry.v10, 15568 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -901,142 +909,142 @@ typedef struct CdcrTelemetry {
     /* 1152: The measurement as used, header zero; kind 0 when there was none. The simulated robot measures its own
      * configuration. */
     CdcrMeasurement measurement;
-    /* 1496: used: 2 * command.sections. Estimated bend vector that the commands up to this release lead to [rad]:
+    /* 1512: used: 2 * command.sections. Estimated bend vector that the commands up to this release lead to [rad]:
      * what the next one is planned from. Of motors without lag and delay it is the one at the release. */
     double bend_rad[12];
-    /* 1592: used: 2 * command.sections. Rates of the previous command [rad/s]; zero if the last one sent has run
+    /* 1608: used: 2 * command.sections. Rates of the previous command [rad/s]; zero if the last one sent has run
      * out. */
     double previous_rate_rad_s[12];
-    /* 1688: The solver's settings in this cycle. */
+    /* 1704: The solver's settings in this cycle. */
     CdcrSolverSettings settings;
-    /* 1856: The robot. */
+    /* 1872: The robot. */
     CdcrRobotDescription robot;
-    /* 2176: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
+    /* 2192: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
      * periods (60 at 5 ms). */
     uint64_t window_first_cycle;
-    /* 2184: How fast rates shrink when holding or stopping [rad/s²]. */
+    /* 2200: How fast rates shrink when holding or stopping [rad/s²]. */
     double deceleration_rad_s2;
-    /* 2192: Rate of the fastest component on the way home [rad/s]. */
+    /* 2208: Rate of the fastest component on the way home [rad/s]. */
     double home_rate_rad_s;
-    /* 2200: Deadline after the release [ns]. */
+    /* 2216: Deadline after the release [ns]. */
     uint64_t deadline_ns;
-    /* 2208: A start later than this after the release it was due at is a late start [ns]. */
+    /* 2224: A start later than this after the release it was due at is a late start [ns]. */
     uint64_t late_start_ns;
-    /* 2216: A measurement older than this is lost [ns]. */
+    /* 2232: A measurement older than this is lost [ns]. */
     uint64_t measurement_timeout_ns;
-    /* 2224: A clearance below this is a fault [m]. */
+    /* 2240: A clearance below this is a fault [m]. */
     double clearance_fault_m;
-    /* 2232: How far a measurement may jump [rad]. */
+    /* 2248: How far a measurement may jump [rad]. */
     double measurement_jump_rad;
-    /* 2240: How far the robot may be commanded while the measurement stands still [rad]. */
+    /* 2256: How far the robot may be commanded while the measurement stands still [rad]. */
     double measurement_frozen_rad;
-    /* 2248: So many jumps in a row are a fault. */
+    /* 2264: So many jumps in a row are a fault. */
     uint32_t measurement_jump_limit;
-    /* 2252: CdcrMeasurementState. */
+    /* 2268: CdcrMeasurementState. */
     uint32_t measurement_state;
-    /* 2256: Level at which the leaky bucket stops the robot; 0: it does not. */
+    /* 2272: Level at which the leaky bucket stops the robot; 0: it does not. */
     uint32_t miss_limit;
-    /* 2260: CdcrLeaseState. */
+    /* 2276: CdcrLeaseState. */
     uint32_t lease_state;
-    /* 2264: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
+    /* 2280: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
     uint32_t plan_length;
-    /* 2268: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
+    /* 2284: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
     uint32_t obstacle_count;
-    /* 2272: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
+    /* 2288: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
      * guard look at them reference_lead_ns later): measured_ns is the release, lifetime_ns what is left of their
      * lifetime then, 0: until removed. The first obstacle_count are used. */
     CdcrObstacle obstacles[64];
-    /* 8928: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
+    /* 8944: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
     double warm_plan[300];
-    /* 11328: used: 1 * plan_length. The solution [rad/s], block by block. */
+    /* 11344: used: 1 * plan_length. The solution [rad/s], block by block. */
     double plan[300];
-    /* 13728: What the solver did. */
+    /* 13744: What the solver did. */
     CdcrSolverReport report;
-    /* 13800: Reference at the release. */
+    /* 13816: Reference at the release. */
     CdcrReferenceSample reference;
-    /* 13864: The way to it that the plan follows. */
+    /* 13880: The way to it that the plan follows. */
     CdcrApproach approach;
-    /* 13960: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
+    /* 13976: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
      * behind their commands. */
     double present_rad[12];
-    /* 14056: The tip as it was measured beside bends or cables [m]; zero when it was not. */
+    /* 14072: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
-    /* 14080: When [ns]. */
+    /* 14096: When [ns]. */
     uint64_t tip_measured_ns;
-    /* 14088: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
+    /* 14104: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
      * moved back by it. */
     double tip_offset_m[3];
-    /* 14112: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
+    /* 14128: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
      * standard deviations of what the measurements leave open of it. So much thicker the body counts for plan and
      * guard. */
     double tip_margin_m;
-    /* 14120: Tip position at the release, from present_rad and tip_offset_m [m]. */
+    /* 14136: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
-    /* 14144: Tip orientation at the release, unit quaternion (x, y, z, w). */
+    /* 14160: Tip orientation at the release, unit quaternion (x, y, z, w). */
     double tip_orientation[4];
-    /* 14176: Distance of tip and reference at the release [m]; NaN without a reference. */
+    /* 14192: Distance of tip and reference at the release [m]; NaN without a reference. */
     double position_error_m;
-    /* 14184: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
+    /* 14200: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
     uint32_t guard_flags;
-    /* 14188: CdcrMeasurementState: what became of tip_measured_m. */
+    /* 14204: CdcrMeasurementState: what became of tip_measured_m. */
     uint32_t tip_state;
-    /* 14192: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
+    /* 14208: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
      * obstacles [m]: negative inside one, infinite without obstacles, NaN when present_rad is not finite. The body
      * counts as thicker by tip_margin_m. */
     double clearance_m;
-    /* 14200: The command as it left. */
+    /* 14216: The command as it left. */
     CdcrCommand command;
-    /* 14752: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 14768: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 14848: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 14864: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 14896: used: 3 * command.sections. The same of each cable [m]. */
+    /* 14912: used: 3 * command.sections. The same of each cable [m]. */
     double following_error_m[18];
-    /* 15040: A following error above this is a warning [rad]. */
+    /* 15056: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 15048: A following error above this is a fault [rad]. */
+    /* 15064: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 15056: How far the motors may lag behind [ns]. */
+    /* 15072: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 15064: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 15080: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 15072: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 15088: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 15080: Time constant of the motors [ns]: reference_lead_ns less their delay. */
+    /* 15096: Time constant of the motors [ns]: reference_lead_ns less their delay. */
     uint64_t motor_time_constant_ns;
-    /* 15088: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
+    /* 15104: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
      * command begins to act. */
     double delayed_rad[12];
-    /* 15184: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 15200: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 15280: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15296: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 15424: Play of the cables [m]; 0: none. */
+    /* 15440: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15432: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
+    /* 15448: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
      * a reset [rad], while moves_to_begin is set: the rates wanted are those of homing from there. */
     double way_rad[12];
-    /* 15528: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15544: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15536: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15552: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15540: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    /* 15556: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;
-    /* 15544: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+    /* 15560: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
      * rest, the solve from previous_rate_rad_s. */
     uint32_t ran_out_in_solve;
-    /* 15548: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15564: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15552);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15568);
 
-/* cdcr.Incident.v8, 15592 bytes. */
+/* cdcr.Incident.v9, 15608 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1050,6 +1058,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15592);
+CDCR_ASSERT_SIZE(CdcrIncident, 15608);
 
 #endif

@@ -152,17 +152,25 @@ impl Driver {
         &self.robot
     }
 
-    /// Sends a measurement, with the interface that this driver obeys.
+    /// Sends a measurement, with the interface that this driver obeys, and the newest rest of its motors of speeds
+    /// ([`CommandFollower::rest_ns`]) unless the measurement states one.
     ///
     /// # Errors
     /// When iceoryx2 fails.
     pub fn send(&self, measurement: Measurement) -> Result<Header, LinkError> {
+        let now_ns = monotonic_ns();
         self.measured
-            .set(self.measured.get().with(&measurement, monotonic_ns()));
-        self.measurements.send(Measurement {
+            .set(self.measured.get().with(&measurement, now_ns));
+        let mut measurement = Measurement {
             interface: self.interface.code(),
             ..measurement
-        })
+        };
+        if self.interface == Interface::Velocity && measurement.rested_until_ns == 0 {
+            let rest_ns = self.follower.rest_ns(now_ns);
+            measurement.rested_from_ns = rest_ns.start;
+            measurement.rested_until_ns = rest_ns.end;
+        }
+        self.measurements.send(measurement)
     }
 
     /// Sends cable lengths \[m\] and the time of their measurement \[ns, `CLOCK_MONOTONIC`\].

@@ -52,6 +52,7 @@ impl RobotLink {
             Self::Ideal(robot) => Some(TimedMeasurement {
                 measurement: robot.measure(release_ns),
                 measured_ns: release_ns,
+                rested_ns: [0; 2],
             }),
             Self::Misbehaving(robot) => robot.measure(release_ns),
             Self::Driver => inputs.measurement,
@@ -73,6 +74,7 @@ impl RobotLink {
                     robot.last_tip = Some(TimedMeasurement {
                         measurement: Measurement::TipPosition(position_m),
                         measured_ns: release_ns,
+                        rested_ns: [0; 2],
                     });
                 }
                 robot.last_tip
@@ -200,6 +202,7 @@ impl MisbehavingLink {
         let timed = measurement.map(|measurement| TimedMeasurement {
             measurement,
             measured_ns: release_ns,
+            rested_ns: [0; 2],
         });
         self.last = timed.or(self.last);
         self.last

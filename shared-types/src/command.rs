@@ -1,3 +1,5 @@
+use core::ops::Range;
+
 use crate::Header;
 use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 use crate::message::message;
@@ -46,5 +48,15 @@ message! {
         cable_length_m: [f64; CABLES_MAX] [used 3 sections],
         /// Cable speeds that belong to `bend_rate_rad_s` \[m/s\].
         cable_speed_m_s: [f64; CABLES_MAX] [used 3 sections],
+    }
+}
+
+impl Command {
+    /// When motors that took this command of speeds at `taken_ns` have rested until `now_ns` without a newer one, for
+    /// [`Measurement::rested_from_ns`](crate::Measurement::rested_from_ns): less the time from the release to `taken_ns`.
+    pub fn rest_ns(&self, taken_ns: u64, now_ns: u64) -> Option<Range<u64>> {
+        let from_ns = self.valid_until_ns.max(taken_ns);
+        let late_ns = taken_ns.saturating_sub(self.release_ns);
+        (now_ns >= from_ns).then(|| from_ns - late_ns..now_ns - late_ns)
     }
 }

@@ -15,7 +15,7 @@ message! {
     /// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost.
     /// Measurements of another driver are rejected (likewise of another tip sensor), and so are those older than
     /// `link.measurement_timeout_ms` on arrival.
-    pub struct Measurement "cdcr.Measurement.v2" {
+    pub struct Measurement "cdcr.Measurement.v3" {
         /// Sender, sequence, time of sending.
         header: Header,
         /// When it was measured \[ns, `CLOCK_MONOTONIC`\].
@@ -28,6 +28,13 @@ message! {
         interface: u32 [code Interface],
         /// Zero.
         reserved: u32 [reserved],
+        /// Begin of the newest time in which motors of speeds rested because their command had run out \[ns, `CLOCK_MONOTONIC`\], along the
+        /// commands: where the driver took the last one 2 ms after its release, 2 ms before the time of its clock. The daemon compares it with the
+        /// measured bends.
+        rested_from_ns: u64,
+        /// End of that time, or when this is sent if the motors still rest, likewise. 0: the driver does not say it, or the motors have
+        /// not rested since the first command. Ignored where the driver obeys positions, whose motors make up for a rest.
+        rested_until_ns: u64,
         /// Bend vector (u₁, v₁, u₂, v₂, …) \[rad\].
         bend_rad: [f64; COORDINATES_MAX] [when kind = MeasurementKind::Configuration] [used 2 sections],
         /// Tip position in the base frame \[m\].

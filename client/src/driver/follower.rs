@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
@@ -14,6 +16,8 @@ pub struct CommandFollower {
     interface: Interface,
     present: Option<Present>,
     measured: Option<Measurement>,
+    /// The newest rest that is over.
+    rested_ns: Range<u64>,
     refusals: u64,
 }
 
@@ -61,6 +65,7 @@ impl CommandFollower {
             interface,
             present: None,
             measured: None,
+            rested_ns: 0..0,
             refusals: 0,
         }
     }
@@ -88,6 +93,7 @@ impl CommandFollower {
             self.refusals += 1;
             return Err(refusal);
         }
+        self.rested_ns = self.rest_ns(now_ns);
         // The robot was measured at the first position: there is no move to it.
         let begin = begin.unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
@@ -191,6 +197,16 @@ impl CommandFollower {
         }
     }
 
+    /// The newest time until `now_ns` in which the motors rested because their command had run out, for
+    /// [`Measurement::rested_from_ns`]. Empty at 0: none since the first command, or since [`forget`](Self::forget).
+    /// For a driver that obeys [`Interface::Velocity`].
+    pub fn rest_ns(&self, now_ns: u64) -> Range<u64> {
+        let present = self.present.as_ref();
+        present
+            .and_then(|present| present.command.rest_ns(present.begin_ns, now_ns))
+            .unwrap_or(self.rested_ns.clone())
+    }
+
     /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to
     /// its target at `target_ns`, then constant. `None` before the first command. For a driver that obeys
     /// [`Interface::Position`].
@@ -230,6 +246,7 @@ impl CommandFollower {
     /// old position.
     pub fn forget(&mut self) {
         self.present = None;
+        self.rested_ns = 0..0;
     }
 }
 

@@ -30,6 +30,10 @@ const BESIDE_TIME_S: f64 = 0.03;
 /// Distance between the places of motors that obeyed and of motors that rested which a measurement tells apart in spite of its noise \[rad\].
 const VISIBLE_RAD: f64 = 0.01;
 
+/// A measurement shows a stated rest if its distance from the place of motors that rested is below this share of that from the place of motors
+/// that obeyed.
+const SHOWN_SHARE: f64 = 0.3;
+
 /// A measurement by a driver or a tip sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Measurement {
@@ -165,16 +169,18 @@ impl Estimator {
         self
     }
 
-    /// The driver was silent, and its motors are assumed not to have obeyed what was commanded between these ages (s, before the time of the
-    /// last prediction): the estimate loses that motion, unless the `measurement` that ended the silence, made `age_s` ago, shows the motors
-    /// nearer to where they are if they obeyed. A tip does not show this. Take the measurement with [`Self::correct`] afterwards: it is adopted
-    /// without filtering, because when exactly the motors rested is not known.
+    /// The motors may not have obeyed what was commanded between these ages (s, before the time of the last prediction), because their driver
+    /// `was_silent`, or states so: the estimate loses that motion, if the `measurement` made `age_s` ago does not contradict it. After a silence it
+    /// contradicts it where the motors are nearer to their place if they obeyed, and noise does not hide this; it must show a rest that is only
+    /// stated. A tip shows neither. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
+    /// the motors rested is not known.
     pub fn rested(
         &mut self,
         robot: &Robot,
         measurement: &Measurement,
         age_s: f64,
         ages_s: &Range<f64>,
+        was_silent: bool,
     ) {
         let Some(measured) = measurement.configuration(robot) else {
             return;
@@ -188,7 +194,14 @@ impl Estimator {
         let end = added(self.motors(), &lost_rad, -1.0);
         let rested = self.resting.remaining_motion(age_s).start_from(&end);
         let is_visible = distance_rad(&obeyed, &rested) > VISIBLE_RAD;
-        if is_visible && distance_rad(&measured, &obeyed) < distance_rad(&measured, &rested) {
+        let [of_obeyed_rad, of_rested_rad] =
+            [obeyed, rested].map(|place| distance_rad(&measured, &place));
+        let is_believed = if was_silent {
+            !is_visible || of_rested_rad <= of_obeyed_rad
+        } else {
+            is_visible && of_rested_rad < SHOWN_SHARE * of_obeyed_rad
+        };
+        if !is_believed {
             return;
         }
         core::mem::swap(&mut self.motors, &mut self.resting);

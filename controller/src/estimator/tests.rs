@@ -1,3 +1,5 @@
+mod rest;
+
 use super::*;
 use crate::robot::RobotParameters;
 

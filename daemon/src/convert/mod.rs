@@ -275,6 +275,12 @@ mod tests {
         assert_eq!(with(|m| m.sections = 2), Err(Outcome::WrongRobot));
         let future = with(|m| m.measured_ns = 10_000_000);
         assert_eq!(future, Err(Outcome::InTheFuture));
+        let rested = with(|m| [m.rested_from_ns, m.rested_until_ns] = [70, 80]);
+        assert_eq!(rested, Ok(()));
+        let disordered = with(|m| m.rested_from_ns = 1);
+        assert_eq!(disordered, Err(Outcome::OutOfRange));
+        let future = with(|m| m.rested_until_ns = 10_000_000);
+        assert_eq!(future, Err(Outcome::InTheFuture));
         assert_eq!(with(|m| m.reserved = 1), Err(Outcome::UnknownCode));
         assert_eq!(with(|m| m.kind = 0), Err(Outcome::UnknownCode));
         let speeds = with(|m| m.interface = codes::Interface::Velocity.code());
@@ -293,6 +299,7 @@ mod tests {
             let timed = TimedMeasurement {
                 measurement: measurement_in,
                 measured_ns: 90,
+                rested_ns: [70, 80],
             };
             let mut sent = measurement_to_wire(&timed, &trunk());
             let interface = codes::Interface::Velocity;

@@ -136,6 +136,7 @@ pub fn fill_telemetry(
         Some(TimedMeasurement {
             measurement: Measurement::TipPosition(position_m),
             measured_ns,
+            ..
         }) => ((*position_m).into(), *measured_ns),
         _ => ([0.0; 3], 0),
     };
@@ -238,6 +239,8 @@ pub fn reference_position_m(record: &CycleRecord) -> Vector3<f64> {
 pub(super) fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wire::Measurement {
     let mut message = wire::Measurement {
         measured_ns: timed.measured_ns,
+        rested_from_ns: timed.rested_ns[0],
+        rested_until_ns: timed.rested_ns[1],
         sections: robot.section_count() as u32,
         ..wire::Measurement::default()
     };

@@ -131,6 +131,7 @@ impl Cycle {
         let measurement = inputs.measurement.unwrap_or(TimedMeasurement {
             measurement: Measurement::Configuration(*self.state.configuration()),
             measured_ns: release_ns,
+            rested_ns: [0; 2],
         });
         let state = &mut self.rehearsal.state;
         state.count_silence(Some(measurement), inputs);

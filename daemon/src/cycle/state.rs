@@ -6,7 +6,7 @@ use cdcr_controller::safety::{
 };
 use nalgebra::Vector3;
 
-use super::silence::SilenceWatch;
+use super::silence::{Rest, SilenceWatch};
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
@@ -211,9 +211,9 @@ impl RobotState {
             self.measurement_fault = Some(Reason::CommonMode);
         }
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
-        if let Some(ages_s) = self.silence.rested_s(measured_ns, release_ns) {
-            let estimator = &mut self.estimator;
-            estimator.rested(&self.robot, &measurement, age_s, &ages_s);
+        if let Some(Rest { was_silent, ages_s }) = self.silence.rest(&timed, release_ns) {
+            let (robot, estimator) = (&self.robot, &mut self.estimator);
+            estimator.rested(robot, &measurement, age_s, &ages_s, was_silent);
         }
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = measurement.configuration(&self.robot);

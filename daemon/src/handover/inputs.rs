@@ -9,6 +9,8 @@ use crate::obstacles::ObstacleSet;
 pub struct TimedMeasurement {
     pub measurement: Measurement,
     pub measured_ns: u64,
+    /// Begin and end of the newest rest of the motors, as the driver states it \[ns\]; 0: it does not.
+    pub rested_ns: [u64; 2],
 }
 
 /// Results of one gather, consistent with each other.

@@ -68,6 +68,7 @@ mod tests {
         let measured = |measured_ns, x_m| TimedMeasurement {
             measurement: Measurement::TipPosition(at(x_m)),
             measured_ns,
+            rested_ns: [0; 2],
         };
         let mut error = MeasuredError::default();
         let mut distance_m = |release_ns, reference_m, timed| {

@@ -1,3 +1,4 @@
+mod rest;
 use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Header, SectionDescription};
 

@@ -7,7 +7,7 @@ use cdcr_controller::safety::{Mode, Reason};
 use nalgebra::Vector3;
 
 use super::DIRECT;
-use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use super::trial::{BEGIN_NS, PERIOD_NS, Statements, Trial};
 use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
@@ -81,30 +81,81 @@ fn noise_beside_an_obstacle_is_no_contact() {
     }
 }
 
+/// The least true clearance \[m\] beside a ball, behind a driver with `lag_ms` that in the last `faulty` of `every` turns may not
+/// measure, or not get the commands: its motors of speeds then rest when the last one has run out.
+fn least_clearance_m(
+    [measures, obeys]: [bool; 2],
+    (lag_ms, faulty, every): (f64, u32, u32),
+    statements: Statements,
+) -> f64 {
+    let actuator = Actuator {
+        delay_s: 0.01,
+        time_constant_s: lag_ms * 1e-3,
+        play_m: 0.0,
+    };
+    let known = format!("[actuator]\ndelay_ms = 10.0\ntime_constant_ms = {lag_ms:?}\n");
+    let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, &known);
+    trial.statements = statements;
+    let mut least_m = f64::INFINITY;
+    for turn in 0..2000 {
+        let record = if turn % every < every - faulty {
+            trial.turn()
+        } else {
+            trial.turn_of(measures, obeys)
+        };
+        let plant = &trial.plant;
+        least_m = least_m.min(plant.truth().clearance_m(&plant.configuration(), &ball));
+        if record.mode.is_latched() {
+            assert_eq!(record.mode.reason(), Reason::ClearanceBroken);
+            break;
+        }
+    }
+    println!(
+        "measures {measures}, obeys {obeys}, {lag_ms} ms, {faulty} of {every}, {statements:?}: true clearance {least_m} m"
+    );
+    least_m
+}
+
+const FAULTS: [(f64, u32, u32); 4] = [(20.0, 6, 24), (20.0, 4, 17), (100.0, 6, 24), (20.0, 8, 60)];
+const FALSE: [Statements; 3] = [
+    Statements::AlwaysAtRest,
+    Statements::Lately(PERIOD_NS),
+    Statements::Lately(6 * PERIOD_NS),
+];
+
 /// A driver that stands still again and again. Its speeds end with the command; the estimate goes on until it
 /// measures again, and then knows where the motors are, with and without a lag that outlasts the stall.
 #[test]
 fn a_driver_that_stalls_again_and_again_meets_nothing() {
-    for (lag_ms, stalled, every) in [(20.0, 6, 24), (20.0, 4, 17), (100.0, 6, 24), (20.0, 8, 60)] {
-        let actuator = Actuator {
-            delay_s: 0.01,
-            time_constant_s: lag_ms * 1e-3,
-            play_m: 0.0,
-        };
-        let known = format!("[actuator]\ndelay_ms = 10.0\ntime_constant_ms = {lag_ms:?}\n");
-        let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, &known);
-        let mut least_m = f64::INFINITY;
-        for turn in 0..2000 {
-            let record = if turn % every < every - stalled {
-                trial.turn()
-            } else {
-                trial.turn_with_a_stalled_driver()
-            };
-            assert!(!record.mode.is_latched(), "{:?}", record.mode);
-            let plant = &trial.plant;
-            least_m = least_m.min(plant.truth().clearance_m(&plant.configuration(), &ball));
+    for faults in FAULTS {
+        for statements in [Statements::None, Statements::True] {
+            let least_m = least_clearance_m([false, false], faults, statements);
+            assert!(least_m > 5e-3, "{least_m} m");
         }
-        println!("{lag_ms} ms, {stalled} of {every}: true clearance {least_m} m");
+    }
+}
+
+/// One that measures while commands are lost must state that its motors rested.
+#[test]
+fn a_driver_that_loses_commands_and_states_so_meets_nothing() {
+    let mut unstated_m = f64::INFINITY;
+    for faults in FAULTS {
+        unstated_m = unstated_m.min(least_clearance_m([true, false], faults, Statements::None));
+        let least_m = least_clearance_m([true, false], faults, Statements::True);
         assert!(least_m > 5e-3, "{least_m} m");
+    }
+    assert!(unstated_m < 5e-3, "{unstated_m} m");
+}
+
+/// Behind motors that obey, rest in silence or lose commands, with and without a sensor that drops out.
+#[test]
+fn false_statements_change_nothing() {
+    for driver in [[true, true], [false, false], [true, false], [false, true]] {
+        for faults in [FAULTS[0], FAULTS[2]] {
+            let least_m = least_clearance_m(driver, faults, Statements::None);
+            for statements in FALSE {
+                assert_eq!(least_clearance_m(driver, faults, statements), least_m);
+            }
+        }
     }
 }

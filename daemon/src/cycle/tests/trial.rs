@@ -34,6 +34,17 @@ pub(super) fn clock() -> ManualClock {
     }
 }
 
+/// What a driver states of the rest of its motors.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Statements {
+    None,
+    True,
+    /// Since the beginning.
+    AlwaysAtRest,
+    /// For this time before each measurement \[ns\].
+    Lately(u64),
+}
+
 /// A daemon's cycle, and the robot behind its driver.
 pub(super) struct Trial {
     pub(super) cycle: Cycle,
@@ -50,6 +61,9 @@ pub(super) struct Trial {
     pub(super) is_held_up: bool,
     /// The newest command sent.
     pub(super) sent: Option<cdcr_shared_types::Command>,
+    pub(super) statements: Statements,
+    /// The newest rest of the motors that is over \[ns\].
+    rested_ns: [u64; 2],
     lead_ns: u64,
     /// Error added to the encoders' lengths \[m\].
     pub(super) cable_error_m: [f64; CABLES_MAX],
@@ -113,6 +127,8 @@ impl Trial {
             stands: false,
             is_held_up: false,
             sent: None,
+            statements: Statements::True,
+            rested_ns: [0; 2],
             rehearses: false,
             rehearsal_looks: 0,
             cable_error_m: [0.0; CABLES_MAX],
@@ -155,6 +171,7 @@ impl Trial {
         self.inputs.measurement = Some(TimedMeasurement {
             measurement: Measurement::CableLengths(lengths_m),
             measured_ns: release_ns - MEASURED_BEFORE_NS,
+            rested_ns: self.stated_ns(release_ns - MEASURED_BEFORE_NS),
         });
         if self.measures_tip {
             self.inputs.tip = Some(TimedMeasurement {
@@ -162,7 +179,25 @@ impl Trial {
                     self.tip_axes * self.plant.measure_tip().unwrap() + self.tip_error_m
                 })),
                 measured_ns: release_ns - MEASURED_BEFORE_NS,
+                rested_ns: [0; 2],
             });
+        }
+    }
+
+    /// The newest rest of motors that obey speeds.
+    fn rest_ns(&self, now_ns: u64) -> [u64; 2] {
+        let sent = self.sent.filter(|_| self.interface == Interface::Velocity);
+        let rest_ns = sent.and_then(|sent| sent.rest_ns(sent.release_ns, now_ns));
+        rest_ns.map_or(self.rested_ns, |rest_ns| [rest_ns.start, rest_ns.end])
+    }
+
+    /// What the driver states of it.
+    fn stated_ns(&self, now_ns: u64) -> [u64; 2] {
+        match self.statements {
+            Statements::None => [0; 2],
+            Statements::True => self.rest_ns(now_ns),
+            Statements::AlwaysAtRest => [1, now_ns],
+            Statements::Lately(rest_ns) => [now_ns - rest_ns, now_ns],
         }
     }
 
@@ -208,12 +243,14 @@ impl Trial {
         self.cycle(0)
     }
 
-    /// One cycle while the driver stands still: it neither measures nor takes commands.
-    pub(super) fn turn_with_a_stalled_driver(&mut self) -> CycleRecord {
+    /// One cycle in which the driver may not measure, or not get the command.
+    pub(super) fn turn_of(&mut self, measures: bool, obeys: bool) -> CycleRecord {
         let measurement = self.inputs.measurement;
         self.gather(BEGIN_NS + self.next * PERIOD_NS);
-        self.inputs.measurement = measurement;
-        self.is_held_up = true;
+        if !measures {
+            self.inputs.measurement = measurement;
+        }
+        self.is_held_up = !obeys;
         let record = self.cycle(0);
         self.is_held_up = false;
         record
@@ -272,6 +309,7 @@ impl Trial {
         if self.is_held_up {
             self.go_on(release_ns);
         } else {
+            self.rested_ns = self.rest_ns(release_ns);
             self.sent = Some(command);
             self.obey(&command);
         }

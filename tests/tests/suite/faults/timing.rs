@@ -256,6 +256,7 @@ fn run(
     inputs.measurement = Some(TimedMeasurement {
         measurement: cdcr_controller::estimator::Measurement::Configuration(validated.initial),
         measured_ns: release_ns - 1,
+        rested_ns: [0; 2],
     });
     let release = Release {
         cycle: number,

@@ -242,14 +242,18 @@ pub(crate) fn measurement() -> impl Strategy<Value = Draft> {
         bends,
         uniform3(-0.6..0.6),
         vec(-0.02..0.02, 18),
+        // Mostly false.
+        (0..20_000_000_u64, 0..20_000_000_u64),
     );
     draft(
-        parts.prop_map(|(kind, measured_ns, scale, bends, tip_m, pulls)| {
+        parts.prop_map(|(kind, measured_ns, scale, bends, tip_m, pulls, rest_ns)| {
             let backbone_m = |cable: usize| (cable / 3 + 1) as f64 * SECTION_M;
             Step::Measurement(Measurement {
                 measured_ns,
                 kind,
                 interface: Interface::Velocity.code(),
+                rested_from_ns: rest_ns.0.min(rest_ns.1),
+                rested_until_ns: rest_ns.1,
                 bend_rad: core::array::from_fn(|i| scale * bends[i]),
                 tip_position_m: tip_m.map(|x: f64| scale * x),
                 cable_length_m: core::array::from_fn(|i| backbone_m(i) + scale * pulls[i]),

@@ -181,9 +181,9 @@ pub(crate) use fields;
 
 #[test]
 fn numbers_are_where_the_bytes_say() {
-    let mut bytes = [0; 56];
+    let mut bytes = [0; 72];
     bytes[32..36].copy_from_slice(&7_u32.to_le_bytes());
-    bytes[48..56].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
+    bytes[64..72].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
     let message = cdcr_shared_types::Measurement::from_bytes(&bytes);
     assert_eq!((message.kind, message.bend_rad[0]), (7, f64::NEG_INFINITY));
 }

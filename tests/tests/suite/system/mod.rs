@@ -26,6 +26,7 @@ mod report;
 mod scenes;
 pub(crate) mod service_manager;
 mod silence;
+mod stalling_driver;
 mod strangers;
 mod timing;
 mod top;

@@ -1,0 +1,55 @@
+//! The rest of motors that obey speeds, which the driver states.
+
+use super::*;
+
+const MS: u64 = 1_000_000;
+
+/// Commands of the cycles 10 and 11, each taken 1 ms after its release: the last one runs out at 70 ms.
+fn moving() -> CommandFollower {
+    follower(
+        Interface::Velocity,
+        &[10, 11].map(|cycle| velocity(cycle, 1.0)),
+    )
+}
+
+#[test]
+fn nothing_is_stated_before_the_first_command_has_run_out() {
+    let mut follower = CommandFollower::new(&robot(), Interface::Velocity);
+    assert_eq!(follower.rest_ns(40 * MS), 0..0);
+    take(&mut follower, &velocity(10, 1.0)).unwrap();
+    assert_eq!(follower.rest_ns(60 * MS), 0..0);
+}
+
+#[test]
+fn motors_rest_from_the_end_of_a_command_to_the_next_one() {
+    let mut follower = moving();
+    assert_eq!(follower.rest_ns(69 * MS), 0..0);
+    // Times of the commands: each is obeyed 1 ms after its release.
+    assert_eq!(follower.rest_ns(80 * MS), 69 * MS..79 * MS);
+    // The daemon has sent commands all the time. The oldest valid one ends the rest.
+    for cycle in [18, 19, 20] {
+        follower.take(&velocity(cycle, 1.0), 101 * MS).unwrap();
+        assert_eq!(follower.rest_ns(102 * MS), 69 * MS..100 * MS);
+    }
+    // It is stated until the next one.
+    take(&mut follower, &velocity(21, 1.0)).unwrap();
+    assert_eq!(follower.rest_ns(110 * MS), 69 * MS..100 * MS);
+    assert_eq!(follower.rest_ns(130 * MS), 119 * MS..129 * MS);
+}
+
+#[test]
+fn a_refused_command_ends_no_rest() {
+    let mut follower = moving();
+    follower.take(&velocity(15, 9.0), 80 * MS).unwrap_err();
+    assert_eq!(follower.rest_ns(80 * MS), 69 * MS..79 * MS);
+}
+
+#[test]
+fn a_driver_that_forgets_states_nothing() {
+    let mut follower = moving();
+    assert_eq!(follower.rest_ns(80 * MS), 69 * MS..79 * MS);
+    follower.forget();
+    assert_eq!(follower.rest_ns(85 * MS), 0..0);
+    take(&mut follower, &velocity(20, 1.0)).unwrap();
+    assert_eq!(follower.rest_ns(105 * MS), 0..0);
+}
