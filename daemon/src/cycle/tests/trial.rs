@@ -127,7 +127,7 @@ impl Trial {
             stands: false,
             is_held_up: false,
             sent: None,
-            statements: Statements::True,
+            statements: Statements::None,
             rested_ns: [0; 2],
             rehearses: false,
             rehearsal_looks: 0,
