@@ -93,6 +93,12 @@ impl PlantDriver {
     /// # Errors
     /// When iceoryx2 fails.
     pub fn follow(&mut self) -> Result<DriverUpdate, LinkError> {
+        self.advance();
+        self.driver.update()
+    }
+
+    /// Advances the simulation to the present time. The motors get no new command until the next [`follow`](Self::follow).
+    pub fn advance(&mut self) {
         let now_ns = monotonic_ns();
         while self.moved_ns < now_ns {
             let step_ns = STEP_NS.min(now_ns - self.moved_ns);
@@ -100,7 +106,6 @@ impl PlantDriver {
             self.plant.order(self.order(self.moved_ns));
             self.plant.advance(step_ns as f64 * 1e-9);
         }
-        self.driver.update()
     }
 
     fn order(&self, time_ns: u64) -> MotorOrder {
