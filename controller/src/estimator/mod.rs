@@ -34,6 +34,10 @@ const VISIBLE_RAD: f64 = 0.01;
 /// that obeyed.
 const SHOWN_SHARE: f64 = 0.3;
 
+/// Motion still under way that a stated rest may take without a measurement that shows as much \[rad\]. Without this allowance a true
+/// statement counts too late behind motors of a long lag: beside an obstacle the robot comes too near.
+const UNSEEN_RAD: f64 = 0.1;
+
 /// A measurement by a driver or a tip sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Measurement {
@@ -172,7 +176,7 @@ impl Estimator {
     /// The motors may not have obeyed what was commanded between these ages (s, before the time of the last prediction), because their driver
     /// `was_silent`, or states so: the estimate loses that motion, if the `measurement` made `age_s` ago does not contradict it. After a silence it
     /// contradicts it where the motors are nearer to their place if they obeyed, and noise does not hide this; it must show a rest that is only
-    /// stated. A tip shows neither. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
+    /// stated, and much motion under way only as far as it shows as much. A tip shows neither. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
     /// the motors rested is not known.
     pub fn rested(
         &mut self,
@@ -187,19 +191,21 @@ impl Estimator {
         };
         self.resting.clone_from(&self.motors);
         let lost_rad = self.resting.rested(ages_s);
-        let obeyed = self
-            .motors
-            .remaining_motion(age_s)
-            .start_from(self.motors());
-        let end = added(self.motors(), &lost_rad, -1.0);
-        let rested = self.resting.remaining_motion(age_s).start_from(&end);
-        let is_visible = distance_rad(&obeyed, &rested) > VISIBLE_RAD;
+        let motions = [&self.motors, &self.resting].map(|motors| motors.remaining_motion(age_s));
+        let obeyed = motions[0].start_from(self.motors());
+        let rested = motions[1].start_from(&added(self.motors(), &lost_rad, -1.0));
+        let seen_rad = distance_rad(&obeyed, &rested);
+        let [obeyed_end, rested_end] = motions.map(|motion| motion.end_from(&measured));
+        let unseen_rad = distance_rad(&obeyed_end, &rested_end);
+        let is_visible = seen_rad > VISIBLE_RAD;
         let [of_obeyed_rad, of_rested_rad] =
             [obeyed, rested].map(|place| distance_rad(&measured, &place));
         let is_believed = if was_silent {
             !is_visible || of_rested_rad <= of_obeyed_rad
         } else {
-            is_visible && of_rested_rad < SHOWN_SHARE * of_obeyed_rad
+            is_visible
+                && unseen_rad <= seen_rad.max(UNSEEN_RAD)
+                && of_rested_rad < SHOWN_SHARE * of_obeyed_rad
         };
         if !is_believed {
             return;

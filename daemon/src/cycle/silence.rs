@@ -14,7 +14,7 @@ pub(super) struct SilenceWatch {
     valid_ns: u64,
     /// Time of the last used measurement, and the release at which it was used \[ns\].
     last: Option<(u64, u64)>,
-    /// The rest that the last measurement stated \[ns\].
+    /// The rest that was stated last \[ns\].
     stated_ns: [u64; 2],
 }
 
@@ -47,7 +47,10 @@ impl SilenceWatch {
     /// Takes a measurement that is used at this release. The motors may have rested in a silence before it, and else as
     /// the driver states. A rest that begins within the one stated before is no rest: it would have begun with that.
     pub(super) fn rest(&mut self, timed: &TimedMeasurement, release_ns: u64) -> Option<Rest> {
-        let before_ns = core::mem::replace(&mut self.stated_ns, timed.rested_ns);
+        let before_ns = self.stated_ns;
+        if timed.rested_ns != [0; 2] {
+            self.stated_ns = timed.rested_ns;
+        }
         if let Some(ages_s) = self.silence_s(timed.measured_ns, release_ns) {
             return Some(Rest {
                 was_silent: true,
@@ -152,12 +155,14 @@ mod tests {
             let ages_ms = [start, end].map(|age_s| (age_s * 1e3).round());
             Some((rest.was_silent, ages_ms))
         };
-        assert_eq!(rest(100, [0, 0]), None);
+        assert_eq!(rest(100, [1, 1]), None, "it states none");
         assert_eq!(rest(105, [80, 104]), Some((false, [5.0, 29.0])));
         assert_eq!(rest(110, [80, 120]), Some((false, [0.0, 34.0])));
         assert_eq!(rest(115, [90, 115]), None, "always lately");
         assert_eq!(rest(120, [90, 120]), Some((false, [4.0, 34.0])));
-        assert_eq!(rest(140, [1, 140]), Some((true, [4.0, 5.0])));
+        assert_eq!(rest(125, [0, 0]), None);
+        assert_eq!(rest(130, [100, 130]), None, "or nothing, in turn");
+        assert_eq!(rest(150, [1, 150]), Some((true, [4.0, 5.0])));
         assert_eq!(rest(645, [80, 140]).map(|rest| rest.0), Some(true));
         assert_eq!(rest(650, [80, 140]), None, "long over");
     }

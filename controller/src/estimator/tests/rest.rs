@@ -55,3 +55,153 @@ fn a_stated_rest_that_noise_hides_is_not_lost() {
     assert!(loses(0.1, &short_s, false).abs() < 1e-9);
     assert!((loses(0.1, &short_s, true) - 0.1).abs() < 1e-9);
 }
+
+#[test]
+fn a_stated_rest_of_which_much_more_is_under_way_than_seen_is_left_to_a_later_statement() {
+    let lost_s = |age_s: f64, seen_s: f64| {
+        let mut estimator = moving(0.0).0;
+        let rates = BendRates::from_slice(&[RATE_RAD_S, 0.0]).unwrap();
+        let led = *estimator.motors();
+        let measured = Measurement::Configuration(led.advanced(&rates, -age_s - seen_s));
+        estimator.rested(&robot(1), &measured, age_s, &(0.0..age_s + seen_s), false);
+        (led.as_slice()[0] - estimator.motors().as_slice()[0]) / RATE_RAD_S
+    };
+    assert!((lost_s(0.03, 0.02) - 0.05).abs() < 1e-9);
+    assert_eq!(lost_s(0.1, 0.02), 0.0);
+    assert!((lost_s(0.1, 0.11) - 0.21).abs() < 1e-9);
+}
+
+/// Motors behind a driver, in steps of a millisecond.
+struct Motors {
+    actuator: Actuator,
+    scale: f64,
+    /// Commanded positions, and where the motors were \[rad\].
+    commanded_rad: Vec<f64>,
+    place_rad: Vec<f64>,
+}
+
+impl Motors {
+    fn at(places_rad: &[f64], ago_ms: usize) -> f64 {
+        places_rad[places_rad.len().saturating_sub(ago_ms + 1)]
+    }
+
+    /// One period at this rate.
+    fn go(&mut self, rate_rad_s: f64) {
+        let lags_ms = self.actuator.time_constant_s * 1e3;
+        let delay_ms = (self.actuator.delay_s * 1e3).round() as usize;
+        for _ in 0..5 {
+            let next_rad = Self::at(&self.commanded_rad, 0) + self.scale * rate_rad_s * 1e-3;
+            self.commanded_rad.push(next_rad);
+            let (to_rad, at_rad) = (
+                Self::at(&self.commanded_rad, delay_ms),
+                Self::at(&self.place_rad, 0),
+            );
+            self.place_rad
+                .push(to_rad + (at_rad - to_rad) * (-1.0 / lags_ms).exp());
+        }
+    }
+}
+
+/// By how much false statements may lead the estimate away: docs/model.md.
+const FARTHER_RAD: f64 = 0.12;
+
+/// What a driver states in this period, as ages \[s\].
+type Stated = fn(usize) -> Option<Range<f64>>;
+
+const FALSE: [(&str, Stated); 7] = [
+    ("a period", |_| Some(0.0..PERIOD_S)),
+    ("30 ms", |_| Some(0.0..0.03)),
+    ("30 ms or nothing", |cycle| {
+        (cycle % 2 == 0).then_some(0.0..0.03)
+    }),
+    ("150 ms or nothing", |cycle| {
+        (cycle % 2 == 0).then_some(0.0..0.15)
+    }),
+    ("since the beginning", |cycle| {
+        Some(0.0..cycle as f64 * PERIOD_S)
+    }),
+    ("within the delay", |_| Some(0.0..0.01)),
+    ("long ago", |_| Some(0.1..0.15)),
+];
+
+/// How much farther the estimate is from the true bends at any release, at most, with these false statements than without \[rad\]. The motors
+/// have this delay, lag and scale, another delay and 20 ms of lag are configured, and they may lose the last of 24 commands each.
+fn farther_rad(
+    (configured_s, delay_s, time_constant_s, scale): (f64, f64, f64, f64),
+    hertz: f64,
+    lost_of_24: usize,
+    stated: Stated,
+) -> f64 {
+    const AGE_MS: usize = 4;
+    let robot = robot(1);
+    let configured = Actuator {
+        delay_s: configured_s,
+        time_constant_s: 0.02,
+        play_m: 0.0,
+    };
+    let mut motors = Motors {
+        actuator: Actuator {
+            delay_s,
+            time_constant_s,
+            play_m: 0.0,
+        },
+        scale,
+        commanded_rad: vec![0.0],
+        place_rad: vec![0.0],
+    };
+    let mut estimators = [(); 2].map(|()| {
+        let estimator = Estimator::new(Configuration::straight(1)).with_time_constant(0.18);
+        estimator.with_actuator(&robot, configured)
+    });
+    let (mut state, mut farther_rad) = (7, 0.0_f64);
+    for cycle in 0..1000 {
+        let noise_rad = 1e-3 * noise(&mut state);
+        let bends = [Motors::at(&motors.place_rad, AGE_MS) + noise_rad, 0.0];
+        let measured = Measurement::Configuration(Configuration::from_slice(&bends).unwrap());
+        let age_s = AGE_MS as f64 * 1e-3;
+        if let Some(ages_s) = stated(cycle) {
+            estimators[1].rested(&robot, &measured, age_s, &ages_s, false);
+        }
+        let truth_rad = Motors::at(&motors.place_rad, 0);
+        let turn_s = cycle as f64 * PERIOD_S;
+        let rate_rad_s = RATE_RAD_S * (core::f64::consts::TAU * hertz * turn_s).sin();
+        let errors_rad = estimators.each_mut().map(|estimator| {
+            estimator.correct(&robot, &measured, age_s);
+            let error_rad = estimator.present().as_slice()[0] - truth_rad;
+            estimator.predict(
+                &BendRates::from_slice(&[rate_rad_s, 0.0]).unwrap(),
+                PERIOD_S,
+            );
+            error_rad.abs()
+        });
+        farther_rad = farther_rad.max(errors_rad[1] - errors_rad[0]);
+        let is_lost = cycle % 24 >= 24 - lost_of_24;
+        motors.go(if is_lost { 0.0 } else { rate_rad_s });
+    }
+    farther_rad
+}
+
+#[test]
+fn false_statements_lead_the_estimate_away_by_a_bounded_distance() {
+    let mut farthest_rad = 0.0_f64;
+    for motors in [
+        (0.01, 0.01, 0.02, 1.0),
+        (0.01, 0.01, 0.02, 0.85),
+        (0.01, 0.03, 0.1, 1.0),
+        (0.01, 0.03, 0.1, 0.85),
+        (0.1, 0.1, 0.02, 1.0),
+        (0.1, 0.1, 0.02, 0.85),
+    ] {
+        for (name, stated) in FALSE {
+            let mut most = 0.0_f64;
+            for hertz in [0.25, 0.5, 1.0, 2.0] {
+                for lost in [0, 6] {
+                    most = most.max(farther_rad(motors, hertz, lost, stated));
+                }
+            }
+            println!("{motors:?}, {name}: {most} rad farther");
+            farthest_rad = farthest_rad.max(most);
+        }
+    }
+    assert!(farthest_rad < FARTHER_RAD, "{farthest_rad} rad");
+}
