@@ -160,16 +160,16 @@ pub fn measurement(
     if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
         return Err(Refused::whole(Outcome::InTheFuture));
     }
-    let mut rested_ns = [message.rested_from_ns, message.rested_until_ns];
+    let rested_ns = match interface {
+        codes::Interface::Velocity => [message.rested_from_ns, message.rested_until_ns],
+        // Motors that follow positions make up for a rest.
+        _ => [0; 2],
+    };
     if rested_ns[1] > now_ns + CLOCK_TOLERANCE_NS {
         return Err(Refused::whole(Outcome::InTheFuture));
     }
     if !rested_ns.is_sorted() {
         return Err(Refused::whole(Outcome::OutOfRange));
-    }
-    // Motors that follow positions make up for a rest.
-    if interface == codes::Interface::Position {
-        rested_ns = [0; 2];
     }
     let sane = |values: &[f64]| {
         let refused = |outcome| move |index| Err(Refused::at(outcome, index));

@@ -275,16 +275,37 @@ mod tests {
         assert_eq!(with(|m| m.sections = 2), Err(Outcome::WrongRobot));
         let future = with(|m| m.measured_ns = 10_000_000);
         assert_eq!(future, Err(Outcome::InTheFuture));
-        let rested = with(|m| [m.rested_from_ns, m.rested_until_ns] = [70, 80]);
-        assert_eq!(rested, Ok(()));
-        let disordered = with(|m| m.rested_from_ns = 1);
-        assert_eq!(disordered, Err(Outcome::OutOfRange));
-        let future = with(|m| m.rested_until_ns = 10_000_000);
-        assert_eq!(future, Err(Outcome::InTheFuture));
         assert_eq!(with(|m| m.reserved = 1), Err(Outcome::UnknownCode));
         assert_eq!(with(|m| m.kind = 0), Err(Outcome::UnknownCode));
         let speeds = with(|m| m.interface = codes::Interface::Velocity.code());
         assert_eq!(speeds, Err(Outcome::WrongInterface));
+    }
+
+    #[test]
+    fn a_stated_rest_is_checked_where_speeds_are_obeyed_and_else_ignored() {
+        let stated = |interface: codes::Interface, rested_ns: [u64; 2]| {
+            let message = wire::Measurement {
+                kind: codes::MeasurementKind::Configuration.code(),
+                sections: 1,
+                interface: interface.code(),
+                measured_ns: 90,
+                rested_from_ns: rested_ns[0],
+                rested_until_ns: rested_ns[1],
+                ..Default::default()
+            };
+            let taken = measurement(&message, &trunk(), interface, 100);
+            taken
+                .map(|timed| timed.rested_ns)
+                .map_err(|refused| refused.outcome)
+        };
+        for (rested_ns, of_speeds) in [
+            ([70, 80], Ok([70, 80])),
+            ([80, 70], Err(Outcome::OutOfRange)),
+            ([70, 10_000_000], Err(Outcome::InTheFuture)),
+        ] {
+            assert_eq!(stated(codes::Interface::Velocity, rested_ns), of_speeds);
+            assert_eq!(stated(codes::Interface::Position, rested_ns), Ok([0; 2]));
+        }
     }
 
     #[test]
