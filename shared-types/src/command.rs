@@ -57,6 +57,6 @@ impl Command {
     pub fn rest_ns(&self, taken_ns: u64, now_ns: u64) -> Option<Range<u64>> {
         let from_ns = self.valid_until_ns.max(taken_ns);
         let late_ns = taken_ns.saturating_sub(self.release_ns);
-        (now_ns >= from_ns).then(|| from_ns - late_ns..now_ns - late_ns)
+        (now_ns > from_ns).then(|| from_ns - late_ns..now_ns - late_ns)
     }
 }

@@ -198,13 +198,22 @@ impl CommandFollower {
     }
 
     /// The newest time until `now_ns` in which the motors rested because their command had run out, for
-    /// [`Measurement::rested_from_ns`]. Empty at 0: none since the first command, or since [`forget`](Self::forget).
+    /// [`Measurement::rested_from_ns`]. Rests less than a period apart are one. Empty at 0: none since the first command, or since [`forget`](Self::forget).
     /// For a driver that obeys [`Interface::Velocity`].
     pub fn rest_ns(&self, now_ns: u64) -> Range<u64> {
-        let present = self.present.as_ref();
-        present
-            .and_then(|present| present.command.rest_ns(present.begin_ns, now_ns))
-            .unwrap_or(self.rested_ns.clone())
+        let before_ns = self.rested_ns.clone();
+        let rest_ns = self.present.as_ref().and_then(|present| {
+            let Present { command, .. } = present;
+            let rest_ns = command.rest_ns(present.begin_ns, now_ns)?;
+            let gap_ns = rest_ns.start.saturating_sub(before_ns.end);
+            let is_one = !before_ns.is_empty() && gap_ns < command.target_ns - command.release_ns;
+            Some(if is_one {
+                before_ns.start..rest_ns.end.max(before_ns.end)
+            } else {
+                rest_ns
+            })
+        });
+        rest_ns.unwrap_or(before_ns)
     }
 
     /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to

@@ -23,7 +23,7 @@ fn nothing_is_stated_before_the_first_command_has_run_out() {
 #[test]
 fn motors_rest_from_the_end_of_a_command_to_the_next_one() {
     let mut follower = moving();
-    assert_eq!(follower.rest_ns(69 * MS), 0..0);
+    assert_eq!(follower.rest_ns(70 * MS), 0..0);
     // Times of the commands: each is obeyed 1 ms after its release.
     assert_eq!(follower.rest_ns(80 * MS), 69 * MS..79 * MS);
     // The daemon has sent commands all the time. The oldest valid one ends the rest.
@@ -35,6 +35,15 @@ fn motors_rest_from_the_end_of_a_command_to_the_next_one() {
     take(&mut follower, &velocity(21, 1.0)).unwrap();
     assert_eq!(follower.rest_ns(110 * MS), 69 * MS..100 * MS);
     assert_eq!(follower.rest_ns(130 * MS), 119 * MS..129 * MS);
+}
+
+#[test]
+fn a_short_rest_soon_after_a_long_one_is_part_of_it() {
+    let mut follower = moving();
+    // It is valid until 105 ms, and obeyed 11 ms after its release.
+    follower.take(&velocity(18, 1.0), 101 * MS).unwrap();
+    assert_eq!(follower.rest_ns(106 * MS), 69 * MS..100 * MS);
+    assert_eq!(follower.rest_ns(115 * MS), 69 * MS..104 * MS);
 }
 
 #[test]
