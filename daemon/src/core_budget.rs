@@ -176,13 +176,6 @@ impl RecentCosts {
         self.noted = (self.noted + 1).min(REMEMBERED);
     }
 
-    /// Notes somewhat less than [`high_by_clock_ns`](Self::high_by_clock_ns) for work that was omitted because
-    /// of it. Otherwise the work would be omitted forever after a few slow cycles.
-    pub fn note_omitted(&mut self) {
-        let high_ns = self.high_by_clock_ns();
-        self.note(high_ns - high_ns / 16);
-    }
-
     /// The largest cost on the thread's clock, except a few attributed to stalls \[ns\].
     pub fn high_on_core_ns(&self) -> u64 {
         self.largest_but_ns(STALLS)
@@ -299,26 +292,6 @@ mod tests {
             recent.note(20);
         }
         assert_eq!(recent.high_on_core_ns(), 20);
-    }
-
-    #[test]
-    fn work_omitted_for_its_cost_is_tried_again_the_later_the_more_it_cost() {
-        let turns_until_it_fits = |cost_ns: u64| {
-            let mut recent = RecentCosts::default();
-            for _ in 0..10 {
-                recent.note(cost_ns);
-            }
-            let is_omitted = |_: &usize| {
-                let is_omitted = recent.high_by_clock_ns() >= 57 * US;
-                recent.note_omitted();
-                is_omitted
-            };
-            (0..100_000).take_while(is_omitted).count()
-        };
-        assert_eq!(turns_until_it_fits(50 * US), 0);
-        let by_cost = [60, 120, 1000].map(|cost_us| turns_until_it_fits(cost_us * US));
-        assert!(by_cost.is_sorted() && by_cost[0] >= 100, "{by_cost:?}");
-        assert!(by_cost[2] < 10_000, "{by_cost:?}");
     }
 
     #[test]

@@ -112,7 +112,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
 /// Values that are probably in another unit.
 fn of_units(config: &Config) -> Vec<String> {
     let (motion, actuator) = (&config.motion, &config.actuator);
-    let is_short = |ms: f64| ms > 0.0 && ms < 0.1 * config.cycle.period_ms;
+    let is_short = |ms: f64| ms > 0.0 && ms < 0.5_f64.min(0.1 * config.cycle.period_ms);
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
     [
@@ -142,8 +142,7 @@ fn of_units(config: &Config) -> Vec<String> {
         (
             stroke_m > STROKE_M_MAX.max(full_m),
             format!(
-                "robot.cable_stroke_max_m = {stroke_m} limits nothing: at full bend no cable moves by more than {full_m:.3} m; \
-                 in millimetres?"
+                "robot.cable_stroke_max_m = {stroke_m}: in millimetres? At full bend no cable moves by more than {full_m:.3} m"
             ),
         ),
     ]

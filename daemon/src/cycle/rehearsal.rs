@@ -4,7 +4,8 @@
 //! times as long. Time before a release does not count towards the response time. No later command depends on
 //! a rehearsal: the plan is restored, the estimate is a separate one, and other results are discarded.
 //!
-//! Each part runs only if it will end before the release, by its recent costs.
+//! Each part runs only if it will end before the release, by its recent costs. A part that takes too long is tried
+//! again after a while; such a trial may delay its release by the cost of the part.
 
 use std::hint::black_box;
 
@@ -22,17 +23,22 @@ use crate::rt::clock::Clock;
 /// Time reserved before a release at least: the solver checks its budget more often than this
 /// ([`QUANTUM_NS`](cdcr_controller::optimizer::QUANTUM_NS)).
 const GAP_MIN_NS: u64 = 5000;
+/// Cycles without a part until it is tried again: at first, and at most. Each failed trial doubles it.
+const WAIT: u32 = 200;
+const WAIT_MAX: u32 = 25_600;
+/// So often the cost of a trial is noted: [`RecentCosts`] takes a few of the largest for stalls.
+const BELIEVED: usize = 8;
 
 #[derive(Debug)]
 pub(super) struct Rehearsal {
     /// Separate state that only rehearsals advance and read.
     pub(super) state: RobotState,
-    /// The next cycle was rehearsed.
+    /// A part of the next cycle was rehearsed.
     pub(super) took_place: bool,
     /// Longest time between two checks of the clock in each solve.
-    gaps: RecentCosts,
-    /// Cost of the part that does not check the clock.
-    costs: RecentCosts,
+    solve_gap: Part,
+    /// What does not check the clock.
+    rest: Part,
 }
 
 impl Rehearsal {
@@ -40,16 +46,70 @@ impl Rehearsal {
         Self {
             state,
             took_place: false,
-            gaps: RecentCosts::default(),
+            solve_gap: Part::default(),
+            rest: Part::default(),
+        }
+    }
+}
+
+/// Recent costs of a part, and when it is tried again though they are too high.
+#[derive(Debug)]
+struct Part {
+    costs: RecentCosts,
+    omitted: u32,
+    wait: u32,
+    is_trial: bool,
+}
+
+impl Default for Part {
+    fn default() -> Self {
+        Self {
             costs: RecentCosts::default(),
+            omitted: 0,
+            wait: WAIT,
+            is_trial: false,
+        }
+    }
+}
+
+impl Part {
+    fn high_ns(&self) -> u64 {
+        self.costs.high_by_clock_ns()
+    }
+
+    /// Whether the part begins with `left_ns` before the release.
+    fn begins(&mut self, left_ns: u64) -> bool {
+        if self.high_ns() < left_ns {
+            self.omitted = 0;
+            return true;
+        }
+        self.omitted += 1;
+        self.is_trial = self.omitted >= self.wait;
+        self.is_trial
+    }
+
+    /// Notes its cost, having begun with `left_ns` before the release.
+    fn note(&mut self, cost_ns: u64, left_ns: u64) {
+        if !core::mem::take(&mut self.is_trial) {
+            return self.costs.note(cost_ns);
+        }
+        self.omitted = 0;
+        self.wait = if cost_ns < left_ns {
+            WAIT
+        } else {
+            (2 * self.wait).min(WAIT_MAX)
+        };
+        self.costs = RecentCosts::default();
+        for _ in 0..BELIEVED {
+            self.costs.note(cost_ns);
         }
     }
 }
 
 impl Cycle {
     /// Solves, estimates and checks once with the inputs known before `release_ns`, the release of `cycle`,
-    /// solves again in the rest of the time, and discards the results. The solve is first: it is the longest
-    /// part and can be cut.
+    /// solves again in the rest of the time, and discards the results. The first solve leaves time for estimate
+    /// and checks.
     pub fn rehearse(
         &mut self,
         cycle: u64,
@@ -57,31 +117,35 @@ impl Cycle {
         inputs: &CycleInputs,
         clock: &impl Clock,
     ) {
-        self.rehearsal.took_place = true;
-        let _ = self.rehearse_solve(cycle, release_ns, inputs, clock)
-            && self.rehearse_rest(cycle, release_ns, inputs, clock)
-            && self.rehearse_solve(cycle, release_ns, inputs, clock);
+        if clock.now_ns() + GAP_MIN_NS >= release_ns {
+            return;
+        }
+        let rest_ns = release_ns.saturating_sub(self.rehearsal.rest.high_ns());
+        let parts = [
+            self.rehearse_solve(cycle, rest_ns, inputs, clock),
+            self.rehearse_rest(cycle, release_ns, inputs, clock),
+            self.rehearse_solve(cycle, release_ns, inputs, clock),
+        ];
+        self.rehearsal.took_place = parts.contains(&true);
     }
 
-    /// Solves from the state expected at the release until shortly before it. Returns whether there was time
-    /// to begin.
+    /// Solves from the state expected at the release until shortly before `until_ns`. Returns whether there was
+    /// time to begin.
     fn rehearse_solve(
         &mut self,
         cycle: u64,
-        release_ns: u64,
+        until_ns: u64,
         inputs: &CycleInputs,
         clock: &impl Clock,
     ) -> bool {
-        if !matches!(self.modes.mode(), Mode::Tracking { .. }) {
-            return true;
-        }
-        let gap_ns = self.rehearsal.gaps.high_by_clock_ns().max(GAP_MIN_NS);
-        let end_ns = release_ns.saturating_sub(gap_ns);
-        let mut checked_ns = clock.now_ns();
-        if checked_ns >= end_ns {
-            self.rehearsal.gaps.note_omitted();
+        let begin_ns = clock.now_ns();
+        let left_ns = until_ns.saturating_sub(begin_ns);
+        let is_tracking = matches!(self.modes.mode(), Mode::Tracking { .. });
+        if !is_tracking || left_ns <= GAP_MIN_NS || !self.rehearsal.solve_gap.begins(left_ns) {
             return false;
         }
+        let gap_ns = self.rehearsal.solve_gap.high_ns().max(GAP_MIN_NS);
+        let end_ns = begin_ns + left_ns.saturating_sub(gap_ns);
         let period_s = self.period_ns as f64 * 1e-9;
         let settings = self.nmpc.settings();
         let input = SolveInput {
@@ -93,7 +157,7 @@ impl Cycle {
             elapsed_periods: 1,
             seed: cycle_seed(settings.seed, cycle),
         };
-        let mut longest_gap_ns = 0;
+        let (mut checked_ns, mut longest_gap_ns) = (begin_ns, 0);
         let mut is_spent = || {
             let now_ns = clock.now_ns();
             longest_gap_ns = longest_gap_ns.max(now_ns - checked_ns);
@@ -102,11 +166,11 @@ impl Cycle {
         };
         self.nmpc.rehearse(&input, &mut Budget::new(&mut is_spent));
         is_spent();
-        self.rehearsal.gaps.note(longest_gap_ns);
+        self.rehearsal.solve_gap.note(longest_gap_ns, left_ns);
         true
     }
 
-    /// Rehearses what a cycle does beside its solve. Returns whether the release was still ahead.
+    /// Rehearses what a cycle does beside its solve. Returns whether there was time to begin.
     fn rehearse_rest(
         &mut self,
         cycle: u64,
@@ -115,14 +179,15 @@ impl Cycle {
         clock: &impl Clock,
     ) -> bool {
         let begin_ns = clock.now_ns();
-        if begin_ns + self.rehearsal.costs.high_by_clock_ns() >= release_ns {
-            self.rehearsal.costs.note_omitted();
-            return begin_ns < release_ns;
+        let left_ns = release_ns.saturating_sub(begin_ns);
+        if !self.rehearsal.rest.begins(left_ns) {
+            return false;
         }
         self.rehearse_estimate(release_ns, inputs);
         black_box(inputs.window.get(cycle));
         black_box(safe_command(&self.situation(false), &self.rates));
-        self.rehearsal.costs.note(clock.now_ns() - begin_ns);
+        let cost_ns = clock.now_ns() - begin_ns;
+        self.rehearsal.rest.note(cost_ns, left_ns);
         true
     }
 
@@ -140,5 +205,46 @@ impl Cycle {
         state.measure_tip(inputs.tip, inputs.tip_sensors, release_ns);
         state.locate(self.period_ns);
         black_box(state.tip());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const US: u64 = 1000;
+    const LEFT_NS: u64 = 57 * US;
+
+    /// Cycles of `count` in which a part of `cost_ns` runs.
+    fn runs(part: &mut Part, count: usize, cost_ns: u64) -> Vec<usize> {
+        let mut ran = Vec::new();
+        for cycle in 0..count {
+            if part.begins(LEFT_NS) {
+                part.note(cost_ns, LEFT_NS);
+                ran.push(cycle);
+            }
+        }
+        ran
+    }
+
+    #[test]
+    fn a_part_that_takes_too_long_is_tried_ever_more_rarely() {
+        let mut part = Part::default();
+        let ran = runs(&mut part, 200_000, 80 * US);
+        let trials: Vec<_> = ran.into_iter().filter(|cycle| *cycle > 10).collect();
+        let apart: Vec<_> = trials.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(apart.is_sorted(), "{apart:?}");
+        assert_eq!(apart[0], 2 * WAIT as usize);
+        assert_eq!(apart.last(), Some(&(WAIT_MAX as usize)));
+    }
+
+    #[test]
+    fn a_part_that_was_too_slow_for_a_while_runs_again() {
+        let mut part = Part::default();
+        runs(&mut part, 300, 80 * US);
+        let ran = runs(&mut part, 2000, 20 * US);
+        let after = ran[0];
+        assert!(after <= 2 * WAIT as usize, "{after}");
+        assert_eq!(ran.len(), 2000 - after);
     }
 }

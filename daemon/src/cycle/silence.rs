@@ -48,7 +48,8 @@ impl SilenceWatch {
     /// the driver states. A rest that begins within the one stated before is no rest: it would have begun with that.
     pub(super) fn rest(&mut self, timed: &TimedMeasurement, release_ns: u64) -> Option<Rest> {
         let before_ns = self.stated_ns;
-        if timed.rested_ns != [0; 2] {
+        // Nothing is stated by a rest without a duration.
+        if timed.rested_ns[0] < timed.rested_ns[1] {
             self.stated_ns = timed.rested_ns;
         }
         if let Some(ages_s) = self.silence_s(timed.measured_ns, release_ns) {

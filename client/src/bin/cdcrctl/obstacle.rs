@@ -34,7 +34,10 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
             let obstacle = obstacle(add, monotonic_ns());
             check(&obstacle, &connection.status(TIMEOUT)?, add.far, true)?;
             let done = change(&connection, |sender| sender.upsert(&[obstacle]))?;
-            note_clearance(&newest(&connection)?);
+            // The obstacle is known, whatever becomes of this.
+            if let Ok(record) = newest(&connection) {
+                note_clearance(&record);
+            }
             Ok(done)
         }
         ObstacleAction::List(options) => list(&connection, options.format),
@@ -71,7 +74,7 @@ fn note_clearance(record: &Telemetry) {
         let consequence = if record.clearance_m < record.clearance_fault_m {
             "which is a fault"
         } else {
-            "and no command brings it nearer"
+            "and a robot at rest does not evade"
         };
         tell!(
             "note: the body is {} mm from an obstacle, nearer than the safe distance of {} mm, {consequence}",

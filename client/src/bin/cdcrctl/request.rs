@@ -45,15 +45,11 @@ fn not_stopped(error: StopError) -> anyhow::Error {
     let ConnectError::DaemonNotRunning { place, found, .. } = connect else {
         return error.into();
     };
-    let elsewhere = connect.elsewhere();
-    let robot = if elsewhere.is_empty() {
-        "if the robot moves, use its emergency stop: without a daemon, it rests when its last command ends. "
-    } else {
-        &elsewhere
-    };
     anyhow!(
-        "nothing was stopped: no daemon is running for {place}: {found}\n{robot}\
-         A daemon that starts later is not stopped by this: repeat it then"
+        "nothing was stopped: no daemon is running for {place}: {found}\n\
+         if the robot moves, use its emergency stop\n{}\
+         a daemon that starts later is not stopped by this: repeat it then",
+        connect.elsewhere()
     )
 }
 

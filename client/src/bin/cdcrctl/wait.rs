@@ -2,13 +2,14 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
-use cdcr_client::Connection;
+use cdcr_client::{Connection, TelemetryStream};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind, guard};
 use cdcr_shared_types::{Response, Telemetry};
 
 use crate::Done;
 use crate::args::Target;
 use crate::bar::Bar;
+use crate::dry_run::newest;
 use crate::echo::line::clearance_text;
 use crate::interrupt::Interrupt;
 use crate::standstill::Standstill;
@@ -33,18 +34,40 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     let mut telemetry = connection.telemetry()?;
     let interrupt = Interrupt::catch()?;
     let response = connection.request(kind)?;
-    print_outcome(kind, &response)?;
+    let watched = watch(
+        &connection,
+        &mut telemetry,
+        &response,
+        kind,
+        limit,
+        &interrupt,
+    );
+    // Also if an error ended it: a closed terminal takes the output, too.
+    if interrupt.is_raised() && !matches!(watched, Ok(Done::Good)) {
+        return Ok(interrupted(&connection, kind));
+    }
+    watched
+}
+
+/// Waits until the request is done, or an interrupt.
+fn watch(
+    connection: &Connection,
+    telemetry: &mut TelemetryStream,
+    response: &Response,
+    kind: RequestKind,
+    limit: Duration,
+    interrupt: &Interrupt,
+) -> anyhow::Result<Done> {
+    print_outcome(kind, response)?;
     let bar = Bar::new(kind.text());
     bar.show_share(0.0);
     let begun = Instant::now();
     let (mut heard, mut first) = (begun, None);
     let mut standstill = Standstill::default();
     let mut obstructed = String::new();
-    let mut mode = response.mode;
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
-            drop(bar);
-            return Ok(interrupted(&connection, kind, mode));
+            return Ok(Done::Interrupted);
         }
         let Some(record) = telemetry.next_within(INTERRUPT_INTERVAL)? else {
             if heard.elapsed() > QUIET {
@@ -54,10 +77,9 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
             continue;
         };
         heard = Instant::now();
-        if !is_later(&record, &response) {
+        if !is_later(&record, response) {
             continue;
         }
-        mode = record.mode;
         obstructed = obstruction(&record);
         let left = left(kind, &record);
         bar.show_share(1.0 - left / *first.get_or_insert(left.max(f64::MIN_POSITIVE)));
@@ -67,7 +89,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
                 standstill.note(&record);
                 if standstill.is_at_rest() {
                     drop(bar);
-                    return done(kind, &record, &response, &standstill);
+                    return done(kind, &record, response, &standstill);
                 }
             }
             Progress::Lost => bail!(
@@ -76,9 +98,6 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
                 Reason::text_of(record.reason)
             ),
         }
-    }
-    if interrupt.is_raised() {
-        return Ok(interrupted(&connection, kind, mode));
     }
     if let Some(cycle) = standstill.commanded_cycle() {
         let moves = standstill.rate_rad_s().map_or_else(
@@ -95,9 +114,11 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
 }
 
 /// Holds a robot that is on its way home.
-fn interrupted(connection: &Connection, kind: RequestKind, mode: u32) -> Done {
-    if kind != RequestKind::Home || mode != Mode::Homing.code() {
-        tell!("interrupted: the daemon is {}", Mode::text_of(mode));
+fn interrupted(connection: &Connection, kind: RequestKind) -> Done {
+    let elsewhere = newest(connection).map(|record| record.mode);
+    let elsewhere = elsewhere.ok().filter(|mode| *mode != Mode::Homing.code());
+    if kind != RequestKind::Home || elsewhere.is_some() {
+        tell!("interrupted: what was requested continues; end it with cdcrctl hold or stop");
         return Done::Interrupted;
     }
     match connection.request(RequestKind::Hold) {
