@@ -311,7 +311,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
         &[
             "held.csv: ",
             "rows until then",
-            "A client (cdcrctl stop, hold, ...), or the signal SIGUSR1, asked for it",
+            "A client (cdcrctl hold, stop, ...) or the signal SIGUSR1 asked for it",
         ],
     );
     holds(&daemon.connect());
