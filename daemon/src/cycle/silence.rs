@@ -88,7 +88,7 @@ impl SilenceWatch {
 }
 
 /// Age at `release_ns`; below zero if later.
-fn age_s(at_ns: u64, release_ns: u64) -> f64 {
+pub(super) fn age_s(at_ns: u64, release_ns: u64) -> f64 {
     (release_ns as f64 - at_ns as f64) * 1e-9
 }
 

@@ -6,7 +6,7 @@ use cdcr_controller::safety::{
 };
 use nalgebra::Vector3;
 
-use super::silence::{Rest, SilenceWatch};
+use super::silence::{Rest, SilenceWatch, age_s};
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
@@ -210,7 +210,7 @@ impl RobotState {
         {
             self.measurement_fault = Some(Reason::CommonMode);
         }
-        let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
+        let age_s = age_s(measured_ns, release_ns);
         if let Some(Rest { was_silent, ages_s }) = self.silence.rest(&timed, release_ns) {
             let (robot, estimator) = (&self.robot, &mut self.estimator);
             estimator.rested(robot, &measurement, age_s, &ages_s, was_silent);
@@ -264,7 +264,7 @@ impl RobotState {
         let Measurement::TipPosition(position_m) = measurement else {
             return MeasurementUse::None;
         };
-        let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
+        let age_s = age_s(measured_ns, release_ns);
         if self.estimator.correct_tip(&self.robot, &position_m, age_s) {
             MeasurementUse::Used
         } else {
