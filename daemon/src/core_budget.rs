@@ -187,6 +187,11 @@ impl RecentCosts {
         self.largest_but_ns((self.noted / STALLED).max(STALLS))
     }
 
+    /// 0 if there is none \[ns\].
+    pub fn median_ns(&self) -> u64 {
+        self.largest_but_ns(self.noted / 2)
+    }
+
     /// The largest cost below the `left_out` largest ones; 0 if there is none \[ns\].
     fn largest_but_ns(&self, left_out: usize) -> u64 {
         let at = self.noted.checked_sub(1 + left_out);

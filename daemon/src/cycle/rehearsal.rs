@@ -4,8 +4,9 @@
 //! times as long. Time before a release does not count towards the response time. No later command depends on
 //! a rehearsal: the plan is restored, the estimate is a separate one, and other results are discarded.
 //!
-//! Each part runs only if it will end before the release, by its recent costs. A part that takes too long is tried
-//! again after a while; such a trial may delay its release by the cost of the part.
+//! Each part runs only if it will usually end before the release, by the median of its recent costs: one that
+//! ends later delays the cycle by less than it saves. A part that takes too long is tried again after a while;
+//! such a trial may delay its release by the cost of the part.
 
 use std::hint::black_box;
 
@@ -20,14 +21,12 @@ use crate::core_budget::RecentCosts;
 use crate::handover::{CycleInputs, TimedMeasurement};
 use crate::rt::clock::Clock;
 
-/// Time reserved before a release at least: the solver checks its budget more often than this
+/// Time reserved before a release: the solver checks its budget more often than this
 /// ([`QUANTUM_NS`](cdcr_controller::optimizer::QUANTUM_NS)).
 const GAP_MIN_NS: u64 = 5000;
 /// Cycles without a part until it is tried again: at first, and at most. Each failed trial doubles it.
 const WAIT: u32 = 200;
 const WAIT_MAX: u32 = 25_600;
-/// So often the cost of a trial is noted: [`RecentCosts`] takes a few of the largest for stalls.
-const BELIEVED: usize = 8;
 
 #[derive(Debug)]
 pub(super) struct Rehearsal {
@@ -35,10 +34,19 @@ pub(super) struct Rehearsal {
     pub(super) state: RobotState,
     /// A part of the next cycle was rehearsed.
     pub(super) took_place: bool,
-    /// Longest time between two checks of the clock in each solve.
-    solve_gap: Part,
+    /// Longest time between two checks of the clock in each first solve: the code is cold.
+    cold_gap: Part,
+    /// The same in each second solve.
+    warm_gap: Part,
     /// What does not check the clock.
     rest: Part,
+}
+
+/// The first or the second solve before a release.
+#[derive(Debug, Clone, Copy)]
+enum Solve {
+    Cold,
+    Warm,
 }
 
 impl Rehearsal {
@@ -46,8 +54,26 @@ impl Rehearsal {
         Self {
             state,
             took_place: false,
-            solve_gap: Part::default(),
+            cold_gap: Part::default(),
+            warm_gap: Part::default(),
             rest: Part::default(),
+        }
+    }
+
+    fn gap(&mut self, solve: Solve) -> &mut Part {
+        match solve {
+            Solve::Cold => &mut self.cold_gap,
+            Solve::Warm => &mut self.warm_gap,
+        }
+    }
+
+    /// The time that the first solve leaves to the rest, of `left_ns`: none if both do not fit.
+    fn kept_for_rest_ns(&self, left_ns: u64) -> u64 {
+        let rest_ns = self.rest.usual_ns();
+        if self.cold_gap.usual_ns() + rest_ns < left_ns {
+            rest_ns
+        } else {
+            0
         }
     }
 }
@@ -73,13 +99,13 @@ impl Default for Part {
 }
 
 impl Part {
-    fn high_ns(&self) -> u64 {
-        self.costs.high_by_clock_ns()
+    fn usual_ns(&self) -> u64 {
+        self.costs.median_ns()
     }
 
     /// Whether the part begins with `left_ns` before the release.
     fn begins(&mut self, left_ns: u64) -> bool {
-        if self.high_ns() < left_ns {
+        if self.usual_ns() < left_ns {
             self.omitted = 0;
             return true;
         }
@@ -100,16 +126,14 @@ impl Part {
             (2 * self.wait).min(WAIT_MAX)
         };
         self.costs = RecentCosts::default();
-        for _ in 0..BELIEVED {
-            self.costs.note(cost_ns);
-        }
+        self.costs.note(cost_ns);
     }
 }
 
 impl Cycle {
     /// Solves, estimates and checks once with the inputs known before `release_ns`, the release of `cycle`,
     /// solves again in the rest of the time, and discards the results. The first solve leaves time for estimate
-    /// and checks.
+    /// and checks where there is time for both.
     pub fn rehearse(
         &mut self,
         cycle: u64,
@@ -117,14 +141,15 @@ impl Cycle {
         inputs: &CycleInputs,
         clock: &impl Clock,
     ) {
-        if clock.now_ns() + GAP_MIN_NS >= release_ns {
+        let left_ns = release_ns.saturating_sub(clock.now_ns());
+        if left_ns <= GAP_MIN_NS {
             return;
         }
-        let rest_ns = release_ns.saturating_sub(self.rehearsal.rest.high_ns());
+        let rest_ns = release_ns - self.rehearsal.kept_for_rest_ns(left_ns);
         let parts = [
-            self.rehearse_solve(cycle, rest_ns, inputs, clock),
+            self.rehearse_solve(Solve::Cold, cycle, rest_ns, inputs, clock),
             self.rehearse_rest(cycle, release_ns, inputs, clock),
-            self.rehearse_solve(cycle, release_ns, inputs, clock),
+            self.rehearse_solve(Solve::Warm, cycle, release_ns, inputs, clock),
         ];
         self.rehearsal.took_place = parts.contains(&true);
     }
@@ -133,6 +158,7 @@ impl Cycle {
     /// time to begin.
     fn rehearse_solve(
         &mut self,
+        solve: Solve,
         cycle: u64,
         until_ns: u64,
         inputs: &CycleInputs,
@@ -141,11 +167,10 @@ impl Cycle {
         let begin_ns = clock.now_ns();
         let left_ns = until_ns.saturating_sub(begin_ns);
         let is_tracking = matches!(self.modes.mode(), Mode::Tracking { .. });
-        if !is_tracking || left_ns <= GAP_MIN_NS || !self.rehearsal.solve_gap.begins(left_ns) {
+        if !is_tracking || left_ns <= GAP_MIN_NS || !self.rehearsal.gap(solve).begins(left_ns) {
             return false;
         }
-        let gap_ns = self.rehearsal.solve_gap.high_ns().max(GAP_MIN_NS);
-        let end_ns = begin_ns + left_ns.saturating_sub(gap_ns);
+        let end_ns = until_ns - GAP_MIN_NS;
         let period_s = self.period_ns as f64 * 1e-9;
         let settings = self.nmpc.settings();
         let input = SolveInput {
@@ -166,7 +191,7 @@ impl Cycle {
         };
         self.nmpc.rehearse(&input, &mut Budget::new(&mut is_spent));
         is_spent();
-        self.rehearsal.solve_gap.note(longest_gap_ns, left_ns);
+        self.rehearsal.gap(solve).note(longest_gap_ns, left_ns);
         true
     }
 
