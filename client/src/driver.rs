@@ -57,7 +57,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// before the first command and after `valid_until_ns` of the newest one.
 ///
 /// A command that the robot must not follow is refused ([`CommandRefusal`]): counted and reported; the driver
-/// continues. Commands are checked against the robot limits that the daemon had when this driver was opened;
+/// continues. The commands for another driver are among them: a driver whose measurements the daemon refuses rests. Commands are checked against the robot limits that the daemon had when this driver was opened;
 /// a restarted daemon with wider limits does not widen them.
 ///
 /// A driver continues to measure while the daemon is down. The next daemon starts at rest from these
@@ -203,6 +203,9 @@ impl Driver {
         let measured = self.measured.get();
         if let Some(measured) = &measured.bends {
             self.follower.tell_measured(measured);
+        }
+        if measured.has_begun() {
+            self.follower.tell_sender(self.measurements.sender_id());
         }
         let awaits_measurement =
             self.interface == Interface::Position && !measured.may_begin(monotonic_ns());

@@ -34,6 +34,10 @@ impl<T: Message> Outlet<T> {
         Ok(Self { publisher, sender })
     }
 
+    pub(crate) fn sender_id(&self) -> u64 {
+        self.sender.id()
+    }
+
     pub(crate) fn send(&self, mut message: T) -> Result<Header, LinkError> {
         let header = self.sender.next_header(T::SERVICE);
         message.set_header(header);

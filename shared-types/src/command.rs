@@ -16,9 +16,12 @@ message! {
     ///
     /// The daemon sends no command before it knows the robot's configuration, that is before the first measurement. The
     /// robot comes to rest from `valid_until_ns` on, as described there.
-    pub struct Command "cdcr.Command.v2" {
+    pub struct Command "cdcr.Command.v3" {
         /// The daemon, sequence, time of sending.
         header: Header,
+        /// Sender of the measurements on which the commands act. 0: none has been accepted yet, or the robot is simulated. A driver
+        /// that sends measurements follows no command that acts on those of another one.
+        driver_id: u64,
         /// Number of the cycle: its release was at `cycle` periods after the daemon's origin.
         cycle: u64,
         /// Release time of that cycle \[ns, `CLOCK_MONOTONIC`\]; the rates hold from here.

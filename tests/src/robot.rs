@@ -19,6 +19,7 @@ pub struct DrivenRobot {
     driver: PlantDriver,
     model: Robot,
     last_command: Option<Command>,
+    last_refusal: Option<CommandRefusal>,
 }
 
 impl DrivenRobot {
@@ -43,6 +44,7 @@ impl DrivenRobot {
             driver: PlantDriver::new(connection, interface, Some(&at), flaws, SEED).unwrap(),
             model,
             last_command: None,
+            last_refusal: None,
         }
     }
 
@@ -53,6 +55,7 @@ impl DrivenRobot {
             assert!(may_happen(&refusal), "the daemon's command: {refusal}");
         }
         self.last_command = update.command.or(self.last_command);
+        self.last_refusal = update.refused.or(self.last_refusal);
     }
 
     /// Follows, and sends a measurement of the bends.
@@ -109,6 +112,10 @@ impl DrivenRobot {
     pub fn last_command(&self) -> Option<Command> {
         self.last_command
     }
+
+    pub fn last_refusal(&self) -> Option<CommandRefusal> {
+        self.last_refusal
+    }
 }
 
 /// The interface in the configuration of this connection's daemon.
@@ -129,5 +136,6 @@ fn may_happen(refusal: &CommandRefusal) -> bool {
             | CommandRefusal::NotNewer { .. }
             | CommandRefusal::OtherDaemon { .. }
             | CommandRefusal::Elsewhere { .. }
+            | CommandRefusal::OtherDriver { .. }
     )
 }

@@ -16,6 +16,8 @@ pub struct CommandFollower {
     interface: Interface,
     present: Option<Present>,
     measured: Option<Measurement>,
+    /// Sender of this driver's own measurements.
+    own_id: Option<u64>,
     /// The newest rest that is over.
     rested_ns: Range<u64>,
     refusals: u64,
@@ -65,6 +67,7 @@ impl CommandFollower {
             interface,
             present: None,
             measured: None,
+            own_id: None,
             rested_ns: 0..0,
             refusals: 0,
         }
@@ -77,6 +80,12 @@ impl CommandFollower {
         if measurement.kind != MeasurementKind::TipPose.code() {
             self.measured = Some(*measurement);
         }
+    }
+
+    /// Sets the sender id of this driver's measurements. Commands that act on those of another driver are refused
+    /// from then on. Motors whose process measures nothing follow every command.
+    pub fn tell_sender(&mut self, sender_id: u64) {
+        self.own_id = Some(sender_id);
     }
 
     /// Processes a command that arrived at `now_ns`. A command of another daemon is accepted once the present
@@ -156,6 +165,10 @@ impl CommandFollower {
                 commanded: command.interface,
                 driver: self.interface,
             });
+        }
+        let driver_id = command.driver_id;
+        if driver_id != 0 && self.own_id.is_some_and(|own_id| own_id != driver_id) {
+            return Err(CommandRefusal::OtherDriver { driver_id });
         }
         if command.target_ns < command.release_ns {
             return Err(CommandRefusal::Times {

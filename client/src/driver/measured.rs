@@ -23,6 +23,11 @@ impl Measured {
         self
     }
 
+    /// A measurement was sent.
+    pub(super) fn has_begun(&self) -> bool {
+        self.bends.is_some() || self.first_tip_ns.is_some()
+    }
+
     /// A first position may be followed: what is measured of the bends is known. A tip does not show how the
     /// robot is bent, so bends or cables are awaited for as long as the daemon awaits them.
     pub(super) fn may_begin(&self, now_ns: u64) -> bool {

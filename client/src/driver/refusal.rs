@@ -29,6 +29,15 @@ pub enum CommandRefusal {
         /// Interface of the driver.
         driver: Interface,
     },
+    /// The daemon acts on the measurements of another driver: the command is not for these motors.
+    #[error(
+        "the daemon acts on the measurements of another driver ({driver_id:#018x}), not on those of this one: end one of them. \
+         A tip sensor beside a driver needs link.tip_sensor = \"separate\""
+    )]
+    OtherDriver {
+        /// Sender of those measurements.
+        driver_id: u64,
+    },
     /// The target time is before the release.
     #[error("the target of the command is {before_ns} ns before its release")]
     Times {

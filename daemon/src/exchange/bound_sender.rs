@@ -33,9 +33,14 @@ impl BoundSender {
         })
     }
 
+    /// The process bound last.
+    pub(super) fn id(&self) -> Option<u64> {
+        self.last.map(|last| last.sender)
+    }
+
     /// `sender` is the process bound last.
     pub(super) fn is_bound_to(&self, sender: u64) -> bool {
-        self.last.is_some_and(|last| last.sender == sender)
+        self.id() == Some(sender)
     }
 
     /// Binds `sender`, whose measurement was accepted at `now_ns`.

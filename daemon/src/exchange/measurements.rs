@@ -83,6 +83,11 @@ impl Measurements {
         self.newest_tip
     }
 
+    /// Sender id of the driver, once one has been accepted.
+    pub(super) fn driver_id(&self) -> Option<u64> {
+        self.driver.id()
+    }
+
     /// Number of drivers so far.
     pub(super) fn drivers(&self) -> u64 {
         self.drivers

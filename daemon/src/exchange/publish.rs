@@ -64,6 +64,7 @@ impl Exchange {
         let is_known = record.measurement.is_some() && record.configuration.is_finite();
         let mut command = wire::Command {
             header: self.header(0, now_ns),
+            driver_id: self.measurements.driver_id().unwrap_or(0),
             ..convert::command(record, &self.robot, self.timing.period_ns)
         };
         if is_newest && is_known && is_worth_sending(&command, now_ns) {

@@ -150,6 +150,13 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
     Ok(())
 }
 
+/// The largest following error of a section (rad).
+pub(crate) fn following_error_rad(status: &Status) -> f64 {
+    let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
+    let errors_rad = status.following_error_rad[..sections].iter();
+    errors_rad.copied().fold(0.0, f64::max)
+}
+
 /// Tip position, error to the reference, and following error.
 fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
@@ -166,11 +173,7 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         let error = 1e3 * status.measured_error_m;
         write!(out, "; measured {error:.3} mm from it")?;
     }
-    let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
-    let largest_rad = status.following_error_rad[..sections]
-        .iter()
-        .copied()
-        .fold(0.0, f64::max);
+    let largest_rad = following_error_rad(status);
     let largest_m = status
         .following_error_m
         .iter()

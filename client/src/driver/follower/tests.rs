@@ -55,6 +55,36 @@ fn command(interface: Interface, cycle: u64, u_rad: f64, rate_rad_s: f64) -> Com
     command
 }
 
+/// Of two drivers of one robot the daemon follows the measurements of one; the other one's motors must rest.
+#[test]
+fn a_command_for_another_driver_is_refused_by_one_that_measures() {
+    const OWN: u64 = 0xd1;
+    for interface in [Interface::Velocity, Interface::Position] {
+        let of = |cycle, driver_id| Command {
+            driver_id,
+            ..command(interface, cycle, 0.0, 0.1)
+        };
+        let mut follower = CommandFollower::new(&robot(), interface);
+        let mut take = |command: Command| follower.take(&command, command.release_ns + 1);
+        assert_eq!(
+            take(of(1, OTHER)),
+            Ok(()),
+            "a process that measures nothing"
+        );
+        let mut follower = CommandFollower::new(&robot(), interface);
+        follower.tell_sender(OWN);
+        let mut take = |command: Command| follower.take(&command, command.release_ns + 1);
+        let refusal = CommandRefusal::OtherDriver { driver_id: OTHER };
+        assert_eq!(take(of(1, OTHER)), Err(refusal));
+        assert_eq!(take(of(2, 0)), Ok(()), "no driver is known yet");
+        assert_eq!(take(of(3, OWN)), Ok(()));
+        assert_eq!(take(of(4, OTHER)), Err(refusal));
+        let rests_ns = 4 * PERIOD_NS + VALID_NS;
+        assert_eq!(follower.rates_at(rests_ns), CommandedRates::default());
+        assert_eq!(follower.refusals(), 2);
+    }
+}
+
 fn position(cycle: u64, u_rad: f64) -> Command {
     command(Interface::Position, cycle, u_rad, 0.0)
 }

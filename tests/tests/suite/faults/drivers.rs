@@ -1,8 +1,9 @@
 //! Faults of drivers: a killed driver, and two at once.
 
+use cdcr_client::CommandRefusal;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{ask_for, wait_status};
+use cdcr_tests::{ask_for, wait_status, wait_until};
 use rustix::process::Signal;
 
 use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
@@ -42,16 +43,14 @@ fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
         let mut first = Robot::new(&connection, 1.0);
         first.until_held(&mut trail);
         // The other driver measures another robot.
-        let second = Robot::new(&other, -1.0);
-        let measure = || {
-            second.measure(OTHER_RAD);
-        };
+        let mut second = Robot::new(&other, -1.0);
         let mut records = 0;
         trail.until_while(
             "both measure",
             || {
                 first.turn();
-                measure();
+                second.measure(OTHER_RAD);
+                second.follow();
             },
             |record| {
                 assert_eq!(record.mode, Mode::Holding.code());
@@ -66,12 +65,33 @@ fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
         );
         let code = Outcome::OtherDriver.code() as usize;
         wait_status(&connection, |status| status.outcomes[code] > 10);
+        // It received every command, and followed none.
+        let refusal = second.last_refusal();
+        assert!(
+            matches!(refusal, Some(CommandRefusal::OtherDriver { .. })),
+            "{refusal:?}"
+        );
+        assert_eq!(second.last_command(), None);
         // The first driver falls silent. This is a fault before the other driver is accepted.
+        let measure = || {
+            second.measure(OTHER_RAD);
+        };
         let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
         assert_eq!(now.reason, Reason::MeasurementLost.code());
         assert!((now.bend_rad[0] - 1.0).abs() < SENSED_RAD);
         trail.until_while("the other has the robot", measure, |record| {
             record.measurement.bend_rad[0].to_bits() == OTHER_RAD[0].to_bits()
+        });
+        // The commands are for it from now on.
+        wait_until("it follows", || {
+            second.measure(OTHER_RAD);
+            second.follow();
+            let is_elsewhere = matches!(
+                second.last_refusal(),
+                Some(CommandRefusal::Elsewhere { .. })
+            );
+            // Positions begin where the first robot was, until a reset.
+            second.last_command().is_some() || is_elsewhere
         });
         Some(())
     });

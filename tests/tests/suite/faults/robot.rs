@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, monotonic_ns};
+use cdcr_client::{CommandRefusal, Connection, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason, RequestKind};
 use cdcr_shared_types::{Command, Measurement, Telemetry};
@@ -90,6 +90,10 @@ impl Robot {
 
     pub(crate) fn last_command(&self) -> Option<Command> {
         self.robot.last_command()
+    }
+
+    pub(crate) fn last_refusal(&self) -> Option<CommandRefusal> {
+        self.robot.last_refusal()
     }
 
     /// Sends a measurement of these bends, and returns its time.
