@@ -19,8 +19,17 @@ pub struct CommandFollower {
     /// Sender of this driver's own measurements.
     own_id: Option<u64>,
     /// The newest rest that is over.
-    rested_ns: Range<u64>,
+    rested: Rest,
     refusals: u64,
+}
+
+/// A time in which the motors rested.
+#[derive(Debug, Clone, Default)]
+struct Rest {
+    /// \[ns\]
+    range_ns: Range<u64>,
+    /// Time inside it in which they obeyed \[ns\].
+    obeyed_ns: u64,
 }
 
 /// The command in force, with its move.
@@ -68,7 +77,7 @@ impl CommandFollower {
             present: None,
             measured: None,
             own_id: None,
-            rested_ns: 0..0,
+            rested: Rest::default(),
             refusals: 0,
         }
     }
@@ -102,7 +111,7 @@ impl CommandFollower {
             self.refusals += 1;
             return Err(refusal);
         }
-        self.rested_ns = self.rest_ns(now_ns);
+        self.rested = self.rest(now_ns);
         // The robot was measured at the first position: there is no move to it.
         let begin = begin.unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
@@ -211,22 +220,35 @@ impl CommandFollower {
     }
 
     /// The newest time until `now_ns` in which the motors rested because their command had run out, for
-    /// [`Measurement::rested_from_ns`]. Rests less than a period apart are one. Empty at 0: none since the first command, or since [`forget`](Self::forget).
+    /// [`Measurement::rested_from_ns`]. Rests are one if the motors obeyed between them for less than a period in all. Empty at 0: none since the first command, or since [`forget`](Self::forget).
     /// For a driver that obeys [`Interface::Velocity`].
     pub fn rest_ns(&self, now_ns: u64) -> Range<u64> {
-        let before_ns = self.rested_ns.clone();
-        let rest_ns = self.present.as_ref().and_then(|present| {
-            let Present { command, .. } = present;
-            let rest_ns = command.rest_ns(present.begin_ns, now_ns)?;
-            let gap_ns = rest_ns.start.saturating_sub(before_ns.end);
-            let is_one = !before_ns.is_empty() && gap_ns < command.target_ns - command.release_ns;
-            Some(if is_one {
-                before_ns.start..rest_ns.end.max(before_ns.end)
-            } else {
-                rest_ns
-            })
-        });
-        rest_ns.unwrap_or(before_ns)
+        self.rest(now_ns).range_ns
+    }
+
+    fn rest(&self, now_ns: u64) -> Rest {
+        let before = self.rested.clone();
+        let Some(Present {
+            command, begin_ns, ..
+        }) = &self.present
+        else {
+            return before;
+        };
+        let Some(range_ns) = command.rest_ns(*begin_ns, now_ns) else {
+            return before;
+        };
+        let before_ns = before.range_ns;
+        let obeyed_ns = before.obeyed_ns + range_ns.start.saturating_sub(before_ns.end);
+        if before_ns.is_empty() || obeyed_ns >= command.target_ns - command.release_ns {
+            return Rest {
+                range_ns,
+                obeyed_ns: 0,
+            };
+        }
+        Rest {
+            range_ns: before_ns.start..range_ns.end.max(before_ns.end),
+            obeyed_ns,
+        }
     }
 
     /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to
@@ -268,7 +290,7 @@ impl CommandFollower {
     /// old position.
     pub fn forget(&mut self) {
         self.present = None;
-        self.rested_ns = 0..0;
+        self.rested = Rest::default();
     }
 }
 

@@ -176,7 +176,7 @@ impl Estimator {
     /// The motors may not have obeyed what was commanded between these ages (s, before the time of the last prediction), because their driver
     /// `was_silent`, or states so: the estimate loses that motion, if the `measurement` made `age_s` ago does not contradict it. After a silence it
     /// contradicts it where the motors are nearer to their place if they obeyed, and noise does not hide this; it must show a rest that is only
-    /// stated, and much motion under way only as far as it shows as much. A tip shows neither. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
+    /// stated, and much motion under way only as far as it shows as much. A tip shows neither. Returns whether the motion is lost. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
     /// the motors rested is not known.
     pub fn rested(
         &mut self,
@@ -185,9 +185,9 @@ impl Estimator {
         age_s: f64,
         ages_s: &Range<f64>,
         was_silent: bool,
-    ) {
+    ) -> bool {
         let Some(measured) = measurement.configuration(robot) else {
-            return;
+            return false;
         };
         self.resting.clone_from(&self.motors);
         let lost_rad = self.resting.rested(ages_s);
@@ -208,7 +208,7 @@ impl Estimator {
                 && of_rested_rad < SHOWN_SHARE * of_obeyed_rad
         };
         if !is_believed {
-            return;
+            return false;
         }
         core::mem::swap(&mut self.motors, &mut self.resting);
         for led in self.stages.iter_mut().chain([&mut self.measured]) {
@@ -217,6 +217,7 @@ impl Estimator {
         self.uncorrected_s = None;
         self.forget_beside();
         self.commanded = self.motors.cables_commanded(self.motors());
+        true
     }
 
     /// Restarts at `configuration`, with motors at rest. The tip offset is kept, because it is an error of the model.

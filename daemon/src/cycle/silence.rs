@@ -5,7 +5,7 @@ use crate::handover::{Policy, TimedMeasurement};
 
 /// Times between the measurements of a driver. Motors that obey speeds rest once their command has run out, so a
 /// driver that was silent for longer has lost motion of which no command knows. It may state when they rested.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct SilenceWatch {
     /// Average time between measurements \[ns\]; 0 before the second one.
     usual_ns: u64,
@@ -16,6 +16,8 @@ pub(super) struct SilenceWatch {
     last: Option<(u64, u64)>,
     /// The rest that was stated last \[ns\].
     stated_ns: [u64; 2],
+    /// The newest rest whose motion the estimate has lost \[ns\].
+    believed_ns: Range<u64>,
 }
 
 /// For how long after its end a stated rest counts \[ns\]. The filters of the estimate have taken it by then.
@@ -26,8 +28,15 @@ const STATED_NS: u64 = 500_000_000;
 pub(super) struct Rest {
     /// The driver was silent; if not, it states this rest.
     pub(super) was_silent: bool,
-    /// Ages between which they rested \[s\].
-    pub(super) ages_s: Range<f64>,
+    /// When they rested \[ns\].
+    rested_ns: Range<u64>,
+}
+
+impl Rest {
+    /// Ages at `release_ns` between which the motors rested \[s\].
+    pub(super) fn ages_s(&self, release_ns: u64) -> Range<f64> {
+        age_s(self.rested_ns.end, release_ns)..age_s(self.rested_ns.start, release_ns)
+    }
 }
 
 impl SilenceWatch {
@@ -41,36 +50,53 @@ impl SilenceWatch {
             valid_ns,
             last: None,
             stated_ns: [0; 2],
+            believed_ns: 0..0,
         }
     }
 
     /// Takes a measurement that is used at this release. The motors may have rested in a silence before it, and else as
-    /// the driver states. A rest that begins within the one stated before is no rest: it would have begun with that.
+    /// the driver states, less what is [believed](Self::believe). A rest that begins within the one stated before is no rest: it would have begun with
+    /// that. After a silence the statement waits for the next measurement: one that is too short would hide a part of the silence.
     pub(super) fn rest(&mut self, timed: &TimedMeasurement, release_ns: u64) -> Option<Rest> {
         let before_ns = self.stated_ns;
         // Nothing is stated by a rest without a duration.
         if timed.rested_ns[0] < timed.rested_ns[1] {
             self.stated_ns = timed.rested_ns;
         }
-        if let Some(ages_s) = self.silence_s(timed.measured_ns, release_ns) {
+        if let Some(rested_ns) = self.silence_ns(timed.measured_ns, release_ns) {
             return Some(Rest {
                 was_silent: true,
-                ages_s,
+                rested_ns,
             });
         }
-        let [from_ns, until_ns] = timed.rested_ns.map(|at_ns| at_ns.min(release_ns));
+        let [mut from_ns, until_ns] = timed.rested_ns.map(|at_ns| at_ns.min(release_ns));
         let is_recent = release_ns - until_ns < STATED_NS;
         let is_one = from_ns == before_ns[0] || from_ns >= before_ns[1];
-        (from_ns < until_ns && is_recent && is_one).then(|| Rest {
+        if self.believed_ns.contains(&from_ns) {
+            from_ns = self.believed_ns.end;
+        }
+        (from_ns < until_ns && is_recent && is_one).then_some(Rest {
             was_silent: false,
-            ages_s: age_s(until_ns, release_ns)..age_s(from_ns, release_ns),
+            rested_ns: from_ns..until_ns,
         })
     }
 
+    /// The estimate has lost the motion of this rest, which is decided only once.
+    pub(super) fn believe(&mut self, rest: &Rest) {
+        let Range { start, end } = rest.rested_ns;
+        let is_longer = start == self.believed_ns.end;
+        let from_ns = if is_longer {
+            self.believed_ns.start
+        } else {
+            start
+        };
+        self.believed_ns = from_ns..end;
+    }
+
     /// If the driver was silent before a measurement, for longer than a command is valid and than 2.5 times the usual
-    /// time: between which ages the motors may have rested \[s\], at least since the command of the release at which the
+    /// time: when the motors may have rested \[ns\], at least since the command of the release at which the
     /// previous measurement was used has run out. A slow driver is not silent.
-    fn silence_s(&mut self, measured_ns: u64, release_ns: u64) -> Option<Range<f64>> {
+    fn silence_ns(&mut self, measured_ns: u64, release_ns: u64) -> Option<Range<u64>> {
         let (last_ns, used_ns) = self.last.replace((measured_ns, release_ns))?;
         let since_ns = measured_ns - last_ns;
         if self.usual_ns == 0 {
@@ -81,9 +107,8 @@ impl SilenceWatch {
         if since_ns <= most_ns.max(self.valid_ns) {
             return None;
         }
-        let ends_ns = used_ns + self.valid_ns;
-        let ages_s = age_s(measured_ns, release_ns)..age_s(ends_ns, release_ns);
-        (ages_s.start < ages_s.end).then_some(ages_s)
+        let rested_ns = used_ns + self.valid_ns..measured_ns;
+        (!rested_ns.is_empty()).then_some(rested_ns)
     }
 }
 
@@ -107,7 +132,28 @@ mod tests {
             valid_ns: 15 * MS,
             last: None,
             stated_ns: [0; 2],
+            believed_ns: 0..0,
         }
+    }
+
+    /// When the motors of a measurement may have rested \[ms\], and whether in a silence. It is used 4 ms later.
+    fn rest_ms(
+        watch: &mut SilenceWatch,
+        at_ms: u64,
+        rested_ms: [u64; 2],
+    ) -> Option<(bool, [u64; 2])> {
+        let rest = rest(watch, at_ms, rested_ms)?;
+        let Range { start, end } = rest.rested_ns;
+        Some((rest.was_silent, [start, end].map(|at_ns| at_ns / MS)))
+    }
+
+    fn rest(watch: &mut SilenceWatch, at_ms: u64, rested_ms: [u64; 2]) -> Option<Rest> {
+        let timed = TimedMeasurement {
+            measurement: Measurement::TipPosition(Vector3::zeros()),
+            measured_ns: at_ms * MS,
+            rested_ns: rested_ms.map(|at_ms| at_ms * MS),
+        };
+        watch.rest(&timed, (at_ms + 4) * MS)
     }
 
     #[test]
@@ -116,7 +162,7 @@ mod tests {
         let mut silences = |every_ms: u64, count| {
             let silent = (0..count).filter(|_| {
                 now_ns += every_ms * MS;
-                watch.silence_s(now_ns, now_ns + MS).is_some()
+                watch.silence_ns(now_ns, now_ns + MS).is_some()
             });
             silent.count()
         };
@@ -133,38 +179,54 @@ mod tests {
     fn the_motors_rest_from_the_end_of_the_last_command_to_the_measurement() {
         let mut watch = watch();
         for at_ms in [100, 105, 110] {
-            assert_eq!(watch.silence_s(at_ms * MS, (at_ms + 4) * MS), None);
+            assert_eq!(watch.silence_ns(at_ms * MS, (at_ms + 4) * MS), None);
         }
         // The command of the release at 114 ms runs out at 129 ms.
-        let ages_s = watch.silence_s(140 * MS, 144 * MS).unwrap();
-        assert!((ages_s.start - 4e-3).abs() < 1e-12 && (ages_s.end - 15e-3).abs() < 1e-12);
+        assert_eq!(
+            watch.silence_ns(140 * MS, 144 * MS),
+            Some(129 * MS..140 * MS)
+        );
         // One that came while the command was valid, though used late.
-        assert_eq!(watch.silence_s(158 * MS, 180 * MS), None);
+        assert_eq!(watch.silence_ns(158 * MS, 180 * MS), None);
     }
 
     #[test]
     fn what_a_driver_states_counts_where_it_was_not_silent() {
         let mut watch = watch();
-        let mut rest = |at_ms: u64, rested_ms: [u64; 2]| {
-            let timed = TimedMeasurement {
-                measurement: Measurement::TipPosition(Vector3::zeros()),
-                measured_ns: at_ms * MS,
-                rested_ns: rested_ms.map(|at_ms| at_ms * MS),
-            };
-            let rest = watch.rest(&timed, (at_ms + 4) * MS)?;
-            let Range { start, end } = rest.ages_s;
-            let ages_ms = [start, end].map(|age_s| (age_s * 1e3).round());
-            Some((rest.was_silent, ages_ms))
-        };
+        let mut rest = |at_ms, rested_ms| rest_ms(&mut watch, at_ms, rested_ms);
         assert_eq!(rest(100, [1, 1]), None, "it states none");
-        assert_eq!(rest(105, [80, 104]), Some((false, [5.0, 29.0])));
-        assert_eq!(rest(110, [80, 120]), Some((false, [0.0, 34.0])));
+        assert_eq!(rest(105, [80, 104]), Some((false, [80, 104])));
+        assert_eq!(rest(110, [80, 120]), Some((false, [80, 114])));
         assert_eq!(rest(115, [90, 115]), None, "always lately");
-        assert_eq!(rest(120, [90, 120]), Some((false, [4.0, 34.0])));
+        assert_eq!(rest(120, [90, 120]), Some((false, [90, 120])));
         assert_eq!(rest(125, [0, 0]), None);
         assert_eq!(rest(130, [100, 130]), None, "or nothing, in turn");
-        assert_eq!(rest(150, [1, 150]), Some((true, [4.0, 5.0])));
+        assert_eq!(rest(150, [1, 150]), Some((true, [149, 150])));
+        assert_eq!(rest(155, [1, 150]), Some((false, [1, 150])), "the next");
         assert_eq!(rest(645, [80, 140]).map(|rest| rest.0), Some(true));
         assert_eq!(rest(650, [80, 140]), None, "long over");
+    }
+
+    #[test]
+    fn a_rest_is_believed_once_and_a_longer_one_for_its_new_part() {
+        let mut watch = watch();
+        for (at_ms, stated_ms, rested_ms) in [
+            (100, [60, 80], Some((false, [60, 80]))),
+            (105, [60, 80], None),
+            (110, [60, 105], Some((false, [80, 105]))),
+            (115, [60, 105], None),
+            (150, [140, 150], Some((true, [134, 150]))),
+            (155, [140, 150], None),
+            (160, [125, 150], None),
+            // It began before the silence.
+            (165, [125, 150], Some((false, [125, 150]))),
+        ] {
+            let mut before = watch.clone();
+            let rest = rest(&mut watch, at_ms, stated_ms);
+            assert_eq!(rest_ms(&mut before, at_ms, stated_ms), rested_ms);
+            if let Some(rest) = &rest {
+                watch.believe(rest);
+            }
+        }
     }
 }

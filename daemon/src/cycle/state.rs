@@ -6,7 +6,7 @@ use cdcr_controller::safety::{
 };
 use nalgebra::Vector3;
 
-use super::silence::{Rest, SilenceWatch, age_s};
+use super::silence::{SilenceWatch, age_s};
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
@@ -211,9 +211,12 @@ impl RobotState {
             self.measurement_fault = Some(Reason::CommonMode);
         }
         let age_s = age_s(measured_ns, release_ns);
-        if let Some(Rest { was_silent, ages_s }) = self.silence.rest(&timed, release_ns) {
-            let (robot, estimator) = (&self.robot, &mut self.estimator);
-            estimator.rested(robot, &measurement, age_s, &ages_s, was_silent);
+        if let Some(rest) = self.silence.rest(&timed, release_ns) {
+            let (robot, ages_s) = (&self.robot, rest.ages_s(release_ns));
+            let estimator = &mut self.estimator;
+            if estimator.rested(robot, &measurement, age_s, &ages_s, rest.was_silent) {
+                self.silence.believe(&rest);
+            }
         }
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = measurement.configuration(&self.robot);

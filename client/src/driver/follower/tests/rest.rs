@@ -46,6 +46,18 @@ fn a_short_rest_soon_after_a_long_one_is_part_of_it() {
     assert_eq!(follower.rest_ns(115 * MS), 69 * MS..104 * MS);
 }
 
+/// Each command is taken 12 ms after its release, and runs out 3 ms later.
+#[test]
+fn motors_that_always_obey_late_do_not_state_one_rest_without_end() {
+    let mut follower = moving();
+    for cycle in 12..40 {
+        let taken_ns = (5 * cycle + 12) * MS;
+        follower.take(&velocity(cycle, 1.0), taken_ns).unwrap();
+        let rest_ns = follower.rest_ns(taken_ns + 4 * MS);
+        assert!(rest_ns.end - rest_ns.start < 10 * MS, "{rest_ns:?}");
+    }
+}
+
 #[test]
 fn a_refused_command_ends_no_rest() {
     let mut follower = moving();
