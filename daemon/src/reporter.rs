@@ -220,6 +220,7 @@ impl Reporter {
             reference_points: inputs.reference_points,
             obstacle_count: record.obstacles.count() as u32,
             obstacles_refused: inputs.obstacles_refused,
+            silent_source: inputs.silent_source,
             clearance_m: record.clearance_m.min(record.measured_clearance_m),
             tip_margin_m: record.tip_margin_m,
             clearance_guarded: record.clearance_hit,

@@ -106,7 +106,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v11" {
+    pub struct Status "cdcr.Status.v12" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
@@ -209,6 +209,10 @@ message! {
         safe_distance_min_m: f64,
         /// A sender of obstacles with a lifetime that is not heard for this long is silent \[ns\]; 0: nobody is watched.
         obstacle_source_timeout_ns: u64,
+        /// The one of them that has been silent for the longest time, by its `header.sender_id`: its obstacles stay; 0: none is silent.
+        silent_obstacle_source: u64,
+        /// Begin of its silence \[ns, `CLOCK_MONOTONIC`\]: when its last update was taken, later by the time in which the daemon stood still.
+        silent_since_ns: u64,
         /// [`SolverSettings`] has this `rate_weight` where nobody sets another: it depends on the robot.
         rate_weight_auto: f64 [unit "s²/rad²"],
     }

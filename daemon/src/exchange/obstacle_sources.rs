@@ -91,11 +91,17 @@ impl ObstacleSources {
         }
     }
 
+    /// The source that is silent at `now_ns` since the earliest time, and that time \[ns\].
+    pub(super) fn silent(&self, now_ns: u64) -> Option<(u64, u64)> {
+        let earliest = (self.sources.iter()).min_by_key(|source| source.silent_since_ns)?;
+        let since_ns = earliest.silent_since_ns;
+        let is_silent = now_ns.saturating_sub(since_ns) > self.timeout_ns;
+        is_silent.then_some((earliest.sender, since_ns))
+    }
+
     /// True if a source is silent at `now_ns` and the robot has to hold.
     pub(super) fn requires_hold(&self, now_ns: u64) -> bool {
-        let is_silent =
-            |source: &Source| now_ns.saturating_sub(source.silent_since_ns) > self.timeout_ns;
-        self.holds && self.sources.iter().any(is_silent)
+        self.holds && self.silent(now_ns).is_some()
     }
 
     /// True if `known` is expired at `now_ns`: its lifetime is over, and its source, if watched, has sent a
@@ -194,6 +200,8 @@ mod tests {
         // Messages of another source do not count.
         note_update(&mut sources, 4, ObstacleAction::Upsert, &[50], 600 * MS);
         assert!(sources.requires_hold(601 * MS));
+        assert_eq!(sources.silent(600 * MS), None);
+        assert_eq!(sources.silent(10_000 * MS), Some((3, 500 * MS)));
         // An operator's clear ends the watch.
         note_update(&mut sources, 9, ObstacleAction::Clear, &[], 700 * MS);
         assert!(!sources.requires_hold(10_000 * MS));

@@ -97,6 +97,11 @@ impl Obstacles {
         obstacles.fill(known.map(|known| self.sources.hand_over(known, now_ns)));
     }
 
+    /// The source that is silent since the earliest time, and that time \[ns\].
+    pub(super) fn silent_source(&self, now_ns: u64) -> Option<(u64, u64)> {
+        self.sources.silent(now_ns)
+    }
+
     /// A source is silent, and the robot has to hold.
     pub(super) fn requires_hold(&self, now_ns: u64) -> bool {
         self.sources.requires_hold(now_ns)

@@ -91,6 +91,7 @@ impl Exchange {
             reference_end_ns: self.references.end_ns().unwrap_or(0),
             reference_points: self.references.points_ahead(now_ns) as u32,
             obstacles_refused: self.obstacles.refused(),
+            silent_source: self.obstacles.silent_source(now_ns),
             safe_distance_min_m: self.settings.safe_distance_min_m,
         }
     }

@@ -43,6 +43,8 @@ pub struct InputReport {
     /// Points of the reference in the future.
     pub reference_points: u32,
     pub obstacles_refused: u64,
+    /// The source of obstacles that is silent since the earliest time, and that time \[ns\].
+    pub silent_source: Option<(u64, u64)>,
     /// Smallest safe distance that a client may set \[m\].
     pub safe_distance_min_m: f64,
 }

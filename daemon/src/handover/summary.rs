@@ -62,6 +62,8 @@ pub struct Summary {
     pub obstacle_count: u32,
     /// Obstacle updates refused since the start.
     pub obstacles_refused: u64,
+    /// The source of obstacles that is silent since the earliest time, and that time \[ns\].
+    pub silent_source: Option<(u64, u64)>,
     /// Smallest clearance \[m\].
     pub clearance_m: f64,
     /// Distance by which the body counts as thicker at the tip \[m\].

@@ -24,6 +24,8 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.reference_points = summary.reference_points;
     status.obstacle_count = summary.obstacle_count;
     status.obstacles_refused = summary.obstacles_refused;
+    let silent_source = summary.silent_source.unwrap_or_default();
+    (status.silent_obstacle_source, status.silent_since_ns) = silent_source;
     status.clearance_m = summary.clearance_m;
     status.tip_margin_m = summary.tip_margin_m;
     status.tip_position_m = summary.tip_position_m;

@@ -88,7 +88,7 @@ fn table(
     let mut out = String::new();
     identity(&mut out, status, broken)?;
     statistics(&mut out, status, now_ns)?;
-    inputs(&mut out, status)?;
+    inputs(&mut out, status, now_ns)?;
     robot(&mut out, status)?;
     Ok(out)
 }
@@ -292,7 +292,7 @@ fn counter_texts(field: &Field, both: [u64; 2], solved: [u64; 2]) -> (String, St
     }
 }
 
-fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {
+fn inputs(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Result {
     let holder = match status.lease_holder {
         0 => "nobody".to_owned(),
         id => format!("client {id:016x}"),
@@ -302,7 +302,7 @@ fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {
         "\nreference   {} ahead, lease held by {holder}",
         counted(status.reference_points, "point")
     )?;
-    obstacles(out, status)?;
+    obstacles(out, status, now_ns)?;
     let counted = Outcome::ALL.iter().zip(status.outcomes);
     for (outcome, count) in counted.filter(|(_, count)| *count > 0) {
         writeln!(out, "messages    {count:>8}  {outcome}")?;
@@ -310,7 +310,7 @@ fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {
     Ok(())
 }
 
-fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
+fn obstacles(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Result {
     write!(out, "obstacles   {}", status.obstacle_count)?;
     if status.obstacle_count > 0 {
         let clearance = clearance_text(status.clearance_m);
@@ -326,6 +326,16 @@ fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
         1e3 * status.settings.safe_distance_m,
         counted(status.clearance_guarded, "command"),
         counted(status.obstacles_refused, "update")
+    )?;
+    if status.silent_obstacle_source == 0 {
+        return Ok(());
+    }
+    let silent_s = now_ns.saturating_sub(status.silent_since_ns) as f64 * 1e-9;
+    writeln!(
+        out,
+        "            a source of them, client {:016x}, has been silent for {silent_s:.1} s (obstacles.source_timeout_ms): its obstacles stay where it \
+         saw them last. Start it again; as another client it clears the list first (cdcrctl obstacle clear)",
+        status.silent_obstacle_source
     )
 }
 
@@ -367,131 +377,4 @@ fn budget_text(budget_ns: u64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use cdcr_shared_types::codes::realtime;
-
-    #[test]
-    fn the_table_says_what_matters() {
-        let mut status = Status {
-            mode: Mode::Tracking.code(),
-            realtime_missing: realtime::FIFO,
-            core: u32::MAX,
-            cycles: 1234,
-            faults: 5,
-            obstacle_count: 2,
-            clearance_m: 0.0105,
-            tip_margin_m: 0.0452,
-            clearance_guarded: 17,
-            misses_tolerated: 3,
-            statistics_since_ns: 1_000_000_000,
-            interface: Interface::Position.code(),
-            tip_position_m: [0.1, -0.02, 0.3],
-            position_error_m: 0.0015,
-            reference_position_m: [0.1015, -0.02, 0.3],
-            measured_error_m: 0.0018,
-            following_error_rad: [0.01, 0.02, 9.0, 0.0, 0.0, 0.0],
-            following_warnings: 8,
-            ..Status::default()
-        };
-        status.robot.sections = 2;
-        status.outcomes[Outcome::NoLease.code() as usize] = 3;
-        status.since_reset.wake.count = 1;
-        status.since_reset.wake.p99_ns = 42_500;
-        status.since_reset.solve.count = 7;
-        status.since_reset.limited_cycles = 1;
-        status.since_reset.tracked_cycles = 4;
-        status.since_reset.tip_error_sum_nm = 6_000_000;
-        status.since_reset.tip_error_max_nm = 2_500_000;
-        status.since_reset.solve.p50_ns = 4_000_000;
-        status.last_minute.deadline_misses = 12;
-        status.since_reset.causes[LateCause::Stall.code() as usize] = 4;
-        let table = table(&status, None, 124_900_000_000).expect("formatted");
-        for expected in [
-            "mode        tracking (started), 5 faults in 1234 cycles\n",
-            "misses      the leaky bucket was full 3 times; a real robot would have been stopped",
-            "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference, 101.5, -20.0, 300.0 mm; measured 1.800 mm from it\n",
-            "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
-            "SCHED_FIFO is missing: grant rtprio 90",
-            "the last 2m 3s",
-            "  wake-up                   0.0       42.5        0.0             -          -          -\n",
-            "  compute                     -          -          -             -          -          -\n",
-            "cycles that solved                    7 of the cycles                     0 of the cycles\n",
-            "solve                    4000.0        0.0        0.0             -          -          -\n",
-            &format!("deadline misses{:>38}{:>36}\n", 0, 12),
-            &format!(
-                "limited cycles (of solved){:>27}{:>36}\n",
-                "1 (14.3 %)", "0 (0.0 %)"
-            ),
-            &format!("tip error mean, max mm{:>31}{:>36}\n", "1.500, 2.500", "-"),
-            &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
-            "pinned to no core",
-            "obstacles   2, smallest clearance 10.50 mm as estimated less the tip margin of 45.2 mm, safe",
-            "the guard changed 17 commands",
-            "3  the sender does not hold the reference lease",
-            "budget all the remaining period\n",
-        ] {
-            assert!(table.contains(expected), "{expected} in\n{table}");
-        }
-        assert!(!table.contains("page fault"), "{table}");
-        assert!(!table.contains("\nreset "), "{table}");
-        status.misses_tolerated = 0;
-        status.reset_refused_by = Reason::DeadlineMisses.code();
-        let table = super::table(&status, None, 0).expect("formatted");
-        assert!(!table.contains("leaky bucket"), "{table}");
-        let line = "\nreset       is refused now: too many deadline misses (cycle.miss_limit)\n";
-        assert!(table.contains(line), "{table}");
-        assert!(!table.contains("\nremedy "), "{table}");
-        assert!(object(&status)["remedy"].is_null());
-    }
-
-    #[test]
-    fn a_daemon_that_waits_for_its_driver_says_what_it_refused() {
-        let mut status = Status {
-            mode: Mode::Starting.code(),
-            ..Status::default()
-        };
-        let remedy = |status: &Status| object(status)["remedy"].to_string();
-        assert!(
-            remedy(&status).contains("check that the driver runs"),
-            "{}",
-            remedy(&status)
-        );
-        status.outcomes[Outcome::Accepted.code() as usize] = 900;
-        status.outcomes[Outcome::NoLease.code() as usize] = 901;
-        status.outcomes[Outcome::InThePast.code() as usize] = 2;
-        status.outcomes[Outcome::CableMean.code() as usize] = 542;
-        let table = table(&status, None, 0).expect("formatted");
-        for part in [
-            "\nremedy ",
-            "; 542 messages refused: the mean length",
-            "from the first section on",
-        ] {
-            assert!(table.contains(part), "{part} in\n{table}");
-        }
-    }
-
-    #[test]
-    fn a_fault_is_shown_with_its_remedy() {
-        let status = Status {
-            mode: Mode::Faulted.code(),
-            reason: Reason::MeasurementFrozen.code(),
-            reset_refused_by: Reason::MeasurementLost.code(),
-            ..Status::default()
-        };
-        let table = table(&status, None, 0).expect("formatted");
-        let mut lines = table.lines().skip_while(|line| !line.starts_with("mode "));
-        let starts = [
-            "mode        faulted (",
-            "remedy      Check that the driver still reads the sensors",
-            "reset       is refused now: the measurement is lost",
-            "            Check that the driver runs",
-        ];
-        for start in starts {
-            let line = lines.next().expect("a line");
-            assert!(line.starts_with(start), "{start} in\n{table}");
-        }
-        let remedy = object(&status)["remedy"].to_string();
-        assert!(remedy.contains("still reads the sensors"), "{remedy}");
-    }
-}
+mod tests;

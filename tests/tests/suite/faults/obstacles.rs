@@ -237,6 +237,8 @@ fn lose_source(rule: &str) {
         }
         record.release_ns > first.release_ns + 600_000_000
     });
+    let silent = wait_status(&connection, |status| status.silent_obstacle_source != 0);
+    assert!((1..last.release_ns).contains(&silent.silent_since_ns));
     if rule == "keep" {
         assert!(held.is_none());
         assert_eq!(last.mode, Mode::Homing.code());
@@ -252,8 +254,10 @@ fn lose_source(rule: &str) {
         assert_eq!(refused(&connection, RequestKind::Home), Outcome::Waits);
     }
     // The source is alive, and no longer sees the obstacle.
-    sender.upsert(&[]).unwrap();
+    let alive = sender.upsert(&[]).unwrap();
+    assert_eq!(silent.silent_obstacle_source, alive.sender_id);
     trail.until("gone", |record| record.obstacle_count == 0);
+    wait_status(&connection, |status| status.silent_obstacle_source == 0);
     // While the source is alive, lifetimes count.
     let seen = Obstacle {
         measured_ns: monotonic_ns(),
