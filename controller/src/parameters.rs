@@ -24,6 +24,8 @@ pub struct Parameter {
     pub doc: &'static [&'static str],
     /// Smallest and largest value of a number with limits.
     pub range: Option<RangeInclusive<f64>>,
+    /// Smallest and largest value that is probably meant; `None`: any value of the range.
+    pub usual: Option<RangeInclusive<f64>>,
     /// Restriction by other parameters, in words.
     pub also: Option<&'static str>,
 }
@@ -37,9 +39,31 @@ impl Parameter {
 
     /// Smallest and largest value with the unit: `0.1 to 100 ms`.
     pub fn range_text(&self) -> Option<String> {
-        let range = self.range.as_ref()?;
+        self.range.as_ref().map(|range| self.text_of(range))
+    }
+
+    /// Smallest and largest value that is probably meant, with the unit.
+    pub fn usual_text(&self) -> Option<String> {
+        self.usual.as_ref().map(|usual| self.text_of(usual))
+    }
+
+    fn text_of(&self, range: &RangeInclusive<f64>) -> String {
         let (low, high) = (number_text(*range.start()), number_text(*range.end()));
-        Some(format!("{low} to {high}{}", self.unit()))
+        format!("{low} to {high}{}", self.unit())
+    }
+
+    /// What to ask about a value that is probably not meant: `usual is 0 to 10 rad/s; in degrees?`.
+    pub fn doubt(&self, value: f64) -> Option<String> {
+        let usual = self
+            .usual
+            .as_ref()
+            .filter(|usual| !usual.contains(&value))?;
+        let other = match self.unit().trim() {
+            "rad" | "rad/s" => "; in degrees?",
+            "m/s" => "; in mm/s?",
+            _ => "",
+        };
+        Some(format!("usual is {}{other}", self.text_of(usual)))
     }
 
     /// Description with the range filled in, line by line.
@@ -69,17 +93,17 @@ pub fn number_text(value: f64) -> String {
     value.to_string()
 }
 
-/// Declares parameters: each with its text, type, default, range, and restrictions by other parameters.
+/// Declares parameters: each with its text, type, default, range, the part of it that is usual, and restrictions by other parameters.
 /// Without defaults there is no `Default`, and all values must be given.
 #[macro_export]
 macro_rules! parameters {
     ($(#[$meta:meta])* pub struct $name:ident {
         $($(#[doc = $doc:literal])+ $field:ident: $type:ty = $default:expr
-            $(, in $range:expr $(, $also:literal)?)?;)+
+            $(, in $range:expr $(, usual $usual:expr)? $(, $also:literal)?)?;)+
     }) => {
         $crate::parameters! {
             $(#[$meta])* pub struct $name {
-                $($(#[doc = $doc])+ $field: $type $(, in $range $(, $also)?)?;)+
+                $($(#[doc = $doc])+ $field: $type $(, in $range $(, usual $usual)? $(, $also)?)?;)+
             }
         }
 
@@ -88,7 +112,8 @@ macro_rules! parameters {
         }
     };
     ($(#[$meta:meta])* pub struct $name:ident {
-        $($(#[doc = $doc:literal])+ $field:ident: $type:ty $(, in $range:expr $(, $also:literal)?)?;)+
+        $($(#[doc = $doc:literal])+ $field:ident: $type:ty
+            $(, in $range:expr $(, usual $usual:expr)? $(, $also:literal)?)?;)+
     }) => {
         $(#[$meta])*
         pub struct $name {
@@ -103,6 +128,7 @@ macro_rules! parameters {
                     name: stringify!($field),
                     doc: &[$($doc),+],
                     range: $crate::first_or_none!($($range)?),
+                    usual: $crate::first_or_none!($($($usual)?)?),
                     also: $crate::first_or_none!($($($also)?)?),
                 },)+];
 

@@ -3,13 +3,8 @@
 use cdcr_controller::nmpc::RateWeight;
 use cdcr_controller::robot::SectionParameters;
 
-use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
+use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns, numbers};
 use crate::core_budget::{CoreBudget, Costs};
-
-/// Largest rate of a bend that is taken to be meant \[rad/s\].
-const RATE_RAD_S_MAX: f64 = 10.0;
-/// Largest speed of a tip or a cable that is taken to be meant \[m/s\].
-const SPEED_M_S_MAX: f64 = 5.0;
 
 /// Largest stroke of a cable that is taken to be meant \[m\].
 const STROKE_M_MAX: f64 = 2.0;
@@ -104,33 +99,29 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let of_sections = of_sections.flat_map(|(j, section)| of_section(j, section));
     let warnings = warnings.into_iter().flatten().chain(of_sections);
     warnings
+        .chain(unusual(config))
         .chain(of_units(config))
         .chain(of_checks(config))
         .collect()
 }
 
+/// Values beyond what their declarations call usual.
+fn unusual(config: &Config) -> Vec<String> {
+    let numbers = numbers(config).into_iter();
+    let unusual = numbers.filter_map(|(key, parameter, value)| {
+        let doubt = parameter.doubt(value)?;
+        Some(format!("{key} = {value}: {doubt}"))
+    });
+    unusual.collect()
+}
+
 /// Values that are probably in another unit.
 fn of_units(config: &Config) -> Vec<String> {
-    let (motion, actuator) = (&config.motion, &config.actuator);
+    let actuator = &config.actuator;
     let is_short = |ms: f64| ms > 0.0 && ms < 0.5_f64.min(0.1 * config.cycle.period_ms);
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
     [
-        (
-            motion.home_rate_rad_s > RATE_RAD_S_MAX,
-            format!("motion.home_rate_rad_s = {}: in degrees?", motion.home_rate_rad_s),
-        ),
-        (
-            motion.approach_speed_m_s > SPEED_M_S_MAX,
-            format!("motion.approach_speed_m_s = {}: in mm/s?", motion.approach_speed_m_s),
-        ),
-        (
-            config.robot.cable_speed_max_m_s > SPEED_M_S_MAX,
-            format!(
-                "robot.cable_speed_max_m_s = {}: in mm/s?",
-                config.robot.cable_speed_max_m_s
-            ),
-        ),
         (
             is_short(actuator.delay_ms),
             format!("actuator.delay_ms = {}: in seconds?", actuator.delay_ms),
@@ -228,12 +219,6 @@ fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
                 "robot.sections[{j}].cable_radius_m = {} is far inside the body of {} m: in another unit? A wrong \
                  radius bends the robot by a wrong factor",
                 section.cable_radius_m, section.body_radius_m
-            )
-        }),
-        (section.rate_max_rad_s > RATE_RAD_S_MAX).then(|| {
-            format!(
-                "robot.sections[{j}].rate_max_rad_s = {}: in degrees?",
-                section.rate_max_rad_s
             )
         }),
     ];

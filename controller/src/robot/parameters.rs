@@ -52,7 +52,7 @@ crate::parameters! {
         /// Largest bend, {range}.
         bend_max_rad: f64, in ranges::BEND_MAX_RAD;
         /// Largest rate of each component of the bend vector, {range}.
-        rate_max_rad_s: f64, in ranges::RATE_MAX_RAD_S;
+        rate_max_rad_s: f64, in ranges::RATE_MAX_RAD_S, usual 0.0..=10.0;
         /// Radius of the body, {range}.
         body_radius_m: f64, in ranges::BODY_RADIUS_M;
     }

@@ -70,7 +70,7 @@ table! {
         /// Level of the leaky bucket at which the robot is stopped, {range}. +1 for each deadline miss, skipped period and cycle on
         /// stale inputs, -1/9 for each good cycle: more than one bad release in ten fills it. 0: 40 (200 ms without control at 5 ms), and a simulated robot is not
         /// stopped: the daemon logs a warning and continues.
-        miss_limit: u32 = 0, in 0.0..=1e6;
+        miss_limit: u32 = 0, in 0.0..=1e6, usual 0.0..=1000.0;
         /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this time, the reporter
         /// for 5 times or the status desk for 20 times this time; {range}, and at least 10 periods. The robot then holds when its last command expires (link.command_valid_ms).
         watchdog_ms: f64 = 1000.0, in 50.0..=60_000.0, "at least ten times cycle.period_ms";
@@ -132,7 +132,7 @@ table! {
         /// robot. Deceleration is not limited.
         acceleration_rad_s2: f64 = 0.0, in 0.0..=1e6;
         /// Rate of the fastest bend component while homing, {range}.
-        home_rate_rad_s: f64 = 0.5, in 1e-3..=100.0;
+        home_rate_rad_s: f64 = 0.5, in 1e-3..=100.0, usual 0.0..=10.0;
         /// Home is reached when the robot is exactly straight, or when all bend components stay below this for
         /// 0.1 s, {range}. Must exceed the sensor noise.
         home_tolerance_rad: f64 = 0.01, in 1e-6..=1.0;
@@ -143,7 +143,7 @@ table! {
         approach: ApproachKind = ApproachKind::Auto;
         /// Largest speed at which the distance decays, {range}. To join a moving reference, the tip briefly moves up to
         /// 1.5 times as fast as the reference.
-        approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0;
+        approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0, usual 0.0..=5.0;
         /// Largest acceleration that an approach adds to the reference's own, {range}. It is exceeded where the tip would otherwise
         /// deviate by more than 2 % of the robot's length. The tip turns towards an orientation at most at home_rate_rad_s.
         approach_acceleration_m_s2: f64 = 0.5, in 1e-3..=1e4;
@@ -193,7 +193,7 @@ table! {
         /// ignored.
         measurement_jump_rad: f64 = 0.2, in 1e-6..=1e3;
         /// Number of consecutive implausible measurements that is a fault, {range}.
-        measurement_jump_limit: u32 = 3, in 1.0..=1e6;
+        measurement_jump_limit: u32 = 3, in 1.0..=1e6, usual 1.0..=100.0;
         /// A measurement is frozen, a fault, when no bit of it changes while its bend component is commanded to move this far,
         /// net, {range}. For a cable: this times its distance from the backbone; for a tip
         /// position: while any component moves this far. Must exceed the sensor's resolution and the commanded motion
@@ -205,7 +205,7 @@ table! {
         /// Following error that is a fault, {range}, and at least following_warning_rad.
         following_fault_rad: f64 = 0.3, in 1e-6..=1e3, "at least safety.following_warning_rad";
         /// Lag of the motors that does not count as following error, {range}.
-        following_lag_ms: f64 = 100.0, in 0.0..=10_000.0;
+        following_lag_ms: f64 = 100.0, in 0.0..=10_000.0, usual 1.0..=1000.0;
         /// Largest change of the mean length of a section's three cables since control began, {range}; more is a fault; 0: no limit. Bending changes the mean
         /// slightly where cable angles are inexact; a broken or slack cable changes it more. Only where cable lengths are measured.
         cable_common_m: f64 = 0.010, in 0.0..=1.0;

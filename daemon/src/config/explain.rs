@@ -47,6 +47,7 @@ fn about(key: &Key, node: &Value, settings: &Settings) -> String {
     let facts = [
         ("type", kind(node).map(str::to_owned)),
         ("range", range),
+        ("usual", parameter.usual_text()),
         ("default", value(&Config::default(), &key.name)),
         ("value", value_in_force.clone()),
         ("from", value_in_force.map(|_| origin.to_string())),

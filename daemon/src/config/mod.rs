@@ -79,6 +79,7 @@ pub use link::{Interface, LinkConfig, LinkKind, TipSensor};
 pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};
 pub use robot::RobotConfig;
+pub(crate) use rules::numbers;
 pub use settings::Settings;
 pub use transport::TransportConfig;
 

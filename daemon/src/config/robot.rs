@@ -9,7 +9,7 @@ table! {
         /// Name of the robot in the service names: 1 to 40 letters, digits, '-' and '_'.
         name: String = "cdcr".to_owned();
         /// Largest speed of a cable, {range}. All rates are scaled down together to respect it.
-        cable_speed_max_m_s: f64 = RobotParameters::paper(0).cable_speed_max_m_s, in robot::ranges::CABLE_SPEED_MAX_M_S;
+        cable_speed_max_m_s: f64 = RobotParameters::paper(0).cable_speed_max_m_s, in robot::ranges::CABLE_SPEED_MAX_M_S, usual 0.0..=5.0;
         /// Largest stroke of a cable, pulled or paid out, from the straight robot, {range}. All
         /// rates are scaled down together to respect it.
         cable_stroke_max_m: f64 = RobotParameters::paper(0).cable_stroke_max_m, in robot::ranges::CABLE_STROKE_MAX_M;

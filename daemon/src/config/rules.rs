@@ -101,7 +101,7 @@ fn check_times(
 }
 
 /// Every number with its key and declaration.
-fn numbers(config: &Config) -> Vec<(String, &'static Parameter, f64)> {
+pub(crate) fn numbers(config: &Config) -> Vec<(String, &'static Parameter, f64)> {
     let sections = config.robot.sections.iter().enumerate();
     let sections = sections.map(|(index, section)| {
         let numbers = section.numbers().to_vec();
