@@ -38,6 +38,14 @@ const CYCLES_MAX: u64 = 200_000;
 /// A file with rows farther apart than this may have times in milliseconds \[s\].
 const FAR_APART_S: f64 = 1.0;
 
+/// From a first point nearer than this, the approach is the reference itself \[m\].
+const JOINED_M: f64 = 1e-3;
+/// The limits of the daemon's approach are not known here.
+const NO_APPROACH: &str = "  \
+    --track does not go the fastest way: it joins the reference while that moves (motion.approach). Rates, strokes and clearance on that way are \
+    not computed;\n  the clearance may be smaller, down to the safe distance that the guard keeps. --blend goes straight to the first point: \
+    cdcrctl goto X,Y,Z --dry-run computes that way.";
+
 /// Demands of a reference on the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Demands {
@@ -462,7 +470,11 @@ impl fmt::Display for Demands {
             "tip error",
             &format!("mean {mean:.3}, max {max:.3}, final {end:.3} mm"),
             "",
-        )
+        )?;
+        if self.distance_m > JOINED_M {
+            writeln!(f, "{NO_APPROACH}")?;
+        }
+        Ok(())
     }
 }
 

@@ -119,3 +119,15 @@ fn an_obstacle_in_the_way_is_named() {
     let text = text(&demands);
     assert!(text.contains("obstacle at 30.2 mm"), "{text}");
 }
+
+#[test]
+fn the_fastest_way_to_a_far_first_point_is_not_taken_for_the_approach() {
+    let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+    let says_so = |distance_m: f64| {
+        let demands = Demands::new(&robot, &NmpcSettings::default(), distance_m);
+        demands
+            .to_string()
+            .contains("--track does not go the fastest way")
+    };
+    assert!(says_so(0.1) && !says_so(1e-4));
+}
