@@ -79,6 +79,7 @@ pub(super) struct Source {
 fn assignment(text: &str) -> Result<(String, String), String> {
     let (key, value) = text
         .split_once('=')
+        .filter(|(key, _)| !key.trim().is_empty())
         .ok_or("use KEY=VALUE, for example cycle.period_ms=2")?;
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }

@@ -24,6 +24,7 @@ use crate::reach;
 use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
+use crate::value::SPEED_M_S_MAX;
 
 /// From a first point farther away than this, the tip is visibly beside the reference for a while \[m\].
 const FAR_M: f64 = 0.02;
@@ -48,6 +49,9 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     let feed = feed_options(arguments);
     feed.check()?;
     check_duration(&*trajectory)?;
+    if !matches!(options.curve, Curve::File(_) | Curve::Stdin(_)) {
+        check_speed(&*trajectory)?;
+    }
     let allowed_m = arguments.max_error.unwrap_or(MISSED_M);
     if arguments.dry_run {
         let demands = dry_run::compute(&connection, &*trajectory, &feed)?;
@@ -91,7 +95,7 @@ fn note_distance(before: &Telemetry, trajectory: &dyn Trajectory) {
     if away_m > FAR_M {
         tell!(
             "note: the tip is {:.0} mm from the first point. With --track it may approach while the reference moves, and be that far from \
-             it or farther; --blend brings it to the first point before",
+             it or farther. Ctrl-C makes it hold; --blend brings it to the first point before",
             1e3 * away_m
         );
     }
@@ -231,6 +235,23 @@ fn check_duration(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
     ensure!(
         is_point || duration_s >= SHORTEST_S,
         "the reference takes {duration_s:.1e} s, less than {SHORTEST_S} s: use a lower speed"
+    );
+    Ok(())
+}
+
+/// Refuses a drawn curve on which the tip would be faster than is probably meant. A file may have steps.
+fn check_speed(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
+    const STEP_S: f64 = 1e-4;
+    let speed_m_s = |k: u32| {
+        let time_s = f64::from(k) * 1e-3 * (trajectory.duration_s() - STEP_S);
+        let [from_m, to_m] = [time_s, time_s + STEP_S].map(|at_s| trajectory.position_m(at_s));
+        distance_m(from_m, to_m) / STEP_S
+    };
+    let fastest_m_s = (0..=1000).map(speed_m_s).fold(0.0, f64::max);
+    ensure!(
+        fastest_m_s <= 1.001 * SPEED_M_S_MAX,
+        "the tip would move at up to {fastest_m_s:.1} m/s, more than {SPEED_M_S_MAX}: use a lower speed, rate or velocity, or a longer \
+         duration (in m/s, rad/s, s)"
     );
     Ok(())
 }

@@ -163,9 +163,12 @@ enum Wanted {
 impl Change {
     /// Parses `KEY=VALUE`, with a known key and a value in its range.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
-        let (key, value) = text.split_once('=').ok_or_else(|| {
-            format!("invalid setting {text:?}: use KEY=VALUE, for example horizon_steps=5")
-        })?;
+        let parts = text.split_once('=');
+        let (key, value) = parts
+            .filter(|(key, _)| !key.trim().is_empty())
+            .ok_or_else(|| {
+                format!("invalid setting {text:?}: use KEY=VALUE, for example horizon_steps=5")
+            })?;
         let (key, value) = (key.trim(), value.trim());
         let known = Setting::all().find(|setting| setting.key == key);
         let setting = known.ok_or_else(|| unknown(key))?;

@@ -133,6 +133,9 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
             }
         });
     }
+    if text.trim().parse::<f64>().is_ok() {
+        return Err("a unit is missing: use for example 5s or 250ms".to_owned());
+    }
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
 }
 
@@ -175,7 +178,8 @@ mod tests {
         assert_eq!(parse_duration("250ms"), Ok(Duration::from_millis(250)));
         assert_eq!(parse_duration("1m 10s"), Ok(Duration::from_secs(70)));
         assert!(parse_duration("-1s").is_err());
-        assert!(parse_duration("5").is_err());
+        let refused = parse_duration("5").expect_err("5 of what");
+        assert_eq!(refused, "a unit is missing: use for example 5s or 250ms");
         assert!(parse_duration("nans").is_err());
     }
 

@@ -38,7 +38,8 @@ ref spiral --step 0s --dry-run => step is 0 s; it must be 0.0001 to 1 s
 ref circle --step 1ns --dry-run => it must be 0.0001 to 1 s
 ref rose --step 2s => it must be 0.0001 to 1 s
 ref spiral --speed 1e9 --dry-run => use a lower speed
-ref polygon --speed 1e9 --track => use a lower speed
+ref circle --rate 57 --track => the tip would move at up to 9.7 m/s, more than 2: use a lower speed
+ref line --velocity 3,0,0 --dry-run => more than 2: use a lower speed
 ";
 
 #[test]

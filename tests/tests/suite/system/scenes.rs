@@ -54,13 +54,15 @@ fn figures_are_tried_and_followed() {
     );
     says(
         &daemon,
-        "ref polygon --radius 0.02 --speed 5 --dry-run",
+        "ref polygon --radius 0.02 --speed 2 --dry-run",
         1,
         "too fast, or obstructed: at",
     );
     let both = "ref polygon --radius 0.02 --blend --dry-run";
     says(&daemon, both, 2, "cannot be used with");
-    says(&daemon, "goto 0.1,0,0.8 --speed 50", 2, "is it in mm/s?");
+    for of_mm in ["goto 0.1,0,0.8 --speed 50", "ref rose --speed 50"] {
+        says(&daemon, of_mm, 2, "is it in mm/s?");
+    }
     let line =
         "ref polygon --corners 3 --centre 0,0,0.88 --radius 0.01 --repeat 8 --track --lead 1s";
     says(&daemon, line, 0, "tracked to its end");

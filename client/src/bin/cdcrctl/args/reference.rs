@@ -168,8 +168,8 @@ pub(crate) struct FigureArguments {
     /// Plane of the figure, two axes of the base frame; a helix rises along the third
     #[arg(long, value_parser = value::plane(), default_value = "xy")]
     pub(crate) plane: FigurePlane,
-    /// Constant speed of the tip, in m/s
-    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value = "0.05", allow_negative_numbers = true)]
+    /// Constant speed of the tip, in m/s, at most 2
+    #[arg(long, value_name = "M/S", value_parser = value::speed, default_value = "0.05", allow_negative_numbers = true)]
     pub(crate) speed: f64,
     /// Number of passes
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1, allow_negative_numbers = true)]
