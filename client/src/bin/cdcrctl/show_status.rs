@@ -109,11 +109,15 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         status.period_ns as f64 / 1e6,
         core_text(status.core)
     )?;
+    let reason = if status.mode == Mode::Starting.code() {
+        String::new()
+    } else {
+        format!(" ({})", Reason::text_of(status.reason))
+    };
     writeln!(
         out,
-        "mode        {} ({}), {} in {}",
+        "mode        {}{reason}, {} in {}",
         Mode::text_of(status.mode),
-        Reason::text_of(status.reason),
         counted(status.faults, "fault"),
         counted(status.cycles, "cycle"),
     )?;

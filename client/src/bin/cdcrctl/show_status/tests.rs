@@ -107,6 +107,7 @@ fn a_daemon_that_waits_for_its_driver_says_what_it_refused() {
     status.outcomes[Outcome::CableMean.code() as usize] = 542;
     let table = table(&status, None, 0).expect("formatted");
     for part in [
+        "\nmode        starting, 0 faults",
         "\nremedy ",
         "; 542 messages refused: the mean length",
         "from the first section on",
