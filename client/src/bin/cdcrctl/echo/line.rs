@@ -112,7 +112,7 @@ pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
     let scheduling = &record.scheduling;
     let whole = |count: u32| or_dash(scheduling.known != 0, count.to_string());
     format!(
-        "{:>13.1} {:>10} {:>8.1} {:>11.1} {:>12.1} {:>10} {:>7} {:>9} {:>7.1} {:>9}  {} ({})",
+        "{:>13.1} {:>10} {:>8.1} {:>11.1} {:>12.1} {:>10} {:>7} {:>9} {:>7.1} {:>9}  {} ({}{})",
         us(now_ns, record.due_ns) * 1e-6,
         record.cycle,
         us(record.start_ns, record.due_ns),
@@ -125,7 +125,23 @@ pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
         steal_text(incident),
         troubles(record),
         LateCause::text_of(scheduling.late_cause),
+        stopped(record),
     )
+}
+
+/// Names a process that was stopped and continued (docs/realtime.md): the thread lost its core, and no other task made it wait.
+fn stopped(record: &Telemetry) -> &'static str {
+    let scheduling = &record.scheduling;
+    let late_ns = record.handed_over_ns.saturating_sub(record.due_ns);
+    let is_stopped = scheduling.known != 0
+        && scheduling.late_cause == LateCause::Platform.code()
+        && scheduling.switches > 0
+        && scheduling.run_delay_ns < late_ns / 10;
+    if is_stopped {
+        "; or cdcrd was stopped and continued: SIGSTOP, debugger"
+    } else {
+        ""
+    }
 }
 
 /// In ms; a dash when the system does not provide it.
@@ -344,6 +360,15 @@ mod tests {
             line.contains("0.0       9         0     0.0         -  "),
             "{line}"
         );
+        assert!(!line.contains("SIGSTOP"), "{line}");
+        bad.telemetry.scheduling.switches = 1;
+        let line = incident(&bad);
+        assert!(
+            line.contains("(platform; or cdcrd was stopped and continued: SIGSTOP"),
+            "{line}"
+        );
+        bad.telemetry.scheduling.run_delay_ns = 1_500_000;
+        assert!(!incident(&bad).contains("SIGSTOP"));
     }
 
     #[test]
