@@ -239,6 +239,11 @@ impl Driver {
         self.follower.refusals()
     }
 
+    /// Why the newest refused command was refused, for programs that do not call [`update`](Self::update) themselves.
+    pub fn last_refusal(&self) -> Option<CommandRefusal> {
+        self.follower.last_refusal()
+    }
+
     /// Rests until the next command; see [`CommandFollower::forget`].
     pub fn forget(&mut self) {
         self.follower.forget();

@@ -162,6 +162,10 @@ class Driver:
         """
         Commands that were refused since the beginning.
         """
+    def last_refusal(self, /) -> str | None:
+        """
+        Why the newest of them was refused, or None.
+        """
     @property
     def robot(self, /) -> Robot:
         """

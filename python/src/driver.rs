@@ -155,6 +155,14 @@ impl DriverPort {
         self.worker.call_on_thread(py, |driver| driver.refusals())
     }
 
+    /// Why the newest of them was refused, or None.
+    fn last_refusal(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        let refusal = self
+            .worker
+            .call_on_thread(py, |driver| driver.last_refusal())?;
+        Ok(refusal.map(|refusal| refusal.to_string()))
+    }
+
     /// The robot of the daemon.
     #[getter]
     fn robot(&self) -> Robot {

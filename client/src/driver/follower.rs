@@ -21,6 +21,7 @@ pub struct CommandFollower {
     /// The newest rest that is over.
     rested: Rest,
     refusals: u64,
+    last_refusal: Option<CommandRefusal>,
 }
 
 /// A time in which the motors rested.
@@ -79,6 +80,7 @@ impl CommandFollower {
             own_id: None,
             rested: Rest::default(),
             refusals: 0,
+            last_refusal: None,
         }
     }
 
@@ -109,6 +111,7 @@ impl CommandFollower {
         let end = offset.map_or(commanded, |offset| commanded.plus(&offset));
         if let Err(refusal) = self.check(command, &end, begin.as_ref(), now_ns) {
             self.refusals += 1;
+            self.last_refusal = Some(refusal);
             return Err(refusal);
         }
         self.rested = self.rest(now_ns);
@@ -283,6 +286,11 @@ impl CommandFollower {
     /// Number of refused commands.
     pub fn refusals(&self) -> u64 {
         self.refusals
+    }
+
+    /// Why the newest refused command was refused.
+    pub fn last_refusal(&self) -> Option<CommandRefusal> {
+        self.last_refusal
     }
 
     /// Rests until the next command, which is then treated as the first. For motors whose torque was off, so

@@ -59,9 +59,11 @@ fn motors_that_always_obey_late_do_not_state_one_rest_without_end() {
 }
 
 #[test]
-fn a_refused_command_ends_no_rest() {
+fn a_refused_command_ends_no_rest_and_its_reason_is_kept() {
     let mut follower = moving();
-    follower.take(&velocity(15, 9.0), 80 * MS).unwrap_err();
+    assert_eq!(follower.last_refusal(), None);
+    let refusal = follower.take(&velocity(15, 9.0), 80 * MS).unwrap_err();
+    assert_eq!(follower.last_refusal(), Some(refusal));
     assert_eq!(follower.rest_ns(80 * MS), 69 * MS..79 * MS);
 }
 
