@@ -2,7 +2,7 @@
 //!
 //! A moving robot is brought to rest in each mode that rests, and observed for `CDCR_REST_S` seconds (2 by
 //! default). Every command has zero rates and the same positions, to the bit, and the robot stays where it
-//! is.
+//! is, also when the daemon is started again.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, TelemetryStream};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
-use cdcr_shared_types::{Command, Telemetry};
+use cdcr_shared_types::{Command, Location, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, ask_for, asked, wait_mode, wait_record,
+    Daemon, EndWhenDropped, PATIENT, ROBOT, TIMEOUT, ask_for, asked, wait_mode, wait_record,
     wait_until,
 };
 
@@ -45,6 +45,19 @@ fn a_velocity_driver_with_offset_is_at_rest_in_every_mode() {
     }
 }
 
+/// Their driver goes on. The load and the zeros of the encoders, which a daemon begins beside, must not add up.
+#[test]
+fn a_daemon_that_is_started_again_moves_no_motors_of_positions() {
+    for mode in [Mode::Holding, Mode::Stopped] {
+        at_rest(Interface::Position, mode, restarted);
+    }
+}
+
+#[test]
+fn a_daemon_that_is_started_again_moves_no_motors_of_speeds() {
+    at_rest(Interface::Velocity, Mode::Holding, restarted);
+}
+
 /// Duration of each observation.
 fn duration() -> Duration {
     Duration::from_secs(asked("CDCR_REST_S").unwrap_or(2))
@@ -52,16 +65,48 @@ fn duration() -> Duration {
 
 /// Stops a homing robot, and observes its rest.
 fn rest(interface: Interface, mode: Mode) {
-    let daemon = Daemon::start(&format!(
+    at_rest(interface, mode, |_, telemetry, first| {
+        let records = assert_constant(telemetry, first);
+        println!("{} {mode}: {records} equal commands", interface.text());
+    });
+}
+
+/// Kills the daemon or ends it, and starts it again.
+fn restarted(daemon: &mut Daemon, _: &mut TelemetryStream, first: &Telemetry) {
+    for restart in 0..4 {
+        match restart % 2 {
+            0 => daemon.kill(),
+            _ => assert!(daemon.stop().success(), "{}", daemon.log()),
+        }
+        daemon.restart();
+        let connection = daemon.connect();
+        let again = settled(
+            &mut connection.telemetry().unwrap(),
+            Mode::try_from(first.mode).unwrap(),
+        );
+        assert_ne!(again.header.sender_id, first.header.sender_id);
+        // The encoders say something else than the commands of before.
+        assert_ne!(bits(&again.command), bits(&first.command));
+    }
+}
+
+/// Brings a homing robot to rest in this mode, and checks that it stands still during `observe`.
+fn at_rest(
+    interface: Interface,
+    mode: Mode,
+    observe: impl FnOnce(&mut Daemon, &mut TelemetryStream, &Telemetry),
+) {
+    let mut daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
          [motion]\nhome_rate_rad_s = 0.2\n",
         interface.text()
     ));
     let robot = RobotThread::default();
     let (answer, bends) = mpsc::channel();
+    let location = daemon.place().location().clone();
     std::thread::scope(|scope| {
         let _ends = EndWhenDropped(&robot.ending);
-        scope.spawn(|| drive(daemon.place(), interface, &robot, &answer));
+        scope.spawn(|| drive(&location, interface, &robot, &answer));
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
@@ -80,10 +125,9 @@ fn rest(interface: Interface, mode: Mode) {
             (0.1..1.0).contains(&stood[0]),
             "{stood:?} is not on the way"
         );
-        let records = assert_constant(&mut telemetry, &first);
+        observe(&mut daemon, &mut telemetry, &first);
         let moved: [f64; 12] = core::array::from_fn(|i| bend()[i] - stood[i]);
         assert!(largest(&moved) < SETTLED_RAD, "it moved by {moved:?} rad");
-        println!("{} {mode}: {records} equal commands", interface.text());
     });
 }
 
@@ -155,12 +199,12 @@ struct RobotThread {
 
 /// Runs the robot from a bend of 1 rad on, and returns its true bends.
 fn drive(
-    place: &Place,
+    location: &Location,
     interface: Interface,
     thread: &RobotThread,
     answer: &mpsc::Sender<[f64; 12]>,
 ) {
-    let connection = cdcr_tests::load::connect(place);
+    let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
     let mut bends = [0.0; 12];
     bends[0] = 1.0;
     let mut robot = DrivenRobot::new(&connection, interface, bends);
