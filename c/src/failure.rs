@@ -65,7 +65,9 @@ fn code_of(error: &LinkError) -> Code {
     match error {
         LinkError::Port { .. } | LinkError::Askers { .. } => Code::Full,
         LinkError::Silent { .. } => Code::Silent,
-        LinkError::ChunkPoints { .. } | LinkError::Obstacles { .. } => Code::Argument,
+        LinkError::ChunkPoints { .. }
+        | LinkError::Obstacles { .. }
+        | LinkError::Misplaced { .. } => Code::Argument,
         LinkError::Memory { .. } | LinkError::Send { .. } | LinkError::Receive { .. } => Code::Link,
     }
 }

@@ -155,6 +155,8 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
         IS(cdcr_outcome(open, CDCR_EVENT_KIND_OBSTACLES, &header, PATIENCE_NS, &event), CDCR_OK);
         IS((int)event.outcome, CDCR_OUTCOME_ACCEPTED);
     }
+    obstacles[0].start_m[0] = 50.0;
+    SAYS(cdcr_obstacles(open, CDCR_OBSTACLE_ACTION_UPSERT, obstacles, 1, &header), CDCR_ERROR_ARGUMENT, "are these millimetres?");
     header.sequence += 1000;
     SAYS(cdcr_outcome(open, CDCR_EVENT_KIND_OBSTACLES, &header, SECOND_NS / 10, &event), CDCR_ERROR_SILENT, "telemetry");
 

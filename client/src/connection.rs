@@ -231,10 +231,12 @@ impl Connection {
     /// A port that sends obstacles.
     ///
     /// # Errors
-    /// When the service has as many writers as it allows.
+    /// When the service has as many writers as it allows, or [`LinkError::Silent`] when the daemon sends no
+    /// status.
     pub fn obstacle_sender(&self) -> Result<ObstacleSender, LinkError> {
+        let robot = self.status(STATUS_FRESH)?.robot;
         let outlet = Outlet::open(&self.services.obstacles, self.sender.clone())?;
-        Ok(ObstacleSender { outlet })
+        Ok(ObstacleSender { outlet, robot })
     }
 
     /// The ports of a driver that obeys `interface`: measurements out, commands in. The driver refuses

@@ -109,7 +109,7 @@ pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedR
 pub use lease::Lease;
 pub use link_error::{LinkError, Liveness};
 pub use message::Message;
-pub use obstacle_sender::ObstacleSender;
+pub use obstacle_sender::{ObstacleSender, check_place};
 #[cfg(feature = "model")]
 pub use plant_driver::{PlantDriver, PlantError};
 pub use reference_feed::ReferenceFeed;

@@ -80,6 +80,12 @@ pub enum LinkError {
         /// Number of obstacles.
         count: usize,
     },
+    /// An obstacle that is probably in millimetres.
+    #[error("{cause}: are these millimetres? Positions and radius are in m: 150 mm are 0.15")]
+    Misplaced {
+        /// The obstacle and its place.
+        cause: String,
+    },
 }
 
 /// State of a daemon that does not answer or sends nothing.

@@ -1,9 +1,12 @@
-use cdcr_shared_types::codes::ObstacleAction;
+use cdcr_shared_types::codes::{ObstacleAction, ObstacleShape};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
-use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate};
+use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, RobotDescription};
 
-use crate::LinkError;
 use crate::outlet::Outlet;
+use crate::{LinkError, section_lengths_m};
+
+/// An obstacle farther away than this, in robot lengths, is taken for one in millimetres: they give a factor of a thousand.
+const FAR: f64 = 10.0;
 
 /// Sends obstacles to the daemon. Any client may send; all clients share the ids.
 ///
@@ -14,14 +17,27 @@ use crate::outlet::Outlet;
 #[derive(Debug)]
 pub struct ObstacleSender {
     pub(crate) outlet: Outlet<ObstacleUpdate>,
+    pub(crate) robot: RobotDescription,
 }
 
 impl ObstacleSender {
     /// Inserts obstacles, or replaces those with the same ids.
     ///
     /// # Errors
-    /// When there are more than [`OBSTACLES_MAX`], or iceoryx2 fails.
+    /// When there are more than [`OBSTACLES_MAX`], one is not where it can be meant ([`check_place`]; nothing is sent), or
+    /// iceoryx2 fails.
     pub fn upsert(&self, obstacles: &[Obstacle]) -> Result<Header, LinkError> {
+        for obstacle in obstacles {
+            check_place(obstacle, &self.robot)?;
+        }
+        self.upsert_anywhere(obstacles)
+    }
+
+    /// As [`upsert`](Self::upsert), wherever the obstacles are.
+    ///
+    /// # Errors
+    /// When there are more than [`OBSTACLES_MAX`], or iceoryx2 fails.
+    pub fn upsert_anywhere(&self, obstacles: &[Obstacle]) -> Result<Header, LinkError> {
         self.send(ObstacleAction::Upsert, obstacles)
     }
 
@@ -30,7 +46,7 @@ impl ObstacleSender {
     /// holds.
     ///
     /// # Errors
-    /// As [`upsert`](Self::upsert).
+    /// As [`upsert_anywhere`](Self::upsert_anywhere).
     pub fn remove(&self, ids: &[u32]) -> Result<Header, LinkError> {
         let with_id = |&id: &u32| Obstacle {
             id,
@@ -60,5 +76,95 @@ impl ObstacleSender {
         };
         update.obstacles[..count].copy_from_slice(obstacles);
         self.outlet.send(update)
+    }
+}
+
+/// Refuses an obstacle that is probably in millimetres: it is farther away than ten robot lengths, or the base is inside.
+///
+/// # Errors
+/// [`LinkError::Misplaced`], with the reason.
+pub fn check_place(obstacle: &Obstacle, robot: &RobotDescription) -> Result<(), LinkError> {
+    let is_capsule = obstacle.shape == ObstacleShape::Capsule.code();
+    let end_m = if is_capsule {
+        obstacle.end_m
+    } else {
+        obstacle.start_m
+    };
+    let from_base_m = distance_m(obstacle.start_m, end_m) - obstacle.radius_m;
+    let reach_m: f64 = section_lengths_m(robot).iter().sum();
+    let place = if from_base_m > FAR * reach_m {
+        format!("is {from_base_m:.1} m away")
+    } else if from_base_m < 0.0 {
+        format!("contains the base, which is {:.3} m inside", -from_base_m)
+    } else {
+        return Ok(());
+    };
+    let id = obstacle.id;
+    Err(LinkError::Misplaced {
+        cause: format!("obstacle {id} {place}, and the robot is {reach_m:.2} m long"),
+    })
+}
+
+/// Distance of a segment from the base, the origin \[m\].
+fn distance_m(start: [f64; 3], end: [f64; 3]) -> f64 {
+    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let along: [f64; 3] = std::array::from_fn(|i| end[i] - start[i]);
+    let squared = dot(along, along);
+    let part = if squared > 0.0 {
+        (-dot(start, along) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let nearest: [f64; 3] = std::array::from_fn(|i| start[i] + part * along[i]);
+    dot(nearest, nearest).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn is_placed(start_m: [f64; 3], end_m: Option<[f64; 3]>, radius_m: f64) -> bool {
+        let mut robot = RobotDescription {
+            sections: 3,
+            ..RobotDescription::default()
+        };
+        for section in &mut robot.section[..3] {
+            section.length_m = 0.3;
+        }
+        let shape = match end_m {
+            Some(_) => ObstacleShape::Capsule,
+            None => ObstacleShape::Sphere,
+        };
+        let obstacle = Obstacle {
+            shape: shape.code(),
+            start_m,
+            end_m: end_m.unwrap_or_default(),
+            radius_m,
+            ..Obstacle::default()
+        };
+        check_place(&obstacle, &robot).is_ok()
+    }
+
+    #[test]
+    fn metres_that_look_like_millimetres_are_refused() {
+        for (at, radius_m, is_legal) in [
+            ([0.0, 0.17, 0.22], 0.02, true),
+            ([0.0, 170.0, 220.0], 20.0, false),
+            ([70.0, 0.0, 0.0], 20.0, false),
+            // A wall, and a machine across the hall.
+            ([0.0, 0.0, -1000.0], 999.9, true),
+            ([8.0, 0.0, 0.0], 1.0, true),
+            // Only the radius is in mm: the base is inside.
+            ([0.5, 0.6, 0.1], 20.0, false),
+        ] {
+            assert_eq!(is_placed(at, None, radius_m), is_legal, "{at:?}");
+        }
+        let far = [50.0, 0.0, 0.0];
+        assert!(
+            is_placed(far, Some([0.3, 0.0, 0.0]), 0.1),
+            "one end is near"
+        );
+        let through = is_placed([0.5, 0.0, 0.0], Some([-0.5, 0.0, 0.0]), 0.02);
+        assert!(!through, "the base is inside");
     }
 }

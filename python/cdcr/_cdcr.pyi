@@ -93,12 +93,13 @@ class Connection:
         """
         The daemon's robot.
         """
-    def set_obstacles(self, /, obstacles: Mapping[int, Obstacle], lifetime_s: float = 0.0) -> None:
+    def set_obstacles(self, /, obstacles: Mapping[int, Obstacle], lifetime_s: float = 0.0, *, far: bool = False) -> None:
         """
         Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
 
         obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
-        Raises ArgumentError for more of them, and RequestError if the daemon refuses them.
+        far: send also those that are farther away than ten robot lengths, or contain the base; without it they are taken for millimetres.
+        Raises ArgumentError for those, and for more than 64, and RequestError if the daemon refuses them.
         """
     def settings(self, /) -> Settings:
         """

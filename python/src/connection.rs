@@ -248,13 +248,15 @@ impl Connection {
     /// Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
     ///
     /// obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
-    /// Raises ArgumentError for more of them, and RequestError if the daemon refuses them.
-    #[pyo3(signature = (obstacles: "Mapping[int, Obstacle]", lifetime_s = 0.0))]
+    /// far: send also those that are farther away than ten robot lengths, or contain the base; without it they are taken for millimetres.
+    /// Raises ArgumentError for those, and for more than 64, and RequestError if the daemon refuses them.
+    #[pyo3(signature = (obstacles: "Mapping[int, Obstacle]", lifetime_s = 0.0, *, far = false))]
     fn set_obstacles(
         &self,
         py: Python<'_>,
         obstacles: &Bound<'_, PyMapping>,
         lifetime_s: f64,
+        far: bool,
     ) -> PyResult<()> {
         let lifetime_ns = seconds("lifetime_s", lifetime_s)?.as_nanos() as u64;
         let measured_ns = cdcr_client::monotonic_ns();
@@ -269,7 +271,13 @@ impl Connection {
         };
         let obstacles = pairs("obstacles", "whole numbers to Obstacles", obstacles)?;
         let obstacles: Vec<_> = obstacles.into_iter().map(wire).collect::<Result<_, _>>()?;
-        self.send_obstacles(py, move |sender| sender.upsert(&obstacles))
+        self.send_obstacles(py, move |sender| {
+            if far {
+                sender.upsert_anywhere(&obstacles)
+            } else {
+                sender.upsert(&obstacles)
+            }
+        })
     }
 
     /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses.

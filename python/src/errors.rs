@@ -112,6 +112,9 @@ impl From<PlantError> for Failure {
 impl From<LinkError> for Failure {
     fn from(error: LinkError) -> Self {
         let remedy = match &error {
+            LinkError::Misplaced { .. } => {
+                return Self::argument(&error, "Convert to m, or send it anyway with far=True.");
+            }
             LinkError::Port { .. } | LinkError::Askers { .. } => "Close another client.",
             LinkError::Memory { .. } => ROOM,
             LinkError::Silent { liveness, .. } => next_after_silence(*liveness),

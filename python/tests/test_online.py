@@ -119,6 +119,11 @@ def test_obstacles_are_seen_until_they_are_removed(daemon: Daemon) -> None:
         assert newest(connection)["obstacle_count"] == 1
         connection.clear_obstacles()
         assert newest(connection)["obstacle_count"] == 0
+        millimetres = cdcr.Obstacle.sphere([500, 0, 500], 50)
+        with pytest.raises(cdcr.ArgumentError, match="obstacle 3 is .* are these millimetres?"):
+            connection.set_obstacles({1: ball, 3: millimetres})
+        assert newest(connection)["obstacle_count"] == 0
+        connection.set_obstacles({3: millimetres}, far=True)
         many = MappingProxyType({number: ball for number in range(64)})
         connection.set_obstacles(many)
         with pytest.raises(cdcr.RequestError, match="full"):

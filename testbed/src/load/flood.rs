@@ -65,7 +65,7 @@ pub(super) fn obstacles(target: &Location, signals: &Signals) -> Result<Done> {
         || signals.is_ending(),
         || {
             turn = turn.wrapping_add(1);
-            sender.upsert(&[ball(turn)])?;
+            sender.upsert_anywhere(&[ball(turn)])?;
             done.updates += 1;
             Ok(())
         },

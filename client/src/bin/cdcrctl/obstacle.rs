@@ -6,9 +6,9 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::time::Duration;
 
-use anyhow::bail;
+use anyhow::{anyhow, bail};
 use cdcr_client::{
-    Connection, LinkError, ObstacleSender, TelemetryStream, monotonic_ns, remedy, section_lengths_m,
+    Connection, LinkError, ObstacleSender, TelemetryStream, check_place, monotonic_ns, remedy,
 };
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
 use cdcr_shared_types::{Header, Obstacle, Status, Telemetry};
@@ -21,9 +21,6 @@ use crate::echo::line::clearance_text;
 use crate::known_obstacles::known;
 use crate::value::SPEED_M_S_MAX;
 
-/// An obstacle farther away than this, in robot lengths, needs a confirmation. (Mistaking millimetres for
-/// metres gives a factor of about a thousand.)
-const FAR: f64 = 10.0;
 /// Timeout for the daemon's decision on a message, or for a cycle.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -33,7 +30,7 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
         ObstacleAction::Add(add) => {
             let obstacle = obstacle(add, monotonic_ns());
             check(&obstacle, &connection.status(TIMEOUT)?, add.far, true)?;
-            let done = change(&connection, |sender| sender.upsert(&[obstacle]))?;
+            let done = change(&connection, |sender| sender.upsert_anywhere(&[obstacle]))?;
             // The obstacle is known, whatever becomes of this.
             if let Ok(record) = newest(&connection) {
                 note_clearance(&record);
@@ -171,48 +168,19 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
             obstacle.id
         );
     }
-    let is_capsule = obstacle.shape == ObstacleShape::Capsule.code();
-    let end_m = if is_capsule {
-        obstacle.end_m
-    } else {
-        obstacle.start_m
-    };
-    let from_base_m = distance_m(obstacle.start_m, end_m) - obstacle.radius_m;
-    let reach_m: f64 = section_lengths_m(&status.robot).iter().sum();
+    if far {
+        return Ok(());
+    }
+    check_place(obstacle, &status.robot)
+        .map_err(|cause| anyhow!("{cause}. To add it anyway: --far"))?;
     let squares = obstacle.velocity_m_s.iter().map(|v| v * v);
     let speed_m_s = squares.sum::<f64>().sqrt();
-    let odd = if from_base_m > FAR * reach_m {
-        format!("is {from_base_m:.1} m away")
-    } else if from_base_m < 0.0 {
-        format!("contains the base, which is {:.3} m inside", -from_base_m)
-    } else if speed_m_s > SPEED_M_S_MAX && ends && !far {
+    if speed_m_s > SPEED_M_S_MAX && ends {
         bail!(
             "the obstacle moves at {speed_m_s:.1} m/s: are these mm/s?\na velocity is in m/s: 20 mm/s are 0.02. To add it anyway: --far"
         );
-    } else {
-        return Ok(());
-    };
-    if !far {
-        bail!(
-            "the obstacle {odd}, and the robot is {reach_m:.2} m long: are these millimetres?\npositions and radius \
-             are in m: 150 mm are 0.15. To add it anyway: --far"
-        );
     }
     Ok(())
-}
-
-/// Distance of a segment from the base, the origin \[m\].
-fn distance_m(start: [f64; 3], end: [f64; 3]) -> f64 {
-    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let along: [f64; 3] = std::array::from_fn(|i| end[i] - start[i]);
-    let squared = dot(along, along);
-    let part = if squared > 0.0 {
-        (-dot(start, along) / squared).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    let nearest: [f64; 3] = std::array::from_fn(|i| start[i] + part * along[i]);
-    dot(nearest, nearest).sqrt()
 }
 
 /// Remedy, with the options of this command where it has some.
@@ -280,39 +248,19 @@ mod tests {
     }
 
     #[test]
-    fn metres_that_look_like_millimetres_are_asked_about() {
-        for (at, radius, is_legal) in [
-            ([0.0, 0.17, 0.22], 0.02, true),
-            ([0.0, 170.0, 220.0], 20.0, false),
-            ([70.0, 0.0, 0.0], 20.0, false),
-            // A wall, and a machine across the hall.
-            ([0.0, 0.0, -1000.0], 999.9, true),
-            ([8.0, 0.0, 0.0], 1.0, true),
-            // Only the radius is in mm: the base is inside.
-            ([0.5, 0.6, 0.1], 20.0, false),
-        ] {
-            let said = checked(&add(at, radius), &status());
-            assert_eq!(said.is_ok(), is_legal, "{at:?}: {said:?}");
-        }
-        let mut far = add([50.0, 0.0, 0.0], 0.1);
-        far.to = Some([0.3, 0.0, 0.0]);
-        assert!(checked(&far, &status()).is_ok(), "one end is near");
-        (far.to, far.far) = (None, true);
-        assert!(checked(&far, &status()).is_ok());
-        let mut through = add([0.5, 0.0, 0.0], 0.02);
-        through.to = Some([-0.5, 0.0, 0.0]);
-        let error = checked(&through, &status())
-            .expect_err("inside")
-            .to_string();
-        assert!(error.contains("contains the base"), "{error}");
-        through.far = true;
-        assert!(checked(&through, &status()).is_ok());
-        let mut fast = add([0.0, 0.17, 0.22], 0.02);
+    fn units_that_look_wrong_are_asked_about() {
+        let (far, mut fast) = (add([50.0, 0.0, 0.0], 0.1), add([0.0, 0.17, 0.22], 0.02));
         fast.velocity = [-20.0, 0.0, 0.0];
-        let error = checked(&fast, &status()).expect_err("fast").to_string();
-        assert!(error.contains("20.0 m/s: are these mm/s?"), "{error}");
-        fast.far = true;
-        assert!(checked(&fast, &status()).is_ok());
+        for (mut odd, expected) in [
+            (far, "are these millimetres? Positions"),
+            (fast, "20.0 m/s: are these mm/s?"),
+        ] {
+            let error = checked(&odd, &status()).expect_err("odd").to_string();
+            assert!(error.contains(expected), "{error}");
+            assert!(error.ends_with("To add it anyway: --far"), "{error}");
+            odd.far = true;
+            assert!(checked(&odd, &status()).is_ok());
+        }
     }
 
     #[test]

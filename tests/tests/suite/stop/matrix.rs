@@ -186,7 +186,7 @@ impl Row {
         if modes == [Mode::Faulted] {
             // Before the floods, whose obstacles may take all the space.
             let obstacles = connection.obstacle_sender().unwrap();
-            obstacles.upsert(&[ball_inside()]).unwrap();
+            obstacles.upsert_anywhere(&[ball_inside()]).unwrap();
             wait_status(&connection, |status| status.mode == Mode::Faulted.code());
         }
         let ending = AtomicBool::new(false);

@@ -196,7 +196,7 @@ impl Feed {
                     What::Remove(_) => None,
                 };
                 let obstacles: Vec<Obstacle> = some.iter().filter_map(obstacle).collect();
-                let header = self.sender.upsert(&obstacles)?;
+                let header = self.sender.upsert_anywhere(&obstacles)?;
                 self.note(&header, some)?;
             }
         }

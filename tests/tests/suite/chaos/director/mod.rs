@@ -269,7 +269,7 @@ impl<'a> Director<'a> {
     fn obstacle(&mut self, make: impl FnOnce(&mut Dice, &Telemetry) -> Obstacle) {
         if let Some(record) = self.view.newest() {
             let obstacle = make(&mut self.dice, &record);
-            self.obstacles.upsert(&[obstacle]).unwrap();
+            self.obstacles.upsert_anywhere(&[obstacle]).unwrap();
         }
     }
 

@@ -219,7 +219,7 @@ impl<'c> Player<'c> {
         let ids: Vec<_> = solids.iter().map(|solid| solid.id).collect();
         match ObstacleAction::try_from(update.action).unwrap_or_default() {
             ObstacleAction::Upsert => {
-                self.obstacles.upsert(&solids)?;
+                self.obstacles.upsert_anywhere(&solids)?;
                 self.ids.extend(ids);
             }
             ObstacleAction::Remove => {
