@@ -77,6 +77,10 @@
  * alone. */
 #define CDCR_BENDS_LATE_MS 100
 
+/* A tip sensor beside bends or cables that has measured nothing for this long is silent [ms]: some frames of a
+ * slow camera. */
+#define CDCR_TIP_SENSOR_SILENT_MS 1000
+
 /* Bytes of a text in a message (robot name, build), UTF-8, padded with zeros. */
 #define CDCR_TEXT_BYTES 48
 
@@ -648,7 +652,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v12, 2232 bytes. */
+/* cdcr.Status.v12, 2224 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -748,16 +752,12 @@ typedef struct CdcrStatus {
     /* 2200: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2208: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
-     * 0: none is silent. */
-    uint64_t silent_obstacle_source;
-    /* 2216: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
-     * the daemon stood still. */
-    uint64_t silent_since_ns;
-    /* 2224: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2208: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
+    /* 2216: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    uint64_t tip_measured_ns;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2232);
+CDCR_ASSERT_SIZE(CdcrStatus, 2224);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {

@@ -230,6 +230,7 @@ impl Reporter {
             measured_error_m: self.measured_error.distance_m(),
             following: record.following,
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
+            tip_measured_ns: (record.tip_measurement).map_or(0, |timed| timed.measured_ns),
             tip_rejected: self.tip_rejected,
             fault_place: self.fault_place,
             dropped_events: inputs.dropped_events,

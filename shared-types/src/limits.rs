@@ -61,6 +61,9 @@ limits! {
     /// Time for which a first tip of a driver awaits bends or cables \[ms\]. After it, the driver measures the tip alone.
     BENDS_LATE_MS = 100;
 
+    /// A tip sensor beside bends or cables that has measured nothing for this long is silent \[ms\]: some frames of a slow camera.
+    TIP_SENSOR_SILENT_MS = 1000;
+
     /// Bytes of a text in a message (robot name, build), UTF-8, padded with zeros.
     TEXT_BYTES = 48;
 }

@@ -215,5 +215,7 @@ message! {
         silent_since_ns: u64,
         /// [`SolverSettings`] has this `rate_weight` where nobody sets another: it depends on the robot.
         rate_weight_auto: f64 [unit "s²/rad²"],
+        /// When the tip was measured last beside bends or cables \[ns, `CLOCK_MONOTONIC`\]; 0: it was not.
+        tip_measured_ns: u64,
     }
 }

@@ -2,7 +2,7 @@ use cdcr_controller::estimator::Measurement as Measured;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{MeasurementKind, Outcome};
-use cdcr_shared_types::limits::BENDS_LATE_MS;
+use cdcr_shared_types::limits::{BENDS_LATE_MS, TIP_SENSOR_SILENT_MS};
 
 use super::bound_sender::BoundSender;
 use crate::config::{Config, Interface, LinkKind, TipSensor, ns};
@@ -33,8 +33,8 @@ pub(super) struct Measurements {
     tip_sensors: u64,
 }
 
-/// A tip sensor silent for this long may be replaced by another one \[ns\]: some frames of a slow camera.
-const TIP_SENSOR_LOST_NS: u64 = 1_000_000_000;
+/// A silent tip sensor may be replaced by another one \[ns\].
+const TIP_SENSOR_LOST_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
 /// A driver that has sent no bends or cables for this long since its first tip measures the tip alone \[ns\].
 const BENDS_LATE_NS: u64 = 1_000_000 * BENDS_LATE_MS as u64;
 

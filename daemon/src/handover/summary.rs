@@ -82,6 +82,8 @@ pub struct Summary {
     pub following: FollowingError,
     /// The following error exceeds its warning limit.
     pub following_warning: bool,
+    /// Last measurement of the tip beside bends or cables \[ns\]; 0: none.
+    pub tip_measured_ns: u64,
     /// The newest tip measured beside the bends was rejected.
     pub tip_rejected: bool,
     /// Where the cycle that began the present fault saw its cause.

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
+use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 
 use crate::config::{Validated, ns};
 use crate::exit::{Ended, ExitCause};
@@ -261,6 +262,14 @@ impl Supervisor {
                 "the measured tip is not used: it jumps, is frozen, or is or was more than 0.1 m from where the bends place it (the body then counts as that much thicker; a tip that is near again is used after some time, or after a reset)"
             );
         }
+        match (is_tip_silent(&self.newest), is_tip_silent(summary)) {
+            (false, true) => tracing::warn!(
+                cycle = summary.cycle,
+                "the tip sensor is silent for {TIP_SENSOR_SILENT_MS} ms: the robot goes on with its bends, and with the offset of the tip as it was last"
+            ),
+            (true, false) => tracing::info!(cycle = summary.cycle, "the tip is measured again"),
+            _ => {}
+        }
         if is_cut_short(summary)
             && !is_cut_short(&self.newest)
             && self.cut_logged_at.elapsed() >= LATE_LINE_EVERY
@@ -365,6 +374,13 @@ fn sleep_unless_signalled(length: Duration) {
 /// The mode or its reason has changed.
 fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
+}
+
+/// A sensor that measured the tip beside bends or cables does so no more.
+fn is_tip_silent(summary: &Summary) -> bool {
+    let silent_ns = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
+    summary.tip_measured_ns > 0
+        && summary.due_ns.saturating_sub(summary.tip_measured_ns) > silent_ns
 }
 
 fn is_cut_short(summary: &Summary) -> bool {

@@ -32,6 +32,7 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.position_error_m = summary.reference_distance_m;
     status.reference_position_m = summary.reference_position_m;
     status.measured_error_m = summary.measured_error_m;
+    status.tip_measured_ns = summary.tip_measured_ns;
     status.following_error_rad = summary.following.bend_rad;
     status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;
