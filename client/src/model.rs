@@ -8,7 +8,7 @@ use cdcr_controller::robot::{
 };
 use cdcr_shared_types::codes::{self, ObstacleShape, OrientationKind, UnknownCode};
 use cdcr_shared_types::{
-    ReferenceChunk, ReferencePoint, RobotDescription, SectionDescription, SolverSettings,
+    ReferenceChunk, ReferencePoint, RobotDescription, SectionDescription, SolverSettings, Status,
 };
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
@@ -121,4 +121,33 @@ pub fn orientation_of(orientation: Orientation) -> reference::Orientation {
             reference::Orientation::Full(UnitQuaternion::from_quaternion(rotation))
         }
     }
+}
+/// The bound that refused settings break, beyond the ranges of the single ones: of the daemon's configuration, or of another
+/// setting.
+pub fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
+    let least_m = status.safe_distance_min_m;
+    if wanted.safe_distance_m < least_m {
+        let wanted_m = wanted.safe_distance_m;
+        return Some(format!(
+            "safe_distance_m = {wanted_m} is below the configured {least_m}: use at least that"
+        ));
+    }
+    if wanted.budget_ns > status.period_ns {
+        let ms = |ns: u64| ns as f64 / 1e6;
+        return Some(format!(
+            "budget_ms = {} is longer than the period of the daemon: at most {}",
+            ms(wanted.budget_ns),
+            ms(status.period_ns)
+        ));
+    }
+    let rules = NmpcSettings {
+        horizon_steps: wanted.horizon_steps,
+        control_blocks: wanted.control_blocks,
+        obstacle_step_penalty: wanted.obstacle_step_penalty,
+        obstacle_slope_penalty: wanted.obstacle_slope_penalty,
+        obstacle_square_penalty: wanted.obstacle_square_penalty,
+        ..NmpcSettings::default()
+    };
+    let broken = rules.validate().err();
+    broken.map(|bound| format!("with the other settings unchanged, {bound}"))
 }

@@ -17,7 +17,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
              (docs/drivers.md, Zero); check robot.sections in the configuration."
         }
         Outcome::OutOfReach => {
-            "Scale or move the reference into the ball whose radius is the robot's length."
+            "Scale or move the reference into the ball whose radius is the robot's length; positions are in m: 150 mm are 0.15."
         }
         Outcome::TimeNotIncreasing => "Increase the time by at least 1 µs from point to point.",
         Outcome::NoLease => "Acquire the lease before sending; cdcrctl ref does both.",

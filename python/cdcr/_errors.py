@@ -1,5 +1,7 @@
 """Exceptions of this package. What was wrong is the message; what to do about it is `.remedy`."""
 
+import sys
+
 
 class Error(Exception):
     """Any error of this package."""
@@ -10,6 +12,9 @@ class Error(Exception):
     def __init__(self, message: str, remedy: str = "") -> None:
         super().__init__(message)
         self.remedy = remedy
+        # Shown below the message where nobody catches the error.
+        if remedy and sys.version_info >= (3, 11):
+            self.add_note(remedy)
 
 
 class ArgumentError(Error, ValueError):

@@ -4,9 +4,9 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use cdcr_client::model::settings_of;
+use cdcr_client::model::{broken_bound, settings_of};
 use cdcr_client::{
-    self, CommandStream, ConnectError, LinkError, ObstacleSender, Requester, Stream,
+    self, CommandStream, ConnectError, LinkError, ObstacleSender, RequestError, Requester, Stream,
     TelemetryStream,
 };
 use cdcr_controller::robot::Robot as Model;
@@ -185,6 +185,17 @@ impl Connection {
         let changed = self
             .worker
             .call_on_thread(py, move |desk| desk.connection.change_settings(wire))?;
+        if let Err(RequestError::Refused {
+            outcome: Outcome::OutOfRange,
+            ..
+        }) = &changed
+            && let Some(bound) = broken_bound(&wire, &*self.snapshot(py, 1.0)?)
+        {
+            let message = format!("cannot change settings: {bound}");
+            return Err(
+                Failure::new(Class::Request, message, "Give a value inside the bound.").into(),
+            );
+        }
         changed.map_err(Failure::from)?;
         Ok(())
     }

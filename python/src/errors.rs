@@ -42,11 +42,16 @@ pub(crate) struct Failure {
 }
 
 impl Failure {
+    /// The errors of the client library end with their remedy; here it is only in `remedy`.
     pub(crate) fn new(class: Class, message: impl ToString, remedy: impl ToString) -> Self {
+        let (message, remedy) = (message.to_string(), remedy.to_string());
+        let what = message.strip_suffix(&remedy).filter(|_| !remedy.is_empty());
         Self {
             class,
-            message: message.to_string(),
-            remedy: remedy.to_string(),
+            message: what
+                .map_or(message.as_str(), |what| what.trim_end_matches(['.', ' ']))
+                .to_owned(),
+            remedy,
         }
     }
 

@@ -62,7 +62,7 @@ impl Setting {
                 value = match (part, field.meaning) {
                     (Part::U32(code), Meaning::Code(codes)) => json!(codes.text(code)),
                     (Part::U32(count), _) => json!(count),
-                    (Part::U64(ns), _) if self == BUDGET => json!(ns as f64 * 1e-6),
+                    (Part::U64(ns), _) if self == BUDGET => json!(ns as f64 / 1e6),
                     (Part::U64(whole), _) => json!(whole),
                     (Part::F64(number), _) => json!(number),
                     _ => Value::Null,

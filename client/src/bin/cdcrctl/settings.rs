@@ -7,8 +7,8 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
+use cdcr_client::model::broken_bound;
 use cdcr_client::{Connection, LinkError, RequestError};
-use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
 use serde_json::Value;
@@ -49,7 +49,7 @@ fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::
     writeln!(out, "{:<26}{:<15}allowed", "setting", "value")?;
     for setting in Setting::all() {
         let (value, allowed) = (setting.text(settings), setting.allowed_by(status));
-        writeln!(out, "{:<26}{value:<15}{allowed}", setting.key)?;
+        writeln!(out, "{:<26}{value:<14} {allowed}", setting.key)?;
     }
     Ok(out)
 }
@@ -148,35 +148,6 @@ fn changed(before: SolverSettings, after: SolverSettings) -> impl Iterator<Item 
     Setting::all().filter(is_changed)
 }
 
-/// A bound of the daemon beyond the range of a setting: from its configuration, or from another setting.
-fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
-    let least_m = status.safe_distance_min_m;
-    if wanted.safe_distance_m < least_m {
-        let wanted_m = wanted.safe_distance_m;
-        return Some(format!(
-            "safe_distance_m = {wanted_m} is below the configured {least_m}: use at least that"
-        ));
-    }
-    if wanted.budget_ns > status.period_ns {
-        let ms = |ns: u64| ns as f64 / 1e6;
-        return Some(format!(
-            "budget_ms = {} is longer than the period of the daemon: at most {}",
-            ms(wanted.budget_ns),
-            ms(status.period_ns)
-        ));
-    }
-    let rules = NmpcSettings {
-        horizon_steps: wanted.horizon_steps,
-        control_blocks: wanted.control_blocks,
-        obstacle_step_penalty: wanted.obstacle_step_penalty,
-        obstacle_slope_penalty: wanted.obstacle_slope_penalty,
-        obstacle_square_penalty: wanted.obstacle_square_penalty,
-        ..NmpcSettings::default()
-    };
-    let broken = rules.validate().err();
-    broken.map(|bound| format!("with the other settings unchanged, {bound}"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -199,7 +170,7 @@ mod tests {
         let mut settings = SolverSettings {
             solver: 1,
             damping: 1e-14,
-            budget_ns: 2_500_000,
+            budget_ns: 100,
             seed: u64::MAX,
             horizon_steps: 3,
             position_weight: 1.0,
@@ -213,7 +184,7 @@ mod tests {
             change.apply(&mut settings);
         }
         assert_eq!(object(settings), shown);
-        assert_eq!((settings.seed, settings.budget_ns), (u64::MAX, 2_500_000));
+        assert_eq!((settings.seed, settings.budget_ns), (u64::MAX, 100));
         let status = Status {
             safe_distance_min_m: 0.02,
             period_ns: 5_000_000,
@@ -223,7 +194,7 @@ mod tests {
         for line in [
             "solver                    gauss-newton   kpso, gauss-newton or kpso-refined\n",
             "damping                   1e-14          1e-20 to 1\n",
-            "budget_ms                 2.5            0 to 5; 0: all the remaining period\n",
+            "budget_ms                 1e-4           0 to 5; 0: all the remaining period\n",
             "safe_distance_m           0              0.02 to 10; no less than in the configuration\n",
         ] {
             assert!(table.contains(line), "{line} in\n{table}");
