@@ -344,26 +344,34 @@ impl Demands {
         (self.along.bend_rad, self.along.rate_rad_s)
     }
 
-    /// Fails when a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
-    pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
-        if self.error_max_m > allowed_m {
-            let (cause, remedy) = if self.missed_at_stroke_limit {
-                (
-                    self.stroke_limit(),
-                    "use a smaller reference, or correct a limit that is not the robot's",
-                )
-            } else {
-                (
-                    "too fast, or obstructed".to_owned(),
-                    "use a lower --speed, or remove obstacles",
-                )
-            };
-            bail!(
-                "{cause}: {}, though the robot's bends allow every point: {remedy}; nothing moved",
+    /// Cause and remedy where a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
+    pub(crate) fn miss(&self, allowed_m: f64) -> Option<(String, &'static str)> {
+        let (cause, remedy) = if self.missed_at_stroke_limit {
+            (
+                self.stroke_limit(),
+                "use a smaller reference, or correct a limit that is not the robot's",
+            )
+        } else {
+            (
+                "too fast, or obstructed".to_owned(),
+                "use a lower --speed, or remove obstacles",
+            )
+        };
+        let cause = || {
+            format!(
+                "{cause}: {}, though the robot's bends allow every point",
                 self.missed()
-            );
+            )
+        };
+        (self.error_max_m > allowed_m).then(|| (cause(), remedy))
+    }
+
+    /// Fails when there is a [`miss`](Self::miss).
+    pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
+        match self.miss(allowed_m) {
+            Some((cause, remedy)) => bail!("{cause}: {remedy}; nothing moved"),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Fails when the orientation is why a point is missed by more than `allowed_m`: the `positions` alone are reached.

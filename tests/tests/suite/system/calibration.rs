@@ -211,6 +211,32 @@ fn a_section_that_is_longer_than_configured_is_excited_too() {
     assert!((found_m.unwrap() - 0.315).abs() < 2e-3, "{found_m:?}");
 }
 
+/// Two sections reach a point of the tip in two poses, and a path of the tip used to make them jump from one into the other, at any
+/// speed: each duration was too short.
+#[test]
+fn two_sections_are_excited_within_the_duration_that_is_given() {
+    let sections = include_str!("../../../../configs/two-sections.toml");
+    let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n\
+        simulated_geometry = [[0.315, 0.01275, 0.05], [0.288, 0.0122, 0.65]]\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{lab}{sections}"));
+    let place = daemon.place();
+    for options in ["20s", "35s --seed 4", "35s --rate-max 1.5 --seed 1"] {
+        let line = format!("cdcrctl calibrate excite -o moved.csv --dry-run --duration {options}");
+        place.says(&line, 0, &["length"]);
+    }
+    let excite = "calibrate excite -o moved.csv --duration 25s";
+    let excite: Vec<&str> = excite.split(' ').collect();
+    run(place, place.folder(), &excite);
+    let found = geometry(place, place.folder(), "moved.csv");
+    for (section, true_m) in [("1", 0.315), ("2", 0.288)] {
+        let name = format!("length of section {section}");
+        let mut estimates = found["estimates"].as_array().unwrap().iter();
+        let length = estimates.find(|estimate| estimate["parameter"] == *name);
+        let found_m = length.unwrap()["found"].as_f64().unwrap();
+        assert!((found_m - true_m).abs() < 3e-3, "{name}: {found_m}");
+    }
+}
+
 const EXCITE: &str = "cdcrctl calibrate excite -o moved.csv --duration 30s";
 
 #[test]

@@ -1,4 +1,4 @@
-use core::f64::consts::{FRAC_1_SQRT_2, TAU};
+use core::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
 use std::io::Write;
 use std::time::Duration;
 
@@ -27,19 +27,26 @@ const IDEAL_SHARE: f64 = 0.95;
 /// Attempts with a smaller and slower path, and the minimum reduction of each.
 const TRIES: u32 = 12;
 const SMALLER: f64 = 0.97;
+/// Factor of the size where a slower path is as fast, because the robot jumps from one pose into another.
+const SMALLER_FOR_JUMP: f64 = 0.85;
 /// Minimum duration of a round \[s\], and minimum number of rounds: fewer do not reach all sides of the
 /// robot.
 const ROUND_MIN_S: f64 = 15.0;
 const ROUNDS_MIN: f64 = 1.0;
-/// Frequencies per round: across the robot in two directions, and along it. They differ, so that many
-/// combinations occur.
-const TURNS: [f64; 3] = [1.0, 1.25, 1.55];
+/// Frequencies per round: across the robot in two directions, and along it; of two sections the direction, the first bend, how far
+/// the directions are apart, and the second bend. They differ, so that many combinations occur.
+const TURNS: [f64; 4] = [1.0, 1.25, 1.55, 1.8];
 /// Time for fading in and out \[s\], or a quarter of the path if that is less.
 const FADE_S: f64 = 5.0;
 /// Shares of the robot length: largest sideways motion, middle height, and height variation.
 const SIDE: f64 = 0.444;
 const MIDDLE: f64 = 0.556;
 const HEIGHT: f64 = 0.222;
+/// Two sections reach most points in two poses, and a path of the tip leads from one into the other by a jump. So their bends are
+/// chosen: as shares of the largest one, the middle and its variation; and how far their directions are apart at most \[rad\].
+const BEND: f64 = 0.4;
+const BEND_SWING: f64 = 0.17;
+const APART_RAD: f64 = FRAC_PI_2;
 /// Time for which the end point is kept, so that the tip comes to rest there \[s\].
 const KEPT_S: f64 = 1.0;
 /// A robot with smaller bends counts as straight \[rad\]: it started at home.
@@ -139,7 +146,8 @@ fn plan(
     let mut excitation = Excitation::new(record, options)?;
     let allowed_m = excitation.missed_m();
     let asked_s = options.record.duration.as_secs_f64();
-    let mut missed = None;
+    let mut missed = String::new();
+    let mut jump_rad_s = f64::INFINITY;
     for _ in 0..TRIES {
         ensure!(
             excitation.rounds >= ROUNDS_MIN,
@@ -149,29 +157,28 @@ fn plan(
         let (bend_rad, rate_rad_s) = demands.bend_and_rate();
         let bend_share = IDEAL_SHARE * bounds.bend_rad / bend_rad;
         let rate_share = IDEAL_SHARE * bounds.rate_rad_s / rate_rad_s;
-        let is_reached = demands.check(allowed_m);
-        if bend_share >= 1.0 && rate_share >= 1.0 && is_reached.is_ok() {
+        let miss = demands.miss(allowed_m);
+        if bend_share >= 1.0 && rate_share >= 1.0 && miss.is_none() {
             ensure!(
                 asked_s >= ROUND_MIN_S,
                 too_short(asked_s, bounds, ROUND_MIN_S)
             );
             return Ok((excitation, demands));
         }
-        if bend_share < 1.0 || is_reached.is_err() {
+        if bend_share < 1.0 || miss.is_some() {
             excitation.size *= bend_share.min(SMALLER);
         }
         if rate_share < 1.0 {
-            excitation.rounds *= rate_share.min(SMALLER);
+            let is_jump = rate_rad_s > jump_rad_s;
+            let share = excitation.calm(rate_share.min(SMALLER), is_jump);
+            // Between the same rate again, and one that has changed with the path.
+            jump_rad_s = 0.5 * (1.0 + share) * rate_rad_s;
         }
-        missed = is_reached.err();
+        missed = miss.map_or_else(String::new, |(cause, _)| format!(" ({cause})"));
     }
-    let missed = missed.map_or_else(String::new, |why| {
-        let why = why.to_string();
-        format!(" ({})", why.trim_end_matches("; nothing moved"))
-    });
     bail!(
-        "no path within {:.3} rad and {:.3} rad/s and clear of obstacles was found{missed}; nothing moved: use \
-         another --seed or other limits, or move the robot by other means during cdcrctl calibrate record",
+        "no path within {:.3} rad and {:.3} rad/s and clear of obstacles was found{missed}; nothing moved: use a longer \
+         --duration, another --seed or other limits, or move the robot by other means during cdcrctl calibrate record",
         bounds.bend_rad,
         bounds.rate_rad_s
     )
@@ -212,7 +219,7 @@ struct Excitation {
     size: f64,
     rounds: f64,
     /// Initial phase of each direction \[turns\].
-    phases: [f64; 3],
+    phases: [f64; 4],
 }
 
 impl Excitation {
@@ -228,7 +235,7 @@ impl Excitation {
             moving_s,
             size: 1.0,
             rounds: moving_s / ROUND_MIN_S,
-            phases: [0.0, 1.0, 2.0].map(|i| (i * golden).fract()),
+            phases: [0.0, 1.0, 2.0, 3.0].map(|i| (i * golden).fract()),
             robot,
         })
     }
@@ -247,33 +254,79 @@ impl Excitation {
             .all(|rad| rad.abs() < STRAIGHT_RAD)
     }
 
-    /// Displacement across and along the robot, each -1 to 1, and the amplitude of the fade.
-    fn sway(&self, time_s: f64) -> ([f64; 3], f64) {
+    /// Makes the path slower by `share`, or smaller where that does not help. Returns the factor.
+    fn calm(&mut self, share: f64, is_jump: bool) -> f64 {
+        let is_slowest = self.has_two_sections() && share * self.rounds < ROUNDS_MIN;
+        if is_jump || is_slowest {
+            self.size *= SMALLER_FOR_JUMP;
+            return SMALLER_FOR_JUMP;
+        }
+        self.rounds *= share;
+        share
+    }
+
+    fn has_two_sections(&self) -> bool {
+        self.robot.section_count() == 2
+    }
+
+    /// Angles of the sways \[rad\], and the amplitude of the fade.
+    fn sway(&self, time_s: f64) -> ([f64; 4], f64) {
         let time_s = time_s.clamp(0.0, self.moving_s);
+        let left_s = self.moving_s - time_s;
         let fade_s = FADE_S.min(0.25 * self.moving_s);
-        let edge = (time_s.min(self.moving_s - time_s) / fade_s).min(1.0);
+        // On its way back to straight the tip of two sections would lead them into another pose: the robot homes from where it is.
+        let ends_bent = self.has_two_sections() && self.begins_straight();
+        let (edge_s, swayed_s) = if ends_bent {
+            let left = (left_s / fade_s).min(1.0);
+            // The integral of the smooth step below: the sways slow down to rest.
+            let slowed = left.powi(4) * (2.5 - 3.0 * left + left * left);
+            (
+                time_s,
+                time_s.min(self.moving_s - fade_s) + fade_s * (0.5 - slowed),
+            )
+        } else {
+            (time_s.min(left_s), time_s)
+        };
+        let edge = (edge_s / fade_s).min(1.0);
         // Smooth in position, speed and acceleration.
         let swell = edge.powi(3) * (10.0 - 15.0 * edge + 6.0 * edge * edge);
-        let turns = self.rounds * time_s / self.moving_s;
-        let sway = |i: usize| (TAU * (turns * TURNS[i] + self.phases[i])).sin();
-        (core::array::from_fn(sway), swell)
+        let turns = self.rounds * swayed_s / self.moving_s;
+        let angle = |i: usize| TAU * (turns * TURNS[i] + self.phases[i]);
+        (core::array::from_fn(angle), swell)
     }
 
     fn tip_m(&self, time_s: f64) -> Vector3<f64> {
-        let ([x, y, z], swell) = self.sway(time_s);
-        if let [section] = self.robot.sections() {
+        let (angles_rad, swell) = self.sway(time_s);
+        let [x, y, z, w] = angles_rad.map(f64::sin);
+        let bends = match self.robot.sections() {
             // The tip of a single section is on a surface.
-            let bend_rad = self.size * section.bend_max_rad * FRAC_1_SQRT_2;
-            let mut bends = self.start;
-            for (bend, sway) in bends.as_mut_slice().iter_mut().zip([x, y]) {
-                *bend += swell * (bend_rad * sway - *bend);
+            [section] => {
+                let bend_rad = self.size * section.bend_max_rad * FRAC_1_SQRT_2;
+                vec![bend_rad * x, bend_rad * y]
             }
-            return self.robot.tip_position(&bends) + self.offset_m;
+            [first, second] => {
+                let apart_rad = APART_RAD * z;
+                let bends =
+                    [(first, y, 0.0), (second, w, apart_rad)].map(|(section, swing, apart_rad)| {
+                        let bend_rad =
+                            self.size * section.bend_max_rad * (BEND + BEND_SWING * swing);
+                        let (sin, cos) = (angles_rad[0] + apart_rad).sin_cos();
+                        [bend_rad * cos, bend_rad * sin]
+                    });
+                bends.concat()
+            }
+            _ => {
+                let side = self.size * SIDE;
+                let height = 1.0 - self.size * (1.0 - MIDDLE - HEIGHT * z);
+                let goal_m = self.robot.reach_m() * Vector3::new(side * x, side * y, height);
+                return self.start_m.lerp(&goal_m, swell);
+            }
+        };
+        let mut here = self.start;
+        for (bend, goal_rad) in here.as_mut_slice().iter_mut().zip(bends) {
+            *bend += swell * (goal_rad - *bend);
         }
-        let side = self.size * SIDE;
-        let height = 1.0 - self.size * (1.0 - MIDDLE - HEIGHT * z);
-        let goal_m = self.robot.reach_m() * Vector3::new(side * x, side * y, height);
-        self.start_m.lerp(&goal_m, swell)
+        self.robot.tip_position(&here) + self.offset_m
     }
 
     fn print(&self) -> anyhow::Result<()> {
@@ -318,7 +371,7 @@ mod tests {
             moving_s: 30.0,
             size: 1.0,
             rounds: 2.0,
-            phases: [0.0, seed, 2.0 * seed],
+            phases: [0.0, seed, 2.0 * seed, 3.0 * seed],
             robot,
         }
     }
