@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from conftest import PATIENCE_S, PROGRAMS, PROJECT, Daemon
@@ -25,8 +26,20 @@ def test_the_readme(daemon: Daemon, tmp_path: Path) -> None:
     works(daemon, tmp_path, program)
 
 
+def test_the_camera_of_the_page(tmp_path: Path) -> None:
+    _, _, camera, _ = blocks("docs/python.md")
+    daemon = Daemon("--set", "link.kind=driver", "--set", "link.tip_sensor=separate")
+    try:
+        begin_ns = time.monotonic_ns()
+        works(daemon, tmp_path, camera)
+        with daemon.connect() as connection:
+            assert connection.status()["tip_measured_ns"] > begin_ns
+    finally:
+        daemon.end()
+
+
 def test_the_page(daemon: Daemon, tmp_path: Path) -> None:
-    offline, online, recorded = blocks("docs/python.md")
+    offline, online, _, recorded = blocks("docs/python.md")
     recorder = subprocess.Popen([PROGRAMS / "cdcrctl", "record", "-o", "run.mcap"], cwd=tmp_path, env=daemon.environment)
     works(daemon, tmp_path, offline + online)
     recorder.terminate()
