@@ -63,6 +63,8 @@ pub(crate) struct GaussNewton {
     at_active_bound: Vec<bool>,
     /// Unknowns of the linear system.
     free: Vec<usize>,
+    /// For each of them, how far the step leaves the box.
+    excesses: Vec<f64>,
     step: Vec<f64>,
     /// The point of linearisation.
     base: Vec<f64>,
@@ -113,6 +115,7 @@ impl GaussNewton {
             gradient_scale: 0.0,
             at_active_bound: vec![false; dimension],
             free: Vec::with_capacity(dimension),
+            excesses: Vec::with_capacity(dimension),
             step: vec![0.0; dimension],
             base: Vec::with_capacity(dimension),
             trial_point: Vec::with_capacity(dimension),

@@ -91,9 +91,20 @@ impl Smoother {
         let unknowns = step.len();
         self.means[..unknowns].copy_from_slice(step);
         self.variances[..unknowns].fill(0.0);
-        for &i in free {
+        let prior = |i| {
             let term = QuadraticTerm::default().with_own(model, i, damping);
-            (self.means[i], self.variances[i]) = term.prior(damping);
+            term.prior(damping)
+        };
+        if model.regulariser().is_some() {
+            for &i in free {
+                (self.means[i], self.variances[i]) = prior(i);
+            }
+        } else {
+            // The damping alone treats all unknowns alike.
+            let common = prior(0);
+            for &i in free {
+                (self.means[i], self.variances[i]) = common;
+            }
         }
         self.solve_from_priors(model, damping, step, budget)
     }
@@ -137,7 +148,8 @@ impl Smoother {
 
     /// Sorts the rows by block.
     fn sort(&mut self, model: &LinearModel) {
-        self.begins.fill(0);
+        let blocks = model.stages().blocks();
+        self.begins[..=blocks].fill(0);
         let lengths = model.stages().lengths().iter();
         for (is_so, length) in self.has_end_rows_only.iter_mut().zip(lengths) {
             *is_so = *length == 1.0;
@@ -147,7 +159,7 @@ impl Smoother {
             self.begins[stage.block + 1] += 1;
             self.has_end_rows_only[stage.block] &= stage.since_start && stage.periods == 1.0;
         }
-        for block in 0..BLOCKS_MAX {
+        for block in 0..blocks {
             self.begins[block + 1] += self.begins[block];
         }
         let mut next = self.begins;

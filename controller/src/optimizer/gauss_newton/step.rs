@@ -146,29 +146,33 @@ impl GaussNewton {
     }
 
     /// Largest excess of the free unknowns over the box, see [`excess`]; 0: the step stays inside.
-    fn excess_max(&self, bounds: &Bounds, z: &[f64]) -> f64 {
+    fn excess_max(&mut self, bounds: &Bounds, z: &[f64]) -> f64 {
         let intervals = bounds.lower().iter().zip(bounds.upper());
         let mut all = self.step.iter().zip(z).zip(intervals);
         if all.all(|((step, z), (low, high))| (low..=high).contains(&&(z + step))) {
             return 0.0;
         }
         let free = self.free.iter();
-        free.map(|&i| excess(bounds, i, z[i], self.step[i]).0)
-            .fold(0.0, f64::max)
+        let excesses = free.map(|&i| excess(bounds, i, z[i], self.step[i]));
+        self.excesses.clear();
+        self.excesses.extend(excesses);
+        let larger = |most, excess| if excess > most { excess } else { most };
+        self.excesses.iter().copied().fold(0.0, larger)
     }
 
     /// Fixes at their bounds the free unknowns that reach them first along the step: those with an excess
-    /// near `excess_max`.
+    /// near `excess_max`, the result of [`Self::excess_max`].
     ///
     /// The others stay free, because they need no longer compensate for the part outside the box. Fixing all
     /// at once would deflect the step to a corner of the box.
     fn fix_at_bounds(&mut self, bounds: &Bounds, z: &[f64], excess_max: f64) {
-        let step = &mut self.step;
+        let (step, mut excesses) = (&mut self.step, self.excesses.iter());
         self.free.retain(|&i| {
-            let (excess, to_bound) = excess(bounds, i, z[i], step[i]);
-            let first = excess >= FIRST_SHARE * excess_max;
+            let first = excesses
+                .next()
+                .is_some_and(|excess| *excess >= FIRST_SHARE * excess_max);
             if first {
-                step[i] = to_bound;
+                step[i] = to_bound(bounds, i, z[i], step[i]);
             }
             !first
         });
@@ -436,17 +440,23 @@ impl GaussNewton {
     }
 }
 
-/// Ratio of the step of unknown `i` to its distance from the bound, 0 if it stays inside, and that distance.
-fn excess(bounds: &Bounds, i: usize, z: f64, step: f64) -> (f64, f64) {
-    let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
-    let to_bound = if step > 0.0 { upper - z } else { lower - z };
-    let is_inside = (lower..=upper).contains(&(z + step));
-    let excess = if is_inside {
+/// Ratio of the step of unknown `i` to its distance from the bound, 0 if it stays inside.
+fn excess(bounds: &Bounds, i: usize, z: f64, step: f64) -> f64 {
+    if (bounds.lower()[i]..=bounds.upper()[i]).contains(&(z + step)) {
         0.0
     } else {
-        (step / to_bound).abs()
+        (step / to_bound(bounds, i, z, step)).abs()
+    }
+}
+
+/// Distance of unknown `i` from the bound in the direction of its step.
+fn to_bound(bounds: &Bounds, i: usize, z: f64, step: f64) -> f64 {
+    let bound = if step > 0.0 {
+        bounds.upper()[i]
+    } else {
+        bounds.lower()[i]
     };
-    (excess, to_bound)
+    bound - z
 }
 
 #[cfg(test)]
