@@ -94,7 +94,7 @@ impl Solver {
         Self {
             knowledge: Knowledge::with_capacity(unknowns),
             swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
-            gauss_newton: GaussNewton::with_capacity(unknowns, tied, rows, CONSTRAINTS_MAX),
+            gauss_newton: GaussNewton::with_capacity(simd, unknowns, tied, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
             alternative: Incumbent::with_capacity(unknowns),
             rest_plan: Incumbent::with_capacity(unknowns),

@@ -1,6 +1,6 @@
 use pulp::{NullaryFnOnce, WithSimd};
 
-/// Instruction sets for the swarm. With the same work, all give the same bits at different speeds. Under a
+/// Instruction sets for the swarm and the smoother of long plans. With the same work, all give the same bits at different speeds. Under a
 /// limited budget, `Scalar` gives other bits, because its quanta contain one particle instead of eight. Each
 /// variant takes seconds to compile, so a release contains only those it can use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]

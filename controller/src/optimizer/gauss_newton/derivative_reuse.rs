@@ -104,7 +104,7 @@ mod tests {
 
     use super::*;
     use crate::optimizer::gauss_newton::GaussNewtonSettings;
-    use crate::optimizer::{Evaluation, LinearModel, RowStage, Stages};
+    use crate::optimizer::{Evaluation, LinearModel, RowStage, Simd, Stages};
     use crate::wide::Wide;
 
     /// r = (z₀ + 0.1 z₁² - 0.3, z₁ - 0.2 z₀² - 0.1, l + l z₀²), whose last residual remains, with a count of
@@ -187,7 +187,7 @@ mod tests {
             is_rough: false,
             residuals_max: 1e-12,
         };
-        let outcome = GaussNewton::with_capacity(2, 3, 3, 0).refine(
+        let outcome = GaussNewton::with_capacity(Simd::best(), 2, 3, 3, 0).refine(
             &problem,
             &bounds,
             &settings,

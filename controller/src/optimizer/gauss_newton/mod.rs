@@ -15,7 +15,7 @@ pub(crate) use trial::FoundStep;
 use trial::Trial;
 
 use super::linear_model::dot;
-use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem};
+use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem, Simd};
 
 /// Settings of [`GaussNewton`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,8 +100,9 @@ const DAMPING_GROWTH: f64 = 1e3;
 
 impl GaussNewton {
     /// Memory for problems of up to `dimension` unknowns, `dense` of them in dense rows, `rows` residuals and
-    /// `constraints`.
+    /// `constraints`, solved with the instructions of `simd`.
     pub(crate) fn with_capacity(
+        simd: Simd,
         dimension: usize,
         dense: usize,
         rows: usize,
@@ -127,7 +128,7 @@ impl GaussNewton {
             columns: vec![0.0; order * dense],
             gram: vec![0.0; dense * dense],
             gram_is_current: false,
-            smoother: Smoother::with_capacity(all_rows),
+            smoother: Smoother::with_capacity(simd, all_rows),
             riccati: Riccati::with_capacity(dimension),
             interior_point: InteriorPoint::with_capacity(dimension, constraints),
         }

@@ -363,7 +363,7 @@ fn forward<const W: usize>(of_block: &[f64], state: &[f64; W], step: &mut [f64])
 mod tests {
     use super::super::Smoother;
     use super::*;
-    use crate::optimizer::{Stages, cycle_seed};
+    use crate::optimizer::{Simd, Stages, cycle_seed};
 
     const BLOCKS: usize = 3;
     const DAMPING: f64 = 1e-9;
@@ -435,7 +435,7 @@ mod tests {
             model
                 .weight_constraints(constraint_weight, &mut budget)
                 .unwrap();
-            let mut smoother = Smoother::with_capacity(60);
+            let mut smoother = Smoother::with_capacity(Simd::best(), 60);
             let mut smoothed = vec![0.3; BLOCKS * width];
             assert!(smoother.solve_with_terms(&model, term, DAMPING, &mut smoothed, &mut budget));
             for (solved, step) in steps {

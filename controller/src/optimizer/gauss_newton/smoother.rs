@@ -7,12 +7,15 @@
 //! Every unknown has variance 1, and every row the noise λ. A fixed unknown has variance 0, and one with a
 //! weight ρ has λ/(λ + ρ). An active constraint is one more row.
 
+use pulp::NullaryFnOnce;
+
 use crate::optimizer::stages::{BLOCKS_MAX, WIDTH_MAX};
-use crate::optimizer::{Budget, LinearModel};
+use crate::optimizer::{Budget, LinearModel, Simd};
 
 /// Workspace, and the results of the filter for the smoother.
 #[derive(Debug)]
 pub(super) struct Smoother {
+    simd: Simd,
     /// Row indices sorted by block.
     order: Vec<u16>,
     /// Start of each block in that order, and the end of the last one.
@@ -66,8 +69,10 @@ struct State<const N: usize> {
 }
 
 impl Smoother {
-    pub(super) fn with_capacity(rows: usize) -> Self {
+    /// Memory for `rows`, processed with the instructions of `simd`.
+    pub(super) fn with_capacity(simd: Simd, rows: usize) -> Self {
         Self {
+            simd,
             order: vec![0; rows],
             begins: [0; BLOCKS_MAX + 1],
             has_end_rows_only: [false; BLOCKS_MAX],
@@ -136,13 +141,21 @@ impl Smoother {
         budget: &mut Budget<'_>,
     ) -> bool {
         self.sort(model);
+        let simd = self.simd;
+        let sweep = Sweep {
+            smoother: self,
+            model,
+            damping,
+            step,
+            budget,
+        };
         match model.stages().width() {
-            2 => self.smooth::<2, 4>(model, damping, step, budget),
-            4 => self.smooth::<4, 8>(model, damping, step, budget),
-            6 => self.smooth::<6, 12>(model, damping, step, budget),
-            8 => self.smooth::<8, 16>(model, damping, step, budget),
-            10 => self.smooth::<10, 20>(model, damping, step, budget),
-            _ => self.smooth::<12, 24>(model, damping, step, budget),
+            2 => simd.run(OfWidth::<2, 4>(sweep)),
+            4 => simd.run(OfWidth::<4, 8>(sweep)),
+            6 => simd.run(OfWidth::<6, 12>(sweep)),
+            8 => simd.run(OfWidth::<8, 16>(sweep)),
+            10 => simd.run(OfWidth::<10, 20>(sweep)),
+            _ => simd.run(OfWidth::<12, 24>(sweep)),
         }
     }
 
@@ -175,14 +188,16 @@ impl Smoother {
         usize::from(self.begins[block])..usize::from(self.begins[block + 1])
     }
 
+    #[inline(always)]
     fn prior<const W: usize>(&self, block: usize) -> Prior<W> {
-        let of = |numbers: &[f64]| core::array::from_fn(|i| numbers[block * W + i]);
-        Prior {
-            mean: of(&self.means),
-            variance: of(&self.variances),
-        }
+        let (mut mean, mut variance) = ([0.0; W], [0.0; W]);
+        mean.copy_from_slice(&self.means[block * W..][..W]);
+        variance.copy_from_slice(&self.variances[block * W..][..W]);
+        Prior { mean, variance }
     }
 
+    /// One pass forward and back. It is inlined with all that it calls, into a function compiled for the instruction set.
+    #[inline(always)]
     fn smooth<const W: usize, const D: usize>(
         &mut self,
         model: &LinearModel,
@@ -221,8 +236,10 @@ impl Smoother {
                     (joint[i], joint[W + i]) = (adjoint[i], length * adjoint[i]);
                 }
                 self.backward_update(model, block, &mut joint);
-                adjoint = core::array::from_fn(|i| joint[i]);
-                core::array::from_fn(|i| joint[W + i])
+                let mut of_unknowns = [0.0; W];
+                adjoint.copy_from_slice(&joint[..W]);
+                of_unknowns.copy_from_slice(&joint[W..]);
+                of_unknowns
             };
             let prior = self.prior::<W>(block);
             for i in 0..W {
@@ -233,6 +250,7 @@ impl Smoother {
     }
 
     /// Processes the rows of a block one by one. False: the budget was spent.
+    #[inline(always)]
     fn filter<const N: usize>(
         &mut self,
         model: &LinearModel,
@@ -255,6 +273,7 @@ impl Smoother {
     }
 
     /// Backward pass: adds the effect of a block's rows on the state before it.
+    #[inline(always)]
     fn backward_update<const N: usize>(
         &self,
         model: &LinearModel,
@@ -273,8 +292,37 @@ impl Smoother {
     }
 }
 
+/// One solution for unknowns with priors.
+struct Sweep<'a, 'b> {
+    smoother: &'a mut Smoother,
+    model: &'a LinearModel,
+    damping: f64,
+    step: &'a mut [f64],
+    budget: &'a mut Budget<'b>,
+}
+
+/// The same for W unknowns in each block.
+struct OfWidth<'a, 'b, const W: usize, const D: usize>(Sweep<'a, 'b>);
+
+impl<const W: usize, const D: usize> NullaryFnOnce for OfWidth<'_, '_, W, D> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn call(self) -> bool {
+        let Sweep {
+            smoother,
+            model,
+            damping,
+            step,
+            budget,
+        } = self.0;
+        smoother.smooth::<W, D>(model, damping, step, budget)
+    }
+}
+
 /// The derivatives of a row with respect to the sum of the blocks before. If N allows both, those with
 /// respect to its own block follow.
+#[inline(always)]
 fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
     let (of_row, stage) = (model.row(row), model.stage(row));
     if let Some(before) = of_row.first_chunk() {
@@ -304,7 +352,7 @@ fn product<const N: usize>(a: &[f64], b: &[f64; N]) -> f64 {
 impl<const N: usize> State<N> {
     /// Processes one row: residual + `by` · state is noise of variance `noise`. Returns the innovation
     /// divided by its variance.
-    #[inline]
+    #[inline(always)]
     fn update(&mut self, by: &[f64; N], residual: f64, noise: f64, gain: &mut [f64]) -> f64 {
         // Short chains of additions: the next row waits for this one.
         let mut spread = [0.0; N];
@@ -320,7 +368,10 @@ impl<const N: usize> State<N> {
         // The inverse of the root; the root does not wait for the division. A product of two equal factors keeps the
         // matrix symmetric to the bit.
         let root = share * variance.sqrt();
-        let scaled = spread.map(|spread| spread * root);
+        let mut scaled = spread;
+        for scaled in &mut scaled {
+            *scaled *= root;
+        }
         for (line, scale) in self.covariance.iter_mut().zip(scaled) {
             for (covariance, other) in line.iter_mut().zip(scaled) {
                 *covariance -= scale * other;
@@ -334,6 +385,7 @@ impl<const N: usize> State<N> {
     }
 
     /// Adds unknowns that are in force for one period.
+    #[inline(always)]
     fn add(&mut self, prior: &Prior<N>) {
         for i in 0..N {
             self.mean[i] += prior.mean[i];
@@ -342,6 +394,7 @@ impl<const N: usize> State<N> {
     }
 
     /// The joint distribution of this state and the unknowns of a block.
+    #[inline(always)]
     fn joint_with<const D: usize>(&self, prior: &Prior<N>) -> State<D> {
         let mut joint = State {
             mean: [0.0; D],
@@ -358,17 +411,21 @@ impl<const N: usize> State<N> {
 
     /// The state after unknowns that were in force for `length` periods: the first half plus `length` times
     /// the second.
+    #[inline(always)]
     fn after_block<const W: usize>(&self, length: f64) -> State<W> {
         let p = &self.covariance;
-        State {
-            mean: core::array::from_fn(|i| self.mean[i] + length * self.mean[W + i]),
-            covariance: core::array::from_fn(|i| {
-                core::array::from_fn(|k| {
-                    let across = p[i][W + k] + p[k][W + i];
-                    p[i][k] + length * (across + length * p[W + i][W + k])
-                })
-            }),
+        let mut after = State {
+            mean: [0.0; W],
+            covariance: [[0.0; W]; W],
+        };
+        for i in 0..W {
+            after.mean[i] = self.mean[i] + length * self.mean[W + i];
+            for k in 0..W {
+                let across = p[i][W + k] + p[k][W + i];
+                after.covariance[i][k] = p[i][k] + length * (across + length * p[W + i][W + k]);
+            }
         }
+        after
     }
 }
 

@@ -462,10 +462,11 @@ fn to_bound(bounds: &Bounds, i: usize, z: f64, step: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optimizer::Simd;
 
     #[test]
     fn all_that_press_on_the_border_where_they_stand_are_fixed_together() {
-        let mut gauss_newton = GaussNewton::with_capacity(20, 20, 1, 0);
+        let mut gauss_newton = GaussNewton::with_capacity(Simd::best(), 20, 20, 1, 0);
         let mut bounds = Bounds::with_capacity(20);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 20), 1);
         // Sixteen are at the bound and would cross it by different amounts; four have space.
@@ -492,7 +493,7 @@ mod tests {
     /// reach them clearly later may still stay inside.
     #[test]
     fn ties_are_fixed_together_and_no_other_unknown() {
-        let mut gauss_newton = GaussNewton::with_capacity(4, 4, 1, 0);
+        let mut gauss_newton = GaussNewton::with_capacity(Simd::best(), 4, 4, 1, 0);
         let mut bounds = Bounds::with_capacity(4);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 4), 1);
         gauss_newton.free.extend(0..4);

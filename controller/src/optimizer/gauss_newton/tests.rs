@@ -60,7 +60,7 @@ fn refine(problem: &Bowl, half_width: f64, steps: u32) -> (Incumbent, GaussNewto
         step_tolerance: 1e-12,
         ..SETTINGS
     };
-    let outcome = GaussNewton::with_capacity(3, 3, 2, 0).refine(
+    let outcome = GaussNewton::with_capacity(Simd::best(), 3, 3, 2, 0).refine(
         problem,
         &bounds,
         &settings,
@@ -142,7 +142,7 @@ fn a_point_that_was_found_on_the_way_to_a_small_step_is_linearised() {
         step_tolerance: 1e-12,
         ..SETTINGS
     };
-    let outcome = GaussNewton::with_capacity(4, 4, 3, 0).refine(
+    let outcome = GaussNewton::with_capacity(Simd::best(), 4, 4, 3, 0).refine(
         &problem,
         &bounds,
         &settings,
@@ -169,7 +169,7 @@ fn a_small_step_is_the_last_one_and_taken() {
         step_tolerance: 1e-5,
         ..SETTINGS
     };
-    let mut gauss_newton = GaussNewton::with_capacity(2, 2, 2, 0);
+    let mut gauss_newton = GaussNewton::with_capacity(Simd::best(), 2, 2, 2, 0);
     let outcome = gauss_newton.refine(&problem, &bounds, &settings, budget, &mut incumbent);
     assert!(outcome.converged && outcome.accepted == 1, "{outcome:?}");
     assert!(incumbent.cost() < 1e-20, "{}", incumbent.cost());
@@ -197,7 +197,7 @@ fn a_spent_budget_leaves_the_warm_start() {
             .as_ref(),
     );
 
-    GaussNewton::with_capacity(2, 2, 2, 0).refine(
+    GaussNewton::with_capacity(Simd::best(), 2, 2, 2, 0).refine(
         &problem,
         &bounds,
         &SETTINGS,

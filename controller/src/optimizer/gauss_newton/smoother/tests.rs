@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::super::{FoundStep, GaussNewton};
 use crate::optimizer::{
-    Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages,
+    Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Simd, Stages,
 };
 use crate::wide::Wide;
 
@@ -69,7 +69,8 @@ fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> O
     let mut bounds = Bounds::with_capacity(unknowns);
     bounds.set_symmetric(&std::iter::repeat_n(1.0, unknowns), 1);
     let rows = ROWS_MAX + unknowns;
-    let mut gauss_newton = GaussNewton::with_capacity(unknowns, unknowns, rows, CONSTRAINTS_MAX);
+    let mut gauss_newton =
+        GaussNewton::with_capacity(Simd::best(), unknowns, unknowns, rows, CONSTRAINTS_MAX);
     let mut incumbent = Incumbent::with_capacity(unknowns);
     incumbent.restart(z, None);
     let mut to = z.to_vec();
