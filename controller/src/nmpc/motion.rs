@@ -261,7 +261,7 @@ impl<'a> Motion<'a> {
             let most = section.rate_max_rad_s;
             [most, if angles { most / theta.max(1.0) } else { most }]
         });
-        bounds.set_symmetric(&half_widths, self.horizon.blocks());
+        bounds.set_symmetric(half_widths, self.horizon.blocks());
     }
 
     /// Upper bound of the norm of each section's bend rate over the horizon \[rad/s\].

@@ -17,15 +17,17 @@ impl Bounds {
     /// Sets the box to `±half_width[i]`, repeated `repetitions` times. Does not allocate within the capacity.
     pub(crate) fn set_symmetric(
         &mut self,
-        half_width: &(impl Iterator<Item = f64> + Clone),
+        half_width: impl Iterator<Item = f64>,
         repetitions: usize,
     ) {
         self.lower.clear();
         self.upper.clear();
-        for _ in 0..repetitions {
-            self.upper.extend(half_width.clone());
-            self.lower.extend(half_width.clone().map(|half| -half));
+        self.upper.extend(half_width);
+        let width = self.upper.len();
+        for _ in 1..repetitions {
+            self.upper.extend_from_within(..width);
         }
+        self.lower.extend(self.upper.iter().map(|half| -half));
     }
 
     /// Limits the growth of component i from `previous` to `change(block)` in each repetition of the box, in

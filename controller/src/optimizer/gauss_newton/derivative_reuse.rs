@@ -175,7 +175,7 @@ mod tests {
             linearised: Cell::new(0),
         };
         let mut bounds = Bounds::with_capacity(2);
-        bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
+        bounds.set_symmetric(std::iter::repeat_n(1.0, 2), 1);
         let start = [0.2986 + beside, 0.1178];
         let mut incumbent = Incumbent::with_capacity(2);
         let budget = &mut Budget::unlimited();

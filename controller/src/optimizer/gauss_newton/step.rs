@@ -468,7 +468,7 @@ mod tests {
     fn all_that_press_on_the_border_where_they_stand_are_fixed_together() {
         let mut gauss_newton = GaussNewton::with_capacity(Simd::best(), 20, 20, 1, 0);
         let mut bounds = Bounds::with_capacity(20);
-        bounds.set_symmetric(&std::iter::repeat_n(1.0, 20), 1);
+        bounds.set_symmetric(std::iter::repeat_n(1.0, 20), 1);
         // Sixteen are at the bound and would cross it by different amounts; four have space.
         let mut z = [1.0; 20];
         z[16..].fill(0.0);
@@ -495,7 +495,7 @@ mod tests {
     fn ties_are_fixed_together_and_no_other_unknown() {
         let mut gauss_newton = GaussNewton::with_capacity(Simd::best(), 4, 4, 1, 0);
         let mut bounds = Bounds::with_capacity(4);
-        bounds.set_symmetric(&std::iter::repeat_n(1.0, 4), 1);
+        bounds.set_symmetric(std::iter::repeat_n(1.0, 4), 1);
         gauss_newton.free.extend(0..4);
         gauss_newton.step[..4].copy_from_slice(&[2.0, -1.999, 1.85, 1.6]);
         let excess = gauss_newton.excess_max(&bounds, &[0.0; 4]);

@@ -45,7 +45,7 @@ impl Problem for Bowl {
 
 fn refine(problem: &Bowl, half_width: f64, steps: u32) -> (Incumbent, GaussNewtonOutcome) {
     let mut bounds = Bounds::with_capacity(3);
-    bounds.set_symmetric(&std::iter::repeat_n(half_width, problem.dimension()), 1);
+    bounds.set_symmetric(std::iter::repeat_n(half_width, problem.dimension()), 1);
     let mut incumbent = Incumbent::with_capacity(3);
     let start = [0.0; 3];
     let start = &start[..problem.dimension()];
@@ -131,7 +131,7 @@ fn a_point_that_was_found_on_the_way_to_a_small_step_is_linearised() {
         stages: Stages::new(2, 1.0, [1.0, 1.0].into_iter()),
     };
     let mut bounds = Bounds::with_capacity(4);
-    bounds.set_symmetric(&[1.0, 1.0].into_iter(), 2);
+    bounds.set_symmetric([1.0, 1.0].into_iter(), 2);
     // So near the bound that the step to it is small, but not on it.
     let start = [1.0 - 1e-13, 0.0, 0.0, 0.0];
     let mut incumbent = Incumbent::with_capacity(4);
@@ -158,7 +158,7 @@ fn a_point_that_was_found_on_the_way_to_a_small_step_is_linearised() {
 fn a_small_step_is_the_last_one_and_taken() {
     let problem = bowl(2);
     let mut bounds = Bounds::with_capacity(2);
-    bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
+    bounds.set_symmetric(std::iter::repeat_n(1.0, 2), 1);
     let root = (5.0_f64.sqrt() - 1.0) / 2.0;
     let mut incumbent = Incumbent::with_capacity(2);
     let budget = &mut Budget::unlimited();
@@ -187,7 +187,7 @@ fn an_active_bound_is_kept_and_the_others_are_solved_for() {
 fn a_spent_budget_leaves_the_warm_start() {
     let problem = bowl(2);
     let mut bounds = Bounds::with_capacity(2);
-    bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
+    bounds.set_symmetric(std::iter::repeat_n(1.0, 2), 1);
     let mut incumbent = Incumbent::with_capacity(2);
     let start = [0.1, 0.2];
     incumbent.restart(

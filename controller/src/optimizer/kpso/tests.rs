@@ -59,7 +59,7 @@ fn search(settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
 fn search_with(simd: Simd, settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
     let cost = rastrigin();
     let mut bounds = Bounds::with_capacity(2);
-    bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
+    bounds.set_symmetric(std::iter::repeat_n(5.0, 2), 1);
     let mut incumbent = Incumbent::with_capacity(2);
     let start = [-4.0, 4.0];
     incumbent.restart(
@@ -96,7 +96,7 @@ fn rastrigin() -> Rastrigin {
 #[test]
 fn on_a_simulated_clock_every_search_ends_within_5_us_of_its_budget() {
     let mut bounds = Bounds::with_capacity(2);
-    bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
+    bounds.set_symmetric(std::iter::repeat_n(5.0, 2), 1);
     let settings = settings(VelocityRule::Inertia);
     let mut swarm = Kpso::with_capacity(Simd::best(), 24, 2);
     for budget_ns in (0..1_000_000).step_by(7_900) {

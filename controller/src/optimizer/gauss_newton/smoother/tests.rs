@@ -67,7 +67,7 @@ const CONSTRAINTS_MAX: usize = 16;
 fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> Option<Vec<f64>> {
     let unknowns = problem.stages.unknowns();
     let mut bounds = Bounds::with_capacity(unknowns);
-    bounds.set_symmetric(&std::iter::repeat_n(1.0, unknowns), 1);
+    bounds.set_symmetric(std::iter::repeat_n(1.0, unknowns), 1);
     let rows = ROWS_MAX + unknowns;
     let mut gauss_newton =
         GaussNewton::with_capacity(Simd::best(), unknowns, unknowns, rows, CONSTRAINTS_MAX);
