@@ -141,12 +141,14 @@ impl Solver {
         let mut refinement = None;
         let mut iterations = 0;
         if task.problem.has_reference() && budget.begin_quantum() {
-            self.knowledge.collect(task.problem, task.bounds, warm_plan);
             let searches = task.settings.solver.searches();
             let mut is_knowledge_evaluated = false;
             // A refinement is cheap, so it precedes everything else.
             if refines {
                 is_knowledge_evaluated = self.incumbent.is_violated();
+                if is_knowledge_evaluated {
+                    self.knowledge.collect(task.problem, task.bounds, warm_plan);
+                }
                 // A shifted plan stays on its way past the obstacles.
                 let is_new = stages && warm_plan.iter().all(|rate| *rate == 0.0);
                 let is_rough = searches && is_new && task.problem.has_reachable_obstacles();
@@ -162,6 +164,9 @@ impl Solver {
             // elsewhere.
             let is_done =
                 !has_tracking_error && refinement.is_some_and(|refined| refined.converged);
+            if !(is_done || is_knowledge_evaluated) {
+                self.knowledge.collect(task.problem, task.bounds, warm_plan);
+            }
             let is_late =
                 searches && refinement.is_some() && self.error_is_late(task, warm_plan, budget);
             if is_late {
