@@ -90,6 +90,17 @@ impl<'a> Budget<'a> {
         self.begin_quantum()
     }
 
+    /// Announces pieces of work as if by [`Self::spend`], one after another. Returns whether all may be done.
+    #[inline]
+    pub(super) fn spend_each(&mut self, mut pieces_ns: impl Iterator<Item = u32> + Clone) -> bool {
+        let sum_ns: u32 = pieces_ns.clone().sum();
+        if !self.spent && self.meter_ns + sum_ns < QUANTUM_NS {
+            self.meter_ns += sum_ns;
+            return true;
+        }
+        pieces_ns.all(|work_ns| self.spend(work_ns))
+    }
+
     /// Begins a new quantum if the budget is not spent. Returns whether it did.
     pub fn begin_quantum(&mut self) -> bool {
         self.meter_ns = 0;
@@ -138,6 +149,21 @@ mod tests {
         assert!(budget.spend(100));
         assert_eq!(budget.quanta(), 1);
         assert!((0..14).all(|_| budget.spend(100)) && !budget.spend(100) && !budget.spend(0));
+    }
+
+    #[test]
+    fn pieces_announced_together_count_as_one_by_one() {
+        let (mut together, mut single) = (Budget::from_quanta(9), Budget::from_quanta(9));
+        for pieces in (0..90).map(|length| (0..length).map(|piece| 7 * piece)) {
+            let mut each = pieces.clone();
+            let is_left = each.all(|work_ns| single.spend(work_ns));
+            assert_eq!(together.spend_each(pieces), is_left);
+            assert_eq!(
+                (together.quanta(), together.meter_ns),
+                (single.quanta(), single.meter_ns)
+            );
+        }
+        assert!(together.is_spent());
     }
 
     #[test]

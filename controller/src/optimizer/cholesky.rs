@@ -1,11 +1,17 @@
 //! Cholesky factorisation in place, in memory provided by the caller.
 
 use super::Budget;
-use super::linear_model::dot;
+use super::products::{ANNOUNCED_MAX, dot, with_known_size};
 
 /// Factorises a symmetric positive definite A (`order`², row-major; only the lower triangle is read) in
 /// place. False: A is not positive definite to working precision, or the budget was spent.
 pub(super) fn factorise(a: &mut [f64], order: usize, budget: &mut Budget<'_>) -> bool {
+    with_known_size!(order, factorise_of(a, order, budget))
+}
+
+#[inline(always)]
+fn factorise_of(a: &mut [f64], order: usize, budget: &mut Budget<'_>) -> bool {
+    let at_once = order <= ANNOUNCED_MAX;
     for column in 0..order {
         // A multiplication and an addition take half a nanosecond.
         let each_ns = column as u32 / 2;
@@ -17,8 +23,12 @@ pub(super) fn factorise(a: &mut [f64], order: usize, budget: &mut Budget<'_>) ->
         }
         let root = square.sqrt();
         diagonal[0] = root;
+        let below_ns = core::iter::repeat_n(each_ns, order - column - 1);
+        if at_once && !budget.spend_each(below_ns) {
+            return false;
+        }
         for row in below.chunks_exact_mut(order) {
-            if !budget.spend(each_ns) {
+            if !(at_once || budget.spend(each_ns)) {
                 return false;
             }
             row[column] = (row[column] - dot(&row[..column], own)) / root;
@@ -34,16 +44,28 @@ pub(super) fn substitute(
     b: &mut [f64],
     budget: &mut Budget<'_>,
 ) -> bool {
+    with_known_size!(order, substitute_of(factor, order, b, budget))
+}
+
+#[inline(always)]
+fn substitute_of(factor: &[f64], order: usize, b: &mut [f64], budget: &mut Budget<'_>) -> bool {
+    let at_once = order <= ANNOUNCED_MAX;
+    if at_once && !budget.spend_each(0..order as u32) {
+        return false;
+    }
     for row in 0..order {
-        if !budget.spend(row as u32) {
+        if !(at_once || budget.spend(row as u32)) {
             return false;
         }
         let (line, (known, rest)) = (&factor[row * order..][..=row], b.split_at_mut(row));
         let terms = line.iter().zip(known);
         rest[0] = terms.fold(rest[0], |sum, (entry, x)| sum - entry * *x) / line[row];
     }
+    if at_once && !budget.spend_each(1..order as u32 + 1) {
+        return false;
+    }
     for row in (0..order).rev() {
-        if !budget.spend((order - row) as u32) {
+        if !(at_once || budget.spend((order - row) as u32)) {
             return false;
         }
         let (own, known) = b[row..].split_at_mut(1);

@@ -2,6 +2,7 @@
 
 use std::collections::BinaryHeap;
 
+use super::products::{add_times, dot, with_known_size};
 use super::{Budget, Stages, VIOLATIONS};
 
 /// The unknowns on which a row depends: those of one block, and perhaps those of all blocks before.
@@ -211,6 +212,11 @@ impl LinearModel {
         self.residuals.values[index]
     }
 
+    /// All residuals.
+    pub(super) fn residuals(&self) -> &[f64] {
+        &self.residuals.values
+    }
+
     /// The residuals of the cost, to be replaced by those of another point.
     pub(super) fn residuals_mut(&mut self) -> &mut [f64] {
         &mut self.residuals.values[..self.cost_rows]
@@ -376,30 +382,67 @@ impl LinearModel {
     /// norm of r. None: the budget was spent.
     pub(crate) fn gradient(&mut self, into: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
         into.fill(0.0);
-        self.sums.clear();
-        if self.is_staged {
-            self.sums.resize(into.len(), 0.0);
+        let stride = self.stride;
+        let sums = if self.is_staged {
+            with_known_size!(stride, self.add_staged_gradient(stride, into, budget))
+        } else {
+            with_known_size!(stride, self.add_dense_gradient(stride, into, budget))
+        };
+        let (mut jacobian, mut residuals) = sums?;
+        if let Some((weight, z)) = self.regulariser() {
+            add_times(weight, z, into);
+            residuals += weight * dot(z, z);
+            jacobian += weight * z.len() as f64;
         }
+        Some(f64::sqrt(jacobian * residuals))
+    }
+
+    /// Adds Jᵀr of dense rows. Returns the squared norms of J and r. None: the budget was spent.
+    #[inline(always)]
+    fn add_dense_gradient(
+        &self,
+        stride: usize,
+        into: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<(f64, f64)> {
+        let (mut jacobian, mut residuals) = (0.0, 0.0);
+        for (index, &residual) in self.residuals().iter().enumerate() {
+            if !budget.spend(stride as u32) {
+                return None;
+            }
+            let row = &self.row(index)[..stride];
+            residuals += residual * residual;
+            add_times(residual, row, &mut into[..stride]);
+            jacobian += dot(row, row);
+        }
+        Some((jacobian, residuals))
+    }
+
+    /// The same of staged rows.
+    #[inline(always)]
+    fn add_staged_gradient(
+        &mut self,
+        stride: usize,
+        into: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<(f64, f64)> {
+        self.sums.clear();
+        self.sums.resize(into.len(), 0.0);
         let (mut jacobian, mut residuals) = (0.0, 0.0);
         // Squared lengths of the blocks before that of the row; most rows come in the order of their blocks.
         let (mut blocks, mut squared_periods) = (0, 0.0);
         for index in 0..self.rows() {
-            if !budget.spend(self.stride as u32) {
+            if !budget.spend(stride as u32) {
                 return None;
             }
             let (residual, stage) = (self.residual(index), self.stage(index));
-            let row = &self.residuals.derivatives[index * self.stride..][..self.stride];
+            let row = &self.residuals.derivatives[index * stride..][..stride];
             let square = dot(row, row);
             residuals += residual * residual;
-            if !self.is_staged {
-                add_times(residual, row, into);
-                jacobian += square;
-                continue;
-            }
-            let first = stage.block * self.stride;
-            add_times(stage.periods * residual, row, &mut into[first..]);
+            let first = stage.block * stride;
+            add_times(stage.periods * residual, row, &mut into[first..][..stride]);
             if stage.since_start {
-                add_times(residual, row, &mut self.sums[first..]);
+                add_times(residual, row, &mut self.sums[first..][..stride]);
             }
             if stage.block < blocks {
                 (blocks, squared_periods) = (0, 0.0);
@@ -416,22 +459,8 @@ impl LinearModel {
             };
             jacobian += square * (before + stage.periods * stage.periods);
         }
-        if self.is_staged {
-            self.stages.add_later(&self.sums, into);
-        }
-        if let Some((weight, z)) = self.regulariser() {
-            add_times(weight, z, into);
-            residuals += weight * dot(z, z);
-            jacobian += weight * z.len() as f64;
-        }
-        Some(f64::sqrt(jacobian * residuals))
-    }
-}
-
-/// Adds a row times a factor, up to the shorter length.
-fn add_times(factor: f64, row: &[f64], into: &mut [f64]) {
-    for (sum, derivative) in into.iter_mut().zip(row) {
-        *sum += derivative * factor;
+        self.stages.add_later(&self.sums, into);
+        Some((jacobian, residuals))
     }
 }
 
@@ -445,11 +474,10 @@ fn fill(row: &mut [f64], derivatives: &[f64], stage: RowStage, stages: &Stages, 
         }
         return;
     }
-    for (index, block) in row
-        .chunks_exact_mut(width)
-        .enumerate()
-        .take(stage.block + 1)
-    {
+    let mut later = row;
+    for index in 0..=stage.block {
+        let (block, rest) = later.split_at_mut(width);
+        later = rest;
         let periods = match index == stage.block {
             true => stage.periods,
             false if stage.since_start => stages.lengths()[index],
@@ -466,31 +494,6 @@ fn fill(row: &mut [f64], derivatives: &[f64], stage: RowStage, stages: &Stages, 
 fn in_order(number: f64) -> i64 {
     let bits = number.to_bits().cast_signed();
     bits ^ ((bits >> 63).cast_unsigned() >> 1).cast_signed()
-}
-
-/// Σ aᵢ bᵢ over the shorter length, in eight partial sums: the order is fixed, and the additions do not wait
-/// for each other.
-#[inline]
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let length = a.len().min(b.len());
-    if length < 8 {
-        return 0.0 + a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    }
-    dot_eights(a, b, length)
-}
-
-fn dot_eights(a: &[f64], b: &[f64], length: usize) -> f64 {
-    let (a, a_rest) = a[..length].as_chunks::<8>();
-    let (b, b_rest) = b[..length].as_chunks::<8>();
-    let mut sums = [0.0; 8];
-    for (a, b) in a.iter().zip(b) {
-        for i in 0..8 {
-            sums[i] += a[i] * b[i];
-        }
-    }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    let [s0, s1, s2, s3, s4, s5, s6, s7] = sums;
-    ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7)) + rest
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ mod gauss_newton;
 mod incumbent;
 mod kpso;
 mod linear_model;
+mod products;
 mod random;
 mod simd;
 mod stages;

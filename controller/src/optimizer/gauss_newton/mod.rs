@@ -1,5 +1,6 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
+mod dense;
 mod derivative_reuse;
 mod interior_point;
 mod riccati;
@@ -14,7 +15,7 @@ use smoother::{QuadraticTerm, Smoother};
 pub(crate) use trial::FoundStep;
 use trial::Trial;
 
-use super::linear_model::dot;
+use super::products::dot;
 use super::{Bounds, Budget, Candidate, Incumbent, LinearModel, Problem, Simd};
 
 /// Settings of [`GaussNewton`].
