@@ -1,6 +1,7 @@
 mod evaluation;
 mod position_only;
 
+pub(super) use evaluation::SwarmCost;
 pub(super) use position_only::PositionOnly;
 
 use super::limits::{LIMITS, LimitRow, Limits};
@@ -9,14 +10,11 @@ use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{Coordinates, NmpcSettings};
 use crate::optimizer::{
-    Bounds, Budget, Cost, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages,
-    WIDTH_MAX,
+    Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages, WIDTH_MAX,
 };
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
-use crate::robot::{
-    BendRates, COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX, TipSeries,
-};
-use crate::wide::{Aligned, Wide};
+use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX};
+use crate::wide::Wide;
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {
@@ -284,19 +282,9 @@ impl<'a> TrackingProblem<'a> {
     /// false. Returns whether all calls returned true.
     fn for_each_step(&self, z: &[f64], mut visit: impl FnMut(&Bent, &Step) -> bool) -> bool {
         let mut bends: Bent = self.motion.start();
-        let mut stage = RowStage {
-            block: 0,
-            since_start: true,
-            periods: 0.0,
-        };
-        (0..self.steps()).all(|index| {
+        self.row_stages().enumerate().all(|(index, stage)| {
             let before = bends;
             self.motion.advance_one(&mut bends, z, index);
-            let block = self.motion.horizon().block_of(index);
-            if block > stage.block {
-                (stage.block, stage.periods) = (block, 0.0);
-            }
-            stage.periods += 1.0;
             let bends = &bends;
             visit(
                 &before,
@@ -306,6 +294,23 @@ impl<'a> TrackingProblem<'a> {
                     stage,
                 },
             )
+        })
+    }
+
+    /// The stage of the rows at the end of each step.
+    fn row_stages(&self) -> impl Iterator<Item = RowStage> {
+        let mut stage = RowStage {
+            block: 0,
+            since_start: true,
+            periods: 0.0,
+        };
+        (0..self.steps()).map(move |step| {
+            let block = self.motion.horizon().block_of(step);
+            if block > stage.block {
+                (stage.block, stage.periods) = (block, 0.0);
+            }
+            stage.periods += 1.0;
+            stage
         })
     }
 
@@ -391,7 +396,10 @@ impl Problem for TrackingProblem<'_> {
         residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>> {
-        self.position_residuals(z, residuals, budget)
+        match self.motion.coordinates() {
+            Coordinates::BendVector => self.position_residuals::<VECTORS>(z, residuals, budget),
+            Coordinates::BendAngles => self.position_residuals::<ANGLES>(z, residuals, budget),
+        }
     }
 
     fn evaluate_until_violation(
@@ -460,37 +468,6 @@ impl Problem for TrackingProblem<'_> {
             self.push_limit_rows(before, at, model, budget)
                 && self.push_clearance_rows(at, &reach_m, model, budget)
         })
-    }
-}
-
-/// The problem in the coordinates selected by P.
-pub(super) struct SwarmCost<'a, const P: usize> {
-    problem: &'a TrackingProblem<'a>,
-    tip_series: Option<TipSeries>,
-}
-
-impl<'a, const P: usize> SwarmCost<'a, P> {
-    pub(super) fn new(problem: &'a TrackingProblem<'a>) -> Self {
-        let tip_series = problem.tip_series();
-        Self {
-            problem,
-            tip_series,
-        }
-    }
-}
-
-impl<const P: usize> Cost for SwarmCost<'_, P> {
-    #[inline(always)]
-    fn evaluate<const W: usize>(
-        &self,
-        z: impl Fn(usize) -> Wide<W>,
-        _: &mut [Aligned<W>],
-        budget: &mut Budget<'_>,
-        instructions: impl pulp::Simd,
-    ) -> Option<Evaluation<W>> {
-        let (tip_series, cost_cutoff) = (self.tip_series.as_ref(), f64::INFINITY);
-        self.problem
-            .evaluate_in::<W, P>(&z, tip_series, cost_cutoff, budget, instructions)
     }
 }
 

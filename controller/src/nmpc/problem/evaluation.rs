@@ -6,9 +6,9 @@ use super::{SECTION_NS, TrackingProblem};
 use crate::nmpc::motion::{ANGLES, Bends, VECTORS};
 use crate::nmpc::pose_error;
 use crate::nmpc::{Coordinates, NmpcSettings};
-use crate::optimizer::{Budget, Evaluation, Incumbent, Problem, QUANTUM_NS, run_outlined};
+use crate::optimizer::{Budget, Cost, Evaluation, Incumbent, Problem, QUANTUM_NS, run_outlined};
 use crate::robot::{COORDINATES_MAX, TipSeries};
-use crate::wide::{Wide, all};
+use crate::wide::{Aligned, Wide, all};
 
 impl TrackingProblem<'_> {
     /// Eq. 5 for W plans at once, in the coordinates selected by P. Stops early when all of them are known to
@@ -159,6 +159,37 @@ impl TrackingProblem<'_> {
             }
         }
         cost
+    }
+}
+
+/// The problem in the coordinates selected by P.
+pub(in crate::nmpc) struct SwarmCost<'a, const P: usize> {
+    problem: &'a TrackingProblem<'a>,
+    tip_series: Option<TipSeries>,
+}
+
+impl<'a, const P: usize> SwarmCost<'a, P> {
+    pub(in crate::nmpc) fn new(problem: &'a TrackingProblem<'a>) -> Self {
+        let tip_series = problem.tip_series();
+        Self {
+            problem,
+            tip_series,
+        }
+    }
+}
+
+impl<const P: usize> Cost for SwarmCost<'_, P> {
+    #[inline(always)]
+    fn evaluate<const W: usize>(
+        &self,
+        z: impl Fn(usize) -> Wide<W>,
+        _: &mut [Aligned<W>],
+        budget: &mut Budget<'_>,
+        instructions: impl pulp::Simd,
+    ) -> Option<Evaluation<W>> {
+        let (tip_series, cost_cutoff) = (self.tip_series.as_ref(), f64::INFINITY);
+        self.problem
+            .evaluate_in::<W, P>(&z, tip_series, cost_cutoff, budget, instructions)
     }
 }
 

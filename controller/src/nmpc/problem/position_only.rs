@@ -4,6 +4,7 @@
 use core::ops::Range;
 
 use super::TrackingProblem;
+use crate::nmpc::motion::{Bends, VECTORS};
 use crate::nmpc::pose_error::distance_squared;
 use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Problem, RowStage};
 use crate::reference::Orientation;
@@ -96,25 +97,28 @@ impl TrackingProblem<'_> {
     }
 
     /// The cost of one plan. Also writes the position residuals, up to the length of `residuals`.
-    pub(super) fn position_residuals(
+    pub(super) fn position_residuals<const P: usize>(
         &self,
         z: &[f64],
         residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>> {
-        let (mut bends, mut pair) = (self.motion.start(), [Wide([0.0; 2]); COORDINATES_MAX]);
+        let mut bends: Bends<1, P> = self.motion.start();
+        let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
+        let (control, step_ns) = (|i: usize| Wide([z[i]]), self.step_ns());
         let (mut cost, mut rows) = (self.regularisation_at(z), residuals.chunks_exact_mut(3));
-        for first in (0..self.steps()).step_by(2) {
-            let steps = first..self.steps().min(first + 2);
-            for step in steps.clone() {
-                if !budget.spend(self.step_ns()) {
+        let (mut first, steps) = (0, self.steps());
+        while first < steps {
+            let end = steps.min(first + 2);
+            for step in first..end {
+                if !budget.spend(step_ns) {
                     return None;
                 }
-                self.motion.advance_one(&mut bends, z, step);
-                put(&mut pair, step - first, &bends.bend_rad);
+                self.motion.advance(&mut bends, &control, step);
+                put(&mut pair[..self.width()], step - first, &bends.bend_rad);
             }
             let tips = self.robot.tip_position_wide(|i| pair[i]);
-            for step in steps {
+            for step in first..end {
                 let Some((error, weight)) = self.error(step, first, &tips) else {
                     continue;
                 };
@@ -125,6 +129,7 @@ impl TrackingProblem<'_> {
                     row.copy_from_slice(&error.map(|error| scale * error));
                 }
             }
+            first = end;
         }
         Some(Evaluation::from_cost(Wide([cost])))
     }
@@ -138,15 +143,18 @@ impl TrackingProblem<'_> {
     ) -> bool {
         let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
         let mut row_stages = [RowStage::FIRST_BLOCK; 2];
-        let is_left = self.for_each_step(z, |_, at| {
-            if !budget.spend(self.linearise_step_ns(at.index)) {
+        let mut bends: Bends<1, VECTORS> = self.motion.start();
+        let control = |i: usize| Wide([z[i]]);
+        let is_left = self.row_stages().enumerate().all(|(step, stage)| {
+            if !budget.spend(self.linearise_step_ns(step)) {
                 return false;
             }
-            let (lane, end) = (at.index % 2, at.index + 1);
-            put(&mut pair, lane, &at.bends.bend_rad);
-            row_stages[lane] = at.stage;
+            let (lane, end) = (step % 2, step + 1);
+            self.motion.advance(&mut bends, &control, step);
+            put(&mut pair[..self.width()], lane, &bends.bend_rad);
+            row_stages[lane] = stage;
             if lane == 1 || end == self.steps() {
-                self.push_pair(at.index - lane..end, &pair, row_stages, model);
+                self.push_pair(step - lane..end, &pair, row_stages, model);
             }
             true
         });
@@ -168,11 +176,14 @@ impl TrackingProblem<'_> {
                 continue;
             };
             let scale = weight.sqrt();
+            let stage = row_stages[step - first];
             for axis in 0..3 {
-                let slope = |of: &[Wide<2>; 3]| scale * of[axis].0[step - first];
-                let derivatives = slopes.each_ref().map(slope);
-                let stage = row_stages[step - first];
-                model.push(scale * error[axis], &derivatives[..self.width()], stage);
+                let mut derivatives = [0.0; COORDINATES_MAX];
+                let derivatives = &mut derivatives[..self.width()];
+                for (derivative, slope) in derivatives.iter_mut().zip(&slopes) {
+                    *derivative = scale * slope[axis].0[step - first];
+                }
+                model.push(scale * error[axis], derivatives, stage);
             }
         }
     }
@@ -186,7 +197,7 @@ impl TrackingProblem<'_> {
     }
 }
 
-fn put(pair: &mut Pair, lane: usize, bends: &[Wide<1>; COORDINATES_MAX]) {
+fn put(pair: &mut [Wide<2>], lane: usize, bends: &[Wide<1>; COORDINATES_MAX]) {
     for (both, bend) in pair.iter_mut().zip(bends) {
         both.0[lane] = bend.0[0];
     }

@@ -7,9 +7,9 @@ use super::*;
 use crate::nmpc::obstacles::CLEARANCE;
 use crate::nmpc::solver::CONSTRAINTS_MAX;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
-use crate::optimizer::VIOLATIONS;
+use crate::optimizer::{Cost, VIOLATIONS};
 use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
-use crate::wide::LANES;
+use crate::wide::{Aligned, LANES};
 
 const PERIOD_S: f64 = 0.05;
 /// Changes a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near
