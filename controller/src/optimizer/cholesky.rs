@@ -61,7 +61,7 @@ fn substitute_of(factor: &[f64], order: usize, b: &mut [f64], budget: &mut Budge
         let terms = line.iter().zip(known);
         rest[0] = terms.fold(rest[0], |sum, (entry, x)| sum - entry * *x) / line[row];
     }
-    if at_once && !budget.spend_each(1..order as u32 + 1) {
+    if at_once && !budget.spend_each(1..=order as u32) {
         return false;
     }
     for row in (0..order).rev() {
