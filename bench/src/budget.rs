@@ -15,7 +15,7 @@ use crate::closed_loop::{self, End, PlanEvaluator, Scene, timed_solve};
 use crate::dataset::Dataset;
 use crate::experiment::{Solver, Task};
 use crate::progress::Progress;
-use crate::quantiles::{Quantiles, histogram};
+use crate::quantiles::{histogram, quantiles};
 use crate::solver::Size;
 use crate::study::{self, Case};
 
@@ -162,8 +162,8 @@ impl Way {
             "ended_by_budget": ended_by_budget,
             "ended_by_budget_share": ended_by_budget as f64 / solves as f64,
             // Time beyond the budget, of the solve and of the loop without work.
-            "over_us": Quantiles::of(&own_ns),
-            "bare_over_us": Quantiles::of(&bare_ns),
+            "over_us": quantiles(&own_ns),
+            "bare_over_us": quantiles(&bare_ns),
             "worse_than_warm_start": worse,
         }))
     }

@@ -1,6 +1,5 @@
 //! Late cycles by cause.
 
-use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::LateCause::{self, Compute, Load, PageFault, Platform, Stall};
 use serde::{Serialize, Serializer};
 
@@ -13,14 +12,14 @@ const NAMES: [(LateCause, &str, &str); LateCause::COUNT - 1] = [
     (Compute, "compute", "compute"),
 ];
 
+/// Causes of the daemon itself.
+pub const OWN: [LateCause; 2] = [PageFault, Compute];
+
+/// Counts by the code of their cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Causes([u64; LateCause::COUNT]);
+pub struct Causes(pub [u64; LateCause::COUNT]);
 
 impl Causes {
-    pub fn reported(statistics: &Statistics) -> Self {
-        Self(statistics.causes)
-    }
-
     /// A cycle without a known cause counts as a stall.
     pub fn count(&mut self, cause: LateCause) {
         let cause = if cause == LateCause::None {
@@ -35,9 +34,8 @@ impl Causes {
         self.0[cause.code() as usize]
     }
 
-    /// Cycles that were late because of the daemon itself.
     pub fn own(&self) -> u64 {
-        self.of(PageFault) + self.of(Compute)
+        OWN.map(|cause| self.of(cause)).iter().sum()
     }
 
     pub fn all(&self) -> u64 {

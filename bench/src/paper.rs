@@ -13,7 +13,7 @@ use crate::interrupt;
 use crate::metric::median;
 use crate::plots;
 use crate::progress::Progress;
-use crate::quantiles::{Quantiles, histogram};
+use crate::quantiles::{histogram, quantiles};
 
 /// The approach ends when the error first falls below this value \[mm\]. The printed constants of the circle
 /// are rounded and leave 7.2e-3 mm.
@@ -183,7 +183,7 @@ fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
         row["mean_error_outside_mm"] = of_all("mean_error_outside_mm").and_then(median).into();
     }
     let mean = json!({ "mean": solve_ns.mean() * 1e-3 });
-    row["solve_us"] = joined([mean, json!(Quantiles::of(solve_ns))]);
+    row["solve_us"] = joined([mean, quantiles(solve_ns)]);
     row["seeds"] = runs.len().into();
     row.as_object_mut()
         .and_then(|row| row.remove("solve_p50_us"));

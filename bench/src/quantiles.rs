@@ -2,39 +2,25 @@
 
 use cdcr_shared_types::LatencySummary;
 use hdrhistogram::Histogram;
-use serde::Serialize;
+use serde_json::{Value, json};
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quantiles {
-    pub min: f64,
-    pub p50: f64,
-    pub p99: f64,
-    pub p999: f64,
-    pub max: f64,
+/// Five quantiles \[µs\]; null without values.
+pub fn quantiles(times_ns: &Histogram<u64>) -> Value {
+    let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|of| times_ns.value_at_quantile(of));
+    let all_ns = [times_ns.min(), p50, p99, p999, times_ns.max()];
+    named_us(times_ns.len(), all_ns)
 }
 
-impl Quantiles {
-    pub fn of(times_ns: &Histogram<u64>) -> Option<Self> {
-        (!times_ns.is_empty()).then(|| Self {
-            min: times_ns.min() as f64 * 1e-3,
-            p50: quantile_us(times_ns, 0.5),
-            p99: quantile_us(times_ns, 0.99),
-            p999: quantile_us(times_ns, 0.999),
-            max: times_ns.max() as f64 * 1e-3,
-        })
-    }
+/// The same from a daemon's statistics.
+pub fn reported(of: &LatencySummary) -> Value {
+    let all_ns = [of.min_ns, of.p50_ns, of.p99_ns, of.p999_ns, of.max_ns];
+    named_us(of.count, all_ns)
+}
 
-    /// From a daemon's statistics; `None` without counted values.
-    pub fn reported(summary: &LatencySummary) -> Option<Self> {
-        let us = |time_ns: u64| time_ns as f64 * 1e-3;
-        (summary.count > 0).then(|| Self {
-            min: us(summary.min_ns),
-            p50: us(summary.p50_ns),
-            p99: us(summary.p99_ns),
-            p999: us(summary.p999_ns),
-            max: us(summary.max_ns),
-        })
-    }
+fn named_us(count: u64, times_ns: [u64; 5]) -> Value {
+    let [min, p50, p99, p999, max] = times_ns.map(|time_ns| time_ns as f64 * 1e-3);
+    let all = json!({ "min": min, "p50": p50, "p99": p99, "p999": p999, "max": max });
+    if count > 0 { all } else { Value::Null }
 }
 
 pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {

@@ -14,7 +14,7 @@ use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, longer}
 use crate::dataset::{Dataset, Recording, each, joined, number};
 use crate::load::Load;
 use crate::metric::range;
-use crate::quantiles::{Quantiles, pooled};
+use crate::quantiles::{pooled, quantiles};
 
 const SHARES: f64 = 1e-5;
 /// Significance level of a difference between two counts of misses.
@@ -95,8 +95,8 @@ fn time_rows(key: Key, times: &Times) -> impl Iterator<Item = Value> {
         "the client (command)",
     ];
     let measured = TO.into_iter().zip(times);
-    let measured = measured.filter_map(|(to, times)| Some((to, Quantiles::of(times)?)));
-    measured.map(move |(to, times)| joined([key.json(), json!({ "to": to }), json!(times)]))
+    let measured = measured.filter(|(_, times)| !times.is_empty());
+    measured.map(move |(to, times)| joined([key.json(), json!({ "to": to }), quantiles(times)]))
 }
 
 /// Deadline misses, and due releases: executed and skipped cycles.

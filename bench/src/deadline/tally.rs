@@ -1,12 +1,11 @@
 //! Result of one stretch of cycles: counts, causes and latencies.
 
 use anyhow::Result;
-use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
-use crate::causes::Causes;
-use crate::quantiles::{Quantiles, histogram};
+use crate::causes::{Causes, OWN};
+use crate::quantiles::{histogram, quantiles};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
@@ -18,8 +17,6 @@ const RESPONSE: usize = 2;
 pub(super) const COMMAND: usize = 3;
 pub(super) const TIME_NAMES: [&str; 4] = ["wake", "compute", "response", "command"];
 
-const OWN: [LateCause; 2] = [LateCause::Compute, LateCause::PageFault];
-
 pub(super) type Times = [Histogram<u64>; 4];
 
 fn empty_times() -> Times {
@@ -29,8 +26,8 @@ fn empty_times() -> Times {
 /// Five quantiles \[µs\] of each time, under its name with the unit; null if not measured.
 pub(super) fn times_json(times: &Times) -> Value {
     let named = TIME_NAMES.iter().zip(times);
-    let quantiles = named.map(|(name, times)| (format!("{name}_us"), json!(Quantiles::of(times))));
-    quantiles.collect()
+    let named = named.map(|(name, times)| (format!("{name}_us"), quantiles(times)));
+    named.collect()
 }
 
 pub(super) struct Tally {
@@ -86,6 +83,8 @@ impl Tally {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::codes::LateCause;
+
     use super::*;
 
     fn cycle(wake_us: u64, response_us: u64, cause: LateCause) -> Cycle {

@@ -8,7 +8,7 @@ use super::leg::{Declared, Round, declared};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, longer};
 use crate::dataset::{Dataset, each, joined, number, together};
 use crate::metric::{median, range};
-use crate::quantiles::{Quantiles, pooled};
+use crate::quantiles::{pooled, quantile_us, quantiles};
 
 /// Time that a stop may take beyond one period until zero rates \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
@@ -71,7 +71,7 @@ pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<D
 fn round_rows(leg: &str, rounds: &[Round]) -> Vec<Value> {
     let row = |(index, round): (usize, &Round)| {
         let times = &round.legs.get(leg)?.histogram_ns;
-        let (samples, us) = (times.len(), Quantiles::of(times));
+        let (samples, us) = (times.len(), quantiles(times));
         Some(json!({ "round": index + 1, "leg": leg, "samples": samples, "latency_us": us }))
     };
     rounds.iter().enumerate().filter_map(row).collect()
@@ -82,7 +82,7 @@ fn row(leg: &str, rounds: &[Round], each_round: &[Value]) -> Option<Value> {
     let row = json!({
         "samples": all.len(),
         "samples_of_round_least": each(each_round, "samples").reduce(f64::min),
-        "latency_us": Quantiles::of(&all),
+        "latency_us": quantiles(&all),
         "rounds_us": together(each_round, &[])["latency_us"],
     });
     (!all.is_empty()).then_some(row)
@@ -94,9 +94,8 @@ fn of_all(leg: &str, rounds: &[Round]) -> Histogram<u64> {
 }
 
 fn ratio(dataset: &mut Dataset, legs: &[String; 2], rounds: &[Round]) -> Option<Value> {
-    let p50 =
-        |round: &Round, leg: &str| Some(Quantiles::of(&round.legs.get(leg)?.histogram_ns)?.p50);
-    let of_round = |round: &Round| Some(p50(round, &legs[0])? / p50(round, &legs[1])?);
+    let p50 = |round: &Round, leg| Some(quantile_us(&round.legs.get(leg)?.histogram_ns, 0.5));
+    let of_round = |round: &Round| Some(p50(round, &*legs[0])? / p50(round, &*legs[1])?);
     let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
     let (p50, range, [leg, to]) = (median(values.clone())?, range(values.clone()), legs);
     let row = json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values });

@@ -13,7 +13,7 @@ use super::{Case, Stage};
 use crate::causes::Causes;
 use crate::dataset::{Recording, joined};
 use crate::interrupt;
-use crate::quantiles::{Quantiles, histogram};
+use crate::quantiles::{histogram, reported};
 use crate::subject::TIMEOUT;
 use crate::subject::daemon::Daemon;
 use crate::subject::tracking::{DOES_NOT_FOLLOW, Tracking};
@@ -221,7 +221,7 @@ impl Observed {
     fn outcome(&self, period_ms: f64) -> TrialOutcome {
         // Duration of the work of a release with the usual wake-up latency of the machine.
         let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;
-        let causes = Causes::reported(&self.counted);
+        let causes = Causes(self.counted.causes);
         if causes.own() > 0 {
             TrialOutcome::Own
         } else if self.lost_share() <= LOST_MAX {
@@ -245,7 +245,7 @@ impl Observed {
     }
 
     fn row(&self) -> Value {
-        let (counted, causes) = (&self.counted, Causes::reported(&self.counted));
+        let (counted, causes) = (&self.counted, Causes(self.counted.causes));
         json!({
             "duration_s": self.duration_s,
             "cycles": counted.cycles,
@@ -259,10 +259,10 @@ impl Observed {
             "lost_share": self.lost_share(),
             "budget_hit_share": self.share_of_cycles(counted.budget_hits),
             "stale_input_share": self.share_of_cycles(counted.stale_inputs),
-            "wake_us": Quantiles::reported(&counted.wake),
-            "solve_us": Quantiles::reported(&counted.solve),
-            "compute_us": Quantiles::reported(&counted.compute),
-            "response_us": Quantiles::reported(&counted.response),
+            "wake_us": reported(&counted.wake),
+            "solve_us": reported(&counted.solve),
+            "compute_us": reported(&counted.compute),
+            "response_us": reported(&counted.response),
             "cycle_core_share": self.core_shares[0],
             "exchange_core_share": self.core_shares[1],
             "core_share": self.core_shares.iter().sum::<f64>(),
@@ -273,7 +273,7 @@ impl Observed {
     }
 
     fn remarks(&self, period_ms: f64) -> String {
-        let (counted, causes) = (&self.counted, Causes::reported(&self.counted));
+        let (counted, causes) = (&self.counted, Causes(self.counted.causes));
         let is_excused = self.outcome(period_ms) == TrialOutcome::Machine;
         let whose = if is_excused { "the machine: " } else { "" };
         let (late, skipped) = (counted.deadline_misses, counted.skipped_periods);
