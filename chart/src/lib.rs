@@ -145,8 +145,8 @@ pub enum Scale {
 
 pub struct Panel {
     title: String,
-    x: &'static str,
-    y: &'static str,
+    x: String,
+    y: String,
     scale: Scale,
     pub curves: Vec<Curve>,
 }
@@ -154,14 +154,14 @@ pub struct Panel {
 impl Panel {
     pub fn new(
         title: impl Into<String>,
-        [x, y]: [&'static str; 2],
+        [x, y]: [&str; 2],
         scale: Scale,
         curves: Vec<Curve>,
     ) -> Self {
         Self {
             title: title.into(),
-            x,
-            y,
+            x: x.to_owned(),
+            y: y.to_owned(),
             scale,
             curves,
         }
@@ -318,8 +318,8 @@ where
         .build_cartesian_2d(across, up)?;
     chart
         .configure_mesh()
-        .x_desc(panel.x)
-        .y_desc(panel.y)
+        .x_desc(&*panel.x)
+        .y_desc(&*panel.y)
         .axis_desc_style(LABEL.into_font().color(&DARK))
         .label_style(TICK.into_font().color(&DARK))
         .axis_style(GREY)

@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use cdcr_controller::closed_loop::{FigureEight, FigureEightRun};
 use cdcr_controller::nmpc::NmpcSettings;
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::scenario::{CONTROLS, Scenario};
@@ -13,46 +14,43 @@ use crate::progress::Progress;
 
 const DECLARATION: &str = include_str!("tuning.toml");
 
-/// Key, its head in a plot, and the values of each knob.
-#[rustfmt::skip]
-const KNOBS: [(&str, &str, &[f64]); 3] = [
-    ("controller.rate_weight", "controller.rate_weight [m²/(rad/s)²]", &[0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5]),
-    ("controller.rate_change_weight", "controller.rate_change_weight [m²/(rad/s)²]",
-     &[0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4]),
-    ("estimator.time_constant_ms", "estimator.time_constant_ms [ms]",
-     &[0.0, 15.0, 30.0, 60.0, 100.0, 180.0, 300.0, 600.0, 1000.0]),
-];
-
-type Turned = [f64; KNOBS.len()];
-
-/// The preset `precise` of a daemon.
-const PRECISE: Turned = [1e-10, 0.0, 300.0];
-
-/// The presets of a daemon, and its values without one.
-const PRESETS: [(&str, Turned); 4] = [
-    ("none", [1e-10, 0.0, 180.0]),
-    ("precise", PRECISE),
-    ("smooth", [1e-10, 1e-5, 300.0]),
-    ("fast", [1e-10, 0.0, 60.0]),
-];
 const PRESET: &str = "preset";
 
-/// One row: its knob, what that is turned to, its value if it is a number, and all knobs.
-type Turn = (&'static str, String, Option<f64>, Turned);
+/// A value of each knob.
+type Turned = [f64; 3];
 
+#[derive(Deserialize)]
+struct Declared {
+    /// Key, unit, and values.
+    knobs: [(String, String, Vec<f64>); 3],
+    presets: Vec<(String, Turned)>,
+}
+
+fn declared() -> Declared {
+    toml::from_str(DECLARATION).expect("a declaration")
+}
+
+/// One row: its knob, what that is turned to, its value if it is a number, and all knobs.
+type Turn = (String, String, Option<f64>, Turned);
+
+/// The presets, and each knob with `only` in its key.
 fn turns(only: Option<&str>) -> Vec<Turn> {
-    let presets = PRESETS.map(|(name, knobs)| (PRESET, name.to_owned(), None, knobs));
-    let mut turns = Vec::from(presets);
-    for (place, (key, _, values)) in KNOBS.into_iter().enumerate() {
+    let Declared { knobs, presets } = declared();
+    let is_precise = |(name, _): &&(String, Turned)| name == "precise";
+    let precise = presets.iter().find(is_precise).expect("a preset").1;
+    let presets = presets.into_iter();
+    let presets = presets.map(|(name, knobs)| (PRESET.to_owned(), name, None, knobs));
+    let mut turns: Vec<Turn> = presets.collect();
+    for (place, (key, _, values)) in knobs.into_iter().enumerate() {
         if only.is_none_or(|only| key.contains(only)) {
-            turns.extend(values.iter().map(|&value| {
-                let mut knobs = PRECISE;
+            turns.extend(values.into_iter().map(|value| {
+                let mut knobs = precise;
                 knobs[place] = value;
                 let text = match value {
                     0.0 | 1e-3.. => value.to_string(),
                     _ => format!("{value:e}"),
                 };
-                (key, text, Some(value), knobs)
+                (key.clone(), text, Some(value), knobs)
             }));
         }
     }
@@ -61,7 +59,7 @@ fn turns(only: Option<&str>) -> Vec<Turn> {
 
 /// Whether `only` matches a knob or the presets, which are always measured.
 pub(super) fn is_any(only: Option<&str>) -> bool {
-    only == Some(PRESET) || turns(only).len() > PRESETS.len()
+    only == Some(PRESET) || turns(only).iter().any(|(knob, ..)| knob != PRESET)
 }
 
 pub(super) fn count(only: Option<&str>) -> usize {
@@ -74,7 +72,7 @@ pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Re
     let mut rows = Vec::new();
     for (knob, turned_to, value, knobs) in turns(only) {
         interrupt::check()?;
-        progress.begin(knob);
+        progress.begin(&knob);
         let both = follow(&eight, knobs, "both 2")?;
         let cables = follow(&eight, knobs, "cables")?;
         progress.advance(2.0 * run_s);
@@ -113,12 +111,14 @@ fn follow(eight: &FigureEight, knobs: Turned, sensor: &str) -> Result<FigureEigh
 /// Error and rate change over each knob; the value 0 has no place on a logarithmic axis.
 fn panels(rows: &[Value]) -> Vec<Panel> {
     let mut panels = Vec::new();
-    for (key, head, _) in KNOBS {
+    for (key, unit, _) in declared().knobs {
+        let head = format!("{key} [{unit}]");
         let is_shown = |row: &&Value| row["knob"] == key && row["value"] != json!(0.0);
         let shown: Vec<&Value> = rows.iter().filter(is_shown).collect();
         let curve = |label, y, colour| of_rows(label, shown.iter().copied(), "value", y, colour);
         let mut panel = |y, scale, curves| {
-            panels.extend((!shown.is_empty()).then(|| Panel::new(key, [head, y], scale, curves)));
+            panels
+                .extend((!shown.is_empty()).then(|| Panel::new(&*key, [&head, y], scale, curves)));
         };
         let mean = curve("mean", "mean_error_mm", BLUE);
         let errors = vec![mean, curve("largest", "max_error_mm", ORANGE)];
@@ -164,9 +164,10 @@ mod tests {
 
     #[test]
     fn the_presets_are_those_of_the_daemon() {
-        for (name, knobs) in PRESETS {
-            let found = KNOBS.map(|(key, ..)| in_force(name, key));
-            assert_eq!(knobs, found, "{name}");
+        let Declared { knobs, presets } = declared();
+        for (name, turned) in presets {
+            let found = knobs.each_ref().map(|(key, ..)| in_force(&name, key));
+            assert_eq!(turned, found, "{name}");
         }
     }
 }
