@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use cdcr_client::counted;
 use cdcr_controller::nmpc::Coordinates;
-use cdcr_controller::robot::{Configuration, Robot, ZyxAngles};
+use cdcr_controller::robot::{Configuration, ZyxAngles};
 use nalgebra::Vector3;
 
 use crate::chart::{
@@ -12,7 +12,7 @@ use crate::chart::{
 };
 use crate::closed_loop::{PERIOD_S, Sample};
 use crate::dataset::Dataset;
-use crate::experiment::{CIRCLE_DISTANCES_M, LINE_TILT_MAX_RAD, Outcome, Solver, Task};
+use crate::experiment::{LINE_TILT_MAX_RAD, Outcome, Solver, Task};
 
 /// Smallest bend with a meaningful direction \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
@@ -69,13 +69,6 @@ pub fn draw<'a>(dataset: &mut Dataset, outcomes: &'a [Outcome]) -> Result<()> {
         dataset.plot(&plot.name, &panels)?;
     }
     Ok(())
-}
-
-fn backbone(view: View, robot: &Robot, at: &Configuration) -> Vec<Point> {
-    let shares = (0..=POINTS).map(|i| f64::from(i) / f64::from(POINTS));
-    let sections = 0..robot.section_count();
-    let places = sections.flat_map(|j| shares.clone().map(move |share| (j, share)));
-    view.line(places.map(|(j, share)| robot.body_point(at, j, share).into()))
 }
 
 fn ball(view: View, centre_m: &Vector3<f64>, radius_m: f64) -> Vec<Point> {
@@ -142,6 +135,10 @@ impl<'a> Drawn<'a> {
     fn level(&self, label: String, y: f64, colour: RGBColor) -> Curve {
         let end_s = self.samples.last().map_or(1.0, |sample| sample.time_s);
         Curve::level(label, y, 0.0..end_s, colour)
+    }
+
+    fn safe_m(&self) -> f64 {
+        self.run.experiment.settings().safe_distance_m
     }
 
     fn sections(&self) -> std::ops::Range<usize> {
@@ -301,16 +298,20 @@ impl<'a> Drawn<'a> {
     }
 
     fn path(&self, view: View) -> Vec<Point> {
-        let samples = self.samples.iter();
-        view.line(samples.map(|sample| sample.tip.position_m.into()))
+        view.line(self.samples.iter().map(|s| s.tip.position_m.into()))
     }
 
     fn reference(&self, view: View) -> Vec<Point> {
-        view.line(self.samples.iter().map(|sample| sample.reference_m.into()))
+        view.line(self.samples.iter().map(|s| s.reference_m.into()))
     }
 
     fn backbone(&self, view: View, sample: &Sample) -> Vec<Point> {
-        backbone(view, &self.run.scene.robot, &sample.configuration)
+        let (robot, at) = (&self.run.scene.robot, &sample.configuration);
+        let shares = (0..=POINTS).map(|i| f64::from(i) / f64::from(POINTS));
+        let places = self
+            .sections()
+            .flat_map(|j| shares.clone().map(move |share| (j, share)));
+        view.line(places.map(|(j, share)| robot.body_point(at, j, share).into()))
     }
 }
 
@@ -360,22 +361,16 @@ fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
     ]
 }
 
-fn detours<'a>(tasks: &[&'a Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, f64, RGBColor)> {
-    let with = |((task, distance_m), colour): ((&&'a Drawn<'a>, _), _)| (*task, distance_m, colour);
-    let tasks = tasks.iter().zip(CIRCLE_DISTANCES_M).zip(COLOURS[0]);
-    tasks.map(with)
-}
-
 fn circle_path(view: View, from: &str, tasks: &[&Drawn<'_>]) -> Panel {
     let mut curves = Vec::new();
-    for (task, distance_m, colour) in detours(tasks) {
-        let centre_m = task.run.scene.obstacle_m();
+    for (task, colour) in tasks.iter().zip(COLOURS[0]) {
+        let (centre_m, safe_m) = (task.run.scene.obstacle_m(), task.safe_m());
         if curves.is_empty() {
             curves.push(Curve::line("reference", task.reference(view), GREY).width(10));
             curves.push(Curve::line("obstacle", ball(view, &centre_m, 2e-3), DARK).width(8));
         }
-        curves.push(Curve::line("", ball(view, &centre_m, distance_m), colour).width(2));
-        let label = format!("D = {} mm", 1e3 * distance_m);
+        curves.push(Curve::line("", ball(view, &centre_m, safe_m), colour).width(2));
+        let label = format!("D = {} mm", 1e3 * safe_m);
         curves.push(Curve::line(label, task.path(view), colour));
         let samples = task.samples.iter();
         let nearest = samples.min_by(|a, b| a.clearance_m.total_cmp(&b.clearance_m));
@@ -385,29 +380,28 @@ fn circle_path(view: View, from: &str, tasks: &[&Drawn<'_>]) -> Panel {
     view.panel(format!("Simulated circle from {from}"), curves)
 }
 
-fn of_detours(
-    tasks: &[&Drawn<'_>],
-    value: impl Fn(&Sample, f64) -> f64,
-) -> impl Iterator<Item = Curve> {
-    let curve = move |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
-        let points = over_time(task.samples, |sample| value(sample, distance_m));
-        Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
+/// A value over time for each circle, from a sample and the safe distance.
+fn of_circles(tasks: &[&Drawn<'_>], value: impl Fn(&Sample, f64) -> f64) -> Vec<Curve> {
+    let curve = |(task, colour): (&&Drawn<'_>, RGBColor)| {
+        let safe_m = task.safe_m();
+        let points = over_time(task.samples, |sample| value(sample, safe_m));
+        Curve::line(format!("D = {} mm", 1e3 * safe_m), points, colour)
     };
-    detours(tasks).map(curve)
+    tasks.iter().zip(COLOURS[0]).map(curve).collect()
 }
 
 fn circle_errors(tasks: &[&Drawn<'_>]) -> Panel {
-    let curves = of_detours(tasks, |sample, _| sample.error_mm()).collect();
+    let curves = of_circles(tasks, |sample, _| sample.error_mm());
     let title = "Simulated circle: error".to_owned();
     timed(title, "error [mm]", Scale::Log { floor: 1e-4 }, curves)
 }
 
 /// Negative where the body is nearer than the safe distance.
 fn circle_clearance(tasks: &[&Drawn<'_>]) -> Panel {
-    let spare_mm = |sample: &Sample, distance_m| 1e3 * (sample.clearance_m - distance_m);
-    let curves = of_detours(tasks, |sample, m| spare_mm(sample, m).min(CLEARANCE_MAX_MM));
+    let spare_mm = |sample: &Sample, safe_m| 1e3 * (sample.clearance_m - safe_m);
+    let mut curves = of_circles(tasks, |sample, m| spare_mm(sample, m).min(CLEARANCE_MAX_MM));
     let level = |task: &&Drawn<'_>| task.level("safe distance D".to_owned(), 0.0, DARK);
-    let curves = curves.chain(tasks.first().map(level)).collect();
+    curves.extend(tasks.first().map(level));
     let title = "Simulated circle: clearance of the body beyond D".to_owned();
     timed(title, "clearance - D [mm]", Scale::Linear, curves)
 }

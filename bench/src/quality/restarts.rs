@@ -20,9 +20,6 @@ use crate::numbers::Numbers;
 /// So long that the horizon reaches the target; so short that no obstacle is passed between two steps \[s\].
 const PERIOD_S: f64 = 0.03;
 const HORIZON_STEPS: u32 = 30;
-const BLOCKS: u32 = 5;
-const SWARM: (u32, u32) = (32, 40);
-const REFINEMENTS: u32 = 25;
 const SECTIONS: usize = 3;
 /// Largest bend of a section of a random shape \[rad\].
 const BEND_MAX_RAD: f64 = 1.2;
@@ -169,10 +166,10 @@ fn shape(numbers: &mut Numbers) -> Configuration {
 fn settings(solver: Solver) -> NmpcSettings {
     solver.of(NmpcSettings {
         horizon_steps: HORIZON_STEPS,
-        control_blocks: BLOCKS,
-        swarm_size: SWARM.0,
-        swarm_iterations: SWARM.1,
-        refinement_steps: REFINEMENTS,
+        control_blocks: 5,
+        swarm_size: 32,
+        swarm_iterations: 40,
+        refinement_steps: 25,
         safe_distance_m: SAFE_DISTANCE_M,
         ..NmpcSettings::default()
     })

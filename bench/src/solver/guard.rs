@@ -23,8 +23,7 @@ const RATES_RAD_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
 const SPEED_M_S: f64 = 0.3;
 const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
-/// Default parameters of a daemon.
-const MOVING_S: f64 = 3.0 * PERIOD_S;
+/// As in a daemon with its defaults.
 const DECELERATION_RAD_S2: f64 = 40.0;
 
 /// The obstacles around the robot: their name, whether half of them are capsules, and whether they move.
@@ -58,7 +57,7 @@ fn measure_crowd(crowd: Crowd, moments: u64) -> Result<Value> {
             tip_offset_m: 0.0,
             acceleration_rad_s2: DECELERATION_RAD_S2,
             period_s: PERIOD_S,
-            moving_s: MOVING_S,
+            moving_s: 3.0 * PERIOD_S,
             deceleration_rad_s2: DECELERATION_RAD_S2,
             comes_to_rest: false,
         };
