@@ -23,8 +23,6 @@ use cdcr_process::output_folder;
 use cdcr_testbed::interrupt;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 
-const ASIDE: &str = "partial";
-
 const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
     Real-time threads need a privilege (docs/realtime.md); without it, only the ordinary set-up is measured.";
 const LATENCY_HELP: &str = "Example: cdcr-bench latency --rounds 5 --out latency\n\n\
@@ -247,20 +245,15 @@ impl Output {
 }
 
 impl AllArguments {
-    /// Plans of the named benchmarks, or of all when none is named.
-    fn plans(&self) -> Vec<Plan> {
-        let is_asked = |name: &&Name| self.only.is_empty() || self.only.contains(name);
-        let asked = Name::value_variants().iter().filter(is_asked);
-        asked.map(|name| name.plan(self)).collect()
-    }
-
     fn run(self, start: Start) -> Result<()> {
         interrupt::catch()?;
         if let Some(config) = &self.config {
             ensure!(config.is_file(), "there is no file {}", config.display());
         }
         output_folder(&self.out)?;
-        let plans = self.plans();
+        let is_asked = |name: &&Name| self.only.is_empty() || self.only.contains(name);
+        let asked = Name::value_variants().iter().filter(is_asked);
+        let plans: Vec<Plan> = asked.map(|name| name.plan(&self)).collect();
         let mut progress = Progress::new(plans.iter().map(|plan| plan.expected_s).sum());
         let report = BenchReport {
             start,
@@ -287,7 +280,7 @@ impl AllArguments {
         if lost.is_empty() {
             return Ok(self.out.clone());
         }
-        let (aside, lost) = (self.out.join(ASIDE), lost.join(", "));
+        let (aside, lost) = (self.out.join("partial"), Vec::from_iter(lost).join(", "));
         let [here, there] = [&self.out, &aside].map(|folder| folder.display());
         let words = format!("{here} contains an older report with {lost}, which is missing here");
         let what = "it is kept, and this report is written to";

@@ -26,8 +26,6 @@ use crate::run_options::RunOptions;
 pub const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
-const NO_RESULTS: [&str; 5] = ["environment", "extent", "options", "tables", "took_s"];
-
 /// The benchmarks whose targets need real time and the default configuration.
 const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
 
@@ -74,7 +72,7 @@ impl Start {
     pub fn files_of(&self, dataset: &Dataset) -> Result<Files> {
         let all = [dataset, &self.machine()];
         let (name, json) = (dataset.name, self.json_of(dataset)?);
-        let mut files = documents(name, &dataset.declaration.heading, "", &all, json);
+        let mut files = documents(name, &format!("cdcr-bench {name}"), "", &all, json);
         add_data(&mut files, self.time, dataset)?;
         Ok(files)
     }
@@ -295,18 +293,16 @@ impl BenchReport {
 
     /// Names of benchmarks with a result in an older `report.json` and none in this one, including benchmarks
     /// that no longer exist.
-    pub fn would_lose(&self, older: &str) -> Vec<String> {
-        let older: Map<String, Value> = serde_json::from_str(older).unwrap_or_default();
-        let here = self.parts.iter().filter(|part| !part.has_failed());
-        let is_lost = |(name, value): &(&String, &Value)| {
-            !NO_RESULTS.contains(&name.as_str())
-                && value.is_object()
-                && value.get(ERROR).is_none()
-                && !here.clone().any(|part| part.dataset.name == name.as_str())
+    pub fn would_lose(&self, older: &str) -> BTreeSet<String> {
+        let older: Value = serde_json::from_str(older).unwrap_or_default();
+        let has = |name: &str| {
+            self.parts
+                .iter()
+                .any(|it| it.dataset.name == name && !it.has_failed())
         };
-        // Sorted: the order of JSON keys depends on the features of other crates in the build.
-        let lost = older.iter().filter(is_lost).map(|(name, _)| name.clone());
-        lost.collect::<BTreeSet<_>>().into_iter().collect()
+        let ran = older["took_s"].as_object().into_iter().flat_map(Map::keys);
+        let lost = ran.filter(|name| older[*name].get(ERROR).is_none() && !has(name));
+        lost.cloned().collect()
     }
 }
 

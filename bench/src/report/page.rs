@@ -4,41 +4,23 @@ use std::fmt::Write as _;
 
 use crate::dataset::{Dataset, Plot};
 
-const STYLE: &str = include_str!("page.css");
+const PAGE: &str = include_str!("page.html");
 
 pub(super) const INTRODUCTION: &str = include_str!("introduction.html");
 
-/// A page with a table of contents: the results if there is an `introduction` (HTML), otherwise the plots of
-/// the only result.
+/// A page with a table of contents: each result, and its plots.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
-    let heading = escape(title);
-    let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{words}</li>\n");
-    let links: String = if introduction.is_empty() {
-        let plots = all.iter().flat_map(|dataset| dataset.plots());
-        let link = |plot: &Plot| {
-            let (words, caption) = (plot.name.replace('-', " "), escape(&plot.caption));
-            link(&plot.name, &format!("{words}</a>: {caption}"))
-        };
-        plots.map(link).collect()
-    } else {
-        let words = |dataset: &Dataset| escape(&dataset.declaration.heading) + "</a>";
-        let links = all.iter().map(|of| link(of.name, &words(of)));
-        links.collect()
+    let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{}</a>\n", escape(words));
+    let of_plot = |plot: &Plot| link(&plot.name, &plot.name.replace('-', " "));
+    let of_dataset = |dataset: &&Dataset| {
+        let plots: String = dataset.plots().map(of_plot).collect();
+        link(dataset.name, &dataset.declaration.heading) + &plots
     };
-    let contents = match links.as_str() {
-        "" => links,
-        _ => format!("<nav><ul>\n{links}</ul></nav>\n"),
-    };
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{heading}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{heading}</h1>\n{introduction}{contents}"
-    );
+    let links: String = all.iter().map(of_dataset).collect();
+    let mut html = String::new();
     for dataset in all {
-        let (name, heading) = (dataset.name, &dataset.declaration.heading);
-        if heading != title {
-            let _ = writeln!(html, "<h2 id=\"{name}\">{}</h2>", escape(heading));
-        }
+        let (name, heading) = (dataset.name, escape(&dataset.declaration.heading));
+        let _ = writeln!(html, "<h2 id=\"{name}\">{heading}</h2>");
         let _ = writeln!(html, "{}", dataset.declaration.explanation);
         if !dataset.note.is_empty() {
             let class = ["", " class=\"failed\""][usize::from(dataset.warns)];
@@ -57,7 +39,9 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
             let _ = writeln!(html, "<p>Every latency of it is in <code>{log}</code>.</p>");
         }
     }
-    html + "</body>\n</html>\n"
+    let page = PAGE.replace("{title}", &escape(title));
+    let page = page.replace("{introduction}", introduction);
+    page.replace("{links}", &links).replace("{results}", &html)
 }
 
 fn escape(text: &str) -> String {
