@@ -137,7 +137,7 @@ _cdcr__bench() {
             fi
             case "${prev}" in
                 --format)
-                    COMPREPLY=($(compgen -W "text json" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 *)
