@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x128babf5d83da226)
+#define CDCR_LAYOUT UINT64_C(0xafab5699582334bc)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -419,43 +419,46 @@ typedef struct CdcrMeasurement {
 } CdcrMeasurement;
 CDCR_ASSERT_SIZE(CdcrMeasurement, 360);
 
-/* cdcr.Command.v2, 552 bytes. */
+/* cdcr.Command.v3, 560 bytes. */
 typedef struct CdcrCommand {
     /* 0: The daemon, sequence, time of sending. */
     CdcrHeader header;
-    /* 24: Number of the cycle: its release was at cycle periods after the daemon's origin. */
+    /* 24: Sender of the measurements on which the commands act. 0: none has been accepted yet, or the robot is
+     * simulated. A driver that sends measurements follows no command that acts on those of another one. */
+    uint64_t driver_id;
+    /* 32: Number of the cycle: its release was at cycle periods after the daemon's origin. */
     uint64_t cycle;
-    /* 32: Release time of that cycle [ns, CLOCK_MONOTONIC]; the rates hold from here. */
+    /* 40: Release time of that cycle [ns, CLOCK_MONOTONIC]; the rates hold from here. */
     uint64_t release_ns;
-    /* 40: When the move to bend_target_rad ends: one period after the release [ns, CLOCK_MONOTONIC]. */
+    /* 48: When the move to bend_target_rad ends: one period after the release [ns, CLOCK_MONOTONIC]. */
     uint64_t target_ns;
-    /* 48: Until when the speeds may be followed without a newer command [ns, CLOCK_MONOTONIC]. Then the driver stops
+    /* 56: Until when the speeds may be followed without a newer command [ns, CLOCK_MONOTONIC]. Then the driver stops
      * at once, or shrinks all speeds together by one factor, the fastest bend component by
      * motion.deceleration_rad_s2 or faster, and holds: the clearance guard has checked this way at its ends, and
      * within 1 mm between. A stop that is over earlier is not checked in time beside a moving obstacle. Cables that
      * stop one by one leave it. It counts from the release, so a command that is delayed on its way is not valid for
      * longer. */
     uint64_t valid_until_ns;
-    /* 56: CdcrMode of the daemon. */
+    /* 64: CdcrMode of the daemon. */
     uint32_t mode;
-    /* 60: Sections of the robot. */
+    /* 68: Sections of the robot. */
     uint32_t sections;
-    /* 64: CdcrInterface: what the driver obeys, cable_length_m or cable_speed_m_s (or the bend vector and its rates,
+    /* 72: CdcrInterface: what the driver obeys, cable_length_m or cable_speed_m_s (or the bend vector and its rates,
      * where the driver computes its own cables). */
     uint32_t interface;
-    /* 68: Zero. */
+    /* 76: Zero. */
     uint32_t reserved;
-    /* 72: used: 2 * sections. Bend-vector rates (u̇₁, v̇₁, …) [rad/s]. */
+    /* 80: used: 2 * sections. Bend-vector rates (u̇₁, v̇₁, …) [rad/s]. */
     double bend_rate_rad_s[12];
-    /* 168: used: 2 * sections. Commanded bend vector at target_ns [rad]: that of the command before, moved on by the
+    /* 176: used: 2 * sections. Commanded bend vector at target_ns [rad]: that of the command before, moved on by the
      * rates. It begins at the measured one when control begins, and after a reset. */
     double bend_target_rad[12];
-    /* 264: used: 3 * sections. Cable lengths at bend_target_rad, section by section, three each [m]. */
+    /* 272: used: 3 * sections. Cable lengths at bend_target_rad, section by section, three each [m]. */
     double cable_length_m[18];
-    /* 408: used: 3 * sections. Cable speeds that belong to bend_rate_rad_s [m/s]. */
+    /* 416: used: 3 * sections. Cable speeds that belong to bend_rate_rad_s [m/s]. */
     double cable_speed_m_s[18];
 } CdcrCommand;
-CDCR_ASSERT_SIZE(CdcrCommand, 552);
+CDCR_ASSERT_SIZE(CdcrCommand, 560);
 
 /* cdcr.SolverSettings.v1, 168 bytes. */
 typedef struct CdcrSolverSettings {
@@ -652,7 +655,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v12, 2224 bytes. */
+/* cdcr.Status.v12, 2240 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -752,12 +755,18 @@ typedef struct CdcrStatus {
     /* 2200: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2208: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2208: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+     * 0: none is silent. */
+    uint64_t silent_obstacle_source;
+    /* 2216: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+     * the daemon stood still. */
+    uint64_t silent_since_ns;
+    /* 2224: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2216: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2232: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2224);
+CDCR_ASSERT_SIZE(CdcrStatus, 2240);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {
@@ -864,7 +873,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v10, 15568 bytes. */
+/* cdcr.Telemetry.v11, 15576 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -1000,57 +1009,57 @@ typedef struct CdcrTelemetry {
     double clearance_m;
     /* 14216: The command as it left. */
     CdcrCommand command;
-    /* 14768: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 14776: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 14864: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 14872: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 14912: used: 3 * command.sections. The same of each cable [m]. */
+    /* 14920: used: 3 * command.sections. The same of each cable [m]. */
     double following_error_m[18];
-    /* 15056: A following error above this is a warning [rad]. */
+    /* 15064: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 15064: A following error above this is a fault [rad]. */
+    /* 15072: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 15072: How far the motors may lag behind [ns]. */
+    /* 15080: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 15080: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 15088: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 15088: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 15096: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 15096: Time constant of the motors [ns]: reference_lead_ns less their delay. */
+    /* 15104: Time constant of the motors [ns]: reference_lead_ns less their delay. */
     uint64_t motor_time_constant_ns;
-    /* 15104: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
+    /* 15112: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
      * command begins to act. */
     double delayed_rad[12];
-    /* 15200: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 15208: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 15296: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15304: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 15440: Play of the cables [m]; 0: none. */
+    /* 15448: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15448: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
+    /* 15456: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
      * a reset [rad], while moves_to_begin is set: the rates wanted are those of homing from there. */
     double way_rad[12];
-    /* 15544: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15552: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15552: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15560: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15556: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    /* 15564: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;
-    /* 15560: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+    /* 15568: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
      * rest, the solve from previous_rate_rad_s. */
     uint32_t ran_out_in_solve;
-    /* 15564: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15572: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15568);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15576);
 
-/* cdcr.Incident.v9, 15608 bytes. */
+/* cdcr.Incident.v10, 15616 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1064,6 +1073,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15608);
+CDCR_ASSERT_SIZE(CdcrIncident, 15616);
 
 #endif

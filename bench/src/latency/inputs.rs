@@ -22,7 +22,7 @@ const LEAD_RECORDS: usize = 20;
 const SPARE: usize = 500;
 pub(super) enum Source {
     Reference(ReferenceFeed),
-    Obstacle(ObstacleSender),
+    Obstacle(Box<ObstacleSender>),
     Measurement(Box<Driver>),
     /// A request without an effect while the robot follows: to renew the lease, or to track.
     Request(RequestKind),

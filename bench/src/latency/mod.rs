@@ -175,7 +175,7 @@ impl Bench<'_> {
         let [samples, stops, _] = self.options.samples();
         let sources = vec![
             Source::Reference(scene::follow(watcher, None)?),
-            Source::Obstacle(watcher.connection.obstacle_sender()?),
+            Source::Obstacle(Box::new(watcher.connection.obstacle_sender()?)),
         ];
         inputs::measure(watcher, lead_ns, sources, samples, round)?;
 
