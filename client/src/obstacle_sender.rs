@@ -6,7 +6,7 @@ use crate::outlet::Outlet;
 use crate::{LinkError, section_lengths_m};
 
 /// An obstacle farther away than this, in robot lengths, is taken for one in millimetres: they give a factor of a thousand.
-const FAR: f64 = 10.0;
+const FAR: f64 = 30.0;
 
 /// Sends obstacles to the daemon. Any client may send; all clients share the ids.
 ///
@@ -79,7 +79,7 @@ impl ObstacleSender {
     }
 }
 
-/// Refuses an obstacle that is probably in millimetres: it is farther away than ten robot lengths, or the base is inside.
+/// Refuses an obstacle that is probably in millimetres: it is farther away than thirty robot lengths, or the base is inside.
 ///
 /// # Errors
 /// [`LinkError::Misplaced`], with the reason.

@@ -145,7 +145,7 @@ pub enum Refusal {
     #[error("the present mode does not allow it")]
     WrongMode,
     /// Nobody holds the reference lease, or its holder changed after the request.
-    #[error("nobody holds the reference lease, or another client does since")]
+    #[error("no client holds the reference lease, or another one holds it now")]
     NoLease,
     /// No reference lies ahead.
     #[error("there is no reference ahead")]

@@ -18,6 +18,17 @@ pub use outgoing::{
 };
 pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 
+/// The controller does not know the wire contract, and has the same limits.
+const _: () = {
+    use cdcr_controller::{nmpc, robot};
+    use cdcr_shared_types::limits;
+    assert!(robot::SECTIONS_MAX == limits::SECTIONS_MAX);
+    assert!(nmpc::CONTROL_BLOCKS_MAX == limits::CONTROL_BLOCKS_MAX);
+    assert!(nmpc::PLAN_MAX == limits::PLAN_MAX);
+    assert!(nmpc::SWARM_MAX == limits::SWARM_MAX);
+    assert!(nmpc::OBSTACLES_MAX == limits::OBSTACLES_MAX);
+};
+
 #[cfg(test)]
 mod tests {
     use cdcr_controller::robot::RobotParameters;
