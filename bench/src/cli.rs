@@ -8,7 +8,6 @@ use anyhow::{Result, ensure};
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::budget::BudgetOptions;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
-use cdcr_bench::dataset::Dataset;
 use cdcr_bench::deadline::DeadlineOptions;
 use cdcr_bench::footprint::FootprintOptions;
 use cdcr_bench::latency::LatencyOptions;
@@ -18,7 +17,7 @@ use cdcr_bench::quality::QualityOptions;
 use cdcr_bench::rate::RateOptions;
 use cdcr_bench::report::{self, BenchReport, Extent, Files, Plan, Start};
 use cdcr_bench::robustness::RobustnessOptions;
-use cdcr_bench::run_options::run_options;
+use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::solver::SolverOptions;
 use cdcr_process::output_folder;
 use cdcr_testbed::interrupt;
@@ -171,6 +170,14 @@ struct AllArguments {
     config: Option<PathBuf>,
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ComparisonFormat {
+    /// Changes, as text.
+    Text,
+    /// One JSON object with every number.
+    Json,
+}
+
 #[derive(Debug, clap::Args)]
 struct CompareArguments {
     /// JSON of the first run: report.json or the JSON of one benchmark.
@@ -180,8 +187,8 @@ struct CompareArguments {
     #[arg(value_name = "B.json")]
     after: PathBuf,
     /// Output format.
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
+    #[arg(long, value_enum, default_value_t = ComparisonFormat::Text)]
+    format: ComparisonFormat,
     /// Exit with status 1 when more numbers changed for the worse than chance explains: more than half of the changes
     /// expected by chance, rounded up, plus two. Numbers with only one value per run are
     /// ignored.
@@ -192,7 +199,7 @@ struct CompareArguments {
 pub(crate) fn run() -> Result<()> {
     let (command, matches) = (Cli::command(), Cli::command().get_matches());
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    let start = || Start::now(run_options(&command, &matches));
+    let start = || Start::now(RunOptions::of(&command, &matches));
     match cli.command {
         Command::All(asked) => asked.run(start()?),
         Command::One(one) => one.run(&start()?),
@@ -208,8 +215,8 @@ impl Output {
         self.out.as_deref().map_or(Ok(()), output_folder)?;
         options.check()?;
         if self.quick {
-            let is_given = |name: &&str| start.options.contains_key(*name);
-            let given = EXTENT.into_iter().find(is_given).unwrap_or_default();
+            let given = EXTENT.iter().find(|name| start.options.has(name));
+            let given = given.copied().unwrap_or_default();
             ensure!(given.is_empty(), "--quick cannot be used with --{given}");
             options.quicken();
         }
@@ -225,24 +232,11 @@ impl Output {
             keep(&start.files_of(&dataset)?, folder)?;
         }
         let machine = start.environment.line();
-        let json = || start.json_of(&dataset);
-        self.format.print(&dataset, &format!("\n{machine}\n"), json)
-    }
-}
-
-impl Format {
-    /// Prints a result; `end` comes after the tables for people.
-    fn print(
-        self,
-        dataset: &Dataset,
-        end: &str,
-        json: impl FnOnce() -> Result<String>,
-    ) -> Result<()> {
-        show(&match self {
-            Self::Text => dataset.text() + end,
-            Self::Markdown => dataset.markdown() + end,
-            Self::Json => json()?,
-            Self::Csv => {
+        show(&match self.format {
+            Format::Text => format!("{}\n{machine}\n", dataset.text()),
+            Format::Markdown => format!("{}\n{machine}\n", dataset.markdown()),
+            Format::Json => start.json_of(&dataset)?,
+            Format::Csv => {
                 let own = dataset.csv().find(|(name, _)| *name == dataset.name);
                 own.map_or(Ok(String::new()), |(_, csv)| csv)?
             }
@@ -298,9 +292,10 @@ impl AllArguments {
 impl CompareArguments {
     fn run(&self) -> Result<()> {
         let comparison = Comparison::of(&Input::read(&self.before)?, &Input::read(&self.after)?);
-        let dataset = &comparison.dataset;
-        let json = || Ok(serde_json::to_string(&dataset.json())? + "\n");
-        self.format.print(dataset, "", json)?;
+        show(&match self.format {
+            ComparisonFormat::Text => comparison.text()?,
+            ComparisonFormat::Json => serde_json::to_string(&comparison)? + "\n",
+        })?;
         let worse = comparison.count(ChangeClass::Worse);
         let by_chance = comparison.worse_by_chance();
         ensure!(

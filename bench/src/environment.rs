@@ -73,15 +73,12 @@ impl Environment {
         rows.collect()
     }
 
-    /// Properties that affect absolute times. An older file may lack one.
-    pub(crate) fn moving(&self) -> BTreeMap<String, String> {
+    /// Properties that differ and affect absolute times. An older file may lack a property.
+    pub(crate) fn differing(&self, other: &Self) -> Vec<(&'static str, Value, Value)> {
         let empty = [json!(null), json!(""), json!(false), json!(0), json!([])];
-        let mut moving = self.properties();
-        moving.retain(|name, value| MOVING.contains(&&**name) && !empty.contains(value));
-        let texts = moving.into_iter();
-        texts
-            .map(|(name, value)| (name, value.to_string()))
-            .collect()
+        let mut both = Vec::from(MOVING.map(|name| (name, self.value(name), other.value(name))));
+        both.retain(|(_, old, new)| old != new && !(empty.contains(old) && empty.contains(new)));
+        both
     }
 
     fn model_and_kernel(&self) -> String {
@@ -116,8 +113,10 @@ fn commit() -> Option<String> {
     };
     let root = git("rev-parse --show-toplevel")?;
     let manifest = std::fs::read_to_string(Path::new(&root).join("bench/Cargo.toml")).ok()?;
+    let commit = git("rev-parse --short=12 HEAD")?;
+    let changed = git("status --porcelain --untracked-files=no")?;
     let is_ours = manifest.contains("name = \"cdcr-bench\"");
-    is_ours.then(|| git("describe --always --abbrev=12 --exclude=* --dirty=+"))?
+    is_ours.then(|| commit + if changed.is_empty() { "" } else { "+" })
 }
 
 #[cfg(test)]
@@ -135,7 +134,7 @@ mod tests {
         let known = here.properties();
         assert!(MOVING.iter().all(|name| known.contains_key(*name)));
         let older = read("{\"kernel\":{}}");
-        assert!(older.moving().is_empty());
+        assert!(older.differing(&Environment::default()).is_empty());
         let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let folder = std::env::current_dir().expect("a folder");
         // Skipped if the host name is a word of the description.

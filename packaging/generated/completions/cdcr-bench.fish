@@ -146,9 +146,7 @@ csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l out -d 'Output folder for text, JSON, CSV, an HTML page with plots and raw histograms; created if missing' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l format -d 'Output format' -r -f -a "text\t'Text table'
-markdown\t'Markdown table'
-json\t'One JSON object'
-csv\t'Comma-separated values with a header'"
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l format -d 'Output format' -r -f -a "text\t'Changes, as text'
+json\t'One JSON object with every number'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l fail-on-worse -d 'Exit with status 1 when more numbers changed for the worse than chance explains: more than half of the changes expected by chance, rounded up, plus two. Numbers with only one value per run are ignored'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -s h -l help -d 'Print help (see more with \'--help\')'
