@@ -130,8 +130,8 @@ int cdcr_feed(CdcrConnection *connection, uint32_t mode, uint32_t interpolation,
 
 /* Inserts or replaces obstacles, removes those with the ids of the given ones, or removes all: action is a
  * CdcrObstacleAction. At most CDCR_OBSTACLES_MAX; for clear, count 0 and NULL. header as for cdcr_feed. An obstacle to be
- * inserted that is farther away than thirty robot lengths, or contains the base, is taken for one in millimetres:
- * CDCR_ERROR_ARGUMENT, and nothing is sent. CDCR_ERROR_FULL, _SILENT. */
+ * inserted that is farther away than thirty robot lengths, or is larger than the robot and contains the base, is
+ * taken for one in millimetres: CDCR_ERROR_ARGUMENT, and nothing is sent. CDCR_ERROR_FULL, _SILENT. */
 int cdcr_obstacles(CdcrConnection *connection, uint32_t action, const CdcrObstacle *obstacles, size_t count, CdcrHeader *header);
 
 /* Sends the tip position measured by a separate tip sensor in the base frame, three numbers [m], and its time. The daemon

@@ -228,13 +228,14 @@ impl Connection {
         Ok(ReferenceFeed { outlet })
     }
 
-    /// A port that sends obstacles.
+    /// A port that sends obstacles, and checks them against the robot of the present status. Without a status
+    /// it checks nothing.
     ///
     /// # Errors
-    /// When the service has as many writers as it allows, or [`LinkError::Silent`] when the daemon sends no
-    /// status.
+    /// When the service has as many writers as it allows.
     pub fn obstacle_sender(&self) -> Result<ObstacleSender, LinkError> {
-        let robot = self.status(STATUS_FRESH)?.robot;
+        let status = self.status(STATUS_FRESH).ok();
+        let robot = status.map(|status| status.robot);
         let outlet = Outlet::open(&self.services.obstacles, self.sender.clone())?;
         Ok(ObstacleSender { outlet, robot })
     }

@@ -28,6 +28,9 @@ pub use refusal::CommandRefusal;
 
 /// Interval at which a waiting driver checks for a command: a fifth of the usual period.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
+/// A driver that measures has sent a first measurement by then. Until then it follows no command that acts on those
+/// of another driver; afterwards a driver of speeds that measures nothing follows every command.
+const MEASURES_WITHIN: Duration = Duration::from_secs(1);
 
 /// The ports of a driver process: it sends measurements of the robot and executes the daemon's commands.
 ///
@@ -72,6 +75,7 @@ pub struct Driver {
     commands: CommandStream,
     follower: CommandFollower,
     measured: Cell<Measured>,
+    opened: Instant,
 }
 
 /// Result of [`Driver::update`].
@@ -144,6 +148,7 @@ impl Driver {
             commands: Stream::open_reserved(command)?,
             follower: CommandFollower::new(robot, interface),
             measured: Cell::default(),
+            opened: Instant::now(),
         })
     }
 
@@ -204,14 +209,20 @@ impl Driver {
         if let Some(measured) = &measured.bends {
             self.follower.tell_measured(measured);
         }
+        let own_id = self.measurements.sender_id();
         if measured.has_begun() {
-            self.follower.tell_sender(self.measurements.sender_id());
+            self.follower.tell_sender(own_id);
         }
+        // Whether this process measures at all shows only after some time.
+        let may_measure = !measured.has_begun() && self.opened.elapsed() < MEASURES_WITHIN;
         let awaits_measurement =
             self.interface == Interface::Position && !measured.may_begin(monotonic_ns());
         while let Some(command) = self.commands.try_next()? {
             // A command of the other interface is still refused.
             if awaits_measurement && command.interface == self.interface.code() {
+                continue;
+            }
+            if may_measure && ![0, own_id].contains(&command.driver_id) {
                 continue;
             }
             update.take(&mut self.follower, &command, monotonic_ns());

@@ -17,18 +17,27 @@ const FAR: f64 = 30.0;
 #[derive(Debug)]
 pub struct ObstacleSender {
     pub(crate) outlet: Outlet<ObstacleUpdate>,
-    pub(crate) robot: RobotDescription,
+    /// Of the time when this port was opened, if it was known.
+    pub(crate) robot: Option<RobotDescription>,
 }
 
 impl ObstacleSender {
     /// Inserts obstacles, or replaces those with the same ids.
     ///
     /// # Errors
-    /// When there are more than [`OBSTACLES_MAX`], one is not where it can be meant ([`check_place`]; nothing is sent), or
-    /// iceoryx2 fails.
+    /// When there are more than [`OBSTACLES_MAX`], one is probably in millimetres, or iceoryx2 fails: it is farther away than
+    /// thirty robot lengths, or its radius is larger than the robot and the base is inside. Then nothing is sent, and the
+    /// daemon keeps what it knows.
     pub fn upsert(&self, obstacles: &[Obstacle]) -> Result<Header, LinkError> {
-        for obstacle in obstacles {
-            check_place(obstacle, &self.robot)?;
+        if let Some(robot) = &self.robot {
+            let reach_m: f64 = section_lengths_m(robot).iter().sum();
+            // A sensor may see the robot or its mounting as an obstacle around the base.
+            let may_be_meant = |obstacle: &Obstacle| {
+                obstacle.radius_m <= reach_m && distance_from_base_m(obstacle) < 0.0
+            };
+            for obstacle in obstacles.iter().filter(|it| !may_be_meant(it)) {
+                check_place(obstacle, robot)?;
+            }
         }
         self.upsert_anywhere(obstacles)
     }
@@ -84,13 +93,7 @@ impl ObstacleSender {
 /// # Errors
 /// [`LinkError::Misplaced`], with the reason.
 pub fn check_place(obstacle: &Obstacle, robot: &RobotDescription) -> Result<(), LinkError> {
-    let is_capsule = obstacle.shape == ObstacleShape::Capsule.code();
-    let end_m = if is_capsule {
-        obstacle.end_m
-    } else {
-        obstacle.start_m
-    };
-    let from_base_m = distance_m(obstacle.start_m, end_m) - obstacle.radius_m;
+    let from_base_m = distance_from_base_m(obstacle);
     let reach_m: f64 = section_lengths_m(robot).iter().sum();
     let place = if from_base_m > FAR * reach_m {
         format!("is {from_base_m:.1} m away")
@@ -103,6 +106,17 @@ pub fn check_place(obstacle: &Obstacle, robot: &RobotDescription) -> Result<(), 
     Err(LinkError::Misplaced {
         cause: format!("obstacle {id} {place}, and the robot is {reach_m:.2} m long"),
     })
+}
+
+/// Distance of the surface from the base; negative: the base is inside \[m\].
+fn distance_from_base_m(obstacle: &Obstacle) -> f64 {
+    let is_capsule = obstacle.shape == ObstacleShape::Capsule.code();
+    let end_m = if is_capsule {
+        obstacle.end_m
+    } else {
+        obstacle.start_m
+    };
+    distance_m(obstacle.start_m, end_m) - obstacle.radius_m
 }
 
 /// Distance of a segment from the base, the origin \[m\].

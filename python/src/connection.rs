@@ -189,7 +189,8 @@ impl Connection {
             outcome: Outcome::OutOfRange,
             ..
         }) = &changed
-            && let Some(bound) = broken_bound(&wire, &*self.snapshot(py, 1.0)?)
+            && let Ok(status) = self.snapshot(py, 1.0)
+            && let Some(bound) = broken_bound(&wire, &status)
         {
             let message = format!("cannot change settings: {bound}");
             return Err(
@@ -259,7 +260,7 @@ impl Connection {
     /// Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
     ///
     /// obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
-    /// far: send also those that are farther away than thirty robot lengths, or contain the base; without it they are taken for millimetres.
+    /// far: send also those that are farther away than thirty robot lengths, or are larger than the robot and contain the base; without it they are taken for millimetres, and nothing is sent.
     /// Raises ArgumentError for those, and for more than 64, and RequestError if the daemon refuses them.
     #[pyo3(signature = (obstacles: "Mapping[int, Obstacle]", lifetime_s = 0.0, *, far = false))]
     fn set_obstacles(

@@ -11,10 +11,14 @@ pub(super) const INTRODUCTION: &str = include_str!("introduction.html");
 /// A page with a table of contents: each result, and its plots.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
     let link = |id: &str, words: &str| format!("<li><a href=\"#{id}\">{}</a>\n", escape(words));
-    let of_plot = |plot: &Plot| link(&plot.name, &plot.name.replace('-', " "));
+    // A result and its plot may have one name.
+    let of_plot = |plot: &Plot| link(&format!("plot-{}", plot.name), &plot.caption);
     let of_dataset = |dataset: &&Dataset| {
         let plots: String = dataset.plots().map(of_plot).collect();
-        link(dataset.name, &dataset.declaration.heading) + &plots
+        format!(
+            "{}<ul>\n{plots}</ul>\n",
+            link(dataset.name, &dataset.declaration.heading)
+        )
     };
     let links: String = all.iter().map(of_dataset).collect();
     let mut html = String::new();
@@ -32,7 +36,10 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
         for plot in dataset.plots() {
             let (id, svg, caption) = (&plot.name, plot.svg.trim(), escape(&plot.caption));
             let caption = format!("<figcaption>{caption}</figcaption>");
-            let _ = writeln!(html, "<figure id=\"{id}\">\n{svg}\n{caption}\n</figure>");
+            let _ = writeln!(
+                html,
+                "<figure id=\"plot-{id}\">\n{svg}\n{caption}\n</figure>"
+            );
         }
         if !dataset.recordings.is_empty() {
             let log = format!("histograms/{name}.hlog");

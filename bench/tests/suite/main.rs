@@ -52,6 +52,16 @@ fn printed_json(command: &mut Command) -> Value {
 
 /// The page contains no reference outside itself.
 fn needs_nothing_else(page: &str) {
+    let quoted = |before: &str| -> Vec<&str> {
+        let parts = page.split(before).skip(1);
+        parts.filter_map(|part| part.split('"').next()).collect()
+    };
+    let ids = quoted(" id=\"");
+    let each: BTreeSet<_> = ids.iter().collect();
+    assert_eq!(each.len(), ids.len(), "two parts of one id: {ids:?}");
+    for link in quoted("href=\"#") {
+        assert!(each.contains(&link), "#{link} leads nowhere");
+    }
     let page = page.replace("href=\"#", "");
     for word in ["src=", "href=", "url(", "<script", "@import"] {
         assert!(!page.contains(word), "{word} in a page");

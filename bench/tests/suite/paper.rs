@@ -70,7 +70,7 @@ fn the_folder_holds_figures_a_page_and_tables() {
         let has_period = texts.contains(&"period 5 ms");
         assert_eq!(has_period, name.ends_with("-times.svg"), "{name}");
         let id = name.trim_end_matches(".svg");
-        for link in ["<a href=\"#ID\">", "<figure id=\"ID\">"] {
+        for link in ["<a href=\"#plot-ID\">", "<figure id=\"plot-ID\">"] {
             assert!(page.contains(&link.replace("ID", id)), "{link} {id}");
         }
         figures += 1;

@@ -94,9 +94,13 @@ impl CommandFollower {
     }
 
     /// Sets the sender id of this driver's measurements. Commands that act on those of another driver are refused
-    /// from then on. Motors whose process measures nothing follow every command.
+    /// from then on, and one that was taken before is forgotten.
     pub fn tell_sender(&mut self, sender_id: u64) {
         self.own_id = Some(sender_id);
+        let is_foreign = |present: &Present| is_for_another(&present.command, sender_id);
+        if self.present.as_ref().is_some_and(is_foreign) {
+            self.forget();
+        }
     }
 
     /// Processes a command that arrived at `now_ns`. A command of another daemon is accepted once the present
@@ -178,8 +182,11 @@ impl CommandFollower {
                 driver: self.interface,
             });
         }
-        let driver_id = command.driver_id;
-        if driver_id != 0 && self.own_id.is_some_and(|own_id| own_id != driver_id) {
+        if self
+            .own_id
+            .is_some_and(|own_id| is_for_another(command, own_id))
+        {
+            let driver_id = command.driver_id;
             return Err(CommandRefusal::OtherDriver { driver_id });
         }
         if command.target_ns < command.release_ns {
@@ -300,6 +307,11 @@ impl CommandFollower {
         self.present = None;
         self.rested = Rest::default();
     }
+}
+
+/// It acts on the measurements of another driver than `own_id`.
+fn is_for_another(command: &Command, own_id: u64) -> bool {
+    ![0, own_id].contains(&command.driver_id)
 }
 
 /// Sequence numbers and times of one daemon increase. Those of another daemon start again, so its commands

@@ -1,7 +1,7 @@
 use pulp::{NullaryFnOnce, WithSimd};
 
-/// Instruction sets for the swarm and the smoother of long plans. With the same work, all give the same bits at different speeds. Under a
-/// limited budget, `Scalar` gives other bits, because its quanta contain one particle instead of eight. Each
+/// Instruction sets for the swarm and the smoother of long plans. With the same work, all give the same bits at
+/// different speeds. Under a limited budget, `Scalar` gives other bits, because its quanta contain one particle instead of eight. Each
 /// variant takes seconds to compile, so a release contains only those it can use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -55,8 +55,8 @@ impl Simd {
     /// Runs `work` compiled for this instruction set, or for the portable one if the processor does not
     /// support it.
     ///
-    /// `work` is large and fully inlined, so each call costs compile time: there is one for each instruction
-    /// set.
+    /// `work` is large and fully inlined. Each type of it is compiled once for each instruction set, which takes
+    /// time: the swarm's, and the smoother's for each number of sections.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn run<R>(self, work: impl WithSimd<Output = R>) -> R {
         if self == Self::Avx512

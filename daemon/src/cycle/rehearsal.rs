@@ -4,9 +4,9 @@
 //! times as long. Time before a release does not count towards the response time. No later command depends on
 //! a rehearsal: the plan is restored, the estimate is a separate one, and other results are discarded.
 //!
-//! Each part runs only if it will usually end before the release, by the median of its recent costs: one that
-//! ends later delays the cycle by less than it saves. A part that takes too long is tried again after a while;
-//! such a trial may delay its release by the cost of the part.
+//! Each part runs only if it will usually end before the release, by the median of its recent costs. One that
+//! ends later delays its release; after a few of them, and wherever the median is too high, the part is left out and
+//! tried again after a while. Such a trial may delay its release by the cost of the part.
 
 use std::hint::black_box;
 
@@ -27,6 +27,8 @@ const GAP_MIN_NS: u64 = 5000;
 /// Cycles without a part until it is tried again: at first, and at most. Each failed trial doubles it.
 const WAIT: u32 = 200;
 const WAIT_MAX: u32 = 25_600;
+/// So many runs that ended late, less those that did not, end the part until its next trial.
+const LATE_MAX: u32 = 4;
 
 #[derive(Debug)]
 pub(super) struct Rehearsal {
@@ -85,6 +87,7 @@ struct Part {
     omitted: u32,
     wait: u32,
     is_trial: bool,
+    late: u32,
 }
 
 impl Default for Part {
@@ -94,6 +97,7 @@ impl Default for Part {
             omitted: 0,
             wait: WAIT,
             is_trial: false,
+            late: 0,
         }
     }
 }
@@ -117,6 +121,15 @@ impl Part {
     /// Notes its cost, having begun with `left_ns` before the release.
     fn note(&mut self, cost_ns: u64, left_ns: u64) {
         if !core::mem::take(&mut self.is_trial) {
+            self.late = if cost_ns < left_ns {
+                self.late.saturating_sub(1)
+            } else {
+                self.late + 1
+            };
+            if self.late >= LATE_MAX {
+                self.late = 0;
+                self.costs = RecentCosts::default();
+            }
             return self.costs.note(cost_ns);
         }
         self.omitted = 0;
@@ -261,6 +274,14 @@ mod tests {
         assert!(apart.is_sorted(), "{apart:?}");
         assert_eq!(apart[0], 2 * WAIT as usize);
         assert_eq!(apart.last(), Some(&(WAIT_MAX as usize)));
+    }
+
+    #[test]
+    fn a_part_that_becomes_expensive_delays_few_releases() {
+        let mut part = Part::default();
+        assert_eq!(runs(&mut part, 200, 20 * US).len(), 200);
+        let ran = runs(&mut part, 199, 80 * US);
+        assert_eq!(ran.len(), LATE_MAX as usize, "{ran:?}");
     }
 
     #[test]

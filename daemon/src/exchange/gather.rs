@@ -128,7 +128,7 @@ impl Exchange {
                 gather_ns: self.gather.began_ns,
                 // As for obstacles, the measurement may be newer than the gather.
                 now_ns: clock.now_ns(),
-                is_faulted: self.newest.mode == Mode::Faulted,
+                is_faulted: self.newest.mode == Mode::Faulted && self.newest.rests,
             };
             let taken = self
                 .measurements

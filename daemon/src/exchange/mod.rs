@@ -97,6 +97,8 @@ struct NewestGather {
 struct Newest {
     cycle: u64,
     mode: Mode,
+    /// It commanded rest.
+    rests: bool,
 }
 
 /// All events of one gather and its cycle fit into one record: chunks, obstacle updates, other refusals, and
@@ -136,6 +138,7 @@ impl Exchange {
             newest: Newest {
                 cycle: 0,
                 mode: Mode::Starting,
+                rests: true,
             },
             daemon_id,
             commands_sent: 0,

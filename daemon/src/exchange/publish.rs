@@ -21,6 +21,7 @@ impl Exchange {
             self.newest = Newest {
                 cycle: record.release.cycle,
                 mode: convert::mode(record.mode),
+                rests: record.rates.as_slice().iter().all(|rate| *rate == 0.0),
             };
             // Records that wait together share one reading.
             let number = self.reports;

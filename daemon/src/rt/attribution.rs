@@ -96,7 +96,7 @@ fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
     } else {
         LateCause::Stall
     };
-    // A rehearsal ends before its release unless the processor stalls.
+    // A rehearsal ends before its release unless the processor stalls, or it takes longer than usual.
     let late_start = if timing.woke_early {
         stall
     } else {

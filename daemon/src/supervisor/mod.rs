@@ -263,11 +263,14 @@ impl Supervisor {
             );
         }
         match (is_tip_silent(&self.newest), is_tip_silent(summary)) {
-            (false, true) => tracing::warn!(
+            // Without its driver, the robot does not go on.
+            (false, true) if summary.mode != Mode::Faulted => tracing::warn!(
                 cycle = summary.cycle,
                 "the tip sensor is silent for {TIP_SENSOR_SILENT_MS} ms: the robot goes on with its bends, and with the offset of the tip as it was last"
             ),
-            (true, false) => tracing::info!(cycle = summary.cycle, "the tip is measured again"),
+            (true, false) if summary.tip_measured_ns > 0 => {
+                tracing::info!(cycle = summary.cycle, "the tip is measured again");
+            }
             _ => {}
         }
         if is_cut_short(summary)

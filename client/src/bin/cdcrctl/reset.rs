@@ -17,11 +17,10 @@ const ELSEWHERE_RAD: f64 = 0.2;
 pub(crate) fn run(target: &Target, wait: Option<Duration>) -> anyhow::Result<Done> {
     let status = target.connect().ok();
     let status = status.and_then(|connection| connection.status(STATUS_TIMEOUT).ok());
-    let done = request::run(target, RequestKind::Reset, wait)?;
     if let Some(note) = status.as_ref().and_then(elsewhere) {
         tell!("{note}");
     }
-    Ok(done)
+    request::run(target, RequestKind::Reset, wait)
 }
 
 /// What to check before the robot moves, if it was measured far from its command before the reset.
@@ -30,7 +29,8 @@ fn elsewhere(status: &Status) -> Option<String> {
     (error_rad > ELSEWHERE_RAD).then(|| {
         format!(
             "note: the robot is measured {error_rad:.2} rad from where its last command left it. If it was moved or its motors were off, \
-             this is right. If not, the encoders have lost their zero: check it before the robot moves (docs/drivers.md, Zero)"
+             this is right. If not, the encoders have lost their zero: after the reset the daemon takes what they measure as true, \
+             so check it before the robot moves (docs/drivers.md, Zero)"
         )
     })
 }

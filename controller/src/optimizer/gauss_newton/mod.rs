@@ -64,7 +64,7 @@ pub(crate) struct GaussNewton {
     at_active_bound: Vec<bool>,
     /// Unknowns of the linear system.
     free: Vec<usize>,
-    /// For each of them, how far the step leaves the box.
+    /// For each of them, the ratio of step and distance to the bound (`excess`), from the last `excess_max` that looked at all.
     excesses: Vec<f64>,
     step: Vec<f64>,
     /// The point of linearisation.

@@ -207,7 +207,8 @@ fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A path of the tip to all sides, near and far, that starts and ends at rest at the same point.
+/// A path of the tip to all sides, near and far, that starts and ends at rest: where it began, or bent if two sections
+/// began straight.
 struct Excitation {
     robot: Robot,
     start: Configuration,

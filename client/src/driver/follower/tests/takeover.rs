@@ -18,6 +18,8 @@ fn a_command_for_another_driver_is_refused_by_one_that_measures() {
             Ok(()),
             "a process that measures nothing"
         );
+        follower.tell_sender(OWN);
+        assert_eq!(follower.rates_at(PERIOD_NS + 1), CommandedRates::default());
         let mut follower = CommandFollower::new(&robot(), interface);
         follower.tell_sender(OWN);
         let mut take = |command: Command| follower.take(&command, command.release_ns + 1);

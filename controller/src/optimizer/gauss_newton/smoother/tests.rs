@@ -65,17 +65,31 @@ const CONSTRAINTS_MAX: usize = 16;
 
 /// The step from `z` in the box ±1.
 fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> Option<Vec<f64>> {
+    step_with(Simd::best(), problem, damping, z, budget)
+}
+
+fn step_with(
+    simd: Simd,
+    problem: &Linear,
+    damping: f64,
+    z: &[f64],
+    budget: &mut Budget<'_>,
+) -> Option<Vec<f64>> {
     let unknowns = problem.stages.unknowns();
     let mut bounds = Bounds::with_capacity(unknowns);
     bounds.set_symmetric(std::iter::repeat_n(1.0, unknowns), 1);
     let rows = ROWS_MAX + unknowns;
     let mut gauss_newton =
-        GaussNewton::with_capacity(Simd::best(), unknowns, unknowns, rows, CONSTRAINTS_MAX);
+        GaussNewton::with_capacity(simd, unknowns, unknowns, rows, CONSTRAINTS_MAX);
     let mut incumbent = Incumbent::with_capacity(unknowns);
     incumbent.restart(z, None);
     let mut to = z.to_vec();
     let found = gauss_newton.propose(problem, &bounds, damping, budget, &mut incumbent, &mut to);
     (found != FoundStep::Nothing).then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
+}
+
+fn bits(step: &[f64]) -> Vec<u64> {
+    step.iter().map(|number| number.to_bits()).collect()
 }
 
 fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
@@ -212,6 +226,17 @@ impl Linear {
 }
 
 proptest! {
+    /// One to six sections, so every width that is compiled for its own.
+    #[test]
+    fn every_instruction_set_gives_the_same_step((staged, z) in problems(), exponent in 2..14_i32) {
+        let damping = 0.1_f64.powi(exponent);
+        let of = |simd| step_with(simd, &staged, damping, &z, &mut Budget::unlimited()).map(|step| bits(&step));
+        let best = of(Simd::best());
+        for simd in Simd::available() {
+            prop_assert_eq!(of(simd), best.clone(), "{:?}", simd);
+        }
+    }
+
     #[test]
     fn staged_rows_give_the_step_of_all_derivatives((staged, z) in problems(), exponent in 2..8_i32) {
         let damping = 0.1_f64.powi(exponent);
