@@ -97,7 +97,7 @@ fn a_scene_is_played_from_a_file() {
         ("{\"remove\": [1]}\n", "line 5: time_s = 0 is before"),
         (
             "{\"time_s\": 1, \"id\": 5, \"start_m\": [500, 0, 0], \"radius_m\": 1}\n",
-            "line 5: the obstacle is 499.0 m away",
+            "line 5: obstacle 5 is 499.0 m away",
         ),
     ] {
         place.write("bad.json", &format!("{scene}{bad}"));
