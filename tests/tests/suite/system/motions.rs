@@ -123,7 +123,8 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
         "obstacle add --id 1 --at 0.2,0,0.4 --radius 0.02",
         0,
     );
-    assert!(says(&daemon, "ref spiral --dry-run", 0).contains("clearance"));
+    let beside = says(&daemon, "ref spiral --dry-run", 0);
+    assert!(beside.lines().any(has_row), "{beside}");
     assert!(says(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
     // Also without a request for it: the first unreachable point, not the farthest one.
     let before_m = tip_m(&daemon);
